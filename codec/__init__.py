@@ -1,0 +1,1 @@
+"""Signal to integers to bytes and back: transforms, quantisers, entropy coding, rate control."""

@@ -1,0 +1,230 @@
+"""Layout of a coded stream: the header that opens a .vct file and a played stream, and the packets behind it."""
+
+import binascii
+import os
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+MAGIC = b"VCT"
+VERSION = 1
+UNITS = ("full scale", "m/s^2", "um")
+MAX_CHANNELS = 16
+MAX_CODEC_IDENTIFIER = 15
+MAX_RATE_HZ = 200_000
+MAX_CONFIGURATION_BYTES = 255
+MAX_PACKET_BYTES = 65_535
+IMAGE_HASH_BYTES = 8
+
+_UNIT_BITS = 0x03
+_HAS_IMAGE_HASH = 0x04
+_LENGTH_UNKNOWN = 0x08
+_MAX_VARINT_BYTES = 9
+
+
+class StreamError(ValueError):
+    """A header, packet or .vct file that cannot be written or read; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class StreamHeader:
+    """All that a decoder needs to know before the first packet.
+
+    `samples`: samples per channel, None when the stream is live and its length unknown. `unit`: one of UNITS.
+    `gains`: physical value of full scale for each channel, positive, exact in 8 significant bits (a float32 whose
+    lower 16 bits are zero). `configuration`: the codec's own bytes. `image_hash`: empty when the stream needs only
+    the tables built into the codec, otherwise the first 8 bytes of the SHA-256 of the model image that it needs.
+    Raises StreamError on a value that the layout cannot hold.
+    """
+
+    codec_identifier: int
+    rate_hz: int
+    samples: int | None
+    unit: str
+    gains: tuple[float, ...]
+    configuration: bytes
+    image_hash: bytes = b""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.codec_identifier <= MAX_CODEC_IDENTIFIER:
+            raise StreamError(f"codec identifier {self.codec_identifier} is outside 1..{MAX_CODEC_IDENTIFIER}")
+        if not 1 <= self.rate_hz <= MAX_RATE_HZ:
+            raise StreamError(f"rate {self.rate_hz} Hz is outside 1..{MAX_RATE_HZ} Hz; resample the signal first")
+        if self.samples is not None and not 0 <= self.samples < 2**63:
+            raise StreamError(f"{self.samples} samples cannot be stored")
+        if self.unit not in UNITS:
+            raise StreamError(f"unit {self.unit!r} is not one of {', '.join(UNITS)}")
+        if not 1 <= self.channels <= MAX_CHANNELS:
+            raise StreamError(f"{self.channels} channels; a stream holds 1 to {MAX_CHANNELS}")
+        for gain in self.gains:
+            _pack_gain(gain)
+        if len(self.configuration) > MAX_CONFIGURATION_BYTES:
+            raise StreamError(f"codec configuration of {len(self.configuration)} bytes; at most 255 fit")
+        if len(self.image_hash) not in (0, IMAGE_HASH_BYTES):
+            raise StreamError(f"image hash of {len(self.image_hash)} bytes; 0 or {IMAGE_HASH_BYTES} are allowed")
+
+    @property
+    def channels(self) -> int:
+        """Channels in the stream."""
+        return len(self.gains)
+
+    def pack(self) -> bytes:
+        """Return the header's bytes."""
+        flags = UNITS.index(self.unit) | (self.channels - 1) << 4
+        flags |= _HAS_IMAGE_HASH if self.image_hash else 0
+        flags |= _LENGTH_UNKNOWN if self.samples is None else 0
+        return b"".join(
+            (
+                MAGIC,
+                bytes((VERSION << 4 | self.codec_identifier, flags)),
+                pack_varint(self.rate_hz),
+                b"" if self.samples is None else pack_varint(self.samples),
+                b"".join(map(_pack_gain, self.gains)),
+                self.image_hash,
+                bytes((len(self.configuration),)),
+                self.configuration,
+            )
+        )
+
+    @staticmethod
+    def unpack(data: bytes) -> tuple["StreamHeader", int]:
+        """Read the header at the start of `data`; return it and the number of bytes that it takes.
+
+        Raises StreamError when the bytes are not a header of this version.
+        """
+        reader = _Reader(data)
+        if reader.take(3) != MAGIC:
+            raise StreamError("not a coded stream: it does not start with 'VCT'")
+        version, codec_identifier = divmod(reader.take(1)[0], 16)
+        if version != VERSION:
+            raise StreamError(f"coded stream of version {version}; this program reads version {VERSION}")
+        flags = reader.take(1)[0]
+        if flags & _UNIT_BITS >= len(UNITS):
+            raise StreamError("damaged header: unknown unit")
+        channels = (flags >> 4) + 1
+        rate_hz = reader.varint()
+        samples = None if flags & _LENGTH_UNKNOWN else reader.varint()
+        gains = tuple(_unpack_gain(reader.take(2)) for _ in range(channels))
+        image_hash = reader.take(IMAGE_HASH_BYTES) if flags & _HAS_IMAGE_HASH else b""
+        configuration = reader.take(reader.take(1)[0])
+        unit = UNITS[flags & _UNIT_BITS]
+        header = StreamHeader(codec_identifier, rate_hz, samples, unit, gains, configuration, image_hash)
+        return header, reader.position
+
+
+def packet_sequence(packet: bytes) -> tuple[int, bool]:
+    """Return the sequence number of a packet and whether it is a refresh. Raises StreamError on a malformed packet."""
+    sequence, refresh = divmod(_Reader(packet).varint(), 2)
+    return sequence, bool(refresh)
+
+
+def pack_file(header: StreamHeader, packets: Iterable[bytes]) -> bytes:
+    """Return the bytes of a .vct file: the header, then each packet with its length before and a CRC-16 behind it.
+
+    The CRC-16 (polynomial 0x1021, initial value 0xFFFF) of each packet runs over the header and that packet, so that
+    damage to either, or a packet of another stream, is found.
+    """
+    head = header.pack()
+    parts = [head]
+    head_crc = _crc16(head)
+    for packet in packets:
+        if not 1 <= len(packet) <= MAX_PACKET_BYTES:
+            raise StreamError(f"packet of {len(packet)} bytes; 1 to {MAX_PACKET_BYTES} are allowed")
+        parts += [pack_varint(len(packet)), packet, struct.pack("<H", _crc16(packet, head_crc))]
+    return b"".join(parts)
+
+
+def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
+    """Read the bytes of a .vct file. Raises StreamError when they are damaged or end in the middle of a packet."""
+    header, position = StreamHeader.unpack(data)
+    head_crc = _crc16(data[:position])
+    reader = _Reader(data, position)
+    packets: list[bytes] = []
+    while reader.position < len(data):
+        packet = reader.take(reader.varint())
+        (crc,) = struct.unpack("<H", reader.take(2))
+        if crc != _crc16(packet, head_crc):
+            raise StreamError(f"damaged coded stream: packet {len(packets)} fails its checksum; copy the file again")
+        if packet_sequence(packet)[0] != len(packets):
+            raise StreamError(f"damaged coded stream: packet {len(packets)} is missing; copy the file again")
+        packets.append(packet)
+    return header, packets
+
+
+def write_file(path: Path, header: StreamHeader, packets: Iterable[bytes]) -> int:
+    """Write a .vct file, replacing an older one only when the new one is complete; return its size in bytes.
+
+    Raises OSError when the folder cannot be written.
+    """
+    data = pack_file(header, packets)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_bytes(data)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+    return len(data)
+
+
+def read_file(path: Path) -> tuple[StreamHeader, list[bytes]]:
+    """Read a .vct file. Raises StreamError when it is damaged, OSError when it cannot be read."""
+    try:
+        return unpack_file(path.read_bytes())
+    except StreamError as error:
+        raise StreamError(f"{path}: {error}") from error
+
+
+def pack_varint(value: int) -> bytes:
+    """Return `value` >= 0 as LEB128: seven bits a byte, lowest first, the top bit set on all but the last byte."""
+    encoded = bytearray()
+    while value >= 0x80:
+        encoded.append(value & 0x7F | 0x80)
+        value >>= 7
+    encoded.append(value)
+    return bytes(encoded)
+
+
+class _Reader:
+    """Takes fields off the front of `data` and checks every length."""
+
+    def __init__(self, data: bytes, position: int = 0) -> None:
+        self.data = data
+        self.position = position
+
+    def take(self, count: int) -> bytes:
+        end = self.position + count
+        if end > len(self.data):
+            raise StreamError(f"truncated coded stream: {len(self.data)} bytes, {end} are needed; copy the file again")
+        taken = self.data[self.position : end]
+        self.position = end
+        return taken
+
+    def varint(self) -> int:
+        value = 0
+        for index in range(_MAX_VARINT_BYTES):
+            byte = self.take(1)[0]
+            value |= (byte & 0x7F) << (7 * index)
+            if byte < 0x80:
+                return value
+        raise StreamError("damaged coded stream: a number has too many digits")
+
+
+def _crc16(data: bytes, start: int = 0xFFFF) -> int:
+    return binascii.crc_hqx(data, start)
+
+
+def _pack_gain(gain: float) -> bytes:
+    """Return the upper half of the gain's IEEE 754 single-precision bytes, little endian."""
+    try:
+        encoded = struct.pack("<f", gain)
+    except OverflowError:
+        encoded = b"\xff\xff\xff\xff"
+    if encoded[:2] != b"\0\0" or not 0.0 < gain < float("inf") or struct.unpack("<f", encoded)[0] != gain:
+        raise StreamError(f"gain {gain} is not a positive number of at most 8 significant bits")
+    return encoded[2:]
+
+
+def _unpack_gain(encoded: bytes) -> float:
+    gain: float = struct.unpack("<f", b"\0\0" + encoded)[0]
+    return gain

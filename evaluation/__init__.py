@@ -1,0 +1,1 @@
+"""Quality metrics, BD-rate, peers, benchmarks."""

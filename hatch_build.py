@@ -1,0 +1,48 @@
+"""Compiles firmware/core into the shared library that codec/core.py loads; run directly, it recompiles in place."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+try:
+    from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+except ImportError:  # run as a script where hatchling is not installed
+    BuildHookInterface = object  # type: ignore[assignment, misc]
+
+ROOT = Path(__file__).parent
+LIBRARY = {"darwin": "vibrocast_core.dylib", "win32": "vibrocast_core.dll"}.get(sys.platform, "vibrocast_core.so")
+FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-sanitize=all", "-shared"]
+
+
+def compile_core(output_folder: Path) -> list[Path]:
+    """Compile firmware/core/*.c with ziglang; return the library and the declarations that cffi reads."""
+    core = ROOT / "firmware" / "core"
+    library = output_folder / LIBRARY
+    position_independent = [] if sys.platform == "win32" else ["-fPIC"]
+    sources = sorted(str(path) for path in core.glob("*.c"))
+    command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, *position_independent, *sources, "-o", str(library)]
+    subprocess.run(command, check=True)
+    declarations = output_folder / "vibrocast_core.cdef"
+    declarations.write_text("".join(cffi_declarations(path) for path in sorted(core.glob("*.h"))))
+    return [library, declarations]
+
+
+def cffi_declarations(header: Path) -> str:
+    """Return the part of a header between `/* cffi: begin */` and `/* cffi: end */`, which cffi can parse."""
+    return "\n".join(re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", header.read_text(), re.DOTALL))
+
+
+class CompileCore(BuildHookInterface):  # type: ignore[type-arg, unused-ignore]
+    """Build hook: a wheel holds the compiled core, an editable install finds it beside codec/core.py."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        outputs = compile_core(ROOT / "codec")
+        build_data["artifacts"] += [str(path.relative_to(ROOT)) for path in outputs]
+        build_data["pure_python"] = False
+        build_data["infer_tag"] = True
+
+
+if __name__ == "__main__":
+    compile_core(ROOT / "codec")

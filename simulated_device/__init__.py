@@ -1,0 +1,1 @@
+"""A tactor controller in software: same protocol, same decoder, DAC and actuator response."""

@@ -1,0 +1,1 @@
+"""Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
