@@ -374,7 +374,7 @@ class StreamData(Message):
 
 @dataclass(frozen=True)
 class Limits:
-    """What the controller can take. `watchdog_ms`: longest silence of the host while a stream is set up."""
+    """What the controller can take. `watchdog_ms`: longest silence of the host while armed, playing or paused."""
 
     FIXED: ClassVar[struct.Struct] = struct.Struct("<HHIIBIIH")
 

@@ -1,0 +1,76 @@
+"""Model image: the codec configuration that is flashed into a controller, with its identity and checks."""
+
+import hashlib
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import Self
+
+MAGIC = b"VCMI"
+LAYOUT_VERSION = 1
+MAXIMUM_IMAGE_BYTES = 16 * 1024 * 1024
+
+# Magic, layout version, codec identifier, lengths of name, version and hardware, length of the payload.
+_FIXED = struct.Struct("<4sBBBBBI")
+_CRC_BYTES = 4
+_MAXIMUM_TEXT_BYTES = 255
+
+
+class ModelImageError(ValueError):
+    """Values that no model image can hold, or bytes that are no model image; the message says why."""
+
+
+@dataclass(frozen=True)
+class ModelImage:
+    """A model image.
+
+    `hardware`: the only hardware id that it may run on, empty = any. `payload`: what the codec's decoder takes as its
+    tables; for `mdct` these are the initial states of its contexts.
+    """
+
+    codec_identifier: int
+    name: str
+    version: str
+    hardware: str
+    payload: bytes
+
+    def pack(self) -> bytes:
+        """Return the image's bytes, CRC-32 (as in zlib) last. Raises ModelImageError for a value out of range."""
+        texts = [text.encode() for text in (self.name, self.version, self.hardware)]
+        if max(map(len, texts)) > _MAXIMUM_TEXT_BYTES:
+            raise ModelImageError(f"name, version and hardware have at most {_MAXIMUM_TEXT_BYTES} bytes each")
+        if not 0 <= self.codec_identifier <= 0xFF:
+            raise ModelImageError(f"codec identifier {self.codec_identifier} is not in 0 to 255")
+        fixed = _FIXED.pack(MAGIC, LAYOUT_VERSION, self.codec_identifier, *map(len, texts), len(self.payload))
+        checked = fixed + b"".join(texts) + self.payload
+        if len(checked) + _CRC_BYTES > MAXIMUM_IMAGE_BYTES:
+            raise ModelImageError(f"an image has at most {MAXIMUM_IMAGE_BYTES} bytes")
+        return checked + zlib.crc32(checked).to_bytes(_CRC_BYTES, "little")
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Return the image in `data`. Raises ModelImageError unless all of it is one whole image."""
+        if len(data) < _FIXED.size + _CRC_BYTES or data[: len(MAGIC)] != MAGIC:
+            raise ModelImageError("this is no model image: give a file that vibrocast packed as one")
+        _, layout, codec_identifier, *text_bytes, payload_bytes = _FIXED.unpack_from(data)
+        if layout != LAYOUT_VERSION:
+            raise ModelImageError(f"model image of layout {layout}; this version reads layout {LAYOUT_VERSION}")
+        expected = _FIXED.size + sum(text_bytes) + payload_bytes + _CRC_BYTES
+        if len(data) != expected:
+            raise ModelImageError(f"the model image has {len(data)} bytes instead of {expected}: get the file again")
+        if zlib.crc32(data[:-_CRC_BYTES]) != int.from_bytes(data[-_CRC_BYTES:], "little"):
+            raise ModelImageError("the model image is damaged (CRC-32 differs): get the file again")
+        texts = []
+        position = _FIXED.size
+        for length in text_bytes:
+            try:
+                texts.append(data[position : position + length].decode())
+            except UnicodeDecodeError as error:
+                raise ModelImageError("the model image's texts are not UTF-8: get the file again") from error
+            position += length
+        return cls(codec_identifier, *texts, payload=data[position:-_CRC_BYTES])
+
+
+def sha256(image: bytes) -> bytes:
+    """Return the identity of a packed image: SHA-256 over all of its bytes; streams name it by the first eight."""
+    return hashlib.sha256(image).digest()

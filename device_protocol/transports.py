@@ -1,0 +1,206 @@
+"""Ways to a controller, behind one small interface: a serial port, or USB bulk endpoints of a vendor interface."""
+
+import errno
+import re
+import time
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import libusb_package
+import serial
+import usb.core
+import usb.util
+
+# Fixed for UARTs (8 data bits, no parity, 1 stop bit, no flow control); a USB serial port ignores it.
+BAUD = 921_600
+VENDOR_INTERFACE_CLASS = 0xFF
+
+_WRITE_TIMEOUT_S = 1.0
+# A multiple of every bulk packet size (64 and 512), so that no read can overflow.
+_USB_READ_BYTES = 4096
+
+
+class TransportError(OSError):
+    """The way to the controller cannot be opened, or broke; the message says what to do."""
+
+
+class Transport(Protocol):
+    """Bytes to and from a controller. Not safe to share between threads."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`. Raises TransportError if the way is broken or takes nothing for a second."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that are there, as soon as there are any; none after `timeout_s`. Raises TransportError."""
+
+    def reopen(self) -> None:
+        """Close, and open the same port or device anew. Raises TransportError while it is not there."""
+
+    def close(self) -> None:
+        """Release the port; may be called again."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class _Closing:
+    """Makes a transport a context manager that closes itself."""
+
+    def close(self) -> None:
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class SerialTransport(_Closing):
+    """A serial port: a UART, a USB serial port or a pseudo-terminal. Raises TransportError if it cannot be opened."""
+
+    def __init__(self, port: str, baud: int = BAUD) -> None:
+        self._port, self._baud = port, baud
+        self._serial = self._open()
+
+    def _open(self) -> serial.Serial:
+        try:
+            # Exclusive: two programs on one port would garble each other's frames.
+            return serial.Serial(self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
+        except (OSError, ValueError) as error:
+            raise TransportError(
+                f"cannot open serial port {self._port}: {error}. Check the name (`vibrocast devices` lists the ports), "
+                "that no other program uses it and that you may read and write it."
+            ) from error
+
+    def _broken(self, error: Exception) -> TransportError:
+        return TransportError(f"serial port {self._port} broke off ({error}). Check the cable and the controller.")
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException as error:
+            raise TransportError(
+                f"serial port {self._port} took no data for {_WRITE_TIMEOUT_S:g} s. Is a controller behind it?"
+            ) from error
+        except OSError as error:
+            raise self._broken(error) from error
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            if self._serial.timeout != timeout_s:
+                self._serial.timeout = timeout_s
+            first = self._serial.read(1)
+            return first + self._serial.read(self._serial.in_waiting) if first else b""
+        except OSError as error:
+            raise self._broken(error) from error
+
+    def reopen(self) -> None:
+        self.close()
+        self._serial = self._open()
+
+    def close(self) -> None:
+        self._serial.close()
+
+
+class UsbTransport(_Closing):
+    """The bulk endpoints of a USB device's vendor interface (class 0xFF, one bulk IN and one bulk OUT).
+
+    `backend`: a pyusb backend, such as the simulated device's; None = libusb. Raises TransportError if there is no
+    such device.
+    """
+
+    def __init__(self, vendor_id: int, product_id: int, backend: Any = None) -> None:
+        self._name = f"USB device {vendor_id:04x}:{product_id:04x}"
+        self._identifiers = {"idVendor": vendor_id, "idProduct": product_id}
+        self._backend = backend or libusb_package.get_libusb1_backend()
+        if self._backend is None:
+            raise TransportError("no libusb was found: install the package libusb-package again")
+        self._device: Any = None
+        self._open()
+
+    def _open(self) -> None:
+        try:
+            self._device = usb.core.find(backend=self._backend, **self._identifiers)
+            if self._device is None:
+                raise TransportError(
+                    f"there is no {self._name}. Plug it in and check its identifiers (`vibrocast devices` lists them)."
+                )
+            interface = self._vendor_interface()
+            usb.util.claim_interface(self._device, interface)
+        except usb.core.USBError as error:
+            hint = (
+                "Give your user access to it (a udev rule on Linux)." if error.errno == errno.EACCES else "Replug it."
+            )
+            raise TransportError(f"{self._name} cannot be opened ({error}). {hint}") from error
+        self._in = _bulk_endpoint(interface, usb.util.ENDPOINT_IN)
+        self._out = _bulk_endpoint(interface, usb.util.ENDPOINT_OUT)
+        if self._in is None or self._out is None:
+            raise TransportError(
+                f"the vendor interface of {self._name} lacks a bulk endpoint: it is no tactor controller"
+            )
+
+    def _vendor_interface(self) -> Any:
+        try:
+            configuration = self._device.get_active_configuration()
+        except usb.core.USBError:  # not configured yet
+            self._device.set_configuration()
+            configuration = self._device.get_active_configuration()
+        interface = usb.util.find_descriptor(configuration, bInterfaceClass=VENDOR_INTERFACE_CLASS)
+        if interface is None:
+            raise TransportError(f"{self._name} has no vendor interface: it is no tactor controller")
+        return interface
+
+    def _broken(self, error: Exception) -> TransportError:
+        return TransportError(f"{self._name} broke off ({error}). Check the cable and the controller.")
+
+    def write(self, data: bytes) -> None:
+        deadline = time.monotonic() + _WRITE_TIMEOUT_S
+        while data:
+            try:
+                data = data[self._out.write(data, int(_WRITE_TIMEOUT_S * 1000)) :]
+            except usb.core.USBError as error:
+                raise self._broken(error) from error
+            if data and time.monotonic() > deadline:
+                raise TransportError(f"{self._name} took no data for {_WRITE_TIMEOUT_S:g} s. Reset the controller.")
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            # libusb takes 0 as "for ever".
+            return bytes(self._in.read(_USB_READ_BYTES, max(1, round(timeout_s * 1000))))
+        except usb.core.USBError as error:
+            if isinstance(error, usb.core.USBTimeoutError) or error.errno == errno.ETIMEDOUT:
+                return b""
+            raise self._broken(error) from error
+
+    def reopen(self) -> None:
+        self.close()
+        self._open()
+
+    def close(self) -> None:
+        usb.util.dispose_resources(self._device)
+
+
+def open_transport(address: str, usb_backend: Any = None) -> Transport:
+    """Open "serial:PORT" or "usb:VID:PID" (hexadecimal). Raises TransportError."""
+    kind, _, rest = address.partition(":")
+    if kind == "serial" and rest:
+        return SerialTransport(rest)
+    if kind == "usb" and (match := re.fullmatch("([0-9a-fA-F]{1,4}):([0-9a-fA-F]{1,4})", rest)):
+        return UsbTransport(int(match[1], 16), int(match[2], 16), usb_backend)
+    raise TransportError(f"{address!r} is no address of a controller: give serial:PORT or usb:VID:PID (hexadecimal)")
+
+
+def _bulk_endpoint(interface: Any, direction: int) -> Any:
+    return usb.util.find_descriptor(
+        interface,
+        custom_match=lambda endpoint: (
+            usb.util.endpoint_direction(endpoint.bEndpointAddress) == direction
+            and usb.util.endpoint_type(endpoint.bmAttributes) == usb.util.ENDPOINT_TYPE_BULK
+        ),
+    )
