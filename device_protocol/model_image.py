@@ -60,15 +60,16 @@ class ModelImage:
             raise ModelImageError(f"the model image has {len(data)} bytes instead of {expected}: get the file again")
         if zlib.crc32(data[:-_CRC_BYTES]) != int.from_bytes(data[-_CRC_BYTES:], "little"):
             raise ModelImageError("the model image is damaged (CRC-32 differs): get the file again")
-        texts = []
         position = _FIXED.size
+        texts = []
         for length in text_bytes:
-            try:
-                texts.append(data[position : position + length].decode())
-            except UnicodeDecodeError as error:
-                raise ModelImageError("the model image's texts are not UTF-8: get the file again") from error
+            texts.append(data[position : position + length])
             position += length
-        return cls(codec_identifier, *texts, payload=data[position:-_CRC_BYTES])
+        try:
+            name, version, hardware = (text.decode() for text in texts)
+        except UnicodeDecodeError as error:
+            raise ModelImageError("the model image's texts are not UTF-8: get the file again") from error
+        return cls(codec_identifier, name, version, hardware, data[position:-_CRC_BYTES])
 
 
 def sha256(image: bytes) -> bytes:

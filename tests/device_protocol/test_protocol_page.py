@@ -1,0 +1,64 @@
+"""docs/protocol.md agrees with the code: its example's bytes, its message types, error codes and states."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from device_protocol.frames import FrameReader, write_frame
+from device_protocol.messages import (
+    ALL,
+    Configure,
+    Error,
+    ErrorCode,
+    Hello,
+    Message,
+    Start,
+    State,
+    Status,
+    StatusRequest,
+    Stop,
+    StreamData,
+    pack,
+    unpack,
+)
+
+PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+
+EXAMPLE: list[tuple[str, int, Message]] = [
+    ("Hello, sequence 0x1234", 0x1234, Hello(1, 0)),
+    ("Error, sequence 0x1234", 0x1234, Error(ErrorCode.HELLO_FIRST, "say hello first")),
+    ("Configure, sequence 0x1236", 0x1236, Configure(1, b"VCT", prebuffer_samples=1400, packets=100)),
+    ("StreamData, two packets", 0, StreamData(1, 0, (b"\x01\xaa\xbb", b"\x02\xcc"))),
+    ("Start, sequence 0x1237", 0x1237, Start(0)),
+    ("Status, notification", 0, Status(State.PLAYING, 1, 5_000_000, 64, 6400, 320, 0, 0, 0, 0, 0, 0, 0)),
+    ("StatusRequest, sequence 0x1238", 0x1238, StatusRequest()),
+    ("Stop, sequence 0x1239", 0x1239, Stop()),
+]
+
+
+@pytest.mark.parametrize(("title", "sequence", "message"), EXAMPLE)
+def test_example_frames_are_what_the_code_packs(title: str, sequence: int, message: Message) -> None:
+    (row,) = re.findall(rf"^\| {re.escape(title)} \| `([0-9a-f ]+)` \|$", PAGE, re.MULTILINE)
+    frame = bytes.fromhex(row)
+    assert frame == write_frame(pack(message, sequence))
+    (payload,) = FrameReader().feed(frame)
+    assert unpack(payload) == (sequence, message)
+
+
+def test_tables_name_every_message_error_code_and_state() -> None:
+    for message in ALL:
+        assert f"| 0x{message.TYPE:02X} | {message.__name__} |" in PAGE
+    for code in ErrorCode:
+        assert f"| {code} | {code.name} |" in PAGE
+    for state in State:
+        assert f"| {state.name} | {state} |" in PAGE
+
+
+def test_fixed_parts_have_the_size_that_the_tables_say() -> None:
+    sizes = {"u8": 1, "u16": 2, "u32": 4, "u64": 8, "f32": 4, "bytes": 32}
+    for message in ALL:
+        if message is StreamData:
+            continue
+        (fixed,) = re.findall(rf"^\| 0x{message.TYPE:02X} \| \w+ \| ([^|]*)\|", PAGE, re.MULTILINE)
+        assert message.FIXED.size == sum(sizes[field.split()[-1]] for field in fixed.split(",") if field.strip())
