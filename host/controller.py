@@ -1,0 +1,218 @@
+"""Client session with a tactor controller: requests, retries, notifications. No threads: it runs in the caller's."""
+
+import random
+import time
+from collections.abc import Callable
+from typing import Self, TypeVar
+
+from device_protocol.frames import DELIMITER, FrameReader, write_frame
+from device_protocol.messages import (
+    MAXIMUM_SEQUENCE,
+    NOTIFICATION,
+    PROTOCOL_MAJOR,
+    PROTOCOL_MINOR,
+    CaptureData,
+    CaptureRead,
+    Error,
+    ErrorCode,
+    Hello,
+    HelloResponse,
+    Message,
+    MessageError,
+    Status,
+    StatusRequest,
+    Stop,
+    StreamData,
+    Tap,
+    pack,
+    unpack,
+)
+from device_protocol.transports import Transport, TransportError
+
+# docs/protocol.md, "Sequence numbers"
+ANSWER_TIMEOUT_S = 0.25
+TRIES = 8
+SMALLEST_PAYLOAD_LIMIT_BYTES = 256
+SMALLEST_WATCHDOG_MS = 50
+
+_RECONNECT_PAUSE_S = 0.1
+
+_Answer = TypeVar("_Answer", bound=Message)
+
+
+class ControllerError(RuntimeError):
+    """A controller that refused, or that does not do what the protocol says.
+
+    `code`: the ErrorCode it answered (or a later one); None if it did not refuse.
+    """
+
+    def __init__(self, text: str, code: int | None = None) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class ConnectionLost(ControllerError):
+    """A controller that no longer answers, has restarted or has given the host up: `Controller.reconnect` may help."""
+
+
+class Controller:
+    """A session with the controller behind a transport.
+
+    `description`: what it said in its last hello. `status`: the last Status that came, asked for or not.
+    `bytes_sent`, `bytes_received`: all that crossed the transport. Every wait is a read of the transport, measured by
+    `clock`, so that a simulated transport can run in simulated time.
+    """
+
+    description: HelloResponse
+
+    def __init__(
+        self,
+        transport: Transport,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Say hello. Raises ControllerError (also for another protocol version) and TransportError."""
+        self.status: Status | None = None
+        self.bytes_sent = 0
+        self.bytes_received = 0
+        self.clock = clock
+        self.sleep = sleep
+        self._transport = transport
+        self._reader = FrameReader()
+        # Drawn at random: a late answer to a session before this one is not taken for an answer to this one.
+        self._sequence = random.randrange(1, MAXIMUM_SEQUENCE + 1)
+        self._complaint: Error | None = None
+        self.say_hello()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the transport."""
+        self._transport.close()
+
+    def say_hello(self) -> None:
+        """Open a session, or open it anew; sets `description`. Raises as `request`."""
+        self._write(DELIMITER)  # ends whatever the line has picked up
+        description = self.request(Hello(), HelloResponse)
+        if description.major != PROTOCOL_MAJOR:
+            raise ControllerError(
+                f"the controller speaks protocol {description.major}.{description.minor}, this host "
+                f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}: update the older one",
+                ErrorCode.UNSUPPORTED_VERSION,
+            )
+        limits = description.limits
+        if limits.maximum_payload_bytes < SMALLEST_PAYLOAD_LIMIT_BYTES or limits.watchdog_ms < SMALLEST_WATCHDOG_MS:
+            raise ControllerError(f"the controller announces limits that no host can keep to: {limits}")
+        self.description = description
+
+    def request(
+        self, message: Message, answer_type: type[_Answer], answer_timeout_s: float = ANSWER_TIMEOUT_S
+    ) -> _Answer:
+        """Send a request, as often as it takes, and return its answer.
+
+        Raises ControllerError with the controller's text if it refuses, ConnectionLost, TransportError, MessageError.
+        """
+        self._sequence = self._sequence % MAXIMUM_SEQUENCE + 1
+        frame = write_frame(pack(message, self._sequence))
+        for _ in range(TRIES):
+            self._write(frame)
+            deadline_s = self.clock() + answer_timeout_s
+            while (left_s := deadline_s - self.clock()) > 0:
+                answer = self._receive(left_s)
+                if isinstance(answer, Error) and answer.code == ErrorCode.HELLO_FIRST:
+                    raise ConnectionLost("the controller has restarted and knows nothing of this session", answer.code)
+                if isinstance(answer, Error):
+                    raise ControllerError(f"the controller refuses: {answer.text or 'no reason given'}", answer.code)
+                if isinstance(answer, answer_type):
+                    return answer
+                if answer is not None:
+                    asked, answered = type(message).__name__, type(answer).__name__
+                    raise ControllerError(f"the controller answers {asked} with {answered}: update its firmware")
+        raise ConnectionLost(
+            f"the controller does not answer ({TRIES} tries in {TRIES * answer_timeout_s:g} s). "
+            "Check that it has power and that the address is the right one."
+        )
+
+    def send(self, data: StreamData) -> None:
+        """Send stream data, which is never answered. Raises TransportError."""
+        self._write(write_frame(pack(data)))
+
+    def poll(self, timeout_s: float) -> None:
+        """Take in what the controller sends, waiting for it at most `timeout_s`.
+
+        Raises TransportError, and ControllerError if the controller complained without being asked.
+        """
+        self._receive(timeout_s)
+        if self._complaint is not None:
+            complaint, self._complaint = self._complaint, None
+            raise ControllerError(f"the controller complains: {complaint.text}", complaint.code)
+
+    def request_status(self) -> Status:
+        """Ask for the status and return it. Raises as `request`."""
+        return self.request(StatusRequest(), Status)
+
+    def stop(self) -> Status:
+        """Ramp down at once, also after a frame that was cut while it was being written. Raises as `request`."""
+        self._write(DELIMITER)
+        return self.request(Stop(), Status)
+
+    def capture_room(self, channels: int) -> int:
+        """Return how many captured samples per channel one frame holds."""
+        fixed_bytes = len(pack(CaptureData(Tap.DAC, channels, 0, 0, b"")))
+        return (self.description.limits.maximum_payload_bytes - fixed_bytes) // (2 * channels)
+
+    def read_capture(self, tap: Tap, offset: int, count: int, channels: int) -> CaptureData:
+        """Return up to `count` captured samples per channel from `offset`, as many as one frame holds.
+
+        Raises as `request`, and ControllerError if the first of them is no longer there.
+        """
+        captured = self.request(CaptureRead(tap, offset, min(count, self.capture_room(channels))), CaptureData)
+        if captured.tap != tap or captured.channels != channels or captured.offset != offset:
+            raise ControllerError(
+                f"the controller has no {tap.name.lower()} capture from sample {offset} of {channels} channels: "
+                f"it keeps the last {self.description.limits.capture_samples} samples. Play without the read-back."
+            )
+        return captured
+
+    def reconnect(self, within_s: float) -> None:
+        """Open the transport anew and say hello, again and again until it works.
+
+        Raises the last TransportError or ControllerError after `within_s`.
+        """
+        deadline_s = self.clock() + within_s
+        while True:
+            try:
+                self._transport.reopen()
+                self._reader = FrameReader()
+                self.say_hello()
+                return
+            except (TransportError, ConnectionLost):
+                if self.clock() >= deadline_s:
+                    raise
+            self.sleep(_RECONNECT_PAUSE_S)
+
+    def _write(self, data: bytes) -> None:
+        self._transport.write(data)
+        self.bytes_sent += len(data)
+
+    def _receive(self, timeout_s: float) -> Message | None:
+        """Read once; note notifications; return the answer to the request under way, if it came."""
+        data = self._transport.read(timeout_s)
+        self.bytes_received += len(data)
+        answer = None
+        for payload in self._reader.feed(data):
+            try:
+                sequence, message = unpack(payload)
+            except MessageError:
+                continue  # a later minor version may send what this one does not know
+            if isinstance(message, Status) and sequence in (NOTIFICATION, self._sequence):
+                self.status = message
+            if sequence == self._sequence:
+                answer = message
+            elif sequence == NOTIFICATION and isinstance(message, Error):
+                self._complaint = message
+        return answer
