@@ -1,0 +1,145 @@
+"""Actuators and their amplifiers: response from DAC code to displacement at the skin, its inverse, and their limits."""
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+Samples: TypeAlias = NDArray[np.float64]
+Codes: TypeAlias = NDArray[np.int16]
+Filter: TypeAlias = tuple[Samples, Samples]
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """An actuator with its amplifier and DAC; linear, at rest in the middle of its range at DAC code 0.
+
+    `stroke_um`: displacement from end to end, peak to peak; a resonant actuator reaches it at `corner_hz`. `volts`: the
+    voltage range that full DAC scale covers, peak to peak; a unipolar actuator rests on a bias of half of it.
+    `corner_hz`: without `quality` the -3 dB frequency of a first-order low-pass, with it the resonance of a
+    second-order one, of which `quality` is the Q. `slew_volts_per_second`, `volts_limit` (from rest) and `power_limit`
+    (running mean of the squared drive, full scale = 1) are what the amplifier and the actuator bear.
+    `maximum_boost`: factor by which the compensation of a resonance may raise the drive.
+    """
+
+    name: str
+    stroke_um: float
+    volts: float
+    corner_hz: float
+    quality: float | None
+    slew_volts_per_second: float
+    volts_limit: float
+    power_limit: float
+    dac_bits: int = 16
+    dac_rate_hz: int = 3000
+    maximum_boost: float = 8.0
+
+    @property
+    def excursion_um(self) -> float:
+        """Displacement from rest at full drive."""
+        return self.stroke_um / 2
+
+    @property
+    def full_scale(self) -> int:
+        """DAC codes from rest to full drive."""
+        return 1 << (self.dac_bits - 1)
+
+    @property
+    def code_limit(self) -> int:
+        """The highest DAC code that the voltage limit allows."""
+        return min(self.full_scale - 1, math.floor(self.volts_limit / (self.volts / 2) * self.full_scale))
+
+    @property
+    def code_step_limit(self) -> int:
+        """The largest difference of two DAC codes in sequence that the slew limit allows."""
+        step = math.floor(self.slew_volts_per_second / self.dac_rate_hz / (self.volts / 2) * self.full_scale)
+        return max(1, step)
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """The lower and upper -3 dB frequencies; lower 0 = down to rest. Of a resonance, its half-power band."""
+        if self.quality is None:
+            return 0.0, self.corner_hz
+        half_width = 1 / (2 * self.quality)
+        middle = math.hypot(1.0, half_width)
+        return self.corner_hz * (middle - half_width), self.corner_hz * (middle + half_width)
+
+    def response(self, rate_hz: float) -> Filter:
+        """Return (b, a): the digital filter from drive to displacement, both in parts of full scale.
+
+        Exact at the sampling instants for a drive held constant over each 1 / rate_hz (zero-order hold).
+        First order: w / (s + w). Resonance: (w^2 / Q) / (s^2 + w s / Q + w^2), which is 1 at w = 2 pi corner_hz.
+        """
+        w = 2 * math.pi * self.corner_hz
+        if self.quality is None:
+            b, a = np.array([w]), np.array([1.0, w])
+        else:
+            b, a = np.array([w * w / self.quality]), np.array([1.0, w / self.quality, w * w])
+        numerator, denominator, _ = signal.cont2discrete((b, a), 1 / rate_hz, method="zoh")
+        return np.ravel(numerator), np.asarray(denominator)
+
+    def inverse(self) -> Filter:
+        """Return (b, a): the compensation filter at the DAC's rate.
+
+        First order: the exact inverse of `response`, one DAC sample late. Resonance: the resonance is exchanged for one
+        that is `maximum_boost` times as broad, (Q / Q') (s^2 + w s / Q + w^2) / (s^2 + w s / Q' + w^2) with
+        Q' = Q / maximum_boost, by the bilinear transform matched at w. Its gain is 1 there and the boost at most
+        everywhere else, where a plain inverse would grow with the square of the frequency.
+        """
+        if self.quality is None:
+            numerator, denominator = self.response(self.dac_rate_hz)
+            # The 0 keeps scipy on its recursive path, whose results do not depend on the size of a piece.
+            return denominator / numerator[1], np.array([1.0, 0.0])
+        # w in units of 2 x rate, pre-warped so that the bilinear transform leaves the resonance where it is.
+        w = math.tan(math.pi * self.corner_hz / self.dac_rate_hz)
+        boost = max(1.0, self.maximum_boost)
+        broad = self.quality / boost
+        b, a = signal.bilinear([boost, boost * w / self.quality, boost * w * w], [1, w / broad, w * w], fs=0.5)
+        return np.asarray(b), np.asarray(a)
+
+    def displacement_um(self, codes: Codes, oversampling: int = 1) -> Samples:
+        """Return the displacement at the skin, um from rest, for DAC codes (n, channels) that begin at rest.
+
+        The result (n * oversampling, channels) has `oversampling` samples per DAC sample, the code held in between.
+        """
+        held = np.repeat(codes / self.full_scale, oversampling, axis=0)
+        b, a = self.response(self.dac_rate_hz * oversampling)
+        return self.excursion_um * np.asarray(signal.lfilter(b, a, held, axis=0))
+
+
+def resonant(
+    name: str, corner_hz: float, quality: float, stroke_um: float, volts: float, dac_rate_hz: int = 8000
+) -> Actuator:
+    """Return a resonant tactor, an LRA or a voice coil, by its resonance, Q, stroke and voltage range (peak to peak).
+
+    The mean power limit is a fifth of full drive, as the heat of a coil asks for. The slew limit lets a sine of full
+    scale pass up to 1 kHz.
+    """
+    slew_volts_per_second = 2 * math.pi * 1000 * volts / 2
+    return Actuator(
+        name, stroke_um, volts, corner_hz, quality, slew_volts_per_second, volts / 2, 0.2, dac_rate_hz=dac_rate_hz
+    )
+
+
+# The piezo stack of the DCT paper on material-like textures: 80 um at 150 V, linear, -3 dB at 270 Hz, no resonance up
+# to 400 Hz, driven at 3 kHz. Full scale at 400 Hz needs 190 kV/s; the amplifier is taken to bear 300 kV/s. A sine of
+# full scale has a mean square of 0.5, which passes; a square wave of full scale does not.
+PIEZO_STACK = Actuator(
+    name="piezo-stack",
+    stroke_um=80.0,
+    volts=150.0,
+    corner_hz=270.0,
+    quality=None,
+    slew_volts_per_second=300_000.0,
+    volts_limit=75.0,
+    power_limit=0.65,
+)
+
+# Typical values, to be replaced by those of the part at hand: LRA 150-235 Hz, Q 10-20; voice coil 60-125 Hz, Q 2-5.
+LRA = resonant("lra", corner_hz=175.0, quality=15.0, stroke_um=200.0, volts=5.6)
+VOICE_COIL = resonant("voice-coil", corner_hz=90.0, quality=3.0, stroke_um=400.0, volts=8.0)
+
+ACTUATORS = {actuator.name: actuator for actuator in (PIEZO_STACK, LRA, VOICE_COIL)}

@@ -1,0 +1,218 @@
+"""From decoded samples to DAC codes: exact in any pieces, true to the units, and always within the limits."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from codec.interface import Decoded
+from device_protocol.coded_stream import UNITS, StreamHeader
+from simulated_device.actuator import ACTUATORS, PIEZO_STACK, Actuator, Codes, Samples
+from simulated_device.output import FADE_SECONDS, Dac, Drive, LimitCounts, Resampler, displacement_filter, render
+
+
+def header(rate_hz: int, unit: str, gains: tuple[float, ...], samples: int | None = None) -> StreamHeader:
+    return StreamHeader(1, rate_hz, samples, unit, gains, b"")
+
+
+def noise(count: int, channels: int, seed: int, full_scale: float = 0.2) -> Decoded:
+    signal = np.random.default_rng(seed).standard_normal((count, channels)) * full_scale * 32768
+    return np.clip(np.rint(signal), -32768, 32767).astype(np.int16)
+
+
+def cut(samples: NDArray[Any], cuts: Sequence[int]) -> list[NDArray[Any]]:
+    return np.split(samples, sorted(min(at, len(samples)) for at in cuts))
+
+
+def sine(rate_hz: float, frequency_hz: float, amplitude: float, seconds: float) -> Samples:
+    time_s = np.arange(round(rate_hz * seconds)) / rate_hz
+    return (amplitude * np.sin(2 * np.pi * frequency_hz * time_s))[:, None]
+
+
+def amplitude_at(samples: Samples, frequency_hz: float, rate_hz: float) -> float:
+    """Amplitude of one frequency in the last half second, a whole number of its periods."""
+    tail = samples[-round(rate_hz / 2) :, 0]
+    phase = np.exp(-2j * np.pi * frequency_hz * np.arange(len(tail)) / rate_hz)
+    return float(2 * abs(np.mean(tail * phase)))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    rate_hz=st.sampled_from([500, 2800, 3000, 8000, 11_025]),
+    unit=st.sampled_from(UNITS),
+    channels=st.integers(1, 3),
+    actuator=st.sampled_from(sorted(ACTUATORS)),
+    compensation=st.booleans(),
+    gain=st.sampled_from([0.0, 0.3, 1.0, 40.0]),
+    count=st.integers(0, 700),
+    cuts=st.lists(st.integers(0, 700), max_size=6),
+    drive_cuts=st.lists(st.integers(0, 1500), max_size=6),
+    seed=st.integers(0, 99),
+)
+def test_pieces_give_the_same_bits_as_the_whole(
+    rate_hz: int,
+    unit: str,
+    channels: int,
+    actuator: str,
+    compensation: bool,
+    gain: float,
+    count: int,
+    cuts: list[int],
+    drive_cuts: list[int],
+    seed: int,
+) -> None:
+    head = header(rate_hz, unit, (16.0,) * channels, count)
+    decoded = noise(count, channels, seed)
+    whole, counts = render(head, decoded, 0, ACTUATORS[actuator], compensation=compensation, gain=gain)
+    drive = Drive(head, ACTUATORS[actuator], compensation)
+    dac = Dac(ACTUATORS[actuator], channels, gain, compensation, drive.drive_samples(0))
+    pushed = np.concatenate([*(drive.push(piece) for piece in cut(decoded, cuts)), drive.finish()])
+    codes = np.concatenate([*(dac.play(piece) for piece in cut(pushed, drive_cuts)), dac.ramp_down()])
+    np.testing.assert_array_equal(codes, whole)
+    assert dac.counts == counts
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    actuator=st.sampled_from(sorted(ACTUATORS)),
+    gain=st.sampled_from([1.0, 3.0, 1e30]),
+    kind=st.sampled_from(["square", "noise", "constant"]),
+    seed=st.integers(0, 99),
+    volts_part=st.sampled_from([0.5, 1.0]),
+)
+def test_limits_hold_whatever_is_asked_for(actuator: str, gain: float, kind: str, seed: int, volts_part: float) -> None:
+    described = ACTUATORS[actuator]
+    limited = replace(described, volts_limit=described.volts / 2 * volts_part)
+    signals: dict[str, Callable[[], Samples]] = {
+        "square": lambda: np.sign(sine(limited.dac_rate_hz, 97.0 + seed, 1.0, 3.0)),
+        "noise": lambda: noise(3 * limited.dac_rate_hz, 1, seed, 1.0) / 32768,
+        "constant": lambda: np.ones((3 * limited.dac_rate_hz, 1)),
+    }
+    dac = Dac(limited, 1, gain, False)
+    codes = np.concatenate((dac.play(signals[kind]()), dac.ramp_down())).astype(np.int64)
+    assert codes.max() <= limited.code_limit
+    assert codes.min() >= -limited.code_limit - 1
+    assert np.abs(np.diff(codes, axis=0, prepend=0)).max() <= limited.code_step_limit
+    assert codes[-1, 0] == 0
+    power = (codes / limited.full_scale) ** 2
+    second = limited.dac_rate_hz
+    mean, peak_mean = 0.0, 0.0
+    for value in power[:, 0]:
+        mean += (value - mean) / second
+        peak_mean = max(peak_mean, mean)
+    # The limit works on blocks of 1/50 s: between them the mean may be higher by what one block adds.
+    assert peak_mean <= limited.power_limit + 0.02
+
+
+def test_full_scale_at_the_rate_of_the_dac_goes_through_unchanged() -> None:
+    decoded = noise(1000, 2, 3)
+    codes, counts = render(header(3000, "full scale", (1.0, 1.0), 1000), decoded, 0, PIEZO_STACK, compensation=False)
+    fade_samples = round(FADE_SECONDS * 3000)
+    np.testing.assert_array_equal(codes[fade_samples:1000], decoded[fade_samples:])
+    assert counts == LimitCounts()
+    assert not codes[-1].any()
+
+
+def test_output_ramps_down_where_the_recording_ends_and_padding_begins() -> None:
+    decoded = np.full((64, 1), 8000, np.int16)
+    codes, _ = render(header(3000, "full scale", (1.0,), 40), decoded, 10, PIEZO_STACK, compensation=False)
+    assert not codes[:10].any()
+    assert codes[49, 0] == 8000
+    assert len(codes) == 50 + round(FADE_SECONDS * 3000)
+    assert (np.diff(codes[49:, 0].astype(int)) < 0).all()
+
+
+@pytest.mark.parametrize("frequency_hz", [50, 200, 600, 900])
+def test_resampler_keeps_its_band(frequency_hz: int) -> None:
+    resampled = Resampler(2800, 3000, 1).push(sine(2800, frequency_hz, 1.0, 2.0))
+    assert amplitude_at(resampled, frequency_hz, 3000) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("frequency_hz", [2000, 2600, 3900])
+def test_resampler_keeps_what_the_dac_cannot_play_out_of_its_band(frequency_hz: int) -> None:
+    resampled = Resampler(8000, 3000, 1).push(sine(8000, frequency_hz, 1.0, 2.0))
+    assert np.abs(resampled[500:]).max() < 2e-3
+
+
+def test_resampler_delays_by_what_it_states() -> None:
+    resampler = Resampler(2800, 3000, 1)
+    impulse = np.zeros((100, 1))
+    impulse[28] = 1.0
+    assert int(np.argmax(resampler.push(impulse))) == pytest.approx((28 + resampler.delay_samples) * 3000 / 2800, abs=1)
+    assert resampler.delay_samples == 8
+
+
+@pytest.mark.parametrize("frequency_hz", [60, 150, 300, 400])
+def test_acceleration_becomes_displacement(frequency_hz: int) -> None:
+    amplitude_um = 5.0
+    acceleration = amplitude_um * 1e-6 * (2 * np.pi * frequency_hz) ** 2
+    decoded = np.rint(sine(2800, frequency_hz, acceleration / 64.0 * 32768, 3.0)).astype(np.int16)
+    drive = Drive(header(2800, "m/s^2", (64.0,)), PIEZO_STACK, compensation=False).push(decoded)
+    assert amplitude_at(drive * 40.0, frequency_hz, 3000) == pytest.approx(amplitude_um, rel=0.02)
+
+
+def test_constant_acceleration_moves_nothing_in_the_end() -> None:
+    drive = Drive(header(2800, "m/s^2", (64.0,)), PIEZO_STACK, compensation=False)
+    settled = drive.push(np.full((28_000, 1), 30_000, np.int16))
+    assert np.abs(settled[-100:]).max() < 1e-6
+
+
+def test_acceleration_filter_is_stable_at_every_rate() -> None:
+    for rate_hz in (100, 2800, 48_000):
+        assert np.abs(np.roots(displacement_filter(rate_hz)[1])).max() < 1
+
+
+def test_skin_follows_a_displacement_recording_with_compensation() -> None:
+    wanted_um = sine(2800, 200, 20.0, 2.0)
+    decoded = np.rint(wanted_um / 40.0 * 32768).astype(np.int16)
+    codes, counts = render(header(2800, "um", (40.0,), len(decoded)), decoded, 0, PIEZO_STACK)
+    assert counts == LimitCounts()
+    skin_um = PIEZO_STACK.displacement_um(codes[:-100])
+    assert amplitude_at(skin_um, 200, 3000) == pytest.approx(20.0, rel=0.01)
+
+
+def test_compensation_clips_and_says_so() -> None:
+    # Full scale at 400 Hz would need 1.79 times the drive: FACTS of the piezo stack.
+    decoded = np.rint(sine(3000, 400, 32000, 0.5)).astype(np.int16)
+    _, compensated = render(header(3000, "um", (40.0,), 1500), decoded, 0, PIEZO_STACK)
+    assert compensated.compensation_clipped > 500
+    assert compensated.voltage_limited == 0
+    _, bare = render(header(3000, "um", (40.0,), 1500), decoded, 0, PIEZO_STACK, compensation=False)
+    assert bare == LimitCounts()
+
+
+def test_gain_moves_along_a_ramp() -> None:
+    dac = Dac(PIEZO_STACK, 1, 0.5, False)
+    dac.play(np.full((100, 1), 0.5))
+    dac.set_gain(1.0)
+    codes = np.concatenate((dac.play(np.full((7, 1), 0.5)), dac.play(np.full((100, 1), 0.5))))[:, 0].astype(int)
+    assert codes[0] == 8192
+    assert codes[-1] == 16384
+    assert np.diff(codes).max() <= 8192 / 60 + 1
+    assert np.diff(codes).min() >= 0
+
+
+def test_pause_ramps_down_and_the_next_sample_fades_in() -> None:
+    dac = Dac(PIEZO_STACK, 1, 1.0, False)
+    dac.play(np.full((100, 1), 0.5))
+    down = dac.ramp_down()[:, 0].astype(int)
+    assert down[-1] == 0
+    assert (np.diff(down) < 0).all()
+    up = dac.play(np.full((100, 1), 0.5))[:, 0].astype(int)
+    assert 0 <= up[0] < 1000
+    assert up[-1] == 16384
+
+
+def test_every_actuator_has_its_own_name() -> None:
+    described: dict[str, Actuator] = ACTUATORS
+    assert all(actuator.name == name for name, actuator in described.items())
+
+
+def test_dac_of_twelve_bits_uses_its_codes() -> None:
+    codes: Codes = Dac(replace(PIEZO_STACK, dac_bits=12), 1, 1.0, False).play(np.full((100, 1), 0.5))
+    assert codes[-1, 0] == 1024
