@@ -121,40 +121,27 @@ class UsbTransport(_Closing):
         self._backend = backend or libusb_package.get_libusb1_backend()
         if self._backend is None:
             raise TransportError("no libusb was found: install the package libusb-package again")
-        self._device: Any = None
         self._open()
 
     def _open(self) -> None:
         try:
-            self._device = usb.core.find(backend=self._backend, **self._identifiers)
-            if self._device is None:
+            device = usb.core.find(backend=self._backend, **self._identifiers)
+            if device is None:
                 raise TransportError(
                     f"there is no {self._name}. Plug it in and check its identifiers (`vibrocast devices` lists them)."
                 )
-            interface = self._vendor_interface()
-            usb.util.claim_interface(self._device, interface)
+            interface = usb.util.find_descriptor(_configuration(device), bInterfaceClass=VENDOR_INTERFACE_CLASS)
+            self._in = interface and _bulk_endpoint(interface, usb.util.ENDPOINT_IN)
+            self._out = interface and _bulk_endpoint(interface, usb.util.ENDPOINT_OUT)
+            if self._in is None or self._out is None:
+                raise TransportError(f"{self._name} lacks a vendor interface with bulk endpoints: no tactor controller")
+            usb.util.claim_interface(device, interface)
         except usb.core.USBError as error:
             hint = (
                 "Give your user access to it (a udev rule on Linux)." if error.errno == errno.EACCES else "Replug it."
             )
             raise TransportError(f"{self._name} cannot be opened ({error}). {hint}") from error
-        self._in = _bulk_endpoint(interface, usb.util.ENDPOINT_IN)
-        self._out = _bulk_endpoint(interface, usb.util.ENDPOINT_OUT)
-        if self._in is None or self._out is None:
-            raise TransportError(
-                f"the vendor interface of {self._name} lacks a bulk endpoint: it is no tactor controller"
-            )
-
-    def _vendor_interface(self) -> Any:
-        try:
-            configuration = self._device.get_active_configuration()
-        except usb.core.USBError:  # not configured yet
-            self._device.set_configuration()
-            configuration = self._device.get_active_configuration()
-        interface = usb.util.find_descriptor(configuration, bInterfaceClass=VENDOR_INTERFACE_CLASS)
-        if interface is None:
-            raise TransportError(f"{self._name} has no vendor interface: it is no tactor controller")
-        return interface
+        self._device = device
 
     def _broken(self, error: Exception) -> TransportError:
         return TransportError(f"{self._name} broke off ({error}). Check the cable and the controller.")
@@ -194,6 +181,14 @@ def open_transport(address: str, usb_backend: Any = None) -> Transport:
     if kind == "usb" and (match := re.fullmatch("([0-9a-fA-F]{1,4}):([0-9a-fA-F]{1,4})", rest)):
         return UsbTransport(int(match[1], 16), int(match[2], 16), usb_backend)
     raise TransportError(f"{address!r} is no address of a controller: give serial:PORT or usb:VID:PID (hexadecimal)")
+
+
+def _configuration(device: Any) -> Any:
+    try:
+        return device.get_active_configuration()
+    except usb.core.USBError:  # not configured yet
+        device.set_configuration()
+        return device.get_active_configuration()
 
 
 def _bulk_endpoint(interface: Any, direction: int) -> Any:

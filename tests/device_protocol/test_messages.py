@@ -1,0 +1,206 @@
+"""Messages: round trip of every type, unknown tags, lengths and values that must be refused, fuzz."""
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device_protocol.messages import (
+    ALL,
+    ActuatorDescription,
+    CaptureData,
+    CaptureRead,
+    Configure,
+    EndStream,
+    Error,
+    ErrorCode,
+    FlashActivate,
+    FlashBegin,
+    FlashConfirm,
+    FlashData,
+    FlashStatus,
+    FlashVerify,
+    Gain,
+    Hello,
+    HelloResponse,
+    ImageDescription,
+    Limits,
+    Loop,
+    Message,
+    MessageError,
+    Pause,
+    Resume,
+    SlotState,
+    Start,
+    State,
+    Status,
+    StatusRequest,
+    Stop,
+    StreamData,
+    Tap,
+    pack,
+    unpack,
+)
+
+u8, u16, u32, u64 = (st.integers(0, (1 << bits) - 1) for bits in (8, 16, 32, 64))
+f32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
+gains = st.floats(0, 1e6, width=32)
+texts = st.text(max_size=40)
+sha256s = st.binary(min_size=32, max_size=32)
+states, slot_states, taps = st.sampled_from(State), st.sampled_from(SlotState), st.sampled_from(Tap)
+
+limits = st.builds(Limits, u16, u16, u32, u32, u8, u32, u32, u16)
+actuators = st.builds(ActuatorDescription, texts, f32, f32, f32, f32, f32, u8, u32)
+images = st.builds(ImageDescription, u8, slot_states, sha256s, texts, texts)
+captures = st.integers(1, 4).flatmap(
+    lambda channels: st.builds(
+        CaptureData, taps, st.just(channels), u64, u64, st.binary(max_size=40).map(lambda data: data * 2 * channels)
+    )
+)
+
+MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
+    Hello: st.builds(Hello, u8, u8),
+    StatusRequest: st.just(StatusRequest()),
+    Configure: st.builds(Configure, u8, st.binary(max_size=300), u32, u32, u32, u16, st.booleans(), gains),
+    Start: st.builds(Start, u64),
+    Pause: st.just(Pause()),
+    Resume: st.just(Resume()),
+    Stop: st.just(Stop()),
+    Loop: st.builds(Loop, u16),
+    Gain: st.builds(Gain, gains),
+    EndStream: st.builds(EndStream, u8, u32),
+    CaptureRead: st.builds(CaptureRead, taps, u64, u16),
+    FlashBegin: st.builds(FlashBegin, u8, u32, sha256s, texts),
+    FlashData: st.builds(FlashData, u8, u32, st.binary()),
+    FlashVerify: st.builds(FlashVerify, u8),
+    FlashActivate: st.builds(FlashActivate, u8),
+    FlashConfirm: st.builds(FlashConfirm, u8),
+    StreamData: st.builds(StreamData, u8, u32, st.lists(st.binary(max_size=200)).map(tuple)),
+    HelloResponse: st.builds(
+        HelloResponse,
+        texts,
+        texts,
+        limits,
+        actuators,
+        st.lists(st.tuples(u8, texts)).map(tuple),
+        st.lists(images, max_size=3).map(tuple),
+        u8,
+        u8,
+    ),
+    Status: st.builds(Status, states, u8, u64, u64, u64, u32, u32, u32, u32, u32, u32, u32, u32),
+    CaptureData: captures,
+    FlashStatus: st.builds(FlashStatus, u8, slot_states, u32, sha256s),
+    Error: st.builds(Error, u16, texts),
+}
+any_message = st.one_of(*MESSAGES.values())
+# In these, the end of the message is data and not tags.
+UNTAGGED = (FlashData, CaptureData, StreamData)
+
+
+def test_every_message_is_tested() -> None:
+    assert set(MESSAGES) == set(ALL)
+    assert len({message.TYPE for message in ALL}) == len(ALL)
+
+
+@pytest.mark.parametrize("message_type", ALL)
+@given(data=st.data(), sequence=u16)
+def test_round_trip(message_type: type[Message], data: st.DataObject, sequence: int) -> None:
+    message = data.draw(MESSAGES[message_type])
+    assert unpack(pack(message, sequence)) == (0 if message_type is StreamData else sequence, message)
+
+
+@given(any_message.filter(lambda message: not isinstance(message, UNTAGGED)), st.binary(max_size=30))
+def test_unknown_tags_are_skipped(message: Message, value: bytes) -> None:
+    payload = pack(message, 5) + struct.pack("<BH", 0xEE, len(value)) + value
+    assert unpack(payload) == (5, message)
+
+
+@given(any_message, st.data())
+def test_cut_messages_are_read_or_refused(message: Message, data: st.DataObject) -> None:
+    payload = pack(message, 5)
+    cut = payload[: data.draw(st.integers(0, len(payload) - 1))]
+    try:
+        _, read = unpack(cut)
+    except MessageError:
+        return
+    assert type(read) is type(message)
+    assert len(pack(read)) <= len(payload)
+
+
+@given(
+    st.one_of(
+        st.binary(),
+        st.tuples(st.sampled_from(ALL), st.binary(max_size=150)).map(lambda pair: bytes([pair[0].TYPE]) + pair[1]),
+    )
+)
+def test_fuzz_is_read_or_refused(payload: bytes) -> None:
+    try:
+        sequence, message = unpack(payload)
+    except MessageError as error:
+        assert error.code in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_MESSAGE)
+        return
+    assert unpack(pack(message, sequence))[0] == sequence
+
+
+def test_unknown_type_says_whom_to_answer() -> None:
+    with pytest.raises(MessageError, match="0x3e is not known") as caught:
+        unpack(b"\x3e\x34\x12")
+    assert (caught.value.sequence, caught.value.code) == (0x1234, ErrorCode.UNKNOWN_MESSAGE)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"", "empty"),
+        (b"\x01", "at least 3"),
+        (b"\x01\x01\x00\x01", "Hello: 1 bytes"),
+        (b"\x09\x01\x00\x00\x00\xc0\x7f", "finite"),
+        (b"\x09\x01\x00\x00\x00\x80\xbf", "at least 0"),
+        (b"\x04\x01\x00" + bytes(8) + b"\x01\x05\x00ab", "tag 1 has 5 bytes"),
+        (b"\x04\x01\x00" + bytes(8) + b"\x01", "too few for a tag"),
+        (b"\x03\x01\x00" + bytes(20), "header is missing"),
+        (b"\x03\x01\x00\x00\x80" + bytes(18), "flags 0x80"),
+        (b"\x0b\x01\x00\x09" + bytes(10), "9 is no Tap"),
+        (b"\x40\x01\x80\x80\x80\x80\x80\x01", "longer than 32 bits"),
+        (b"\x40\x01\x00\x05abc", "packet of 5 bytes"),
+        (b"\x40", "stream is missing"),
+        (b"\x82\x01\x00\x00\x02" + bytes(16) + b"abc", "3 bytes are no int16"),
+        (b"\x80\x01\x00\x01\x00", "tag 1 is missing"),
+        (b"\xff\x01\x00\x04\x00\x01\x01\x00\xff", "UTF-8"),
+    ],
+)
+def test_bad_bytes_are_refused_with_the_reason(payload: bytes, reason: str) -> None:
+    with pytest.raises(MessageError, match=reason):
+        unpack(payload)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Start(-1),
+        Start(1 << 64),
+        Loop(65536),
+        Gain(1e39),
+        StreamData(256, 0, ()),
+        StreamData(0, 1 << 32, ()),
+        Error(1, "x" * 70_000),
+    ],
+)
+def test_values_out_of_range_are_not_packed(message: Message) -> None:
+    with pytest.raises(MessageError):
+        pack(message, 1)
+
+
+def test_sequence_out_of_range_is_not_packed() -> None:
+    with pytest.raises(MessageError, match="65536"):
+        pack(Stop(), 65536)
+
+
+def test_longer_limits_of_a_later_version_are_read() -> None:
+    hello = HelloResponse("b", "h", Limits(1, 2, 3, 4, 5, 6, 7, 8), ActuatorDescription("a", 1, 2, 3, 4, 5, 6, 7), ())
+    known = struct.pack("<BH", HelloResponse.LIMITS_TAG, Limits.FIXED.size)
+    longer = struct.pack("<BH", HelloResponse.LIMITS_TAG, Limits.FIXED.size + 2)
+    at = pack(hello).index(known) + 3 + Limits.FIXED.size
+    payload = pack(hello)[:at].replace(known, longer) + b"xx" + pack(hello)[at:]
+    assert unpack(payload)[1] == hello
