@@ -1,0 +1,174 @@
+"""Model images in flash: trial, confirmation and fall back, with the power cut at every byte."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from device_protocol.messages import ErrorCode, SlotState
+from device_protocol.model_image import ModelImage, sha256
+from simulated_device.flash import FlashError, FlashMemory, ImageStore, PowerCut
+
+HARDWARE = "sim"
+OLD = ModelImage(1, "old", "1", HARDWARE, bytes(range(100))).pack()
+NEW = ModelImage(1, "new", "2", "", b"\xff\x00" * 300 + b"\xff" * 40).pack()
+
+
+def blank_flash(path: Path | None = None) -> FlashMemory:
+    # Sectors small enough that every byte of a session can be a place to cut.
+    return FlashMemory(2 * 128 + 2 * 768, sector_bytes=128, path=path)
+
+
+def boot(flash: FlashMemory) -> ImageStore:
+    return ImageStore(flash, HARDWARE, frozenset([1]))
+
+
+def write_image(store: ImageStore, slot: int, image: bytes) -> None:
+    offset = store.begin(slot, len(image), sha256(image), HARDWARE).next_offset
+    while offset < len(image):
+        offset = store.write(slot, offset, image[offset : offset + 100]).next_offset
+    assert store.verify(slot).sha256 == sha256(image)
+
+
+def install(flash: FlashMemory, slot: int, image: bytes) -> ImageStore:
+    store = boot(flash)
+    write_image(store, slot, image)
+    store.activate(slot)
+    store = boot(flash)
+    store.confirm(slot)
+    return store
+
+
+def running_name(store: ImageStore) -> str:
+    return store.running.name if store.running else ""
+
+
+def test_trial_runs_once_and_falls_back_unless_confirmed() -> None:
+    flash = blank_flash()
+    store = install(flash, 0, OLD)
+    assert running_name(store) == "old"
+    write_image(store, 1, NEW)
+    assert store.activate(1).state == SlotState.TRIAL
+    store = boot(flash)
+    assert running_name(store) == "new"
+    assert [image.state for image in store.describe()] == [SlotState.CONFIRMED, SlotState.TRIAL]
+    store = boot(flash)
+    assert running_name(store) == "old"
+    assert [image.state for image in store.describe()] == [SlotState.CONFIRMED, SlotState.VERIFIED]
+    store.activate(1)
+    store = boot(flash)
+    assert store.confirm(1).state == SlotState.CONFIRMED
+    store = boot(flash)
+    assert running_name(store) == "new"
+    assert [image.state for image in store.describe()] == [SlotState.VERIFIED, SlotState.CONFIRMED]
+    assert [image.name for image in store.describe()] == ["old", "new"]
+
+
+def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() -> None:
+    installed = blank_flash()
+    install(installed, 0, OLD)
+    contents = installed.read(0, len(installed))
+    cut_after_bytes = 0
+    names = set()
+    while True:
+        flash = blank_flash()
+        flash._data[:] = contents
+        flash.cut_after_bytes = cut_after_bytes
+        try:
+            install(flash, 1, NEW)
+        except PowerCut:
+            pass
+        else:
+            break
+        flash.cut_after_bytes = None
+        store = boot(flash)
+        # Before the trial begins the old image runs; from then on the new one, and it falls back unless confirmed.
+        confirmed = store.describe()[1].state == SlotState.CONFIRMED
+        on_trial = store.describe()[1].state == SlotState.TRIAL
+        assert running_name(store) == ("new" if confirmed or on_trial else "old")
+        assert running_name(boot(flash)) == ("new" if confirmed else "old")
+        if not confirmed:
+            assert running_name(install(flash, 1, NEW)) == "new"
+        names.add(running_name(store))
+        cut_after_bytes += 1
+    assert cut_after_bytes > 768 + len(NEW)
+    assert names == {"old", "new"}
+
+
+def test_cut_session_goes_on_where_it_was() -> None:
+    flash = blank_flash()
+    store = boot(flash)
+    store.begin(0, len(NEW), sha256(NEW), "")
+    flash.cut_after_bytes = 500
+    with pytest.raises(PowerCut):
+        store.write(0, 0, NEW)
+    flash.cut_after_bytes = None
+    store = boot(flash)
+    resumed = store.begin(0, len(NEW), sha256(NEW), "")
+    assert 0 < resumed.next_offset <= 500
+    write_image(store, 0, NEW)
+    assert store.describe()[0].state == SlotState.VERIFIED
+
+
+def test_flash_lives_in_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "flash.bin"
+    install(blank_flash(path), 0, OLD)
+    assert running_name(boot(blank_flash(path))) == "old"
+    with pytest.raises(ValueError, match="delete it"):
+        FlashMemory(100, path=path)
+
+
+def test_garbage_in_flash_boots_without_an_image() -> None:
+    flash = blank_flash()
+    flash.program(0, bytes(len(flash)))
+    store = boot(flash)
+    assert store.running is None
+    assert running_name(install(flash, 0, OLD)) == "old"
+
+
+@pytest.mark.parametrize(
+    ("request_", "code"),
+    [
+        (lambda store: store.begin(2, 10, bytes(32), ""), ErrorCode.NO_SUCH_SLOT),
+        (lambda store: store.begin(0, 10, bytes(32), ""), ErrorCode.WRONG_STATE),
+        (lambda store: store.begin(1, 10, bytes(32), "other"), ErrorCode.WRONG_HARDWARE),
+        (lambda store: store.begin(1, 10_000, bytes(32), ""), ErrorCode.BEYOND_LIMITS),
+        (lambda store: store.begin(1, 0, bytes(32), ""), ErrorCode.BEYOND_LIMITS),
+        (lambda store: store.write(1, 0, b"x"), ErrorCode.WRONG_STATE),
+        (lambda store: store.verify(1), ErrorCode.WRONG_STATE),
+        (lambda store: store.activate(1), ErrorCode.WRONG_STATE),
+        (lambda store: store.confirm(1), ErrorCode.WRONG_STATE),
+        (
+            lambda store: (store.begin(1, 10, bytes(32), ""), store.write(1, 0, bytes(11))),
+            ErrorCode.BAD_VALUE,
+        ),
+        (
+            lambda store: (store.begin(1, 10, bytes(32), ""), store.write(1, 0, bytes(10)), store.verify(1)),
+            ErrorCode.IMAGE_REFUSED,
+        ),
+    ],
+)
+def test_requests_that_are_refused(request_: Callable[[ImageStore], object], code: ErrorCode) -> None:
+    store = install(blank_flash(), 0, OLD)
+    with pytest.raises(FlashError) as refused:
+        request_(store)
+    assert refused.value.code == code
+    assert running_name(store) == "old"
+
+
+@pytest.mark.parametrize(
+    "image", [ModelImage(9, "a", "1", "", b"").pack(), ModelImage(1, "a", "1", "other", b"").pack(), b"not an image"]
+)
+def test_image_of_another_kind_is_refused_and_the_slot_is_empty(image: bytes) -> None:
+    store = boot(blank_flash())
+    with pytest.raises(FlashError):
+        write_image(store, 0, image)
+    assert store.describe()[0].state == SlotState.EMPTY
+
+
+def test_data_at_another_offset_writes_nothing() -> None:
+    store = boot(blank_flash())
+    store.begin(0, len(NEW), sha256(NEW), "")
+    assert store.write(0, 50, NEW[50:100]).next_offset == 0
+    assert store.write(0, 0, NEW[:50]).next_offset == 50
+    assert store.write(0, 0, NEW[:50]).next_offset == 50
