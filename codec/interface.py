@@ -14,6 +14,18 @@ class CodecError(ValueError):
     """A signal, parameter, configuration or packet that the codec refuses; the message says why and what to do."""
 
 
+@dataclass(frozen=True)
+class Framing:
+    """How a stream is cut into packets.
+
+    `packet_samples`: samples per channel in each packet, rounded up to whole blocks. `refresh_packets`: packets
+    from one refresh to the next, 0 when only the first packet is a refresh.
+    """
+
+    packet_samples: int
+    refresh_packets: int
+
+
 class Encoder(Protocol):
     """Turns normalised samples into packets of equal duration; keeps the state of one stream."""
 

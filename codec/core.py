@@ -1,0 +1,23 @@
+"""The integer core (firmware/core), compiled while installing and loaded through cffi."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cffi import FFI
+
+ffi = FFI()
+
+
+@cache
+def library() -> Any:
+    """Load the compiled core; its functions are those of firmware/core/vibrocast_core.h.
+
+    Raises RuntimeError when the core has not been compiled.
+    """
+    folder = Path(__file__).parent
+    compiled = [path for path in folder.glob("vibrocast_core.*") if path.suffix in (".so", ".dylib", ".dll")]
+    if not compiled:
+        raise RuntimeError("the C core is not compiled; install vibrocast with pip, or run `make install`")
+    ffi.cdef((folder / "vibrocast_core.cdef").read_text(), override=True)
+    return ffi.dlopen(str(compiled[0]))

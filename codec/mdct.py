@@ -1,0 +1,237 @@
+"""The codec `mdct`: low-delay MDCT, trellis-coded quantisation, adaptive range coding; layout in docs/bitstream.md."""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.core import ffi, library
+from codec.interface import CodecError, Decoded, Framing, Signal
+
+NAME = "mdct"
+IDENTIFIER = 1
+HOPS = (16, 32, 64)
+MAX_CHANNELS = 16
+MAX_PACKET_BYTES = 65_535
+MAX_PACKET_BLOCKS = 4096
+STEP_CODES = 21 * 64
+LAMBDA = 88
+"""Weight of a bit against squared error, in 1/256 of a squared step; the best BD-rate on the development recordings."""
+
+_UNIT = 32_768 * 256
+"""Full scale in the core's unit, 1/256 of a sample's least significant bit."""
+_MAX_COEFFICIENT = 2**28
+_CHUNK_BLOCKS = 8192
+
+
+def hop_samples(rate_hz: float) -> int:
+    """Return the block advance: 32 samples, 64 from 5600 Hz up, where a block of twice that still lasts under 23 ms."""
+    return 64 if rate_hz >= 5600 else 32
+
+
+def step_code(step: float) -> int:
+    """Return the code of the quantiser step nearest `step` (relative to full scale): 64 codes an octave."""
+    unit_step = min(max(step * _UNIT, 64.0), 127.0 * 2**20)
+    exponent = math.floor(math.log2(unit_step / 64))
+    return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
+
+
+def configuration(hop: int, packet_blocks: int, step_codes: Sequence[int]) -> bytes:
+    """Return the codec's bytes in the stream header."""
+    head = packet_blocks << 2 | HOPS.index(hop)
+    head_bytes = bytes((head,)) if head < 0x80 else bytes((head & 0x7F | 0x80, head >> 7))
+    return head_bytes + b"".join(code.to_bytes(2, "little") for code in step_codes)
+
+
+def built_in_tables() -> bytes:
+    """Return the initial tables that are built into the core."""
+    core = library()
+    return bytes(ffi.buffer(core.vc_mdct_builtin_tables(), core.vc_mdct_tables_size()))
+
+
+@cache
+def analysis_matrix(hop: int) -> Signal:
+    """Return the windowed forward MDCT (2 hop, hop): sqrt(2/N) w[n] cos(pi/N (n + 1/2 + N/2)(k + 1/2)), sine window w.
+
+    Princen, Johnson and Bradley, "Subband/transform coding using filter bank designs based on time domain aliasing
+    cancellation", 1987.
+    """
+    n = np.arange(2 * hop)[:, None]
+    k = np.arange(hop)[None, :]
+    window = np.sin(np.pi * (n + 0.5) / (2 * hop))
+    matrix: Signal = np.sqrt(2 / hop) * window * np.cos(np.pi / hop * (n + 0.5 + hop / 2) * (k + 0.5))
+    return matrix
+
+
+class MdctEncoder:
+    """Encoder of `mdct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
+
+    def __init__(
+        self,
+        steps: Sequence[float],
+        rate_hz: float,
+        framing: Framing,
+        tables: bytes | None = None,
+        hop: int | None = None,
+    ) -> None:
+        """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
+
+        Raises CodecError on a channel count, step, packet length or tables that the codec does not have.
+        """
+        self._hop = hop_samples(rate_hz) if hop is None else hop
+        if self._hop not in HOPS:
+            raise CodecError(f"hop {self._hop} is not one of {HOPS}")
+        if not all(math.isfinite(step) and step > 0 for step in steps):
+            raise CodecError("quantiser steps must be positive numbers")
+        self._packet_blocks = -(-framing.packet_samples // self._hop)
+        if not 1 <= self._packet_blocks <= MAX_PACKET_BLOCKS:
+            raise CodecError(
+                f"packets of {framing.packet_samples} samples; 1 to {MAX_PACKET_BLOCKS * self._hop} are allowed"
+            )
+        self._channels = len(steps)
+        self.configuration = configuration(self._hop, self._packet_blocks, [step_code(step) for step in steps])
+        core = library()
+        self._tables, table_arguments = _tables_arguments(tables)
+        self._state = _Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
+        status = core.vc_mdct_encoder_init(
+            self._state.pointer,
+            self.configuration,
+            len(self.configuration),
+            self._channels,
+            *table_arguments,
+            framing.refresh_packets,
+            LAMBDA,
+        )
+        _check_made(status, self._channels)
+        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        # The last hop samples of the block before, then samples not coded yet.
+        self._pending: Signal = np.zeros((self._hop, self._channels))
+        self._owed = 0
+
+    @property
+    def packet_samples(self) -> int:
+        """Samples per channel in every packet."""
+        return self._packet_blocks * self._hop
+
+    @property
+    def delay_samples(self) -> int:
+        """Samples per channel by which decoded signal lags the input: one hop."""
+        return self._hop
+
+    def encode(self, samples: Signal) -> list[bytes]:
+        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
+        if samples.ndim != 2 or samples.shape[1] != self._channels:
+            raise CodecError(f"samples of shape {samples.shape}; (n, {self._channels}) is needed")
+        packets: list[bytes] = []
+        chunk = max(1, _CHUNK_BLOCKS * self._hop // self._channels)
+        for start in range(0, len(samples), chunk):
+            part = np.asarray(samples[start : start + chunk], dtype=np.float64)
+            if not np.all(np.isfinite(part)):
+                raise CodecError("the signal holds NaN or infinity; repair the recording first")
+            self._pending = np.concatenate([self._pending, np.clip(part, -1.0, 1.0)])
+            self._owed += len(part)
+            packets += self._complete_packets()
+        return packets
+
+    def finish(self) -> list[bytes]:
+        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
+        if self._owed == 0:
+            return []
+        remaining = self._owed + self._hop
+        packets = -(-remaining // self.packet_samples)
+        missing = packets * self.packet_samples + self._hop - len(self._pending)
+        self._pending = np.concatenate([self._pending, np.zeros((max(missing, 0), self._channels))])
+        return self._complete_packets()
+
+    def adapted_tables(self) -> bytes:
+        """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
+        core = library()
+        tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
+        core.vc_mdct_encoder_tables(self._state.pointer, tables)
+        return bytes(ffi.buffer(tables))
+
+    def _complete_packets(self) -> list[bytes]:
+        count = (len(self._pending) - self._hop) // self.packet_samples
+        blocks = count * self._packet_blocks
+        if blocks <= 0:
+            return []
+        frames = np.lib.stride_tricks.sliding_window_view(self._pending, 2 * self._hop, axis=0)[:: self._hop][:blocks]
+        exact = frames @ analysis_matrix(self._hop) * _UNIT
+        coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
+        packets = [self._code(part) for part in np.split(coefficients, count)]
+        self._pending = self._pending[blocks * self._hop :]
+        self._owed = max(self._owed - blocks * self._hop, 0)
+        return packets
+
+    def _code(self, coefficients: NDArray[np.int32]) -> bytes:
+        coefficients = np.ascontiguousarray(coefficients)
+        pointer = ffi.cast("const int32_t *", coefficients.ctypes.data)
+        length = library().vc_mdct_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
+        if length < 0:
+            raise CodecError(
+                f"a packet of {self.packet_samples} samples does not fit {MAX_PACKET_BYTES} bytes; "
+                "ask for shorter packets or a coarser quality"
+            )
+        return bytes(ffi.buffer(self._packet, length))
+
+
+class MdctDecoder:
+    """Decoder of `mdct`; see codec.interface.Decoder."""
+
+    def __init__(self, configuration: bytes, channels: int, tables: bytes | None = None) -> None:
+        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
+        core = library()
+        self.channels = channels
+        self._tables, table_arguments = _tables_arguments(tables)
+        self._state = _Structure(core.vc_mdct_decoder_size(), "vc_mdct_decoder *")
+        status = core.vc_mdct_decoder_init(
+            self._state.pointer, configuration, len(configuration), channels, *table_arguments
+        )
+        _check_made(status, channels)
+        self.packet_samples: int = core.vc_mdct_decoder_packet_samples(self._state.pointer)
+        self.delay_samples: int = core.vc_mdct_decoder_delay_samples(self._state.pointer)
+
+    def decode(self, packet: bytes) -> Decoded:
+        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it has no sequence."""
+        samples, pointer = self._output()
+        if library().vc_mdct_decode(self._state.pointer, packet, len(packet), pointer) < 0:
+            raise CodecError("a packet without a sequence number; it was not made by this codec")
+        return samples
+
+    def conceal(self) -> Decoded:
+        """Stand in for one missing packet: the last sound faded out, then silence."""
+        samples, pointer = self._output()
+        library().vc_mdct_conceal(self._state.pointer, pointer)
+        return samples
+
+    def _output(self) -> tuple[Decoded, Any]:
+        samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
+        return samples, ffi.cast("int16_t *", samples.ctypes.data)
+
+
+class _Structure:
+    """Memory for a structure of the core, alive as long as this object."""
+
+    def __init__(self, size: int, kind: str) -> None:
+        self._memory = ffi.new("int64_t[]", -(-size // 8))
+        self.pointer = ffi.cast(kind, self._memory)
+
+
+def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
+    """Return the memory that must stay alive, and the core's two arguments."""
+    if tables is None:
+        return None, (ffi.NULL, 0)
+    memory = ffi.new("uint8_t[]", tables)
+    return memory, (memory, len(tables))
+
+
+def _check_made(status: int, channels: int) -> None:
+    if status == library().VC_BAD_TABLES:
+        raise CodecError(f"tables of the wrong size; mdct needs {library().vc_mdct_tables_size()} bytes")
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise CodecError(f"{channels} channels; mdct codes 1 to {MAX_CHANNELS} in one stream")
+    if status != library().VC_OK:
+        raise CodecError("the codec configuration is damaged or of another version")

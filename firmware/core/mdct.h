@@ -1,0 +1,121 @@
+/* What the encoder and the decoder of `mdct` share: configuration, the context model, and the levels coded so far. */
+#ifndef VIBROCAST_MDCT_H
+#define VIBROCAST_MDCT_H
+
+#include "range_coder.h"
+#include "vibrocast_core.h"
+
+#define VC_MAX_HOP 64
+#define VC_MAX_CHANNELS 16
+#define VC_MAX_PACKET_BLOCKS 4096
+#define VC_STEP_CODES (21 * 64)
+/* Coefficients, in 1/256 of a sample's least significant bit, stay within this: 64 * sqrt(64) times full scale. */
+#define VC_MAX_COEFFICIENT (1 << 28)
+
+#define VC_INPUTS 4
+#define VC_CONTEXTS 256
+#define VC_DECISIONS 6
+#define VC_UNARY_LIMIT 15
+#define VC_SCALES 4
+#define VC_SILENCE_CONTEXTS 16
+
+typedef struct {
+    uint32_t hop, packet_blocks;
+    unsigned channels;
+    int32_t step[VC_MAX_CHANNELS]; /* in 1/256 of a sample's least significant bit */
+} vc_mdct_configuration;
+
+/* Adaptive state that is shared by all channels of a stream and restarts at a refresh. A quantiser is one of the two that
+ * dependent quantisation alternates between. */
+typedef struct {
+    uint16_t probability[VC_DECISIONS][2][VC_INPUTS][VC_CONTEXTS];
+    int32_t weight[VC_DECISIONS][2][VC_SCALES][VC_INPUTS + 1]; /* in 1/65536 */
+    uint16_t silence[VC_SILENCE_CONTEXTS];
+} vc_model;
+
+/* Magnitudes coded so far in one channel, from which contexts are formed. Rows have two bins of padding on each side. */
+typedef struct {
+    uint8_t rows[4][VC_MAX_HOP + 4]; /* this block, the last one, and the two before */
+    uint16_t average[VC_MAX_HOP + 4]; /* running average of each bin, in 1/256 */
+    uint32_t block_sum;               /* of the last block */
+    uint8_t silent_history;           /* of the last two blocks, one bit each */
+} vc_history;
+
+/* Contexts of one coefficient: what all its decisions share. */
+typedef struct {
+    unsigned index[VC_INPUTS];
+    unsigned scale;
+} vc_contexts;
+
+/* One prediction, kept for the update that follows. */
+typedef struct {
+    uint16_t *cell[VC_INPUTS];
+    int32_t *weight;
+    int32_t stretched[VC_INPUTS];
+    int32_t mixed; /* probability of 1 in 1/65536 */
+} vc_prediction;
+
+int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels);
+
+int vc_model_check_tables(const uint8_t *tables, size_t length);
+void vc_model_reset(vc_model *model, const uint8_t *tables);
+void vc_model_export(const vc_model *model, uint8_t *tables);
+
+void vc_history_reset(vc_history *history);
+void vc_history_next_block(vc_history *history, uint32_t hop);
+/* A magnitude, in quantiser steps, as the history keeps it: at most 126. */
+uint32_t vc_kept_magnitude(uint32_t magnitude);
+/* Records the magnitude of bin k of the current block; returns it as kept. */
+uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude);
+
+/* Context of input 0, on which the encoder's search bases its estimates of rate: magnitudes of the two bins below k are given. */
+unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, uint32_t below, uint32_t second_below);
+/* Contexts of bin k; `block_sum`: magnitudes of this block so far. */
+void vc_contexts_find(vc_contexts *contexts, const vc_history *history, uint32_t hop, uint32_t k, uint32_t block_sum);
+
+/* Probability of 1 for decision `decision` (0: not zero; n: magnitude above n), and the update with what came. */
+uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decision, unsigned quantiser,
+                    vc_prediction *prediction);
+void vc_update(vc_prediction *prediction, int bit);
+uint32_t vc_silence_predict(const vc_model *model, const vc_history *history);
+void vc_silence_update(vc_model *model, const vc_history *history, int silent);
+
+/* Dependent quantisation: state after an index, the quantiser of a state, and the level (in steps) of an index. */
+static inline unsigned vc_next_state(unsigned state, uint32_t index)
+{
+    /* The 4-state trellis of dependent quantisation in VVC (ITU-T H.266, 8.7.3). */
+    static const uint8_t next[4][2] = {{0, 2}, {2, 0}, {1, 3}, {3, 1}};
+    return next[state][index & 1u];
+}
+
+static inline unsigned vc_quantiser_of(unsigned state)
+{
+    return state >> 1;
+}
+
+static inline uint32_t vc_level_of(uint32_t index, unsigned quantiser)
+{
+    return index == 0 ? 0 : 2 * index - quantiser;
+}
+
+/* Coefficient, in 1/256 of a least significant bit, that a level stands for: shrunk towards zero by 3/32 of a step, where the
+ * centre of mass of what is rounded there lies. */
+static inline int32_t vc_reconstruct(uint32_t level, int32_t step)
+{
+    int64_t value;
+    if (level == 0)
+        return 0;
+    value = ((int64_t)level * 32 - 3) * step / 32;
+    return value > VC_MAX_COEFFICIENT ? VC_MAX_COEFFICIENT : (int32_t)value;
+}
+
+/* Packet head: sequence * 2 + refresh, LEB128. Returns the bytes taken, or 0 when there is no valid head. */
+size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);
+
+extern const int32_t vc_cosine[512];    /* cos(2 pi i / 512) in 1/2^24 */
+extern const int16_t vc_stretch[2048];  /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
+extern const uint16_t vc_squash[1024];  /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
+extern const uint16_t vc_cost[2048];    /* -log2((i + 1/2) / 2048) in 1/256 bit */
+extern const uint8_t vc_builtin_tables[];
+
+#endif

@@ -1,0 +1,268 @@
+/* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets are missing. */
+#include "mdct.h"
+
+#include <string.h>
+
+#define MAX_SUFFIX_BITS 24u
+#define FADE_BLOCKS 8u /* longest time that concealment sounds */
+
+typedef struct {
+    vc_history history;
+    unsigned state;                    /* of dependent quantisation */
+    int32_t spectrum[VC_MAX_HOP];      /* of the last block, in 1/256 of a least significant bit */
+    int32_t overlap[VC_MAX_HOP];       /* windowed second half of the last block, in the same unit */
+} channel_state;
+
+struct vc_mdct_decoder {
+    vc_mdct_configuration configuration;
+    const uint8_t *tables;
+    vc_model model;
+    uint32_t next_sequence;
+    int in_sequence; /* packets since the last refresh all came */
+    uint32_t random; /* state of the generator that gives concealment its signs */
+    channel_state channels[VC_MAX_CHANNELS];
+};
+
+size_t vc_mdct_decoder_size(void)
+{
+    return sizeof(vc_mdct_decoder);
+}
+
+int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels)
+{
+    uint32_t head;
+    size_t used;
+    unsigned channel;
+    if (channels < 1 || channels > VC_MAX_CHANNELS || length < 1)
+        return VC_BAD_CONFIGURATION;
+    head = bytes[0];
+    used = 1;
+    if (head & 0x80u) {
+        if (length < 2 || (bytes[1] & 0x80u))
+            return VC_BAD_CONFIGURATION;
+        head = (head & 0x7Fu) | (uint32_t)bytes[1] << 7;
+        used = 2;
+    }
+    if ((head & 3u) > 2 || head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS || length != used + 2 * channels)
+        return VC_BAD_CONFIGURATION;
+    configuration->hop = 16u << (head & 3u);
+    configuration->packet_blocks = head >> 2;
+    configuration->channels = channels;
+    for (channel = 0; channel < channels; channel++) {
+        uint32_t code = bytes[used + 2 * channel] | (uint32_t)bytes[used + 2 * channel + 1] << 8;
+        if (code >= VC_STEP_CODES)
+            return VC_BAD_CONFIGURATION;
+        configuration->step[channel] = (int32_t)((64 + (code & 63)) << (code >> 6));
+    }
+    return VC_OK;
+}
+
+size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh)
+{
+    uint64_t head = 0;
+    size_t i;
+    for (i = 0; i < length && i < 5; i++) {
+        head |= (uint64_t)(packet[i] & 0x7Fu) << (7 * i);
+        if (packet[i] < 0x80u) {
+            *refresh = (int)(head & 1u);
+            *sequence = (uint32_t)(head >> 1);
+            return i + 1;
+        }
+    }
+    return 0;
+}
+
+int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
+                         unsigned channels, const uint8_t *tables, size_t tables_length)
+{
+    int status;
+    memset(decoder, 0, sizeof *decoder);
+    decoder->tables = tables;
+    decoder->random = 1;
+    status = vc_model_check_tables(tables, tables_length);
+    if (status != VC_OK)
+        return status;
+    return vc_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
+}
+
+uint32_t vc_mdct_decoder_packet_samples(const vc_mdct_decoder *decoder)
+{
+    return decoder->configuration.packet_blocks * decoder->configuration.hop;
+}
+
+uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
+{
+    return decoder->configuration.hop;
+}
+
+#define MAX_VALUE (1 << 30) /* of a signal value in 1/256 of a least significant bit; only hostile streams come near */
+
+/* value / 2^24, rounded, within +-MAX_VALUE. */
+static int32_t scaled_down(int64_t value)
+{
+    int64_t scaled = (value + (value < 0 ? -(1 << 23) : (1 << 23))) / (1 << 24);
+    return (int32_t)(scaled > MAX_VALUE ? MAX_VALUE : scaled < -MAX_VALUE ? -MAX_VALUE : scaled);
+}
+
+static int16_t rounded_sample(int64_t value)
+{
+    int64_t sample = (value + (value < 0 ? -128 : 128)) / 256;
+    return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
+}
+
+/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are whole 1/512 of a turn because N divides 64. */
+static int32_t inverse_mdct(const int32_t *spectrum, uint32_t hop, uint32_t n)
+{
+    const int32_t root = hop == 16 ? 5931642 : hop == 32 ? 4194304 : 2965821; /* sqrt(2 / N) in 1/2^24 */
+    const uint32_t angle = (2 * n + 1 + hop) * (64 / hop);
+    int64_t sum = 0;
+    uint32_t k;
+    for (k = 0; k < hop; k++)
+        sum += (int64_t)spectrum[k] * vc_cosine[(angle * (2 * k + 1)) & 511u];
+    return scaled_down((int64_t)scaled_down(sum) * root);
+}
+
+/* sin(pi (n + 1/2) / (2 N)) in 1/2^24, 0 <= n < N: the rising half of the sine window. */
+static int32_t window(uint32_t hop, uint32_t n)
+{
+    return vc_cosine[((2 * n + 1) * (64 / hop) + 384) & 511u];
+}
+
+static int32_t windowed(int32_t value, int32_t weight)
+{
+    return scaled_down((int64_t)value * weight);
+}
+
+/* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum, windowed and overlap-added (Princen,
+ * Johnson and Bradley 1987). The first half of the transform's output is odd about its middle, the second half even. */
+static void synthesise(channel_state *channel, uint32_t hop, int16_t *samples, unsigned stride)
+{
+    uint32_t n;
+    for (n = 0; n < hop / 2; n++) {
+        uint32_t mirror = hop - 1 - n;
+        int32_t rising = window(hop, n), falling = window(hop, mirror);
+        int32_t first = inverse_mdct(channel->spectrum, hop, n);
+        int32_t second = inverse_mdct(channel->spectrum, hop, hop + n);
+        samples[n * stride] = rounded_sample((int64_t)channel->overlap[n] + windowed(first, rising));
+        samples[mirror * stride] = rounded_sample((int64_t)channel->overlap[mirror] - windowed(first, falling));
+        channel->overlap[n] = windowed(second, falling);
+        channel->overlap[mirror] = windowed(second, rising);
+    }
+}
+
+static int decode_decision(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned decision,
+                           unsigned quantiser)
+{
+    vc_prediction prediction;
+    int bit = vc_range_decode(coder, vc_predict(model, contexts, decision, quantiser, &prediction));
+    vc_update(&prediction, bit);
+    return bit;
+}
+
+/* Exponential-Golomb code of what exceeds the unary limit, each bit with even odds. */
+static uint32_t decode_suffix(vc_range_coder *coder)
+{
+    uint32_t bits = 0, value = 1;
+    while (bits < MAX_SUFFIX_BITS && vc_range_decode(coder, 32768))
+        bits++;
+    while (bits-- > 0)
+        value = value << 1 | (uint32_t)vc_range_decode(coder, 32768);
+    return value - 1;
+}
+
+static uint32_t decode_index(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned quantiser)
+{
+    uint32_t index = 0;
+    while (index < VC_UNARY_LIMIT && decode_decision(coder, model, contexts, index, quantiser))
+        index++;
+    return index < VC_UNARY_LIMIT ? index : index + decode_suffix(coder);
+}
+
+static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, channel_state *channel, int32_t step)
+{
+    const uint32_t hop = decoder->configuration.hop;
+    vc_history *history = &channel->history;
+    vc_model *model = &decoder->model;
+    uint32_t k, block_sum = 0;
+    int silent = vc_range_decode(coder, vc_silence_predict(model, history));
+    vc_silence_update(model, history, silent);
+    history->silent_history = (uint8_t)((history->silent_history << 1 | silent) & 3);
+    if (silent) {
+        memset(channel->spectrum, 0, sizeof channel->spectrum);
+        channel->state = 0;
+    }
+    for (k = 0; k < hop && !silent; k++) {
+        unsigned quantiser = vc_quantiser_of(channel->state);
+        vc_contexts contexts;
+        uint32_t index, level;
+        int32_t value;
+        vc_contexts_find(&contexts, history, hop, k, block_sum);
+        index = decode_index(coder, model, &contexts, quantiser);
+        level = vc_level_of(index, quantiser);
+        value = vc_reconstruct(level, step);
+        channel->spectrum[k] = index != 0 && vc_range_decode(coder, 32768) ? -value : value;
+        channel->state = vc_next_state(channel->state, index);
+        block_sum += vc_history_set(history, k, level);
+    }
+    vc_history_next_block(history, hop);
+}
+
+int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    const vc_mdct_configuration *configuration = &decoder->configuration;
+    vc_range_coder coder;
+    uint32_t sequence, block;
+    int refresh;
+    unsigned channel;
+    size_t head = vc_packet_head_read(packet, length, &sequence, &refresh);
+    if (head == 0)
+        return VC_BAD_PACKET;
+    if (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence)) {
+        vc_mdct_conceal(decoder, samples);
+        return VC_CONCEALED;
+    }
+    if (refresh)
+        vc_model_reset(&decoder->model, decoder->tables);
+    for (channel = 0; channel < configuration->channels && refresh; channel++) {
+        vc_history_reset(&decoder->channels[channel].history);
+        decoder->channels[channel].state = 0;
+    }
+    decoder->in_sequence = 1;
+    decoder->next_sequence = sequence + 1;
+    vc_range_decoder_init(&coder, packet + head, length - head);
+    for (block = 0; block < configuration->packet_blocks; block++)
+        for (channel = 0; channel < configuration->channels; channel++) {
+            decode_block(decoder, &coder, &decoder->channels[channel], configuration->step[channel]);
+            synthesise(&decoder->channels[channel], configuration->hop, samples + channel, configuration->channels);
+            if (channel + 1 == configuration->channels)
+                samples += (size_t)configuration->hop * configuration->channels;
+        }
+    return VC_OK;
+}
+
+/* Pseudo-random sign from a linear congruential generator (Numerical Recipes' constants). */
+static int32_t random_sign(vc_mdct_decoder *decoder)
+{
+    decoder->random = decoder->random * 1664525u + 1013904223u;
+    return decoder->random >> 31 ? -1 : 1;
+}
+
+void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
+{
+    const vc_mdct_configuration *configuration = &decoder->configuration;
+    const uint32_t fade = configuration->packet_blocks < FADE_BLOCKS ? configuration->packet_blocks : FADE_BLOCKS;
+    uint32_t block, k;
+    unsigned channel;
+    decoder->in_sequence = 0;
+    for (block = 0; block < configuration->packet_blocks; block++)
+        for (channel = 0; channel < configuration->channels; channel++) {
+            channel_state *state = &decoder->channels[channel];
+            /* Each block repeats the last spectrum with random signs, scaled so that it ramps to zero. */
+            for (k = 0; k < configuration->hop; k++)
+                state->spectrum[k] = block < fade ? (int32_t)((int64_t)state->spectrum[k] * (fade - 1 - block) / (fade - block)) *
+                                                        random_sign(decoder) : 0;
+            synthesise(state, configuration->hop, samples + channel, configuration->channels);
+            if (channel + 1 == configuration->channels)
+                samples += (size_t)configuration->hop * configuration->channels;
+        }
+}
