@@ -1,0 +1,209 @@
+"""The client session: retries, answers, versions, and peers that send garbage, duplicates or nothing."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device_protocol.frames import write_frame
+from device_protocol.messages import (
+    CaptureData,
+    Error,
+    ErrorCode,
+    Gain,
+    HelloResponse,
+    Limits,
+    Loop,
+    Message,
+    State,
+    Status,
+    StatusRequest,
+    Stop,
+    Tap,
+    pack,
+)
+from device_protocol.transports import TransportError
+from host.controller import TRIES, ConnectionLost, Controller, ControllerError
+from tests.host.scripted_controller import ScriptedController
+
+
+def connect(scripted: ScriptedController) -> Controller:
+    return Controller(scripted, scripted.clock, scripted.sleep)
+
+
+def test_hello_and_status() -> None:
+    scripted = ScriptedController()
+    with connect(scripted) as controller:
+        assert controller.description == scripted.description
+        assert controller.request_status().state == State.IDLE
+        assert controller.bytes_sent > 0
+        assert controller.bytes_received > 0
+
+
+def test_lost_requests_are_sent_again_and_carried_out_once() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    attempts = []
+
+    def swallow_two(message: Message) -> bool:
+        attempts.append(message)
+        return len(attempts) <= 2
+
+    scripted.swallow = swallow_two
+    controller.request(Gain(0.5), Status)
+    assert len(attempts) == 3
+    assert scripted.handled.count(Gain(0.5)) == 1
+
+
+def test_lost_answers_are_asked_for_again_and_requests_carried_out_once() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    lost: list[bytes] = []
+
+    def lose_one_answer() -> None:
+        if scripted.outgoing and not lost:
+            lost.append(scripted.outgoing)
+            scripted.outgoing = b""
+
+    scripted.at_read = lose_one_answer
+    controller.request(Gain(0.5), Status)
+    assert lost
+    assert scripted.handled.count(Gain(0.5)) == 1
+
+
+def test_silent_controller_is_given_up() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    attempts: list[Message] = []
+
+    def swallow(message: Message) -> bool:
+        attempts.append(message)
+        return True
+
+    scripted.swallow = swallow
+    with pytest.raises(ConnectionLost, match="does not answer"):
+        controller.request_status()
+    assert len(attempts) == TRIES
+
+
+def test_refusal_carries_code_and_text() -> None:
+    controller = connect(ScriptedController())
+    with pytest.raises(ControllerError, match="what is that") as caught:
+        controller.request(Loop(3), Status)
+    assert caught.value.code == ErrorCode.UNKNOWN_MESSAGE
+
+
+def test_restarted_controller_is_noticed_and_can_be_reconnected() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    scripted.restart()
+    with pytest.raises(ConnectionLost, match="restarted"):
+        controller.request_status()
+    controller.reconnect(1.0)
+    assert controller.request_status().state == State.IDLE
+
+
+def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    scripted.unplugged = True
+    with pytest.raises(TransportError):
+        controller.reconnect(1.0)
+    assert 1.0 <= scripted.now_s < 1.5
+
+    def replug() -> None:
+        scripted.unplugged = scripted.now_s < 3.0
+
+    scripted.at_read = replug
+    controller.reconnect(10.0)
+    assert 3.0 <= scripted.now_s < 3.5
+
+
+def test_another_major_version_is_refused_naming_both() -> None:
+    scripted = ScriptedController()
+    scripted.description = replace(scripted.description, major=7)
+    with pytest.raises(ControllerError, match=r"protocol 7\.0, this host 1\.0"):
+        connect(scripted)
+
+
+@pytest.mark.parametrize("limits", [Limits(255, 64, 200, 0, 1, 1, 2, 400), Limits(512, 64, 200, 0, 1, 1, 2, 0)])
+def test_limits_that_no_host_can_keep_to_are_refused(limits: Limits) -> None:
+    scripted = ScriptedController()
+    scripted.description = replace(scripted.description, limits=limits)
+    with pytest.raises(ControllerError, match="limits"):
+        connect(scripted)
+
+
+def test_answer_of_the_wrong_type_is_an_error() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    scripted.answer = lambda message: scripted.description
+    with pytest.raises(ControllerError, match="StatusRequest with HelloResponse"):
+        controller.request_status()
+
+
+def test_notifications_are_kept_and_complaints_raised() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    scripted.outgoing = write_frame(pack(replace(scripted.status(), position=77)))
+    controller.poll(0.1)
+    assert controller.status is not None
+    assert controller.status.position == 77
+    scripted.outgoing = write_frame(pack(Error(ErrorCode.MALFORMED, "that packet is torn")))
+    with pytest.raises(ControllerError, match="torn"):
+        controller.poll(0.1)
+    controller.poll(0.1)
+
+
+def test_late_answers_to_earlier_requests_are_no_answers() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    controller.request_status()
+    assert scripted.last is not None
+    late = write_frame(pack(replace(scripted.status(), position=999), scripted.last[0] - 1))
+    scripted.outgoing = late
+    assert controller.request_status().position == 0
+
+
+def test_capture_that_is_gone_is_an_error() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    scripted.answer = lambda message: CaptureData(Tap.DAC, 1, 500, 1500, b"")
+    with pytest.raises(ControllerError, match="keeps the last 1000 samples"):
+        controller.read_capture(Tap.DAC, 0, 10, channels=1)
+
+
+@given(st.lists(st.binary(max_size=300), max_size=20))
+def test_garbage_on_the_line_changes_nothing(noise: list[bytes]) -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def make_noise() -> None:
+        if noise:
+            scripted.outgoing = noise.pop() + b"\x00" + scripted.outgoing
+
+    scripted.at_read = make_noise
+    assert controller.request(StatusRequest(), Status).state == State.IDLE
+
+
+def test_endless_garbage_neither_hangs_nor_grows() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def flood() -> None:
+        scripted.now_s += 0.001
+        scripted.outgoing = b"\x55" * 1000
+
+    scripted.at_read = flood
+    with pytest.raises(ConnectionLost):
+        controller.request(StatusRequest(), HelloResponse)
+    assert len(controller._reader._pending) < 10_000
+
+
+def test_stop_gets_through_after_a_torn_frame() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    scripted.write(write_frame(pack(StatusRequest(), 5))[:4])
+    assert controller.stop().state == State.STOPPED
+    assert scripted.handled.count(Stop()) == 1

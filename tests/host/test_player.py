@@ -1,0 +1,248 @@
+"""The streaming player: credit, captures, loops, lost connections, stops - against a controller in simulated time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from device_protocol.coded_stream import StreamError, StreamHeader
+from device_protocol.messages import Configure, Message, Pause, Resume, State, Status, StatusRequest, Stop, StreamData
+from device_protocol.transports import TransportError
+from host.controller import ConnectionLost, Controller, ControllerError
+from host.player import Progress, play
+from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
+
+HEADER = StreamHeader(codec_identifier=1, rate_hz=RATE_HZ, samples=None, unit="um", gains=(1.0,), configuration=b"")
+REFRESH_PACKETS = 10
+
+
+def make_packets(count: int, refresh_packets: int = REFRESH_PACKETS) -> list[bytes]:
+    packets = []
+    for number in range(count):
+        value = number * 2 + (number % refresh_packets == 0)
+        sequence = bytes([value]) if value < 128 else bytes([value & 127 | 128, value >> 7])
+        packets.append(sequence + b"payload")
+    return packets
+
+
+PACKETS = make_packets(150)
+SECONDS = len(PACKETS) * PACKET_SAMPLES / RATE_HZ
+
+
+def connect(scripted: ScriptedController) -> Controller:
+    return Controller(scripted, scripted.clock, scripted.sleep)
+
+
+def test_plays_to_the_end_without_underrun() -> None:
+    scripted = ScriptedController()
+    seen: list[Progress] = []
+    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, progress=seen.append)
+    assert result.state == State.FINISHED
+    assert result.underruns == result.lost_packets == result.reconnects == 0
+    assert SECONDS <= result.seconds < SECONDS + 0.5
+    assert scripted.received == set(range(len(PACKETS)))
+    assert 0 < result.buffered_s <= 0.2
+    assert result.wire_bytes_sent > sum(map(len, PACKETS))
+    assert result.wire_bytes_received > 0
+    positions = [progress.position_s for progress in seen]
+    assert positions == sorted(positions)
+    assert seen[-1].position_s == seen[-1].duration_s == SECONDS
+    assert result.decoded is None
+
+
+def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None:
+    scripted = ScriptedController()
+    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
+    samples = np.arange(len(PACKETS) * PACKET_SAMPLES)[:, np.newaxis]
+    assert len(samples) > scripted.description.limits.capture_samples
+    assert result.decoded is not None
+    assert result.dac_codes is not None
+    np.testing.assert_array_equal(result.decoded, samples)
+    np.testing.assert_array_equal(result.dac_codes, -samples)
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_short_streams_and_loops_play_every_iteration(count: int) -> None:
+    scripted = ScriptedController()
+    result = play(connect(scripted), HEADER, make_packets(count), PACKET_SAMPLES, loops=5)
+    assert result.state == State.FINISHED
+    assert result.underruns == 0
+    assert scripted.received == set(range(5 * count))
+
+
+def test_endless_loop_plays_until_the_callback_stops_it() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def stop_late(progress: Progress) -> None:
+        assert progress.duration_s is None
+        if progress.position_s > 10:
+            controller.stop()
+
+    result = play(controller, HEADER, make_packets(20), PACKET_SAMPLES, loops=0, progress=stop_late)
+    assert result.state == State.STOPPED
+    assert result.seconds > 10
+    assert result.underruns == 0
+
+
+def test_pause_in_the_callback_is_no_stall() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def pause_for_ten_seconds(progress: Progress) -> None:
+        if progress.status.state == State.PLAYING and 0.5 < progress.position_s < 0.6 and scripted.now_s < 5:
+            controller.request(Pause(), Status)
+        elif progress.status.state == State.PAUSED and scripted.now_s > 10:
+            controller.request(Resume(), Status)
+
+    result = play(controller, HEADER, PACKETS, PACKET_SAMPLES, progress=pause_for_ten_seconds)
+    assert result.state == State.FINISHED
+    assert result.seconds > 10
+    assert scripted.received == set(range(len(PACKETS)))
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_whatever_is_raised_the_controller_is_stopped_and_usable(error: type[BaseException]) -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def interrupt(progress: Progress) -> None:
+        if progress.position_s > 0.3:
+            raise error
+
+    with pytest.raises(error):
+        play(controller, HEADER, PACKETS, PACKET_SAMPLES, progress=interrupt)
+    assert scripted.handled[-1] == Stop()
+    assert play(controller, HEADER, PACKETS, PACKET_SAMPLES).state == State.FINISHED
+
+
+def unplug_between(scripted: ScriptedController, start_s: float, end_s: float) -> None:
+    def unplug() -> None:
+        scripted.unplugged = start_s <= scripted.now_s < end_s
+
+    scripted.at_read = unplug
+
+
+def test_short_cut_goes_on_where_the_controller_is() -> None:
+    scripted = ScriptedController()
+    unplug_between(scripted, 0.5, 0.6)
+    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES)
+    assert result.state == State.FINISHED
+    assert result.reconnects == 1
+    assert sum(isinstance(message, Configure) for message in scripted.handled) == 1
+    assert scripted.received == set(range(len(PACKETS)))
+
+
+def test_long_cut_goes_on_at_the_next_refresh_packet() -> None:
+    scripted = ScriptedController()
+    unplug_between(scripted, 0.5, 3.0)
+    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
+    first, second = (message for message in scripted.handled if isinstance(message, Configure))
+    assert (first.first_packet, second.first_packet % REFRESH_PACKETS) == (0, 0)
+    assert 50 <= second.first_packet <= 100
+    assert second.stream != first.stream
+    assert result.state == State.FINISHED
+    assert result.captured_from == second.first_packet
+    assert result.decoded is not None
+    assert len(result.decoded) == (len(PACKETS) - second.first_packet) * PACKET_SAMPLES
+
+
+def test_restarted_controller_goes_on_within_the_loops() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    restarted: list[bool] = []
+
+    def restart_once() -> None:
+        if scripted.position >= 450 and not restarted:
+            restarted.append(True)
+            scripted.restart()
+
+    scripted.at_read = restart_once
+    result = play(controller, HEADER, make_packets(20), PACKET_SAMPLES, loops=4)
+    _, second = (message for message in scripted.handled if isinstance(message, Configure))
+    assert result.state == State.FINISHED
+    assert (second.first_packet, second.loops) in [(10, 2), (0, 1)]
+
+
+def test_long_cut_of_a_stream_with_one_refresh_packet_says_so() -> None:
+    scripted = ScriptedController()
+    unplug_between(scripted, 0.5, 3.0)
+    with pytest.raises(ControllerError, match="no further refresh packet"):
+        play(connect(scripted), HEADER, make_packets(150, refresh_packets=1000), PACKET_SAMPLES)
+
+
+def test_cable_that_stays_out_is_an_error() -> None:
+    scripted = ScriptedController()
+    unplug_between(scripted, 0.5, 1e9)
+    with pytest.raises(TransportError, match="unplugged"):
+        play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, reconnect_s=5)
+    assert scripted.now_s < 10
+
+
+def test_controller_that_takes_no_data_is_given_up() -> None:
+    scripted = ScriptedController()
+    scripted.swallow = lambda message: isinstance(message, StreamData)
+    with pytest.raises(ControllerError, match="not moved"):
+        play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES)
+    assert scripted.handled[-1] == Stop()
+
+
+def test_controller_whose_watchdog_bites_again_and_again_is_given_up() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def bite(message: Message) -> Message | None:
+        bites = isinstance(message, StatusRequest) and scripted.configure is not None
+        return replace(scripted.status(), state=State.WATCHDOG, position=0) if bites else None
+
+    scripted.answer = bite
+    with pytest.raises(ConnectionLost, match="heard nothing"):
+        play(controller, HEADER, PACKETS, PACKET_SAMPLES)
+    assert scripted.reopened <= 2
+
+
+def test_fault_of_the_hardware_is_an_error() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def fail(message: Message) -> Message | None:
+        return status(scripted, State.FAULT) if scripted.position > 300 else None
+
+    scripted.answer = fail
+    with pytest.raises(ControllerError, match="fault"):
+        play(controller, HEADER, PACKETS, PACKET_SAMPLES)
+
+
+def status(scripted: ScriptedController, state: State) -> Status:
+    return replace(scripted.status(), state=state)
+
+
+def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh_packet() -> None:
+    scripted = ScriptedController()
+
+    def jump() -> None:
+        if scripted.state == State.PLAYING and scripted.position < 300:
+            scripted.position = 605
+
+    scripted.at_read = jump
+    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES)
+    assert result.state == State.FINISHED
+    late = [number for number in range(61, 70) if number in scripted.received]
+    assert not late
+    assert set(range(70, 150)) <= scripted.received
+
+
+@pytest.mark.parametrize(
+    ("packets", "packet_samples", "reason"),
+    [
+        ([], PACKET_SAMPLES, "no packets"),
+        (PACKETS[1:], PACKET_SAMPLES, "packet 0 says that it is 1"),
+        ([b"\x00payload"], PACKET_SAMPLES, "refresh packet"),
+        ([b"\x01" + bytes(64)], PACKET_SAMPLES, "lower rate"),
+        (PACKETS, 201, "shorter packets"),
+        ([b""], PACKET_SAMPLES, "truncated"),
+    ],
+)
+def test_streams_that_cannot_be_played_are_refused(packets: list[bytes], packet_samples: int, reason: str) -> None:
+    with pytest.raises((StreamError, ControllerError), match=reason):
+        play(connect(ScriptedController()), HEADER, packets, packet_samples)
