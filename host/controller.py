@@ -34,6 +34,7 @@ ANSWER_TIMEOUT_S = 0.25
 TRIES = 8
 SMALLEST_PAYLOAD_LIMIT_BYTES = 256
 SMALLEST_WATCHDOG_MS = 50
+LARGEST_DAC_RATE_HZ = 1_000_000
 
 _RECONNECT_PAUSE_S = 0.1
 
@@ -104,9 +105,15 @@ class Controller:
                 f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}: update the older one",
                 ErrorCode.UNSUPPORTED_VERSION,
             )
-        limits = description.limits
-        if limits.maximum_payload_bytes < SMALLEST_PAYLOAD_LIMIT_BYTES or limits.watchdog_ms < SMALLEST_WATCHDOG_MS:
-            raise ControllerError(f"the controller announces limits that no host can keep to: {limits}")
+        if (
+            description.limits.maximum_payload_bytes < SMALLEST_PAYLOAD_LIMIT_BYTES
+            or description.limits.watchdog_ms < SMALLEST_WATCHDOG_MS
+            or not 1 <= description.actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ
+        ):
+            raise ControllerError(
+                f"the controller announces what no host can keep to ({description.limits}, {description.actuator}): "
+                "update its firmware"
+            )
         self.description = description
 
     def request(

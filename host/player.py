@@ -124,7 +124,7 @@ class _Playback:
         self._ask_s = 0.0
         self._earlier: list[Status] = []
         self._reconnects = 0
-        self._came_back_at: int | None = None
+        self._came_back_at = -1
         self._buffered_sum = self._buffered_count = 0
 
     def _check(self) -> list[int]:
@@ -169,8 +169,10 @@ class _Playback:
             except (TransportError, ConnectionLost) as cause:
                 self._come_back(cause, reconnect_s)
         if self._capture:
-            for tap in Tap:
-                while self._read_capture(tap):
+            for tap, rate_hz in self._taps():
+                # The output comes to rest within a second; a longer capture is none of this stream.
+                longest = self._captured_by_now(rate_hz) + rate_hz
+                while self._captured_samples[tap] < longest and self._read_capture(tap):
                     pass
         statuses = [*self._earlier, self._status]
         return PlaybackResult(
@@ -208,6 +210,7 @@ class _Playback:
         )
         self._status = self._controller.request(configure, Status)
         self._credit = self._status.credit_until
+        self._furthest = self._status.position
         self._moved_s = self._controller.clock()
         self._controller.request(Start(), Status)
 
@@ -257,7 +260,10 @@ class _Playback:
         """Take in a status of this stream."""
         if status.state == State.FAULT:
             raise ControllerError("the controller reports a fault of its hardware and has stopped")
-        if status.state == State.PAUSED or status.position != self._status.position:
+        if self._end is not None and self._base + status.position / self._packet_samples > self._end:
+            raise ControllerError("the controller's position is beyond the end of the stream. Restart it.")
+        if status.state == State.PAUSED or status.position > self._furthest:
+            self._furthest = status.position
             self._moved_s = self._controller.clock()
         self._status = status
         self._credit = max(self._credit, status.credit_until)
@@ -289,7 +295,7 @@ class _Playback:
     def _come_back(self, cause: Exception, reconnect_s: float) -> None:
         """Open the lost connection anew; go on where the controller is, or at the next refresh packet if it gave up."""
         position = self._base * self._packet_samples + self._status.position
-        if position == self._came_back_at:
+        if position <= self._came_back_at:
             raise cause  # nothing was gained by coming back
         self._came_back_at = position
         self._controller.reconnect(reconnect_s)
@@ -314,13 +320,19 @@ class _Playback:
             status=self._status,
         )
 
+    def _taps(self) -> list[tuple[Tap, int]]:
+        return [(Tap.DECODED, self._header.rate_hz), (Tap.DAC, self._controller.description.actuator.dac_rate_hz)]
+
+    def _captured_by_now(self, rate_hz: int) -> int:
+        """Return how many samples at `rate_hz` the controller has captured since playing began."""
+        played = self._status.position - (self._first - self._base) * self._packet_samples
+        return played * rate_hz // self._header.rate_hz
+
     def _read_full_captures(self) -> None:
         """Read back a frame of each capture that has gathered one, so that a long playback never overruns them."""
-        played = self._status.position - (self._first - self._base) * self._packet_samples
-        dac_rate_hz = self._controller.description.actuator.dac_rate_hz
         room = self._controller.capture_room(self._header.channels)
-        for tap, rate_hz in ((Tap.DECODED, self._header.rate_hz), (Tap.DAC, dac_rate_hz)):
-            if played * rate_hz // self._header.rate_hz - self._captured_samples[tap] >= room:
+        for tap, rate_hz in self._taps():
+            if self._captured_by_now(rate_hz) - self._captured_samples[tap] >= room:
                 self._read_capture(tap)
 
     def _read_capture(self, tap: Tap) -> bool:

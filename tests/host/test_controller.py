@@ -131,7 +131,7 @@ def test_another_major_version_is_refused_naming_both() -> None:
 def test_limits_that_no_host_can_keep_to_are_refused(limits: Limits) -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, limits=limits)
-    with pytest.raises(ControllerError, match="limits"):
+    with pytest.raises(ControllerError, match="update its firmware"):
         connect(scripted)
 
 

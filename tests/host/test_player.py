@@ -4,9 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from device_protocol.coded_stream import StreamError, StreamHeader
-from device_protocol.messages import Configure, Message, Pause, Resume, State, Status, StatusRequest, Stop, StreamData
+from device_protocol.messages import (
+    CaptureData,
+    CaptureRead,
+    Configure,
+    Message,
+    Pause,
+    Resume,
+    Start,
+    State,
+    Status,
+    StatusRequest,
+    Stop,
+    StreamData,
+)
 from device_protocol.transports import TransportError
 from host.controller import ConnectionLost, Controller, ControllerError
 from host.player import Progress, play
@@ -246,3 +261,34 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh_packet() -> 
 def test_streams_that_cannot_be_played_are_refused(packets: list[bytes], packet_samples: int, reason: str) -> None:
     with pytest.raises((StreamError, ControllerError), match=reason):
         play(connect(ScriptedController()), HEADER, packets, packet_samples)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_controller_that_reports_nonsense_never_holds_the_player_for_ever(data: st.DataObject) -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    positions = st.one_of(st.integers(0, 1500), st.integers(0, (1 << 64) - 1))
+    states = st.sampled_from([state for state in State if state != State.PAUSED])
+
+    def lie(message: Message) -> Message | None:
+        if isinstance(message, (Configure, Start, StatusRequest)) and data.draw(st.booleans()):
+            changes = {
+                "state": data.draw(states),
+                "position": data.draw(positions),
+                "credit_until": data.draw(positions),
+            }
+            return replace(scripted.status(), **changes)
+        if isinstance(message, CaptureRead) and data.draw(st.booleans()):
+            offset = data.draw(st.sampled_from([message.offset, 0, 1 << 60]))
+            return CaptureData(message.tap, data.draw(st.integers(1, 2)), offset, 1 << 62, bytes(400))
+        return None
+
+    scripted.answer = lie
+    scripted.check_credit = False
+    try:
+        result = play(controller, HEADER, PACKETS[:40], PACKET_SAMPLES, capture=True, reconnect_s=1)
+        assert result.state in (State.FINISHED, State.STOPPED)
+    except (ControllerError, TransportError) as error:
+        assert str(error)
+    assert scripted.now_s < 300
