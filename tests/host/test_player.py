@@ -273,12 +273,8 @@ def test_controller_that_reports_nonsense_never_holds_the_player_for_ever(data: 
 
     def lie(message: Message) -> Message | None:
         if isinstance(message, (Configure, Start, StatusRequest)) and data.draw(st.booleans()):
-            changes = {
-                "state": data.draw(states),
-                "position": data.draw(positions),
-                "credit_until": data.draw(positions),
-            }
-            return replace(scripted.status(), **changes)
+            state, position, credit = data.draw(states), data.draw(positions), data.draw(positions)
+            return replace(scripted.status(), state=state, position=position, credit_until=credit)
         if isinstance(message, CaptureRead) and data.draw(st.booleans()):
             offset = data.draw(st.sampled_from([message.offset, 0, 1 << 60]))
             return CaptureData(message.tap, data.draw(st.integers(1, 2)), offset, 1 << 62, bytes(400))
