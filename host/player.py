@@ -78,7 +78,7 @@ def play(
     `loops`: how often, 0 = until stopped. `progress` is called in this thread whenever the controller reports, and may
     itself use the controller: `request` a Pause, Resume or Gain, or `stop` it. Whatever is raised, KeyboardInterrupt
     included, the controller is stopped first. A broken connection is opened anew for `reconnect_s`; if the controller
-    has given up meanwhile, playing goes on at the next refresh packet.
+    has given up meanwhile, playing (also what was paused) goes on at the next refresh packet.
 
     Raises StreamError for packets that make no stream, ControllerError, TransportError and MessageError.
     """
@@ -275,22 +275,17 @@ class _Playback:
             self._buffered_count += 1
         playing = self._base + status.position // self._packet_samples
         if playing > self._next:
-            # Too late for what lies between: the controller is silent until the next refresh packet.
-            self._next = self._next_refresh(playing)
+            # Too late for what lies between: the controller is silent until the next refresh packet, if there is one.
+            self._next = self._next_refresh(playing) or playing
 
-    def _next_refresh(self, packet: int) -> int:
-        """Return the first refresh packet at or after `packet`. Raises ControllerError if there is none."""
+    def _next_refresh(self, packet: int) -> int | None:
+        """Return the first refresh packet at or after `packet`, None if the stream ends before it."""
         iteration, number = divmod(packet, len(self._packets))
         at = bisect.bisect_left(self._refreshes, number)
         refresh = (iteration + 1) * len(self._packets)
         if at < len(self._refreshes):
             refresh = iteration * len(self._packets) + self._refreshes[at]
-        if self._end is not None and refresh >= self._end:
-            raise ControllerError(
-                "data came too late, and the stream has no further refresh packet to go on from: "
-                "play it again, encoded for streaming"
-            )
-        return refresh
+        return refresh if self._end is None or refresh < self._end else None
 
     def _come_back(self, cause: Exception, reconnect_s: float) -> None:
         """Open the lost connection anew; go on where the controller is, or at the next refresh packet if it gave up."""
@@ -308,8 +303,14 @@ class _Playback:
             self._note(status)
             return
         last = status if ours and status.state == State.WATCHDOG else self._status
+        refresh = self._next_refresh(self._base + -(-last.position // self._packet_samples))
+        if refresh is None:
+            raise ControllerError(
+                "the connection was lost for too long, and the stream has no further refresh packet to go on from: "
+                "play it again, encoded for streaming"
+            ) from cause
         self._earlier.append(last)
-        self._configure(self._next_refresh(self._base + -(-last.position // self._packet_samples)))
+        self._configure(refresh)
 
     def _progress(self) -> Progress:
         rate_hz = self._header.rate_hz
