@@ -1,0 +1,82 @@
+"""What a play reports: figures of the stream, the device and the comparison with the offline decoder, as JSON."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from host.output_files import whole_file
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Delays in ms: of the codec, the mean wait of samples in the controller, and from recorded sample to skin."""
+
+    algorithmic: float
+    buffered: float
+    end_to_end: float
+
+
+@dataclass(frozen=True)
+class ActuatorUse:
+    """The actuator and how many of its samples were held back by each limit, since the stream started.
+
+    `compensation_clipped`: the inverse compensation asked for more than the stroke. The other limits follow it.
+    """
+
+    name: str
+    clipped_samples: int
+    voltage_limited: int
+    slew_limited: int
+    power_limited: int
+
+
+@dataclass(frozen=True)
+class DeviceDescription:
+    """The controller as it introduced itself."""
+
+    address: str
+    build: str
+    hardware: str
+    protocol: str
+    model_images: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """Figures of one play; docs/report.md explains each. None stands for what could not be measured.
+
+    `seconds` is the duration of one pass; `stream_bytes`, and the rates from it, are of the whole .vct file.
+    """
+
+    version: str
+    file: str
+    codec: str
+    channels: int
+    stream_rate_hz: int
+    loops: int
+    seconds: float
+    stream_bytes: int
+    wire_bytes: int
+    wire_bytes_back: int
+    bits_per_second: float
+    bits_per_sample: float
+    snr_db: float | None
+    snr_db_per_channel: tuple[float | None, ...]
+    quality_note: str | None
+    latency_ms: Latency
+    underruns: int
+    lost_packets: int
+    reconnects: int
+    device: DeviceDescription
+    actuator: ActuatorUse
+    decoded_equals_offline: bool | None
+    dac_equals_offline: bool | None
+
+    def as_json(self) -> str:
+        """Return the report as a JSON object, two spaces deep."""
+        return json.dumps(asdict(self), indent=2, allow_nan=False) + "\n"
+
+    def write(self, path: Path) -> None:
+        """Write the report as JSON. Raises OSError."""
+        with whole_file(path) as partial:
+            partial.write_text(self.as_json(), encoding="utf-8")
