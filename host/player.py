@@ -13,7 +13,8 @@ from device_protocol.messages import Configure, Start, State, Status, StreamData
 from device_protocol.transports import TransportError
 from host.controller import ConnectionLost, Controller, ControllerError
 
-PREBUFFER_S = 0.1
+# Longer than a busy computer keeps a program waiting, as a rule; all of it is delay between host and skin.
+BUFFER_S = 0.3
 RECONNECT_S = 10.0
 
 # Enough to make the frame's own bytes small beside the packets, few enough that a lost frame costs little.
@@ -68,21 +69,22 @@ def play(
     loops: int = 1,
     gain: float = 1.0,
     compensation: bool = True,
-    prebuffer_s: float = PREBUFFER_S,
+    buffer_s: float = BUFFER_S,
     reconnect_s: float = RECONNECT_S,
     capture: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> PlaybackResult:
     """Play packets to their end and return what happened.
 
-    `loops`: how often, 0 = until stopped. `progress` is called in this thread whenever the controller reports, and may
-    itself use the controller: `request` a Pause, Resume or Gain, or `stop` it. Whatever is raised, KeyboardInterrupt
-    included, the controller is stopped first. A broken connection is opened anew for `reconnect_s`; if the controller
-    has given up meanwhile, playing (also what was paused) goes on at the next refresh packet.
+    `loops`: how often, 0 = until stopped. `buffer_s`: how much the controller holds before it begins and while it
+    plays, as far as its own buffer and credit go. `progress` is called in this thread whenever the controller reports,
+    and may itself use the controller: `request` a Pause, Resume or Gain, or `stop` it. Whatever is raised,
+    KeyboardInterrupt included, the controller is stopped first. A broken connection is opened anew for `reconnect_s`;
+    if the controller has given up meanwhile, playing (also what was paused) goes on at the next refresh packet.
 
     Raises StreamError for packets that make no stream, ControllerError, TransportError and MessageError.
     """
-    playback = _Playback(controller, header, packets, packet_samples, loops, gain, compensation, prebuffer_s, capture)
+    playback = _Playback(controller, header, packets, packet_samples, loops, gain, compensation, buffer_s, capture)
     try:
         return playback.run(reconnect_s, progress)
     except BaseException:
@@ -104,7 +106,7 @@ class _Playback:
         loops: int,
         gain: float,
         compensation: bool,
-        prebuffer_s: float,
+        buffer_s: float,
         capture: bool,
     ) -> None:
         self._controller = controller
@@ -115,11 +117,10 @@ class _Playback:
         self._end = loops * len(packets) if loops else None
         self._gain = gain
         self._compensation = compensation
-        self._prebuffer_samples = min(
-            round(prebuffer_s * header.rate_hz), controller.description.limits.buffer_samples // 2
-        )
         self._capture = capture
         self._refreshes = self._check()
+        buffer_samples = min(round(buffer_s * header.rate_hz), controller.description.limits.buffer_samples)
+        self._buffer_packets = max(1, buffer_samples // packet_samples)
         self._status_interval_s = min(_LONGEST_STATUS_INTERVAL_S, controller.description.limits.watchdog_ms / 4000)
         self._ask_s = 0.0
         self._earlier: list[Status] = []
@@ -201,7 +202,7 @@ class _Playback:
         configure = Configure(
             stream=self._stream,
             header=self._header.pack(),
-            prebuffer_samples=self._prebuffer_samples,
+            prebuffer_samples=self._buffer_packets * self._packet_samples,
             packets=len(self._packets),
             first_packet=first_packet,
             loops=self._loops - iteration if self._loops else 0,
@@ -211,7 +212,7 @@ class _Playback:
         self._status = self._controller.request(configure, Status)
         self._credit = self._status.credit_until
         self._furthest = self._status.position
-        self._moved_s = self._controller.clock()
+        self._noted_s = self._moved_s = self._controller.clock()
         self._controller.request(Start(), Status)
 
     def _pass(self, progress: Callable[[Progress], None] | None) -> bool:
@@ -242,9 +243,16 @@ class _Playback:
         iteration, number = divmod(self._next, len(self._packets))
         if self._end is not None and self._next >= self._end:
             return None
-        limits = self._controller.description.limits
-        granted = self._credit // self._packet_samples - (self._next - self._base)
-        room_bytes = limits.maximum_payload_bytes - len(pack(StreamData(0, 0, ()))) - _LONGEST_VARINT_BYTES
+        sent = self._next - self._base
+        granted = min(self._credit // self._packet_samples, self._playing() + self._buffer_packets) - sent
+        remaining = len(self._packets) - number
+        if (
+            self._status.state == State.PLAYING
+            and granted < min(_PACKETS_PER_FRAME, self._buffer_packets, remaining) / 2
+        ):
+            return None  # a fuller frame can wait
+        room_bytes = self._controller.description.limits.maximum_payload_bytes
+        room_bytes -= len(pack(StreamData(0, 0, ()))) + _LONGEST_VARINT_BYTES
         chosen: list[bytes] = []
         for packet in self._packets[number : number + min(_PACKETS_PER_FRAME, max(0, granted))]:
             room_bytes -= len(packet) + _LONGEST_VARINT_BYTES
@@ -256,6 +264,13 @@ class _Playback:
         self._next += len(chosen)
         return StreamData(self._stream, iteration - self._base // len(self._packets), tuple(chosen))
 
+    def _playing(self) -> int:
+        """Return the packet that the controller is playing by now, counted as in its positions."""
+        position: float = self._status.position
+        if self._status.state == State.PLAYING:
+            position += (self._controller.clock() - self._noted_s) * self._header.rate_hz
+        return int(position // self._packet_samples)
+
     def _note(self, status: Status) -> None:
         """Take in a status of this stream."""
         if status.state == State.FAULT:
@@ -266,6 +281,7 @@ class _Playback:
             self._furthest = status.position
             self._moved_s = self._controller.clock()
         self._status = status
+        self._noted_s = self._controller.clock()
         self._credit = max(self._credit, status.credit_until)
         if status.state == State.WATCHDOG:
             watchdog_ms = self._controller.description.limits.watchdog_ms

@@ -70,6 +70,7 @@ class ScriptedController:
         self.answer: Callable[[Message], Message | None] = lambda message: None
         self.at_read: Callable[[], None] = lambda: None
         self.unplugged = False
+        self.largest_read_s = 1.0
         self.check_credit = True
         self.handled: list[Message] = []
         self.flash = bytearray()
@@ -116,7 +117,7 @@ class ScriptedController:
         self.at_read()
         self.check()
         if not self.outgoing:
-            self.now_s += max(timeout_s, 0.001)
+            self.now_s += min(max(timeout_s, 0.001), self.largest_read_s)
         self.advance()
         data, self.outgoing = self.outgoing, b""
         return data

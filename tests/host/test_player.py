@@ -65,6 +65,16 @@ def test_plays_to_the_end_without_underrun() -> None:
     assert result.decoded is None
 
 
+@pytest.mark.parametrize("buffer_s", [0.05, 0.1])
+def test_holds_no_more_than_asked_without_underrun(buffer_s: float) -> None:
+    scripted = ScriptedController()
+    scripted.largest_read_s = 0.002
+    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, buffer_s=buffer_s)
+    assert result.state == State.FINISHED
+    assert result.buffered_s <= buffer_s + PACKET_SAMPLES / RATE_HZ
+    assert result.underruns == 0
+
+
 def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None:
     scripted = ScriptedController()
     result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
