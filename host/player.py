@@ -17,8 +17,8 @@ from host.controller import ConnectionLost, Controller, ControllerError
 BUFFER_S = 0.3
 RECONNECT_S = 10.0
 
-# Enough to make the frame's own bytes small beside the packets, few enough that a lost frame costs little.
-_PACKETS_PER_FRAME = 8
+# Enough packets to make the frame's own bytes small, few enough that a lost frame costs little.
+_LARGEST_FRAME_PACKETS = 8
 _LONGEST_VARINT_BYTES = 5
 _LONGEST_STATUS_INTERVAL_S = 0.25
 _READ_S = 0.02
@@ -121,7 +121,14 @@ class _Playback:
         self._refreshes = self._check()
         buffer_samples = min(round(buffer_s * header.rate_hz), controller.description.limits.buffer_samples)
         self._buffer_packets = max(1, buffer_samples // packet_samples)
-        self._status_interval_s = min(_LONGEST_STATUS_INTERVAL_S, controller.description.limits.watchdog_ms / 4000)
+        # Waiting for a full frame must not empty the buffer.
+        self._frame_packets = max(1, min(_LARGEST_FRAME_PACKETS, self._buffer_packets // 4))
+        # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
+        self._status_interval_s = min(
+            _LONGEST_STATUS_INTERVAL_S,
+            controller.description.limits.watchdog_ms / 4000,
+            self._buffer_packets * packet_samples / header.rate_hz / 2,
+        )
         self._ask_s = 0.0
         self._earlier: list[Status] = []
         self._reconnects = 0
@@ -245,16 +252,12 @@ class _Playback:
             return None
         sent = self._next - self._base
         granted = min(self._credit // self._packet_samples, self._playing() + self._buffer_packets) - sent
-        remaining = len(self._packets) - number
-        if (
-            self._status.state == State.PLAYING
-            and granted < min(_PACKETS_PER_FRAME, self._buffer_packets, remaining) / 2
-        ):
-            return None  # a fuller frame can wait
+        if self._status.state == State.PLAYING and granted < min(self._frame_packets, len(self._packets) - number):
+            return None  # wait for a full frame
         room_bytes = self._controller.description.limits.maximum_payload_bytes
         room_bytes -= len(pack(StreamData(0, 0, ()))) + _LONGEST_VARINT_BYTES
         chosen: list[bytes] = []
-        for packet in self._packets[number : number + min(_PACKETS_PER_FRAME, max(0, granted))]:
+        for packet in self._packets[number : number + min(self._frame_packets, max(0, granted))]:
             room_bytes -= len(packet) + _LONGEST_VARINT_BYTES
             if room_bytes < 0:
                 break
