@@ -7,6 +7,7 @@ from pathlib import Path
 
 from device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
 from device_protocol.model_image import ModelImage, ModelImageError, sha256
+from simulated_device.refusal import Refusal
 
 SLOTS = 2
 ERASED = 0xFF
@@ -14,14 +15,6 @@ ERASED = 0xFF
 
 class PowerCut(Exception):
     """The power went while flash was being written; raised only where a test asks for it."""
-
-
-class FlashError(Exception):
-    """A flash request that is refused; `code` is what to answer."""
-
-    def __init__(self, code: ErrorCode, text: str) -> None:
-        super().__init__(text)
-        self.code = code
 
 
 class FlashMemory:
@@ -124,16 +117,14 @@ class ImageStore:
         return tuple(descriptions)
 
     def begin(self, number: int, size_bytes: int, digest: bytes, hardware: str) -> FlashStatus:
-        """Make a slot ready for an image, or go on with the one that it is taking. Raises FlashError."""
+        """Make a slot ready for an image, or go on with the one that it is taking. Raises Refusal."""
         slot = self._slot(number)
         if number == self._running_slot or slot.state == SlotState.CONFIRMED:
-            raise FlashError(ErrorCode.WRONG_STATE, f"slot {number} runs or is the one to fall back to: use the other")
+            raise Refusal(ErrorCode.WRONG_STATE, f"slot {number} runs or is the one to fall back to: use the other")
         if hardware not in ("", self._hardware):
-            raise FlashError(
-                ErrorCode.WRONG_HARDWARE, f"the image is for {hardware}, this controller is {self._hardware}"
-            )
+            raise Refusal(ErrorCode.WRONG_HARDWARE, f"the image is for {hardware}, this controller is {self._hardware}")
         if not 0 < size_bytes <= self.slot_bytes:
-            raise FlashError(
+            raise Refusal(
                 ErrorCode.BEYOND_LIMITS, f"an image of {size_bytes} bytes; a slot holds 1 to {self.slot_bytes}"
             )
         wanted = _Slot(SlotState.WRITING, False, size_bytes, digest)
@@ -144,11 +135,11 @@ class ImageStore:
         return self._status(number)
 
     def write(self, number: int, offset: int, data: bytes) -> FlashStatus:
-        """Program data at the offset that is next; at any other, write nothing. Raises FlashError."""
+        """Program data at the offset that is next; at any other, write nothing. Raises Refusal."""
         slot = self._slot_in(number, SlotState.WRITING, "begin with FlashBegin")
         if offset == self._next_offset(number):
             if offset + len(data) > slot.size_bytes:
-                raise FlashError(
+                raise Refusal(
                     ErrorCode.BAD_VALUE, f"data up to byte {offset + len(data)} of an image of {slot.size_bytes} bytes"
                 )
             self._flash.program(self._address(number) + offset, data)
@@ -156,7 +147,7 @@ class ImageStore:
         return self._status(number)
 
     def verify(self, number: int) -> FlashStatus:
-        """Read the slot back and check all of it; an image that is refused leaves the slot empty. Raises FlashError."""
+        """Read the slot back and check all of it; an image that is refused leaves the slot empty. Raises Refusal."""
         slot = self._slot_in(number, SlotState.WRITING, "there is nothing new to verify")
         try:
             data = self._flash.read(self._address(number), slot.size_bytes)
@@ -169,20 +160,20 @@ class ImageStore:
                 raise ModelImageError(f"the image is for {image.hardware}, this controller is {self._hardware}")
         except ModelImageError as error:
             self._set(number, _Slot())
-            raise FlashError(ErrorCode.IMAGE_REFUSED, str(error)) from error
+            raise Refusal(ErrorCode.IMAGE_REFUSED, str(error)) from error
         self._set(number, replace(slot, state=SlotState.VERIFIED))
         return self._status(number)
 
     def activate(self, number: int) -> FlashStatus:
-        """Put a verified slot on trial at the next boot. Raises FlashError."""
+        """Put a verified slot on trial at the next boot. Raises Refusal."""
         slot = self._slot_in(number, SlotState.VERIFIED, "verify it first")
         if any(other.state == SlotState.TRIAL for other in self._slots):
-            raise FlashError(ErrorCode.WRONG_STATE, "another slot is on trial: confirm it, or restart to fall back")
+            raise Refusal(ErrorCode.WRONG_STATE, "another slot is on trial: confirm it, or restart to fall back")
         self._set(number, replace(slot, state=SlotState.TRIAL))
         return self._status(number)
 
     def confirm(self, number: int) -> FlashStatus:
-        """Keep the slot that is on trial; the one confirmed before becomes verified. Raises FlashError."""
+        """Keep the slot that is on trial; the one confirmed before becomes verified. Raises Refusal."""
         slot = self._slot(number)
         if slot.state != SlotState.CONFIRMED:
             self._slot_in(number, SlotState.TRIAL, "it is not on trial")
@@ -217,13 +208,13 @@ class ImageStore:
 
     def _slot(self, number: int) -> _Slot:
         if not 0 <= number < SLOTS:
-            raise FlashError(ErrorCode.NO_SUCH_SLOT, f"there is no slot {number}; slots are 0 to {SLOTS - 1}")
+            raise Refusal(ErrorCode.NO_SUCH_SLOT, f"there is no slot {number}; slots are 0 to {SLOTS - 1}")
         return self._slots[number]
 
     def _slot_in(self, number: int, state: SlotState, hint: str) -> _Slot:
         slot = self._slot(number)
         if slot.state != state:
-            raise FlashError(ErrorCode.WRONG_STATE, f"slot {number} is {slot.state.name.lower()}: {hint}")
+            raise Refusal(ErrorCode.WRONG_STATE, f"slot {number} is {slot.state.name.lower()}: {hint}")
         return slot
 
     def _status(self, number: int) -> FlashStatus:

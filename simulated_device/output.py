@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from codec.interface import Decoded
+from codec import Decoded
 from device_protocol.coded_stream import StreamHeader
 from simulated_device.actuator import Actuator, Codes, Filter, Samples
 

@@ -7,7 +7,8 @@ import pytest
 
 from device_protocol.messages import ErrorCode, SlotState
 from device_protocol.model_image import ModelImage, sha256
-from simulated_device.flash import FlashError, FlashMemory, ImageStore, PowerCut
+from simulated_device.flash import FlashMemory, ImageStore, PowerCut
+from simulated_device.refusal import Refusal
 
 HARDWARE = "sim"
 OLD = ModelImage(1, "old", "1", HARDWARE, bytes(range(100))).pack()
@@ -150,7 +151,7 @@ def test_garbage_in_flash_boots_without_an_image() -> None:
 )
 def test_requests_that_are_refused(request_: Callable[[ImageStore], object], code: ErrorCode) -> None:
     store = install(blank_flash(), 0, OLD)
-    with pytest.raises(FlashError) as refused:
+    with pytest.raises(Refusal) as refused:
         request_(store)
     assert refused.value.code == code
     assert running_name(store) == "old"
@@ -161,7 +162,7 @@ def test_requests_that_are_refused(request_: Callable[[ImageStore], object], cod
 )
 def test_image_of_another_kind_is_refused_and_the_slot_is_empty(image: bytes) -> None:
     store = boot(blank_flash())
-    with pytest.raises(FlashError):
+    with pytest.raises(Refusal):
         write_image(store, 0, image)
     assert store.describe()[0].state == SlotState.EMPTY
 

@@ -1,0 +1,118 @@
+"""An in-memory way to a controller in simulated time, with faults on request: what the tests speak through."""
+
+import random
+from types import TracebackType
+from typing import Self
+
+from device_protocol.frames import DELIMITER
+from device_protocol.transports import TransportError
+from simulated_device.controller import Controller
+
+STEP_US = 1000
+
+
+class FaultyLine:
+    """One direction of a line, which loses, damages, doubles and reorders frames by chance.
+
+    `lost`, `flipped` (one byte of the frame), `doubled`, `swapped` (with the next one): probability for each frame. The
+    same seed gives the same faults.
+    """
+
+    def __init__(
+        self, seed: int = 0, lost: float = 0.0, flipped: float = 0.0, doubled: float = 0.0, swapped: float = 0.0
+    ) -> None:
+        self._random = random.Random(seed)
+        self._lost, self._flipped, self._doubled, self._swapped = lost, flipped, doubled, swapped
+        self._partial = b""
+        self._held = b""
+
+    def carry(self, data: bytes) -> bytes:
+        """Take what is sent; return what arrives."""
+        *frames, self._partial = (self._partial + data).split(DELIMITER)
+        return b"".join(self._carry_frame(frame + DELIMITER) for frame in frames)
+
+    def _carry_frame(self, frame: bytes) -> bytes:
+        chance = self._random.random
+        if chance() < self._lost:
+            return b""
+        if chance() < self._flipped:
+            damaged = bytearray(frame)
+            damaged[self._random.randrange(len(frame))] ^= self._random.randrange(1, 256)
+            frame = bytes(damaged)
+        if chance() < self._doubled:
+            frame += frame
+        if not self._held and chance() < self._swapped:
+            self._held = frame
+            return b""
+        arrived, self._held = frame + self._held, b""
+        return arrived
+
+
+class MemoryLink:
+    """A transport (device_protocol.transports.Transport) to a controller; reading from it is what makes time pass.
+
+    `clock` and `sleep` are the host's, in simulated time.
+    """
+
+    def __init__(
+        self, controller: Controller, to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None
+    ) -> None:
+        self.now_us = 0
+        self._controller = controller
+        self._to_controller = to_controller or FaultyLine()
+        self._to_host = to_host or FaultyLine()
+        self._plugged = True
+
+    def clock(self) -> float:
+        """Return the simulated time in seconds."""
+        return self.now_us / 1e6
+
+    def sleep(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        end_us = self.now_us + round(seconds * 1e6)
+        while self.now_us < end_us:
+            self.now_us = min(end_us, self.now_us + STEP_US)
+            self._controller.advance(self.now_us)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the controller. Raises TransportError while the cable is out."""
+        self._need_cable()
+        self._controller.receive(self._to_controller.carry(data), self.now_us)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come from the controller, letting time pass until something has or `timeout_s` is over."""
+        end_us = self.now_us + round(timeout_s * 1e6)
+        while True:
+            self._need_cable()
+            data = self._to_host.carry(self._controller.transmit())
+            if data or self.now_us >= end_us:
+                return data
+            self.sleep(min(STEP_US, end_us - self.now_us) / 1e6)
+
+    def unplug(self) -> None:
+        """Pull the cable: what the controller sends is lost."""
+        self._plugged = False
+
+    def plug(self) -> None:
+        """Plug the cable in again."""
+        self._controller.transmit()
+        self._plugged = True
+
+    def reopen(self) -> None:
+        """Open the port anew. Raises TransportError while the cable is out."""
+        self._need_cable()
+
+    def close(self) -> None:
+        """Do nothing: there is no port to release."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _need_cable(self) -> None:
+        if not self._plugged:
+            raise TransportError("the cable to the simulated controller is out: plug it in")

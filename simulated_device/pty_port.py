@@ -1,0 +1,82 @@
+"""A simulated controller behind a real pseudo-terminal: any program can open it as a serial port."""
+
+import contextlib
+import os
+import queue
+import select
+import tempfile
+import threading
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+from simulated_device.controller import Controller
+from simulated_device.real_time import PERIOD_S, RealTimePort
+
+_READ_BYTES = 65_536
+
+
+class PtyPort(RealTimePort):
+    """Serves a controller on a pseudo-terminal.
+
+    `name`: what a host opens; a link that stays the same when the cable is pulled and plugged in again. A host may
+    close and open it as it likes. Raises OSError where the system has no pseudo-terminals.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__(controller)
+        self._folder = tempfile.TemporaryDirectory(prefix="vibrocast-")
+        self.name = str(Path(self._folder.name) / "controller")
+        self._orders: queue.SimpleQueue[tuple[Callable[[], None], threading.Event]] = queue.SimpleQueue()
+        self._master = self._slave = -1
+        self._connect()
+
+    def unplug(self) -> None:
+        """Make the port go away, as a pulled cable does. The controller goes on."""
+        self._order(self._disconnect)
+
+    def plug(self) -> None:
+        """Make the port appear again."""
+        self._order(self._connect)
+
+    def close(self) -> None:
+        """Stop serving and remove the port; may be called again."""
+        super().close()
+        self._disconnect()
+        self._folder.cleanup()
+
+    def _order(self, action: Callable[[], None]) -> None:
+        """Have the serving thread do something and wait for it: no one else may close what it is reading from."""
+        done = threading.Event()
+        self._orders.put((action, done))
+        done.wait()
+
+    def _connect(self) -> None:
+        if self._master < 0:
+            # The slave stays open here: so the port outlives every host that closes it.
+            self._master, self._slave = os.openpty()
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            os.symlink(os.ttyname(self._slave), self.name)
+
+    def _disconnect(self) -> None:
+        if self._master >= 0:
+            os.unlink(self.name)
+            os.close(self._master)
+            os.close(self._slave)
+            self._master = self._slave = -1
+            self._pending = b""
+
+    def _wait(self) -> bytes:
+        while not self._orders.empty():
+            action, done = self._orders.get()
+            action()
+            done.set()
+        if self._master < 0:
+            self._closing.wait(PERIOD_S)
+            return b""
+        # What nobody reads waits for the next time.
+        with contextlib.suppress(BlockingIOError):
+            self._pending = self._pending[os.write(self._master, self._pending) :]
+        readable, _, _ = select.select([self._master], [], [], PERIOD_S)
+        return os.read(self._master, _READ_BYTES) if readable else b""

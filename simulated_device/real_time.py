@@ -1,0 +1,59 @@
+"""Runs a controller in real time in a thread of its own; the ports build on it."""
+
+import threading
+import time
+from types import TracebackType
+from typing import Self
+
+from simulated_device.controller import Controller
+
+PERIOD_S = 0.005
+
+
+class RealTimePort:
+    """A controller that runs against the clock. A port fills `_wait`, and hands bytes over with `_exchange`.
+
+    A context manager: the thread runs inside it, and has ended when it is left.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._lock = threading.Lock()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
+        self._pending = b""  # from the controller, not yet taken by the host
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the controller's time; may be called again."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            self._exchange(self._wait())
+
+    def _wait(self) -> bytes:
+        """Return what the host sent, waiting for it PERIOD_S at most."""
+        raise NotImplementedError
+
+    def _exchange(self, data: bytes) -> None:
+        """Give bytes to the controller, let its time pass, and put what it sends into `_pending`."""
+        with self._lock:
+            now_us = time.monotonic_ns() // 1000
+            if data:
+                self._controller.receive(data, now_us)
+            else:
+                self._controller.advance(now_us)
+            # What the host does not take stays in the controller, which bounds it.
+            if not self._pending:
+                self._pending = self._controller.transmit()
