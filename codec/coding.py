@@ -19,19 +19,21 @@ _LARGEST_STEP = 2.0**6
 _STEPS_PER_OCTAVE = 64
 _MAX_GAIN = 2.0**127
 _MIN_GAIN = 2.0**-120
+_THRIFTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 
 
 @dataclass(frozen=True)
 class Codec:
     """A codec by its name and by its number in stream headers, with the makers of its encoder and decoder.
 
-    `make_encoder(steps, rate_hz, framing, tables)`: one quantiser step per channel, relative to full scale.
+    `make_encoder(steps, rate_hz, framing, tables, thrift)`: one quantiser step per channel, relative to full scale;
+    `thrift` from 0 to 1 weighs bits against error in rounding.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image, None = built in.
     """
 
     name: str
     identifier: int
-    make_encoder: Callable[[tuple[float, ...], int, Framing, bytes | None], Encoder]
+    make_encoder: Callable[[tuple[float, ...], int, Framing, bytes | None, float], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
 
 
@@ -126,9 +128,9 @@ def encode_to_snr(
     live: bool = False,
     tables: bytes | None = None,
 ) -> CodedSignal:
-    """Code at `target_db` of SNR (as `snr_db`), to within 0.2 dB.
+    """Code at `target_db` of SNR (as `snr_db`), to within 0.2 dB; above it where no step comes nearer.
 
-    Raises CodecError as `encode`, and when no step comes that close, with the nearest that there is. A silent signal
+    Raises CodecError as `encode`, and when `target_db` is out of reach, with the best that there is. A silent signal
     meets every target.
     """
     if not math.isfinite(target_db):
@@ -141,13 +143,13 @@ def encode_to_snr(
         measured = snr_db(source.samples, decode(coded))
         return (math.inf if measured is None else measured) - target_db
 
-    coded, excess = _search(source, excess_db, SNR_TOLERANCE_DB)
-    if abs(excess) > SNR_TOLERANCE_DB:
+    found = _search(source, excess_db, SNR_TOLERANCE_DB, side=1)
+    if isinstance(found, float):
         raise CodecError(
-            f"an SNR of {target_db:g} dB cannot be met within {SNR_TOLERANCE_DB} dB: the nearest is "
-            f"{target_db + excess:.2f} dB (16-bit samples, and the length of the signal, set the limits)"
+            f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + found:.1f} dB "
+            "(16-bit samples set the limit)"
         )
-    return coded
+    return found
 
 
 def encode_to_rate(
@@ -160,9 +162,10 @@ def encode_to_rate(
     live: bool = False,
     tables: bytes | None = None,
 ) -> CodedSignal:
-    """Code at `bits_per_second`, to within 2 %; `size_bytes` counts a coded signal's bytes.
+    """Code at `bits_per_second`, to within 2 %; below it where the signal has no step that comes nearer.
 
-    Raises CodecError as `encode`, and when no step comes that close, with the nearest rate that there is.
+    `size_bytes` counts a coded signal's bytes. Raises CodecError as `encode`, and when `bits_per_second` is below the
+    least that the signal takes, with that rate.
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
@@ -171,13 +174,13 @@ def encode_to_rate(
     def excess(coded: CodedSignal) -> float:
         return size_bytes(coded) * 8 * rate_hz / (coded.samples * bits_per_second) - 1
 
-    coded, deviation = _search(source, excess, RATE_TOLERANCE)
-    if abs(deviation) > RATE_TOLERANCE:
+    found = _search(source, excess, RATE_TOLERANCE, side=-1)
+    if isinstance(found, float):
         raise CodecError(
-            f"a rate of {bits_per_second:g} bit/s cannot be met within {RATE_TOLERANCE:.0%}: the nearest is "
-            f"{bits_per_second * (1 + deviation):.0f} bit/s (headers set a lower limit, 16-bit samples an upper one)"
+            f"a rate of {bits_per_second:g} bit/s cannot be met; this signal takes at least "
+            f"{bits_per_second * (1 + found):.0f} bit/s, most of it headers: ask for more, or code a longer signal"
         )
-    return coded
+    return found
 
 
 def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
@@ -228,11 +231,11 @@ class _Source:
         )
         self.silent = not np.any(samples)
 
-    def encode(self, step: float) -> CodedSignal:
+    def encode(self, step: float, thrift: float = 1.0) -> CodedSignal:
         if not (math.isfinite(step) and step > 0):
             raise CodecError(f"a quantiser step of {step} is not a positive number")
         steps = tuple(min(max(step * rms, _SMALLEST_STEP), _LARGEST_STEP) for rms in self.rms)
-        encoder = self.codec.make_encoder(steps, self.rate_hz, self.framing, self.tables)
+        encoder = self.codec.make_encoder(steps, self.rate_hz, self.framing, self.tables, thrift)
         packets: list[bytes] = []
         chunk = 1_000_000
         for start in range(0, len(self.samples), chunk):
@@ -243,20 +246,35 @@ class _Source:
         )
 
 
-def _search(source: _Source, excess: Callable[[CodedSignal], float], tolerance: float) -> tuple[CodedSignal, float]:
-    """Bisect over the step for the coded signal whose `excess` (which falls as the step grows) is nearest zero."""
-    finest = round(_STEPS_PER_OCTAVE * math.log2(_SMALLEST_STEP))
-    coarsest = round(_STEPS_PER_OCTAVE * math.log2(_LARGEST_STEP / min(source.rms)))
-    best: tuple[CodedSignal, float] | None = None
-    while finest <= coarsest and (best is None or abs(best[1]) > tolerance / 4):
-        middle = (finest + coarsest) // 2
-        coded = source.encode(2 ** (middle / _STEPS_PER_OCTAVE))
-        over = excess(coded)
-        if best is None or abs(over) < abs(best[1]):
-            best = coded, over
-        if over > 0:
-            finest = middle + 1
-        else:
-            coarsest = middle - 1
-    assert best is not None
-    return best
+def _search(
+    source: _Source, excess: Callable[[CodedSignal], float], tolerance: float, side: int
+) -> CodedSignal | float:
+    """Find the step whose `excess`, which on the whole falls as the step grows, is nearest zero.
+
+    `side`: +1 when an excess above the tolerance is better than none, -1 when one below is. Returns the coded signal,
+    or the excess nearest zero on the other side when no step is acceptable.
+    """
+    best: tuple[float, CodedSignal] | None = None
+    refused = -side * math.inf
+    # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
+    # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
+    for thrift in _THRIFTS:
+        finest = round(_STEPS_PER_OCTAVE * math.log2(_SMALLEST_STEP))
+        coarsest = round(_STEPS_PER_OCTAVE * math.log2(_LARGEST_STEP / min(source.rms)))
+        while finest <= coarsest:
+            middle = (finest + coarsest) // 2
+            coded = source.encode(2 ** (middle / _STEPS_PER_OCTAVE), thrift)
+            over = excess(coded)
+            if side * over < -tolerance:
+                refused = side * max(side * refused, side * over)
+            elif best is None or abs(over) < best[0]:
+                best = abs(over), coded
+            if best is not None and best[0] <= tolerance / 2:
+                return best[1]
+            if over > 0:
+                finest = middle + 1
+            else:
+                coarsest = middle - 1
+        if best is None or best[0] <= tolerance:
+            break
+    return refused if best is None else best[1]

@@ -98,14 +98,10 @@ static inline uint32_t vc_level_of(uint32_t index, unsigned quantiser)
     return index == 0 ? 0 : 2 * index - quantiser;
 }
 
-/* Coefficient, in 1/256 of a least significant bit, that a level stands for: shrunk towards zero by 3/32 of a step, where the
- * centre of mass of what is rounded there lies. */
+/* Coefficient, in 1/256 of a least significant bit, that a level stands for. */
 static inline int32_t vc_reconstruct(uint32_t level, int32_t step)
 {
-    int64_t value;
-    if (level == 0)
-        return 0;
-    value = ((int64_t)level * 32 - 3) * step / 32;
+    int64_t value = (int64_t)level * step;
     return value > VC_MAX_COEFFICIENT ? VC_MAX_COEFFICIENT : (int32_t)value;
 }
 

@@ -5,6 +5,7 @@
 
 #define STATES 4
 #define UNREACHED INT64_MAX
+#define MAX_DIFFERENCE (1 << 27)
 
 typedef struct {
     vc_history history;
@@ -84,7 +85,9 @@ static int64_t estimated_cost(const vc_model *model, unsigned quantiser, unsigne
 /* Squared difference of a magnitude (in 1/256 step) and what the level is reconstructed to, in 1/65536 of a squared step. */
 static int64_t distortion(uint32_t magnitude, uint32_t level)
 {
-    int64_t difference = (int64_t)magnitude - (level == 0 ? 0 : (int64_t)level * 256 - 24);
+    int64_t difference = (int64_t)magnitude - (int64_t)level * 256;
+    if (difference > MAX_DIFFERENCE) /* then the sum over a block stays below 2^62 */
+        difference = MAX_DIFFERENCE;
     return difference * difference;
 }
 

@@ -1,0 +1,110 @@
+"""Trains the initial tables of `mdct` on recordings: a refresh then starts from what textures have in common.
+
+    python -m export.mdct_tables RECORDINGS.npz ... --image models/mine.image      for a controller
+    python -m export.mdct_tables RECORDINGS.npz ... --built-in                     for firmware/core itself
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.progress import track
+from scipy import signal
+
+from codec import Framing, Signal
+from codec.mdct import IDENTIFIER, MdctEncoder
+from device_protocol.model_image import ModelImage
+from textures import Recording, TextureError, resample
+
+RATE_HZ = 2800
+STEPS_PER_RECORDING = 3
+FINEST_STEP, COARSEST_STEP = -2.5, 2.3
+"""log2 of the quantiser step over the RMS value: about 25 dB down to 0 dB of SNR."""
+EXCERPT_S = 1.5
+PASSES = 2
+_STEP = 2.0**-9
+_BUILT_IN_SOURCE = Path(__file__).parents[1] / "firmware" / "core" / "builtin_tables.c"
+
+
+def recordings(archive: Path, drop_s: float, high_pass_hz: float) -> Iterator[Signal]:
+    """Yield each recording of an NPZ archive with a `rate_hz`: its start dropped, high-passed, at 2800 Hz.
+
+    Raises TextureError when the archive has no rate.
+    """
+    with np.load(archive, allow_pickle=False) as arrays:
+        if "rate_hz" not in arrays:
+            raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
+        rate_hz = float(arrays["rate_hz"])
+        high_pass = signal.butter(2, high_pass_hz, "highpass", fs=rate_hz, output="sos")
+        for name in arrays.files:
+            samples = arrays[name].astype(np.float64)
+            if samples.ndim == 1 and len(samples) > 2 * drop_s * rate_hz:
+                steady = signal.sosfilt(high_pass, samples[int(drop_s * rate_hz) :])
+                yield resample(Recording(steady[:, None], rate_hz, "full scale", name), RATE_HZ).samples
+
+
+def train(textures: list[Signal], seed: int, tables: bytes | None = None) -> bytes:
+    """Return tables adapted to excerpts of the textures, (n, 1) each, coded in random order at random steps."""
+    generator = np.random.default_rng(seed)
+    log_steps = generator.uniform(FINEST_STEP, COARSEST_STEP, (len(textures), STEPS_PER_RECORDING))
+    jobs = [(texture, log_step) for texture, row in zip(textures, log_steps, strict=True) for log_step in row]
+    encoder = MdctEncoder((_STEP,), RATE_HZ, Framing(RATE_HZ, 0), tables)
+    for index in track(generator.permutation(len(jobs)), description="training"):
+        texture, log_step = jobs[index]
+        length = min(len(texture), int(EXCERPT_S * RATE_HZ))
+        start = int(generator.integers(0, len(texture) - length + 1))
+        excerpt = texture[start : start + length]
+        rms = float(np.sqrt(np.mean(np.square(excerpt))))
+        if rms > 0:
+            # One encoder has one step: the excerpt is scaled so that this step is the wanted one.
+            encoder.encode(excerpt * (_STEP / (rms * 2**log_step)))
+    return encoder.adapted_tables()
+
+
+def c_source(tables: bytes) -> str:
+    """Return firmware/core/builtin_tables.c for the tables."""
+    lines = [", ".join(map(str, tables[start : start + 24])) for start in range(0, len(tables), 24)]
+    head = '/* Initial tables of the context model; written by `python -m export.mdct_tables --built-in`. */\n'
+    return head + '#include "mdct.h"\n\nconst uint8_t vc_builtin_tables[] = {\n    ' + ",\n    ".join(lines) + "};\n"
+
+
+@click.command()
+@click.argument("archives", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--image", type=click.Path(dir_okay=False, path_type=Path), help="Model image to write.")
+@click.option("--built-in", is_flag=True, help="Replace the tables built into firmware/core; reinstall afterwards.")
+@click.option("--name", default="mdct", show_default=True, help="Name of the image.")
+@click.option("--version", default="1", show_default=True, help="Version of the image.")
+@click.option("--drop-s", default=1.0, show_default=True, help="Seconds to drop at each start.")
+@click.option("--high-pass-hz", default=30.0, show_default=True, help="Corner of the high-pass.")
+@click.option("--seed", default=1, show_default=True)
+def main(
+    archives: tuple[Path, ...],
+    image: Path | None,
+    built_in: bool,
+    name: str,
+    version: str,
+    drop_s: float,
+    high_pass_hz: float,
+    seed: int,
+) -> None:
+    """Train the initial tables of `mdct` on NPZ archives of recordings."""
+    try:
+        textures = [texture for archive in archives for texture in recordings(archive, drop_s, high_pass_hz)]
+    except TextureError as error:
+        raise click.ClickException(str(error)) from error
+    if not textures:
+        raise click.ClickException("the archives hold no recording that is long enough")
+    tables: bytes | None = None
+    for training_pass in range(PASSES):
+        tables = train(textures, seed + training_pass, tables)
+    assert tables is not None
+    if image is not None:
+        image.write_bytes(ModelImage(IDENTIFIER, name, version, "", tables).pack())
+    if built_in:
+        _BUILT_IN_SOURCE.write_text(c_source(tables))
+    click.echo(f"{len(tables)} bytes of tables from {len(textures)} recordings")
+
+
+if __name__ == "__main__":
+    main()

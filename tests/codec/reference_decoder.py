@@ -1,0 +1,209 @@
+"""A decoder of `mdct` written from docs/bitstream.md alone, slow and in floating point where it may be."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+STRETCH = [round(256 * math.log((i + 0.5) / (2047.5 - i))) for i in range(2048)]
+SQUASH = [round(65536 / (1 + math.exp(-(4 * i - 2046) / 256))) for i in range(1024)]
+NEXT_STATE = ((0, 2), (2, 0), (1, 3), (3, 1))
+
+
+def divide(numerator: int, denominator: int) -> int:
+    """Integer division that rounds towards zero, as in C."""
+    quotient = abs(numerator) // denominator
+    return quotient if numerator >= 0 else -quotient
+
+
+def clamp(value: int, limit: int) -> int:
+    return max(-limit, min(limit, value))
+
+
+def squash(stretched: int) -> int:
+    return SQUASH[(clamp(stretched, 2047) + 2048) >> 2]
+
+
+def fine_class(x: int) -> int:
+    if x < 4:
+        return x
+    exponent = x.bit_length() - 1
+    return 4 * (exponent - 1) + ((x >> (exponent - 2)) & 3)
+
+
+def coarse_class(x: int) -> int:
+    return min(15, fine_class(x) // 2)
+
+
+def adapted(probability: int, bit: int) -> int:
+    return probability + ((65535 - probability) >> 5) if bit else probability - (probability >> 5)
+
+
+def bounded(probability: int) -> int:
+    return max(32, min(65536 - 32, probability))
+
+
+class RangeDecoder:
+    """Section "Range coder"."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = iter(data)
+        self.low, self.high, self.value = 0, 0xFFFFFFFF, 0
+        for _ in range(4):
+            self.value = self.value << 8 | next(self.data, 0)
+
+    def decode(self, probability: int = 32768) -> int:
+        split = self.low + ((self.high - self.low) * probability >> 16)
+        bit = int(self.value <= split)
+        if bit:
+            self.high = split
+        else:
+            self.low = split + 1
+        while self.low >> 24 == self.high >> 24:
+            self.low = self.low << 8 & 0xFFFFFFFF
+            self.high = self.high << 8 & 0xFFFFFFFF | 0xFF
+            self.value = (self.value << 8 | next(self.data, 0)) & 0xFFFFFFFF
+        return bit
+
+
+class Model:
+    """Section "Adaptive model"."""
+
+    def __init__(self, tables: bytes) -> None:
+        signed = np.frombuffer(tables, dtype=np.int8)
+        cells = 6 * 2 * 4 * 256
+        self.cell = np.array([squash(16 * int(value)) for value in signed[:cells]]).reshape(6, 2, 4, 256)
+        weights = np.frombuffer(tables[cells : cells + 480], dtype="<i2")
+        self.weight = np.array([clamp(16 * int(value), 8 << 16) for value in weights]).reshape(6, 2, 4, 5)
+        self.silence = [256 * value + 128 for value in tables[cells + 480 :]]
+
+    def decide(self, coder: RangeDecoder, contexts: list[int], scale: int, decision: int, quantiser: int) -> int:
+        kind = min(decision, 5)
+        weight = self.weight[kind, quantiser, scale]
+        cells = self.cell[kind, quantiser]
+        inputs = [STRETCH[cells[i, contexts[i]] >> 5] for i in range(4)] + [256]
+        mixed = squash(divide(sum(int(w) * x for w, x in zip(weight, inputs, strict=True)), 65536))
+        bit = coder.decode(bounded(mixed))
+        error = 6 * (65536 * bit - mixed)
+        for i, x in enumerate(inputs):
+            weight[i] = clamp(int(weight[i]) + divide(error * x, 1 << 18), 8 << 16)
+        for i in range(4):
+            cells[i, contexts[i]] = adapted(int(cells[i, contexts[i]]), bit)
+        return bit
+
+
+@dataclass
+class Channel:
+    """Section "Contexts": what one channel remembers."""
+
+    hop: int
+    state: int = 0
+    silent_history: int = 1
+    block_sum: int = 0
+    rows: list[list[int]] = field(default_factory=list)
+    average: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.rows = [[0] * (self.hop + 4) for _ in range(4)]
+        self.average = [0] * (self.hop + 4)
+
+    def next_block(self) -> None:
+        self.block_sum = sum(self.rows[0])
+        for k in range(2, self.hop + 2):
+            self.average[k] += 32 * self.rows[0][k] - (self.average[k] >> 3)
+        self.rows = [[0] * (self.hop + 4), *self.rows[:3]]
+
+    def contexts(self, k: int, block_sum: int) -> tuple[list[int], int]:
+        now, last, second, third = self.rows
+        j, average = k + 2, self.average
+        expected = (
+            28 * now[j - 1] + 8 * now[j - 2] + 21 * last[j] + 18 * last[j + 1] + 6 * last[j - 1] + 2 * last[j + 2]
+            + 12 * second[j] + 3 * second[j + 1] + 3 * third[j] + (26 * average[j] >> 8) + 20
+        ) >> 1  # fmt: skip
+        fine, band = fine_class(expected), k * 16 // self.hop
+        around = 2 * now[j - 1] + now[j - 2] + 2 * last[j] + last[j + 1] + last[j - 1]
+        indices = [
+            min(63, fine) * 4 + k * 4 // self.hop,
+            min(15, fine // 2) * 16 + band,
+            coarse_class(16 * block_sum // (k + 1)) * 16 + coarse_class((average[j] + average[j + 1]) >> 3),
+            coarse_class((average[j - 1] + 2 * average[j] + average[j + 1]) >> 4) * 16 + band,
+        ]
+        return indices, coarse_class(4 * around) // 4
+
+
+class ReferenceDecoder:
+    """Decodes packets to signed levels (blocks, channels, hop) and to samples by the exact transform."""
+
+    def __init__(self, configuration: bytes, channels: int, tables: bytes) -> None:
+        head, position = configuration[0], 1
+        if head & 0x80:
+            head, position = head & 0x7F | configuration[1] << 7, 2
+        self.hop, self.blocks = 16 << (head & 3), head >> 2
+        codes = np.frombuffer(configuration[position:], dtype="<u2")
+        self.steps = [(64 + int(code) % 64) * 2.0 ** (int(code) // 64) / 256 for code in codes]
+        self.tables = tables
+        self.channels = [Channel(self.hop) for _ in range(channels)]
+        self.overlap = np.zeros((channels, self.hop))
+        n = np.arange(2 * self.hop)[None, :]
+        k = np.arange(self.hop)[:, None]
+        self.synthesis = (
+            math.sqrt(2 / self.hop)
+            * np.cos(np.pi / self.hop * (n + 0.5 + self.hop / 2) * (k + 0.5))
+            * np.sin(np.pi * (n + 0.5) / (2 * self.hop))
+        )
+
+    def levels(self, packet: bytes) -> NDArray[np.int64]:
+        position = next(i for i, byte in enumerate(packet) if byte < 0x80) + 1
+        if packet[0] & 1:
+            self.model = Model(self.tables)
+            self.channels = [Channel(self.hop) for _ in self.channels]
+        coder = RangeDecoder(packet[position:])
+        levels = np.zeros((self.blocks, len(self.channels), self.hop), dtype=np.int64)
+        for block in levels:
+            for channel, row in zip(self.channels, block, strict=True):
+                self.block(coder, channel, row)
+        return levels
+
+    def block(self, coder: RangeDecoder, channel: Channel, row: NDArray[np.int64]) -> None:
+        loudness = sum(channel.block_sum > limit for limit in (0, 8, 32))
+        context = channel.silent_history * 4 + loudness
+        silent = coder.decode(bounded(self.model.silence[context]))
+        self.model.silence[context] = adapted(self.model.silence[context], silent)
+        channel.silent_history = (channel.silent_history * 2 + silent) & 3
+        if silent:
+            channel.state = 0
+        block_sum = 0
+        for k in range(0 if silent else self.hop):
+            quantiser = channel.state >> 1
+            contexts, scale = channel.contexts(k, block_sum)
+            index = 0
+            while index < 15 and self.model.decide(coder, contexts, scale, index, quantiser):
+                index += 1
+            if index == 15:
+                index += self.suffix(coder)
+            level = 2 * index - quantiser if index else 0
+            row[k] = -level if index and coder.decode() else level
+            channel.state = NEXT_STATE[channel.state][index & 1]
+            channel.rows[0][k + 2] = min(126, level)
+            block_sum += min(126, level)
+        channel.next_block()
+
+    def suffix(self, coder: RangeDecoder) -> int:
+        bits = 0
+        while bits < 24 and coder.decode():
+            bits += 1
+        value = 1
+        for _ in range(bits):
+            value = value * 2 + coder.decode()
+        return value - 1
+
+    def samples(self, packet: bytes) -> NDArray[np.float64]:
+        """Exact samples (packet_samples, channels), not rounded, 32768 = full scale."""
+        spectra = self.levels(packet) * np.array(self.steps)[None, :, None]
+        signal = np.zeros((self.blocks, self.hop, len(self.channels)))
+        for block, spectrum in zip(signal, spectra, strict=True):
+            halves = spectrum @ self.synthesis
+            block[:] = (self.overlap + halves[:, : self.hop]).T
+            self.overlap = halves[:, self.hop :]
+        return signal.reshape(-1, len(self.channels))

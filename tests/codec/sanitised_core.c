@@ -1,0 +1,62 @@
+/* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers.
+ *
+ * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The first record
+ * is the configuration, its kind the number of channels. Every packet is decoded, and its bytes are encoded as coefficients. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "vibrocast_core.h"
+
+static int read_record(int *kind, uint8_t **bytes, size_t *length)
+{
+    uint8_t head[3];
+    if (fread(head, 1, 3, stdin) != 3)
+        return 0;
+    *kind = head[0];
+    *length = (size_t)(head[1] | head[2] << 8);
+    *bytes = malloc(*length); /* exactly as long as the record, so that reading past it is found */
+    return fread(*bytes, 1, *length, stdin) == *length;
+}
+
+int main(void)
+{
+    vc_mdct_decoder *decoder = malloc(vc_mdct_decoder_size());
+    vc_mdct_encoder *encoder = malloc(vc_mdct_encoder_size());
+    uint8_t *bytes, packet[300], *tables = malloc(vc_mdct_tables_size());
+    int16_t *samples;
+    int32_t *coefficients;
+    size_t length, capacity, block_values, i;
+    int kind;
+    unsigned channels;
+    if (!read_record(&kind, &bytes, &length))
+        return 2;
+    channels = (unsigned)kind;
+    if (vc_mdct_decoder_init(decoder, bytes, length, channels, NULL, 0) != VC_OK ||
+        vc_mdct_encoder_init(encoder, bytes, length, channels, NULL, 0, 3, 88) != VC_OK)
+        return 0;
+    free(bytes);
+    block_values = (size_t)vc_mdct_decoder_packet_samples(decoder) * channels;
+    samples = malloc(block_values * sizeof *samples);
+    coefficients = malloc(block_values * sizeof *coefficients);
+    while (read_record(&kind, &bytes, &length)) {
+        if (kind == 1 || vc_mdct_decode(decoder, bytes, length, samples) < 0)
+            vc_mdct_conceal(decoder, samples);
+        for (i = 0; i < block_values; i++) {
+            int32_t byte = length > 0 ? bytes[i % length] : 0;
+            coefficients[i] = (byte - 128) * (1 << (byte % 22));
+        }
+        capacity = length % sizeof packet;
+        if (vc_mdct_encode(encoder, coefficients, packet, capacity) > (int32_t)capacity)
+            return 3;
+        free(bytes);
+    }
+    vc_mdct_encoder_tables(encoder, tables);
+    free(tables);
+    free(samples);
+    free(coefficients);
+    free(decoder);
+    free(encoder);
+    puts("done");
+    return 0;
+}

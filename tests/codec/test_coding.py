@@ -1,0 +1,147 @@
+"""Coding to a step, a signal-to-noise ratio or a rate: any input is met or refused with a reason."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import codec
+from codec import CodecError, CodedSignal
+from tests.codec.signals import RATE_HZ, edge_signals, texture
+
+# Signals of few coefficients: their quality jumps from step to step, and the next above the asked one is taken.
+JUMPING = {"dc", "negative full-scale dc", "square of one sample", "1 samples", "2 samples", "10 samples", "31 samples"}
+
+
+def size_bytes(coded: CodedSignal) -> int:
+    return 16 + sum(len(packet) + 4 for packet in coded.packets)
+
+
+@pytest.mark.parametrize("live", [False, True])
+@pytest.mark.parametrize("name", edge_signals())
+def test_edge_inputs_are_decoded_to_the_asked_quality(name: str, live: bool) -> None:
+    signal = edge_signals()[name]
+    coded = codec.encode_to_snr(signal, RATE_HZ, 15.0, live=live)
+    reached = codec.snr_db(signal, codec.decode(coded))
+    assert codec.decode(coded).shape == signal.shape
+    assert reached is None or reached >= 14.8
+    if name not in JUMPING:
+        assert reached is None or reached <= 15.2
+
+
+@pytest.mark.parametrize("target_db", [3.0, 10.0, 25.0, 45.0])
+@pytest.mark.parametrize("channels", [1, 4])
+def test_snr_is_met(target_db: float, channels: int) -> None:
+    signal = texture(4000, channels)
+    coded = codec.encode_to_snr(signal, RATE_HZ, target_db)
+    assert codec.snr_db(signal, codec.decode(coded)) == pytest.approx(target_db, abs=0.2)
+
+
+@pytest.mark.parametrize("bits_per_second", [1000, 2500, 8000, 20000])
+@pytest.mark.parametrize("live", [False, True])
+def test_rate_is_met(bits_per_second: float, live: bool) -> None:
+    signal = texture(14000)
+    coded = codec.encode_to_rate(signal, RATE_HZ, bits_per_second, size_bytes, live=live)
+    assert size_bytes(coded) * 8 * RATE_HZ / 14000 == pytest.approx(bits_per_second, rel=0.02)
+
+
+@pytest.mark.parametrize("target_db", [200.0, math.inf, math.nan])
+def test_snr_out_of_reach_is_refused(target_db: float) -> None:
+    with pytest.raises(CodecError, match="cannot be met"):
+        codec.encode_to_snr(texture(500), RATE_HZ, target_db)
+
+
+@pytest.mark.parametrize("bits_per_second", [1.0, 0.0, -5.0, math.nan, math.inf])
+def test_rate_out_of_reach_is_refused(bits_per_second: float) -> None:
+    with pytest.raises(CodecError, match="cannot be met"):
+        codec.encode_to_rate(texture(500), RATE_HZ, bits_per_second, size_bytes)
+
+
+def test_rate_above_the_finest_step_gives_the_finest_step() -> None:
+    signal = texture(500)
+    coded = codec.encode_to_rate(signal, RATE_HZ, 1e9, size_bytes)
+    quality = codec.snr_db(signal, codec.decode(coded))
+    assert quality is not None
+    assert quality > 75
+
+
+@given(st.floats(-110, 120), st.floats(-110, 120))
+@settings(deadline=None, max_examples=30)
+def test_gain_is_carried(first_exponent: float, second_exponent: float) -> None:
+    gains = np.array([2.0**first_exponent, 2.0**second_exponent])
+    signal = texture(300, 2)
+    coded = codec.encode_to_snr(signal * gains, RATE_HZ, 20.0)
+    assert codec.snr_db(signal * gains, codec.decode(coded)) == pytest.approx(20.0, abs=0.2)
+
+
+@pytest.mark.parametrize("peak", [1e-300, 1e-40, 1e39, 1e300])
+def test_levels_that_cannot_be_stored_are_refused(peak: float) -> None:
+    with pytest.raises(CodecError, match="unit"):
+        codec.encode(texture(100) * peak, RATE_HZ, 0.3)
+
+
+@given(st.floats(2.0**-119, 2.0**126))
+def test_gain_is_the_next_number_of_eight_bits(peak: float) -> None:
+    gain = codec.gain_for(peak)
+    assert peak <= gain <= peak * (1 + 2.0**-7)
+    mantissa = math.frexp(gain)[0] * 256
+    assert mantissa == int(mantissa)
+
+
+def test_silent_channel_beside_a_loud_one() -> None:
+    signal = texture(2000, 2)
+    signal[:, 1] = 0
+    coded = codec.encode_to_snr(signal, RATE_HZ, 15.0)
+    assert not np.any(codec.decode(coded)[:, 1])
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        np.zeros((0, 1)),
+        np.zeros(10),
+        np.zeros((10, 0)),
+        np.zeros((10, 17)),
+        np.array([[0.0], [math.nan]]),
+        np.array([[0.0], [math.inf]]),
+    ],
+)
+def test_signals_that_cannot_be_coded_are_refused(signal: codec.Signal) -> None:
+    with pytest.raises(CodecError):
+        codec.encode(signal, RATE_HZ, 0.3)
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
+def test_steps_that_are_no_step_are_refused(step: float) -> None:
+    with pytest.raises(CodecError):
+        codec.encode(texture(100), RATE_HZ, step)
+
+
+def test_unknown_codecs_are_named() -> None:
+    with pytest.raises(CodecError, match="mdct"):
+        codec.encode(texture(100), RATE_HZ, 0.3, codec="mp3")
+    with pytest.raises(CodecError, match="number 9"):
+        codec.decoder(9, b"", 1)
+
+
+def test_missing_packets_at_the_end_are_reported() -> None:
+    coded = codec.encode(texture(40_000), RATE_HZ, 0.3)
+    short = CodedSignal(coded.codec, coded.rate_hz, coded.samples, coded.gains, coded.configuration, coded.packets[:-1])
+    with pytest.raises(CodecError, match="cut short"):
+        codec.decode(short)
+
+
+def test_an_hour_of_silence_takes_few_bytes() -> None:
+    coded = codec.encode(np.zeros((3600 * RATE_HZ, 1)), RATE_HZ, 0.3)
+    assert sum(map(len, coded.packets)) < 8 * len(coded.packets)
+    assert not np.any(codec.decode_integers(coded))
+
+
+def test_live_streams_refresh_at_least_every_quarter_second() -> None:
+    coded = codec.encode(texture(5600), RATE_HZ, 0.3, live=True)
+    refreshes = [index for index, packet in enumerate(coded.packets) if packet[0] & 1]
+    decoder = codec.decoder(1, coded.configuration, 1)
+    assert decoder.packet_samples * max(np.diff(refreshes)) <= 0.25 * RATE_HZ
+    assert len(refreshes) >= 8

@@ -1,0 +1,73 @@
+"""The C core under address and undefined-behaviour sanitisers, where a compiler has them."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec import Framing, mdct
+from tests.codec.signals import RATE_HZ, texture
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    compiler = shutil.which("clang") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no clang or gcc, whose sanitisers this needs")
+    built = tmp_path_factory.mktemp("sanitised") / "core"
+    core = ROOT / "firmware" / "core"
+    sources = [*sorted(core.glob("*.c")), Path(__file__).with_name("sanitised_core.c")]
+    flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined"]
+    command = [compiler, *flags, "-fno-sanitize-recover=all", f"-I{core}", *map(str, sources), "-o", str(built)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if "libasan" in done.stderr or "libclang_rt" in done.stderr:
+        pytest.skip(f"{compiler} has no sanitiser runtime")
+    assert done.returncode == 0, done.stderr
+    return built
+
+
+def record(kind: int, data: bytes) -> bytes:
+    return bytes((kind,)) + len(data).to_bytes(2, "little") + data
+
+
+def run(program: Path, records: bytes) -> subprocess.CompletedProcess[bytes]:
+    # The program leaves its own buffers to the system when it ends early; the core itself allocates nothing.
+    environment = {"ASAN_OPTIONS": "detect_leaks=0"}
+    return subprocess.run([str(program)], input=records, capture_output=True, timeout=120, env=environment)
+
+
+def test_streams_with_losses_damage_and_noise(program: Path) -> None:
+    generator = np.random.default_rng(1)
+    for channels in (1, 3, 16):
+        encoder = mdct.MdctEncoder([0.02] * channels, RATE_HZ, Framing(96, 4))
+        packets = encoder.encode(texture(3000, channels))
+        records = record(channels, encoder.configuration)
+        for packet in packets:
+            damaged = bytearray(packet)
+            if generator.random() < 0.5:
+                damaged[generator.integers(len(damaged))] ^= 1 << int(generator.integers(8))
+            records += record(int(generator.random() < 0.1), bytes(damaged[: generator.integers(1, len(damaged) + 1)]))
+            records += record(0, b"\x01" + generator.bytes(int(generator.integers(200))))
+        done = run(program, records)
+        assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
+
+
+def test_extreme_steps_and_levels(program: Path) -> None:
+    for code in (0, mdct.STEP_CODES - 1):
+        for hop in mdct.HOPS:
+            records = record(2, mdct.configuration(hop, 2, [code] * 2))
+            records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))
+            done = run(program, records)
+            assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
+
+
+def test_random_configurations(program: Path) -> None:
+    generator = np.random.default_rng(2)
+    for _ in range(20):
+        configuration = generator.bytes(int(generator.integers(8)))
+        done = run(program, record(int(generator.integers(0, 18)), configuration) + record(0, b"\x01\x55"))
+        assert done.returncode == 0, done.stderr.decode()
