@@ -1,1 +1,21 @@
 """Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
+
+from textures.files import AXES, load, load_profile, save_wav
+from textures.generate import GENERATORS
+from textures.profiles import Profile
+from textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
+from textures.resampling import resample
+
+__all__ = [
+    "AXES",
+    "GENERATORS",
+    "INPUT_UNITS",
+    "UNITS",
+    "Profile",
+    "Recording",
+    "TextureError",
+    "load",
+    "load_profile",
+    "resample",
+    "save_wav",
+]

@@ -1,0 +1,87 @@
+"""The recording that every loader and generator returns, and the units that it may have."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Signal = NDArray[np.float64]
+
+UNITS = ("full scale", "m/s^2", "um")
+MAX_CHANNELS = 16  # what one coded stream carries
+
+# Unit as people write it: the unit of UNITS that it becomes, and the factor. Standard gravity: CGPM 1901, exact.
+INPUT_UNITS: dict[str, tuple[str, float]] = {
+    "full scale": ("full scale", 1.0),
+    "m/s^2": ("m/s^2", 1.0),
+    "g": ("m/s^2", 9.80665),
+    "nm": ("um", 1e-3),
+    "um": ("um", 1.0),
+    "mm": ("um", 1e3),
+}
+
+
+class TextureError(ValueError):
+    """A file, option or parameter that cannot be used; the message says why and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What a file holds and says.
+
+    `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of INPUT_UNITS): None where the
+    file does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None
+    where the file's integers are of a type that says nothing of it.
+    """
+
+    samples: Signal
+    rate_hz: float | None
+    unit: str | None
+    full_scale: float | None = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recorded or generated texture.
+
+    `samples`: float64 (n, channels), n >= 1, finite; one channel is one tactor. `rate_hz`: samples a second. `unit`:
+    "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is the full stroke of whatever plays it.
+    `name`: what a person calls it. Raises TextureError on anything else.
+    """
+
+    samples: Signal
+    rate_hz: float
+    unit: str
+    name: str
+
+    def __post_init__(self) -> None:
+        if self.samples.ndim != 2 or self.samples.dtype != np.float64:
+            raise TextureError(f"{self.name}: samples must be float64 (n, channels)")
+        if not self.samples.size:
+            raise TextureError(f"{self.name}: holds no samples")
+        if self.channels > MAX_CHANNELS:
+            raise TextureError(
+                f"{self.name}: {self.channels} channels, at most {MAX_CHANNELS} can be played; "
+                "rows must be samples and columns channels"
+            )
+        if not np.isfinite(self.rate_hz) or self.rate_hz <= 0:
+            raise TextureError(f"{self.name}: sample rate {self.rate_hz} Hz; it must be positive")
+        if self.unit not in UNITS:
+            raise TextureError(f"{self.name}: unit {self.unit!r} is not one of {', '.join(UNITS)}")
+        finite = np.isfinite(self.samples)
+        if not finite.all():
+            sample, channel = np.unravel_index(np.argmin(finite), finite.shape)
+            raise TextureError(
+                f"{self.name}: sample {sample} of channel {channel} is {self.samples[sample, channel]}; "
+                "remove or repair what is not a number"
+            )
+
+    @property
+    def channels(self) -> int:
+        """Channels, one for each tactor."""
+        return int(self.samples.shape[1])
+
+    @property
+    def seconds(self) -> float:
+        """Duration."""
+        return len(self.samples) / self.rate_hz

@@ -1,0 +1,209 @@
+"""Reads text files of numbers, CSV and TXT, with what they say of columns, rates and units."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from textures.recording import INPUT_UNITS, Contents, Signal, TextureError
+
+TIME_NAMES = ("t", "time", "timestamp")
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+OTHER_SPELLINGS = {
+    "full_scale": "full scale",
+    "m/s2": "m/s^2",
+    "m/s²": "m/s^2",
+    "m/s**2": "m/s^2",
+    "m_s2": "m/s^2",
+    "µm": "um",  # micro sign
+    "μm": "um",  # Greek mu
+}
+ENCODING = "utf-8-sig"
+MAX_LINE_CHARACTERS = 100_000
+GRID_TOLERANCE = 0.25  # of a step: how far a time or position may lie from the uniform grid
+WHOLE_RATE_TOLERANCE = 1e-5  # what printing times with six decimals leaves uncertain within a tenth of a second
+
+_STATEMENT = re.compile(r"[#\s]*(rate_hz|unit)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
+_BRACKETED = re.compile(r"(.*?)[\s_]*[(\[]\s*(.*?)\s*[)\]]")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers of a text file with what the file says of them.
+
+    `values`: float64 (rows, columns). `names`: one for each column, in lower case, empty where the file has none.
+    `units`: likewise, spelt as in INPUT_UNITS or SECONDS, or None. `rate_hz`: from a line such as `# rate_hz: 2800`.
+    """
+
+    values: Signal
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    rate_hz: float | None
+
+
+def read_table(path: Path) -> Table:
+    """Read numbers in columns separated by tab, semicolon, comma or blanks, below any comments and column names.
+
+    Lines that start with # and empty lines are left out. Raises TextureError with what to do, OSError when the file
+    cannot be read.
+    """
+    try:
+        with path.open(encoding=ENCODING) as file:
+            return _read(file, path)
+    except UnicodeDecodeError as error:
+        raise TextureError(f"{path}: not UTF-8 text; save it as a UTF-8 CSV file") from error
+
+
+def signal_of(table: Table, path: Path) -> Contents:
+    """Return the channels of a table: every column but the time, whose steps give the rate.
+
+    Raises TextureError where the columns contradict each other, or a time or an index may be among the channels.
+    """
+    times = [index for index, name in enumerate(table.names) if name in TIME_NAMES]
+    channels = [index for index in range(len(table.names)) if index not in times]
+    if len(times) > 1 or not channels:
+        raise TextureError(f"{path}: {len(times)} of {len(table.names)} columns are times; one and a signal are needed")
+    rate_hz = table.rate_hz
+    if times and table.units[times[0]] in SECONDS:
+        seconds = SECONDS[table.units[times[0]] or ""]
+        rate_hz = _rate_of_times(table.values[:, times[0]] * seconds, path)
+        if table.rate_hz not in (None, rate_hz):
+            raise TextureError(f"{path}: the times say {rate_hz:g} Hz, a comment says {table.rate_hz:g}; correct one")
+    if not times and len(channels) > 1 and _is_ramp(table.values[:, 0]):
+        raise TextureError(
+            f"{path}: the first column rises in equal steps, like a time or an index; remove it, or name it time_s "
+            "or time_ms in a first line"
+        )
+    units = {table.units[index] for index in channels}
+    if len(units) > 1:
+        raise TextureError(f"{path}: columns of different units; keep columns of one unit, each with its unit stated")
+    unit = units.pop()
+    if unit in SECONDS:
+        raise TextureError(f"{path}: a channel in {unit}; name a column of times time_{unit}, remove any other")
+    return Contents(table.values[:, channels] if times else table.values, rate_hz, unit)
+
+
+def known_unit(text: str, place: str) -> str:
+    """Return a unit as spelt in INPUT_UNITS. Raises TextureError, naming the `place`, on an unknown one."""
+    unit = OTHER_SPELLINGS.get(text, text)
+    if unit not in INPUT_UNITS:
+        raise TextureError(f"{place}: unknown unit {text!r}; known are {', '.join(INPUT_UNITS)}")
+    return unit
+
+
+def uniform_step(values: Signal, place: str) -> float:
+    """Return the step of rising values (n,) that lie on a uniform grid, to GRID_TOLERANCE of a step.
+
+    Raises TextureError, naming the `place`, where they do not.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = float(values[-1] - values[0]) / max(len(values) - 1, 1)
+        deviation = np.abs(values - (values[0] + step * np.arange(len(values))))
+    if not np.isfinite(step) or step <= 0:
+        raise TextureError(f"{place}: does not rise from line to line; sort the lines")
+    if not deviation.max() <= GRID_TOLERANCE * step:
+        raise TextureError(
+            f"{place}: not uniform, line {int(deviation.argmax()) + 1} of the numbers is off by more than "
+            f"{GRID_TOLERANCE:.0%} of a step; resample to equal steps first"
+        )
+    return step
+
+
+def _rate_of_times(times_s: Signal, path: Path) -> float:
+    try:
+        rate_hz = 1 / uniform_step(times_s, f"{path}: column of times")
+    except TextureError as error:
+        raise TextureError(f"{error}, or remove that column and give --rate-hz") from error
+    whole_hz = float(round(rate_hz))
+    return whole_hz if abs(rate_hz - whole_hz) <= WHOLE_RATE_TOLERANCE * rate_hz else rate_hz
+
+
+def _is_ramp(values: Signal) -> bool:
+    try:
+        return len(values) > 2 and uniform_step(values, "") > 0
+    except TextureError:
+        return False
+
+
+def _read(file: TextIO, path: Path) -> Table:
+    statements: dict[str, str] = {}
+    header = ""
+    while True:
+        start = file.tell()
+        line = file.readline(MAX_LINE_CHARACTERS)
+        if not line:
+            raise TextureError(f"{path}: holds no numbers")
+        if len(line) == MAX_LINE_CHARACTERS or "\0" in line:
+            raise TextureError(f"{path}: not a text file of numbers with one sample a line")
+        if statement := _STATEMENT.fullmatch(line):
+            statements[statement[1].lower()] = statement[2]
+        elif line.strip() and not line.lstrip().startswith("#"):
+            if _is_numeric(line):
+                break
+            if header:
+                raise TextureError(
+                    f"{path}: {line.strip()[:40]!r} is not a line of numbers; write numbers with a decimal point, "
+                    "commas between columns and # before comments"
+                )
+            header = line.strip()
+    delimiter = _delimiter(line)
+    file.seek(start)
+    try:
+        values = np.loadtxt(file, delimiter=delimiter, ndmin=2, dtype=np.float64)
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        reason = str(error).partition(";")[0].rstrip(".")
+        raise TextureError(f"{path}: {reason}, counted from the first line of numbers; repair that line") from error
+    names, units = _columns(header, delimiter, values.shape[1], path)
+    if "unit" in statements:
+        unit = known_unit(statements["unit"], str(path))
+        units = tuple(own or unit for own in units)
+    try:
+        rate_hz = float(statements["rate_hz"]) if "rate_hz" in statements else None
+    except ValueError as error:
+        raise TextureError(f"{path}: rate_hz {statements['rate_hz']!r} is not a number; correct it") from error
+    return Table(values, names, units, rate_hz)
+
+
+def _delimiter(line: str) -> str | None:
+    return next((delimiter for delimiter in "\t;," if delimiter in line.strip()), None)
+
+
+def _is_numeric(line: str) -> bool:
+    try:
+        for field in line.strip().split(_delimiter(line)):
+            float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def _columns(
+    header: str, delimiter: str | None, count: int, path: Path
+) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
+    """Split a header into names and units: `time_s`, `x (m/s^2)`, `height_um`, `acceleration [g]`, `force`."""
+    if not header:
+        return ("",) * count, (None,) * count
+    if count == 1:
+        fields = [header]
+    elif delimiter is None:  # between columns of blanks, "x (m/s^2)" is one name
+        fields = re.findall(r"\S+(?:\s*[(\[][^)\]]*[)\]])?", header)
+    else:
+        fields = header.split(delimiter)
+    if len(fields) != count:
+        raise TextureError(f"{path}: {len(fields)} column names for {count} columns of numbers; name each column")
+    columns = [_name_and_unit(field.strip().strip("\"'"), path) for field in fields]
+    return tuple(name for name, _ in columns), tuple(unit for _, unit in columns)
+
+
+def _name_and_unit(field: str, path: Path) -> tuple[str, str | None]:
+    if bracketed := _BRACKETED.fullmatch(field):
+        name, unit = bracketed[1], bracketed[2]
+        return name.lower(), unit if unit in SECONDS else known_unit(unit, f"{path}: column {field!r}")
+    for unit in (*SECONDS, *INPUT_UNITS, *OTHER_SPELLINGS):
+        if field.endswith(f"_{unit}"):
+            return field[: -len(unit) - 1].lower(), OTHER_SPELLINGS.get(unit, unit)
+    return field.lower(), None
