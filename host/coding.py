@@ -1,0 +1,184 @@
+"""Recordings to coded streams and back: joins textures, codec and the layout of .vct files."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import codec
+import textures
+from device_protocol import coded_stream
+from device_protocol.coded_stream import StreamHeader
+from host.output_files import whole_file
+
+DEFAULT_SNR_DB = 15.0
+DEFAULT_STREAM_RATE_HZ = 2800
+# Quantiser step relative to the RMS value; about 20 dB of SNR.
+FINE_STEP = 0.25
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A whole coded stream in memory: what a .vct file holds."""
+
+    header: StreamHeader
+    packets: tuple[bytes, ...]
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of the whole .vct file."""
+        return len(coded_stream.pack_file(self.header, self.packets))
+
+    @property
+    def samples(self) -> int:
+        """Samples per channel; where the header leaves the length open, those of all packets. Raises CodecError."""
+        if self.header.samples is not None:
+            return self.header.samples
+        decoder = self.decoder()
+        return max(0, len(self.packets) * decoder.packet_samples - decoder.delay_samples)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the signal. Raises CodecError."""
+        return self.samples / self.header.rate_hz
+
+    @property
+    def bits_per_second(self) -> float:
+        """Bits of the whole .vct file over its duration. Raises CodecError."""
+        return 8 * self.size_bytes / self.seconds
+
+    @property
+    def coded(self) -> codec.CodedSignal:
+        """The stream as the codec takes it. Raises CodecError when the codec or its model image is not here."""
+        header = self.header
+        if header.image_hash:
+            raise codec.CodecError(
+                f"coded for the model image {header.image_hash.hex()}, which this program does not have; "
+                "install the vibrocast that ships it"
+            )
+        name = codec.codec_by_identifier(header.codec_identifier).name
+        return codec.CodedSignal(name, header.rate_hz, self.samples, header.gains, header.configuration, self.packets)
+
+    def decoder(self) -> codec.Decoder:
+        """Return a decoder for this stream's packets. Raises CodecError when there is none."""
+        return codec.decoder(self.header.codec_identifier, self.header.configuration, self.header.channels)
+
+    def decode(self) -> NDArray[np.float64]:
+        """Return float64 (samples, channels) in the header's unit, the codec's delay removed. Raises CodecError."""
+        return codec.decode(self.coded)
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a person or a program wants to know of the stream, ready for JSON. Raises CodecError."""
+        decoder = self.decoder()
+        refreshes = sum(refresh for _, refresh in map(coded_stream.packet_sequence, self.packets))
+        return {
+            "codec": codec.codec_by_identifier(self.header.codec_identifier).name,
+            "rate_hz": self.header.rate_hz,
+            "channels": self.header.channels,
+            "unit": self.header.unit,
+            "full_scale": list(self.header.gains),
+            "samples": self.samples,
+            "seconds": self.seconds,
+            "size_bytes": self.size_bytes,
+            "bits_per_second": self.bits_per_second if self.samples else None,
+            "bits_per_sample": self.bits_per_second / self.header.rate_hz / self.header.channels
+            if self.samples
+            else None,
+            "packets": len(self.packets),
+            "refresh_packets": refreshes,
+            "packet_samples": decoder.packet_samples,
+            "delay_samples": decoder.delay_samples,
+        }
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """What encoding made: the stream, what went into it and how near the wish it came.
+
+    `recording`: at the stream's rate. `snr_db`, as `codec.snr_db`, over all channels and of each: None for silence, or
+    where nothing was lost. `note`: why the default quality was not met, None when it was.
+    """
+
+    stream: Stream
+    recording: textures.Recording
+    snr_db: float | None
+    snr_db_per_channel: tuple[float | None, ...]
+    note: str | None
+
+
+def encode(
+    recording: textures.Recording,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
+    codec_name: str = "mdct",
+    rate_bps: float | None = None,
+    snr_db: float | None = None,
+    live: bool = False,
+) -> Encoding:
+    """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
+
+    `rate_bps` counts the bits of the whole .vct file. `live` adds refresh packets, for a link that may lose some.
+    Raises CodecError (also when the asked rate or SNR cannot be met), StreamError or TextureError, with what to do.
+    """
+    resampled = textures.resample(recording, stream_rate_hz)
+    samples = resampled.samples
+
+    def as_stream(coded: codec.CodedSignal) -> Stream:
+        identifier = codec.CODECS[coded.codec].identifier
+        header = StreamHeader(
+            identifier, coded.rate_hz, coded.samples, recording.unit, coded.gains, coded.configuration
+        )
+        return Stream(header, coded.packets)
+
+    note = None
+    if rate_bps is not None:
+        coded = codec.encode_to_rate(
+            samples,
+            stream_rate_hz,
+            rate_bps,
+            lambda candidate: as_stream(candidate).size_bytes,
+            codec=codec_name,
+            live=live,
+        )
+    elif snr_db is not None:
+        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, codec=codec_name, live=live)
+    else:
+        try:
+            coded = codec.encode_to_snr(samples, stream_rate_hz, DEFAULT_SNR_DB, codec=codec_name, live=live)
+        except codec.CodecError as reason:
+            # Nobody asked for this SNR in particular: a very short recording is coded finely instead of refused.
+            coded = codec.encode(samples, stream_rate_hz, FINE_STEP, codec=codec_name, live=live)
+            note = f"coded with a fine step instead of the default quality: {reason}"
+    stream = as_stream(coded)
+    decoded = stream.decode()
+    each_db = tuple(_finite_snr_db(samples[:, [n]], decoded[:, [n]]) for n in range(samples.shape[1]))
+    return Encoding(stream, resampled, _finite_snr_db(samples, decoded), each_db, note)
+
+
+def read(path: Path) -> Stream:
+    """Read a .vct file. Raises StreamError when it is damaged, OSError when it cannot be read."""
+    header, packets = coded_stream.read_file(path)
+    return Stream(header, tuple(packets))
+
+
+def write(path: Path, stream: Stream) -> None:
+    """Write a .vct file, whole or not at all. Raises StreamError or OSError."""
+    with whole_file(path) as partial:
+        partial.write_bytes(coded_stream.pack_file(stream.header, stream.packets))
+
+
+def write_wav(path: Path, stream: Stream, sixteen_bit: bool) -> float:
+    """Decode a stream into a WAV file; return the physical value, in the header's unit, of 1.0 in that file.
+
+    As 32-bit float the file holds the physical values exactly. Raises CodecError, TextureError or OSError.
+    """
+    recording = textures.Recording(stream.decode(), stream.header.rate_hz, stream.header.unit, path.stem)
+    with whole_file(path) as partial:
+        return textures.save_wav(partial, recording, sixteen_bit)
+
+
+def _finite_snr_db(original: NDArray[np.float64], decoded: NDArray[np.float64]) -> float | None:
+    ratio_db = codec.snr_db(original, decoded)
+    return ratio_db if ratio_db is not None and math.isfinite(ratio_db) else None

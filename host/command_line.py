@@ -1,0 +1,389 @@
+"""The `vibrocast` command: reads arguments, calls the rooms, prints what a person needs; errors are one line."""
+
+import json
+import math
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import click
+from rich.progress import BarColumn, Progress, TextColumn
+
+import codec
+import textures
+from device_protocol.coded_stream import StreamError
+from device_protocol.messages import MessageError
+from device_protocol.model_image import ModelImageError
+from device_protocol.transports import TransportError
+from host import coding, devices, end_to_end, flasher, picture, player
+from host.controller import ControllerError
+from host.output_files import whole_file
+from host.report import Report
+from simulated_device.actuator import ACTUATORS, PIEZO_STACK
+from simulated_device.controller import FLASH_BYTES, Settings
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.flash import FlashMemory
+from simulated_device.pty_port import PtyPort
+
+INTERRUPTED = 130
+
+INPUT_ERRORS = (textures.TextureError, codec.CodecError, StreamError, ModelImageError, OSError, MemoryError)
+DEVICE_ERRORS = (ControllerError, TransportError, MessageError)
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class DeviceFailure(click.ClickException):
+    """The device, or this program, failed."""
+
+    exit_code = 1
+
+
+class BadInput(click.ClickException):
+    """What was given cannot be used."""
+
+    exit_code = 2
+
+
+class OneLineErrors(click.Group):
+    """A group whose errors, expected or not, are one line on stderr and an exit code."""
+
+    def main(self, *arguments: Any, **extra: Any) -> NoReturn:
+        """Run the command line and exit: 0, 1 device or other failure, 2 bad input, 130 interrupted."""
+        extra["standalone_mode"] = False
+        try:
+            sys.exit(super().main(*arguments, **extra))
+        except click.UsageError as error:
+            command = error.ctx.command_path if error.ctx else "vibrocast"
+            fail(f"{error.format_message()} See `{command} --help`.", error.exit_code)
+        except click.ClickException as error:
+            fail(error.format_message(), error.exit_code)
+        except click.Abort:
+            fail("interrupted", INTERRUPTED)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a subcommand, its errors turned into click's own; with --debug they pass with their traceback."""
+        try:
+            return super().invoke(ctx)
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except Exception as error:
+            if ctx.params["debug"]:
+                raise
+            raise explained(error) from error
+
+
+def explained(error: Exception) -> click.ClickException:
+    """Return the exception that tells a person what went wrong and what to do, with its exit code."""
+    text = str(error)
+    if isinstance(error, OSError) and error.filename:
+        text = f"{error.filename}: {error.strerror}; check the name and your permissions"
+    if isinstance(error, MemoryError):
+        text = "not enough memory for this recording; cut it into shorter ones"
+    if not isinstance(error, (*INPUT_ERRORS, *DEVICE_ERRORS)):
+        text = f"unexpected {type(error).__name__}: {text}; `vibrocast --debug ...` shows where, please report it"
+    one_line = " ".join(text.split())
+    # A TransportError is an OSError too.
+    bad_input = isinstance(error, INPUT_ERRORS) and not isinstance(error, DEVICE_ERRORS)
+    return BadInput(one_line) if bad_input else DeviceFailure(one_line)
+
+
+def fail(message: str, exit_code: int) -> NoReturn:
+    """Print one line on stderr and exit."""
+    click.echo(f"error: {message}", err=True)
+    sys.exit(exit_code)
+
+
+class OutputFile(click.Path):
+    """A file to write: refused before any work is done when it cannot be written."""
+
+    def __init__(self, *suffixes: str) -> None:
+        super().__init__(dir_okay=False, writable=True, path_type=Path)
+        self.suffixes = suffixes
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path, or raise click.BadParameter with what to do."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if not path.parent.is_dir():
+            self.fail(f"{path}: the folder {path.parent} does not exist; make it first", param, ctx)
+        if self.suffixes and path.suffix.lower() not in self.suffixes:
+            self.fail(f"{path}: the name must end in {' or '.join(self.suffixes)}", param, ctx)
+        return path
+
+
+def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
+    if value not in devices.SIMULATED and not value.startswith(devices.PREFIXES):
+        known = ", ".join(devices.SIMULATED)
+        raise click.BadParameter(f"{value!r} is none of {known}, serial:PORT and usb:VID:PID.", ctx, param)
+    return value
+
+
+def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """Return one decorator for a group of options."""
+
+    def decorate(command: Command) -> Command:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate
+
+
+class Finite(click.FloatRange):
+    """A number in a range, infinity and NaN refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number, or raise click.BadParameter."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+
+POSITIVE = Finite(min=0, min_open=True)
+INPUT = click.Path(path_type=Path)
+
+recording_options = options(
+    click.option("--rate-hz", type=POSITIVE, help="Sample rate, where the file does not state it."),
+    click.option(
+        "--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit, where the file does not state it."
+    ),
+    click.option("--full-scale", type=POSITIVE, help="Value of 1.0 of a WAV file, in --unit."),
+    click.option("--axis", type=click.Choice(textures.AXES), help="Axis of a three-axis trace, or all three reduced."),
+    click.option("--key", help="Which array of an NPZ file."),
+    click.option("--hand-speed-mm-s", type=POSITIVE, help="Speed of the hand over a height profile."),
+)
+quality_options = options(
+    click.option("--codec", "codec_name", type=click.Choice(sorted(codec.CODECS)), default="mdct", show_default=True),
+    click.option("--rate-bps", type=POSITIVE, help="Size of the whole coded file, in bits per second of signal."),
+    click.option(
+        "--snr-db", type=Finite(), help=f"Signal-to-noise ratio; {coding.DEFAULT_SNR_DB:g} if neither is given."
+    ),
+    click.option(
+        "--stream-rate-hz",
+        type=click.IntRange(min=1),
+        default=coding.DEFAULT_STREAM_RATE_HZ,
+        show_default=True,
+        help="Sample rate of the coded stream.",
+    ),
+)
+device_option = click.option(
+    "--device",
+    "address",
+    callback=checked_address,
+    default="sim",
+    show_default=True,
+    help="sim, sim-usb, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
+)
+
+
+@click.group(cls=OneLineErrors, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version("vibrocast"))
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def main(debug: bool) -> None:
+    """Record, compress, stream and replay the feel of a surface."""
+
+
+@main.command()
+@click.argument("file", type=INPUT)
+@device_option
+@click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
+@click.option("--report", "report_path", type=OutputFile(), help="Write the figures as JSON.")
+@click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
+@quality_options
+@recording_options
+def play(
+    file: Path, address: str, loops: int, report_path: Path | None, plot_path: Path | None, **choices: Any
+) -> None:
+    """Play a recording, or a .vct file, on a tactor controller."""
+    stream, encoding = prepared(file, choices)
+    with devices.connect(address) as controller, playing_progress(stream.bits_per_second) as progress:
+        outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, progress)
+    if report_path:
+        outcome.report.write(report_path)
+    if plot_path:
+        picture.draw(plot_path, f"{file.name} on {outcome.report.actuator.name} ({address})", outcome.traces)
+    show(summary(outcome.report))
+    if False in (outcome.report.decoded_equals_offline, outcome.report.dac_equals_offline):
+        raise ControllerError(
+            "what the controller played is not what was sent: see the underruns and lost packets above, "
+            "and try a shorter cable or a less busy machine"
+        )
+
+
+@main.command()
+@click.argument("file", type=INPUT)
+@click.argument("out", type=OutputFile(".vct"))
+@quality_options
+@recording_options
+def encode(file: Path, out: Path, **choices: Any) -> None:
+    """Code a recording into a .vct file."""
+    encoding = encoded(file, choices, live=False)
+    coding.write(out, encoding.stream)
+    snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
+    click.echo(f"{out}: {encoding.stream.size_bytes} bytes, {encoding.stream.bits_per_second:.0f} bit/s, {snr}")
+
+
+@main.command()
+@click.argument("file", type=INPUT)
+@click.argument("out", type=OutputFile(".wav"))
+@click.option("--format", "sample_format", type=click.Choice(("float", "16-bit")), default="float", show_default=True)
+def decode(file: Path, out: Path, sample_format: str) -> None:
+    """Decode a .vct file into a WAV file: of physical values (float), or relative to full scale (16-bit)."""
+    stream = coding.read(file)
+    full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit")
+    unit = stream.header.unit
+    click.echo(f"{out}: {stream.seconds:.3f} s at {stream.header.rate_hz} Hz, 1.0 is {full_scale:g} {unit}")
+    if unit != "full scale" or full_scale != 1.0:
+        click.echo(f"to load it again: --unit '{unit}' --full-scale {full_scale:g}")
+
+
+@main.command()
+@click.argument("file", type=INPUT)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def info(file: Path, as_json: bool) -> None:
+    """Show what a .vct file holds."""
+    show(coding.read(file).facts(), as_json)
+
+
+@main.command()
+@click.argument("kind", type=click.Choice(sorted(textures.GENERATORS)))
+@click.argument("out", type=OutputFile(".wav"))
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another seed, another texture.")
+@click.option("--seconds", type=POSITIVE, default=4.0, show_default=True)
+@click.option("--rate-hz", type=POSITIVE, default=float(coding.DEFAULT_STREAM_RATE_HZ), show_default=True)
+@click.option("--hand-speed-mm-s", type=POSITIVE, default=50.0, show_default=True)
+def generate(kind: str, out: Path, **choices: Any) -> None:
+    """Make a texture of one of the kinds that the generator knows, as a WAV file."""
+    recording = textures.GENERATORS[kind](**choices)
+    with whole_file(out) as partial:
+        full_scale = textures.save_wav(partial, recording)
+    click.echo(f"{out}: {recording.seconds:.3f} s at {recording.rate_hz:g} Hz, 1.0 is {full_scale:g} {recording.unit}")
+
+
+@main.command("devices")
+def list_devices() -> None:
+    """List the serial ports, the USB devices that may be controllers, and the simulated ones."""
+    show(devices.available())
+
+
+@main.command()
+@click.argument("image", type=INPUT)
+@device_option
+def flash(image: Path, address: str) -> None:
+    """Flash a model image: transfer, verify by reading back, run on trial, confirm."""
+    packed = image.read_bytes()
+    with devices.connect(address) as controller, byte_progress() as progress:
+        slot = flasher.flash(controller, packed, progress=progress)
+    click.echo(f"{image.name}: {slot.name} {slot.version} runs from slot {slot.slot}, confirmed")
+
+
+@main.command()
+@device_option
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def status(address: str, as_json: bool) -> None:
+    """Show what a controller is and what it is doing."""
+    with devices.connect(address) as controller:
+        facts = devices.facts(controller)
+    show(facts, as_json)
+
+
+@main.command()
+@click.option("--actuator", type=click.Choice(sorted(ACTUATORS)), default=PIEZO_STACK.name, show_default=True)
+@click.option("--drift-ppm", type=click.IntRange(-10_000, 10_000), default=0, show_default=True, help="Of its clock.")
+@click.option("--flash-file", type=OutputFile(), help="Keeps the model images; without it they last until the end.")
+def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
+    """Run a simulated controller on a pseudo-terminal, for other programs, until Ctrl-C."""
+    flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
+    settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm)
+    with PtyPort(SimulatedController(settings, flash_memory)) as port:
+        click.echo(f"serial:{port.name}")
+        sys.stdout.flush()
+        threading.Event().wait()
+
+
+def prepared(file: Path, choices: dict[str, Any]) -> tuple[coding.Stream, coding.Encoding | None]:
+    """Return the stream to play, and how it was made where `file` is a recording."""
+    if file.suffix.lower() != ".vct":
+        encoding = encoded(file, choices, live=True)
+        return encoding.stream, encoding
+    given = [name for name, value in choices.items() if value not in (None, coding.DEFAULT_STREAM_RATE_HZ, "mdct")]
+    if given:
+        raise click.UsageError(f"{file} is coded already: drop --{given[0].replace('_', '-')}.")
+    return coding.read(file), None
+
+
+def encoded(file: Path, choices: dict[str, Any], live: bool) -> coding.Encoding:
+    """Load a recording and encode it as the options of the two groups ask; say what was not met."""
+    quality = {name: choices.pop(name) for name in ("codec_name", "rate_bps", "snr_db", "stream_rate_hz")}
+    if quality["rate_bps"] is not None and quality["snr_db"] is not None:
+        raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
+    encoding = coding.encode(textures.load(file, **choices), live=live, **quality)
+    if encoding.note:
+        click.echo(f"note: {encoding.note}", err=True)
+    return encoding
+
+
+@contextmanager
+def playing_progress(bits_per_second: float) -> Iterator[Callable[[player.Progress], None]]:
+    """Show a playback while it runs: position, rate, buffer, underruns; nothing where stdout is no terminal."""
+    columns = BarColumn(), TextColumn("{task.description}")
+    with Progress(*columns, disable=not sys.stdout.isatty(), transient=True) as bar:
+        task = bar.add_task("connecting", total=None)
+
+        def update(now: player.Progress) -> None:
+            text = (
+                f"{now.position_s:.1f} of {now.duration_s:.1f} s  {bits_per_second / 1000:.2f} kbit/s  "
+                f"buffer {1000 * now.buffered_s:.0f} ms  underruns {now.status.underruns}"
+            )
+            bar.update(task, total=now.duration_s, completed=now.position_s, description=text)
+
+        yield update
+
+
+@contextmanager
+def byte_progress() -> Iterator[Callable[[int, int], None]]:
+    """Show a transfer while it runs; nothing where stdout is no terminal."""
+    with Progress(disable=not sys.stdout.isatty(), transient=True) as bar:
+        task = bar.add_task("flashing", total=None)
+        yield lambda done, total: bar.update(task, total=total, completed=done)
+
+
+def summary(report: Report) -> dict[str, object]:
+    """Return the lines that `play` prints at its end."""
+    answer = {True: "yes", False: "NO", None: "not compared"}
+    latency, limits = report.latency_ms, report.actuator
+    return {
+        "played": f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {report.loops} time(s)",
+        "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
+        f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}",
+        "SNR": "none" if report.snr_db is None else f"{report.snr_db:.2f} dB",
+        "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
+        "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
+        f"{latency.end_to_end:.1f} ms to the skin",
+        "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
+        "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
+        f"slew {limits.slew_limited}, power {limits.power_limited} samples",
+        "decoded as sent": answer[report.decoded_equals_offline],
+        "DAC as computed": answer[report.dac_equals_offline],
+    }
+
+
+def show(facts: Mapping[str, object], as_json: bool = False) -> None:
+    """Print names and values, one pair a line, a list's items below each other; or all as JSON."""
+    if as_json:
+        click.echo(json.dumps(facts, indent=2, allow_nan=False))
+        return
+    width = max(map(len, facts))
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            value = [f"{key.replace('_', ' ')}: {item}" for key, item in value.items()]
+        lines = value if isinstance(value, list) else [value]
+        for index, line in enumerate(lines or ["none"]):
+            click.echo(f"{name.replace('_', ' ') if index == 0 else '':{width}}  {line}")

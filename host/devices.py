@@ -1,0 +1,87 @@
+"""Controllers by the address that a person gives: opens them, lists them, and tells what they are."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
+
+import libusb_package
+import usb.core
+import usb.util
+from serial.tools import list_ports
+
+from device_protocol.messages import HelloResponse, SlotState
+from device_protocol.transports import (
+    VENDOR_INTERFACE_CLASS,
+    SerialTransport,
+    Transport,
+    UsbTransport,
+    open_transport,
+)
+from host.controller import Controller
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.pty_port import PtyPort
+from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
+
+SIMULATED = {
+    "sim": "simulated controller behind a pseudo-terminal",
+    "sim-usb": "simulated controller behind a simulated USB device",
+}
+PREFIXES = ("serial:", "usb:")
+
+
+@contextlib.contextmanager
+def connect(address: str) -> Iterator[Controller]:
+    """Open a session with the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
+
+    A simulated controller lives as long as the session. Raises TransportError and ControllerError.
+    """
+    with contextlib.ExitStack() as stack:
+        transport: Transport
+        if address == "sim":
+            transport = SerialTransport(stack.enter_context(PtyPort(SimulatedController())).name)
+        elif address == "sim-usb":
+            transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(UsbPort(SimulatedController())))
+        else:
+            transport = open_transport(address)
+        yield Controller(stack.enter_context(transport))
+
+
+def available() -> dict[str, str]:
+    """Return the addresses that may be controllers, each with what is known of it."""
+    found = dict(SIMULATED)
+    for port in list_ports.comports():
+        found[f"serial:{port.device}"] = port.description
+    # Without libusb there are no USB devices to list; `connect` says what to do then.
+    backend = libusb_package.get_libusb1_backend()
+    for device in usb.core.find(find_all=True, backend=backend) if backend else ():
+        # What cannot be read or has no vendor interface is no controller that could be used.
+        with contextlib.suppress(usb.core.USBError, NotImplementedError):
+            for configuration in device:
+                if usb.util.find_descriptor(configuration, bInterfaceClass=VENDOR_INTERFACE_CLASS) is not None:
+                    found[f"usb:{device.idVendor:04x}:{device.idProduct:04x}"] = "vendor interface"
+    return found
+
+
+def model_images(hello: HelloResponse) -> list[str]:
+    """Return one line for each slot that holds a model image."""
+    return [
+        f"slot {image.slot}: {image.name} {image.version}, {image.state.name.lower()}, {image.sha256.hex()[:16]}"
+        for image in hello.images
+        if image.state != SlotState.EMPTY
+    ]
+
+
+def facts(controller: Controller) -> dict[str, Any]:
+    """Return what a controller is and what it is doing, ready for JSON. Raises as `Controller.request_status`."""
+    hello, status = controller.description, controller.request_status()
+    return {
+        "build": hello.build,
+        "hardware": hello.hardware,
+        "protocol": f"{hello.major}.{hello.minor}",
+        "codecs": [name for _, name in hello.codecs],
+        "model_images": model_images(hello),
+        "actuator": asdict(hello.actuator),
+        "limits": asdict(hello.limits),
+        "status": {**asdict(status), "state": status.state.name.lower()},
+    }

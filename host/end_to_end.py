@@ -1,0 +1,177 @@
+"""Plays a coded stream on a device, reads back what it did, compares with the same computed here, and reports."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+import codec
+from device_protocol.messages import ActuatorDescription
+from host import player
+from host.coding import Encoding, Stream
+from host.controller import Controller
+from host.devices import model_images
+from host.picture import Trace
+from host.report import ActuatorUse, DeviceDescription, Latency, Report
+from simulated_device.actuator import ACTUATORS, Actuator
+from simulated_device.output import Drive, displacement_filter, render
+
+# Of decoded int16 samples.
+DECODED_FULL_SCALE = 32768
+# The skin moves between the DAC's samples too, and the picture shows it.
+SKIN_OVERSAMPLING = 4
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What playing gave: the report, and the traces that the picture shows."""
+
+    report: Report
+    traces: tuple[Trace, ...]
+
+
+def play(
+    controller: Controller,
+    address: str,
+    file_name: str,
+    stream: Stream,
+    encoding: Encoding | None = None,
+    loops: int = 1,
+    progress: Callable[[player.Progress], None] | None = None,
+) -> Outcome:
+    """Play a stream to its end, read back what was decoded and what went to the DAC, and compare both with the same
+    computed here from the same packets.
+
+    `encoding`: how the stream was made from a recording, None for a file that was coded before. `file_name` and
+    `address` are for the report. Raises CodecError, and whatever `player.play` raises.
+    """
+    header, decoder = stream.header, stream.decoder()
+    offline = codec.decode_integers(stream.coded)
+    result = player.play(
+        controller,
+        header,
+        stream.packets,
+        decoder.packet_samples,
+        loops=loops,
+        capture=True,
+        progress=progress,
+    )
+    assert result.decoded is not None and result.dac_codes is not None
+    hello = controller.description
+    actuator = actuator_model(hello.actuator)
+    offline_loops = np.tile(offline, (loops, 1))
+    # Passes follow each other without a gap; only the last ends with the recording instead of with its last packet.
+    samples = None if header.samples is None else len(offline_loops) - len(offline) + header.samples
+    codes, _ = render(replace(header, samples=samples), offline_loops, decoder.delay_samples, actuator)
+    # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
+    comparable = result.captured_from == 0
+    drive_s = Drive(header, actuator, compensation=True).delay_seconds + 1 / actuator.dac_rate_hz
+    algorithmic_s = (decoder.packet_samples + decoder.delay_samples) / header.rate_hz
+    report = Report(
+        version=version("vibrocast"),
+        file=file_name,
+        codec=stream.coded.codec,
+        channels=header.channels,
+        stream_rate_hz=header.rate_hz,
+        loops=loops,
+        seconds=stream.seconds,
+        stream_bytes=stream.size_bytes,
+        wire_bytes=result.wire_bytes_sent,
+        wire_bytes_back=result.wire_bytes_received,
+        bits_per_second=stream.bits_per_second,
+        bits_per_sample=stream.bits_per_second / header.rate_hz / header.channels,
+        snr_db=encoding.snr_db if encoding else None,
+        snr_db_per_channel=encoding.snr_db_per_channel if encoding else (None,) * header.channels,
+        quality_note=encoding.note if encoding else None,
+        latency_ms=Latency(
+            algorithmic=1e3 * algorithmic_s,
+            buffered=1e3 * result.buffered_s,
+            end_to_end=1e3 * (algorithmic_s + result.buffered_s + drive_s),
+        ),
+        underruns=result.underruns,
+        lost_packets=result.lost_packets,
+        reconnects=result.reconnects,
+        device=DeviceDescription(
+            address, hello.build, hello.hardware, f"{hello.major}.{hello.minor}", tuple(model_images(hello))
+        ),
+        actuator=ActuatorUse(
+            name=actuator.name,
+            clipped_samples=result.status.compensation_clipped,
+            voltage_limited=result.status.voltage_limited,
+            slew_limited=result.status.slew_limited,
+            power_limited=result.status.power_limited,
+        ),
+        decoded_equals_offline=np.array_equal(result.decoded, offline_loops) if comparable else None,
+        dac_equals_offline=np.array_equal(result.dac_codes, codes) if comparable else None,
+    )
+    missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
+    delay_s = decoder.delay_samples / header.rate_hz
+    decoded = _from_start(result.decoded, header.rate_hz, delay_s - missed_s, stream.seconds)
+    skin = actuator.displacement_um(result.dac_codes, SKIN_OVERSAMPLING)
+    skin_rate_hz = SKIN_OVERSAMPLING * actuator.dac_rate_hz
+    skin = _from_start(skin, skin_rate_hz, delay_s + drive_s - missed_s, stream.seconds)
+    signals = {"recording": encoding.recording.samples} if encoding else {}
+    signals["decoded"] = decoded * (np.array(header.gains) / DECODED_FULL_SCALE)
+    traces = [
+        Trace(
+            name,
+            values,
+            header.rate_hz,
+            header.unit,
+            displacement_um(values, header.unit, header.rate_hz, actuator),
+            header.rate_hz,
+        )
+        for name, values in signals.items()
+    ]
+    traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
+    return Outcome(report, tuple(traces))
+
+
+def actuator_model(description: ActuatorDescription) -> Actuator:
+    """Return the model of the actuator that a controller describes.
+
+    Known by its name, or else built from its band: a low-pass, or a resonance where it does not reach down to rest.
+    """
+    if description.name in ACTUATORS:
+        return ACTUATORS[description.name]
+    lower_hz, upper_hz = description.lower_hz, description.upper_hz
+    resonance_hz = math.sqrt(lower_hz * upper_hz)
+    return Actuator(
+        name=description.name,
+        stroke_um=description.stroke_um,
+        volts=description.volts,
+        corner_hz=resonance_hz or upper_hz,
+        quality=resonance_hz / (upper_hz - lower_hz) if resonance_hz else None,
+        slew_volts_per_second=description.slew_volts_per_second or description.volts * description.dac_rate_hz,
+        volts_limit=description.volts / 2,
+        power_limit=1.0,
+        dac_bits=description.dac_bits,
+        dac_rate_hz=description.dac_rate_hz,
+    )
+
+
+def displacement_um(values: NDArray[np.float64], unit: str, rate_hz: float, actuator: Actuator) -> NDArray[np.float64]:
+    """Return the displacement (n, channels) in um that a signal in one of the stream's units asks for.
+
+    Full scale asks for the actuator's full excursion; acceleration is integrated twice above a stated high-pass.
+    """
+    if unit == "full scale":
+        return values * actuator.excursion_um
+    if unit == "m/s^2":
+        return np.asarray(signal.lfilter(*displacement_filter(round(rate_hz)), values, axis=0))
+    return values
+
+
+def _from_start(values: NDArray[Any], rate_hz: float, late_s: float, seconds: float) -> NDArray[np.float64]:
+    """Return the `seconds` of values (n, channels) from `late_s` on; zeros before (late_s < 0) and behind them."""
+    first, count = round(late_s * rate_hz), math.ceil(seconds * rate_hz)
+    aligned = np.zeros((count, values.shape[1]))
+    piece = values[max(0, first) : max(0, first + count)]
+    start = max(0, -first)
+    aligned[start : start + len(piece)] = piece[: max(0, count - start)]
+    return aligned
