@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 
 import codec
 from codec import CodecError, Decoder
@@ -46,6 +45,7 @@ from simulated_device.flash import FlashMemory, ImageStore
 from simulated_device.playback import Playback
 from simulated_device.refusal import Refusal
 
+BUILD = "simulated controller 0.1.0"
 FLASH_BYTES = 514 * 1024  # two sectors of state, two slots of 253 KiB
 STATUS_INTERVAL_US = 100_000
 MINIMUM_RATE_HZ, MAXIMUM_RATE_HZ = 100, 48_000
@@ -285,7 +285,7 @@ class Controller:
         settings, actuator = self.settings, self.settings.actuator
         lower_hz, upper_hz = actuator.band_hz
         return HelloResponse(
-            build=f"vibrocast {version('vibrocast')}, simulated",
+            build=BUILD,
             hardware=settings.hardware,
             limits=Limits(
                 maximum_payload_bytes=frames.MAXIMUM_PAYLOAD_BYTES,

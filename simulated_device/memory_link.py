@@ -61,7 +61,7 @@ class MemoryLink:
         self._controller = controller
         self._to_controller = to_controller or FaultyLine()
         self._to_host = to_host or FaultyLine()
-        self._plugged = True
+        self._cable_out_until_us = 0
 
     def clock(self) -> float:
         """Return the simulated time in seconds."""
@@ -89,18 +89,14 @@ class MemoryLink:
                 return data
             self.sleep(min(STEP_US, end_us - self.now_us) / 1e6)
 
-    def unplug(self) -> None:
-        """Pull the cable: what the controller sends is lost."""
-        self._plugged = False
-
-    def plug(self) -> None:
-        """Plug the cable in again."""
-        self._controller.transmit()
-        self._plugged = True
+    def unplug(self, seconds: float) -> None:
+        """Pull the cable, to be plugged in again after so long; what is sent meanwhile is lost."""
+        self._cable_out_until_us = self.now_us + round(seconds * 1e6)
 
     def reopen(self) -> None:
         """Open the port anew. Raises TransportError while the cable is out."""
         self._need_cable()
+        self._controller.transmit()
 
     def close(self) -> None:
         """Do nothing: there is no port to release."""
@@ -114,5 +110,5 @@ class MemoryLink:
         self.close()
 
     def _need_cable(self) -> None:
-        if not self._plugged:
+        if self.now_us < self._cable_out_until_us:
             raise TransportError("the cable to the simulated controller is out: plug it in")
