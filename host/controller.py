@@ -30,8 +30,8 @@ from device_protocol.messages import (
 from device_protocol.transports import Transport, TransportError
 
 # docs/protocol.md, "Sequence numbers"
-ANSWER_TIMEOUT_S = 0.25
-TRIES = 8
+ANSWER_TIMEOUT_S = 0.1
+TRIES = 20
 SMALLEST_PAYLOAD_LIMIT_BYTES = 256
 SMALLEST_WATCHDOG_MS = 50
 LARGEST_DAC_RATE_HZ = 1_000_000
@@ -123,17 +123,14 @@ class Controller:
 
         Raises ControllerError with the controller's text if it refuses, ConnectionLost, TransportError, MessageError.
         """
-        self._sequence = self._sequence % MAXIMUM_SEQUENCE + 1
-        frame = write_frame(pack(message, self._sequence))
+        frame = self._next_request(message)
         for _ in range(TRIES):
             self._write(frame)
             deadline_s = self.clock() + answer_timeout_s
-            while (left_s := deadline_s - self.clock()) > 0:
-                answer = self._receive(left_s)
-                if isinstance(answer, Error) and answer.code == ErrorCode.HELLO_FIRST:
-                    raise ConnectionLost("the controller has restarted and knows nothing of this session", answer.code)
+            while self.clock() < deadline_s:
+                answer = self._receive(answer_timeout_s)
                 if isinstance(answer, Error):
-                    raise ControllerError(f"the controller refuses: {answer.text or 'no reason given'}", answer.code)
+                    raise _refusal(answer)
                 if isinstance(answer, answer_type):
                     return answer
                 if answer is not None:
@@ -148,15 +145,21 @@ class Controller:
         """Send stream data, which is never answered. Raises TransportError."""
         self._write(write_frame(pack(data)))
 
+    def ask_status(self) -> None:
+        """Ask for the status without waiting for it; `poll` brings it. Raises TransportError."""
+        self._write(self._next_request(StatusRequest()))
+
     def poll(self, timeout_s: float) -> None:
         """Take in what the controller sends, waiting for it at most `timeout_s`.
 
-        Raises TransportError, and ControllerError if the controller complained without being asked.
+        Raises TransportError, and ControllerError if the controller refuses or complains.
         """
-        self._receive(timeout_s)
+        answer = self._receive(timeout_s)
+        if isinstance(answer, Error):
+            raise _refusal(answer)
         if self._complaint is not None:
             complaint, self._complaint = self._complaint, None
-            raise ControllerError(f"the controller complains: {complaint.text}", complaint.code)
+            raise _refusal(complaint)
 
     def request_status(self) -> Status:
         """Ask for the status and return it. Raises as `request`."""
@@ -202,12 +205,17 @@ class Controller:
                     raise
             self.sleep(_RECONNECT_PAUSE_S)
 
+    def _next_request(self, message: Message) -> bytes:
+        """Return the frame of a new request, which becomes the one that is waited for."""
+        self._sequence = self._sequence % MAXIMUM_SEQUENCE + 1
+        return write_frame(pack(message, self._sequence))
+
     def _write(self, data: bytes) -> None:
         self._transport.write(data)
         self.bytes_sent += len(data)
 
     def _receive(self, timeout_s: float) -> Message | None:
-        """Read once; note notifications; return the answer to the request under way, if it came."""
+        """Read once; note notifications; return the answer to the last request, if it came."""
         data = self._transport.read(timeout_s)
         self.bytes_received += len(data)
         answer = None
@@ -223,3 +231,9 @@ class Controller:
             elif sequence == NOTIFICATION and isinstance(message, Error):
                 self._complaint = message
         return answer
+
+
+def _refusal(error: Error) -> ControllerError:
+    if error.code == ErrorCode.HELLO_FIRST:
+        return ConnectionLost("the controller has restarted and knows nothing of this session", error.code)
+    return ControllerError(f"the controller refuses: {error.text or 'no reason given'}", error.code)

@@ -21,7 +21,7 @@ from host.controller import ConnectionLost, Controller, ControllerError
 RECONNECT_S = 10.0
 
 # docs/protocol.md: erasing or reading a whole slot takes its time.
-_SLOT_TIMEOUT_S = 2.0
+_SLOT_TIMEOUT_S = 0.5
 _RESTART_S = 10.0
 _RESTART_PAUSE_S = 0.1
 _RUNNING = (SlotState.TRIAL, SlotState.CONFIRMED)

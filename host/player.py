@@ -22,6 +22,7 @@ _LARGEST_FRAME_PACKETS = 8
 _LONGEST_VARINT_BYTES = 5
 _LONGEST_STATUS_INTERVAL_S = 0.25
 _READ_S = 0.02
+_SILENCE_S = 2.0
 _STALL_S = 5.0
 
 
@@ -225,24 +226,25 @@ class _Playback:
     def _pass(self, progress: Callable[[Progress], None] | None) -> bool:
         """Send a frame if there is credit, take in what came; return whether the playback has ended."""
         now_s = self._controller.clock()
+        if now_s - self._noted_s > _SILENCE_S:
+            raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s. Check that it has power.")
         if now_s - self._moved_s > _STALL_S:
             raise ControllerError(f"the controller's position has not moved for {_STALL_S:g} s. Restart it.")
         data = self._next_data()
         if data is not None:
             self._controller.send(data)
         if now_s >= self._ask_s:
-            # Also what keeps the watchdog content.
+            # Not waited for, so that a lost answer does not hold up the data.
             self._ask_s = now_s + self._status_interval_s
-            self._controller.request_status()
-        else:
-            self._controller.poll(0 if data is not None else min(_READ_S, self._status_interval_s))
+            self._controller.ask_status()
+        self._controller.poll(0 if data is not None else min(_READ_S, self._status_interval_s))
         status = self._controller.status
         if status is not None and status is not self._status and status.stream == self._stream:
             self._note(status)
             if progress is not None:
                 progress(self._progress())
         if self._capture:
-            self._read_full_captures()
+            self._read_long_captures()
         return self._status.state in (State.FINISHED, State.STOPPED)
 
     def _next_data(self) -> StreamData | None:
@@ -348,11 +350,11 @@ class _Playback:
         played = self._status.position - (self._first - self._base) * self._packet_samples
         return played * rate_hz // self._header.rate_hz
 
-    def _read_full_captures(self) -> None:
-        """Read back a frame of each capture that has gathered one, so that a long playback never overruns them."""
-        room = self._controller.capture_room(self._header.channels)
+    def _read_long_captures(self) -> None:
+        """Read back a frame of each capture that would soon be longer than what the controller keeps."""
         for tap, rate_hz in self._taps():
-            if self._captured_by_now(rate_hz) - self._captured_samples[tap] >= room:
+            unread = self._captured_by_now(rate_hz) - self._captured_samples[tap]
+            if unread > self._controller.description.limits.capture_samples // 4:
                 self._read_capture(tap)
 
     def _read_capture(self, tap: Tap) -> bool:

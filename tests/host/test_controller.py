@@ -156,6 +156,20 @@ def test_notifications_are_kept_and_complaints_raised() -> None:
     controller.poll(0.1)
 
 
+def test_status_that_is_asked_for_in_passing_comes_with_a_poll() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+    scripted.position = 55
+    controller.ask_status()
+    controller.poll(0.1)
+    assert controller.status is not None
+    assert controller.status.position == 55
+    scripted.restart()
+    controller.ask_status()
+    with pytest.raises(ConnectionLost, match="restarted"):
+        controller.poll(0.1)
+
+
 def test_late_answers_to_earlier_requests_are_no_answers() -> None:
     scripted = ScriptedController()
     controller = connect(scripted)
