@@ -1,7 +1,7 @@
 """Trains the initial tables of `mdct` on recordings: a refresh then starts from what textures have in common.
 
-    python -m export.mdct_tables RECORDINGS.npz ... --image models/mine.image      for a controller
-    python -m export.mdct_tables RECORDINGS.npz ... --built-in                     for firmware/core itself
+    python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a controller
+    python -m export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
 """
 
 from collections.abc import Iterator
