@@ -2,7 +2,9 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-SOURCES := pyproject.toml hatch_build.py $(wildcard firmware/core/*.c firmware/core/*.h)
+CORE := $(wildcard firmware/core/*.c firmware/core/*.h)
+SOURCES := pyproject.toml hatch_build.py $(CORE)
+C_SOURCES := $(filter-out %_tables.c,$(CORE)) $(wildcard tests/*/*.c)
 
 .PHONY: install play test lint
 
@@ -28,3 +30,4 @@ lint: .venv/installed-for-tests
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)

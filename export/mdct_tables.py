@@ -13,7 +13,7 @@ from rich.progress import track
 from scipy import signal
 
 from codec import Framing, Signal
-from codec.mdct import IDENTIFIER, MdctEncoder
+from codec.mdct import IDENTIFIER, MdctEncoder, untrained_tables
 from device_protocol.model_image import ModelImage
 from textures import Recording, TextureError, resample
 
@@ -44,8 +44,8 @@ def recordings(archive: Path, drop_s: float, high_pass_hz: float) -> Iterator[Si
                 yield resample(Recording(steady[:, None], rate_hz, "full scale", name), RATE_HZ).samples
 
 
-def train(textures: list[Signal], seed: int, tables: bytes | None = None) -> bytes:
-    """Return tables adapted to excerpts of the textures, (n, 1) each, coded in random order at random steps."""
+def train(textures: list[Signal], seed: int, tables: bytes) -> bytes:
+    """Return `tables` adapted to excerpts of the textures, (n, 1) each, coded in random order at random steps."""
     generator = np.random.default_rng(seed)
     log_steps = generator.uniform(FINEST_STEP, COARSEST_STEP, (len(textures), STEPS_PER_RECORDING))
     jobs = [(texture, log_step) for texture, row in zip(textures, log_steps, strict=True) for log_step in row]
@@ -64,7 +64,7 @@ def train(textures: list[Signal], seed: int, tables: bytes | None = None) -> byt
 
 def c_source(tables: bytes) -> str:
     """Return firmware/core/builtin_tables.c for the tables."""
-    lines = [", ".join(map(str, tables[start : start + 24])) for start in range(0, len(tables), 24)]
+    lines = [", ".join(map(str, tables[start : start + 20])) for start in range(0, len(tables), 20)]
     head = '/* Initial tables of the context model; written by `python -m export.mdct_tables --built-in`. */\n'
     return head + '#include "mdct.h"\n\nconst uint8_t vc_builtin_tables[] = {\n    ' + ",\n    ".join(lines) + "};\n"
 
@@ -95,10 +95,9 @@ def main(
         raise click.ClickException(str(error)) from error
     if not textures:
         raise click.ClickException("the archives hold no recording that is long enough")
-    tables: bytes | None = None
+    tables = untrained_tables()
     for training_pass in range(PASSES):
         tables = train(textures, seed + training_pass, tables)
-    assert tables is not None
     if image is not None:
         image.write_bytes(ModelImage(IDENTIFIER, name, version, "", tables).pack())
     if built_in:

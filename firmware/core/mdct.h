@@ -25,17 +25,18 @@ typedef struct {
     int32_t step[VC_MAX_CHANNELS]; /* in 1/256 of a sample's least significant bit */
 } vc_mdct_configuration;
 
-/* Adaptive state that is shared by all channels of a stream and restarts at a refresh. A quantiser is one of the two that
- * dependent quantisation alternates between. */
+/* Adaptive state that is shared by all channels of a stream and restarts at a refresh. A quantiser is one of the two
+ * that dependent quantisation alternates between. */
 typedef struct {
     uint16_t probability[VC_DECISIONS][2][VC_INPUTS][VC_CONTEXTS];
     int32_t weight[VC_DECISIONS][2][VC_SCALES][VC_INPUTS + 1]; /* in 1/65536 */
     uint16_t silence[VC_SILENCE_CONTEXTS];
 } vc_model;
 
-/* Magnitudes coded so far in one channel, from which contexts are formed. Rows have two bins of padding on each side. */
+/* Magnitudes coded so far in one channel, from which contexts are formed. Rows have two bins of padding on each side.
+ */
 typedef struct {
-    uint8_t rows[4][VC_MAX_HOP + 4]; /* this block, the last one, and the two before */
+    uint8_t rows[4][VC_MAX_HOP + 4];  /* this block, the last one, and the two before */
     uint16_t average[VC_MAX_HOP + 4]; /* running average of each bin, in 1/256 */
     uint32_t block_sum;               /* of the last block */
     uint8_t silent_history;           /* of the last two blocks, one bit each */
@@ -68,7 +69,8 @@ uint32_t vc_kept_magnitude(uint32_t magnitude);
 /* Records the magnitude of bin k of the current block; returns it as kept. */
 uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude);
 
-/* Context of input 0, on which the encoder's search bases its estimates of rate: magnitudes of the two bins below k are given. */
+/* Context of input 0, on which the encoder's search bases its estimates of rate; magnitudes of the two bins below k are
+ * given. */
 unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, uint32_t below, uint32_t second_below);
 /* Contexts of bin k; `block_sum`: magnitudes of this block so far. */
 void vc_contexts_find(vc_contexts *contexts, const vc_history *history, uint32_t hop, uint32_t k, uint32_t block_sum);
@@ -79,6 +81,15 @@ uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decis
 void vc_update(vc_prediction *prediction, int bit);
 uint32_t vc_silence_predict(const vc_model *model, const vc_history *history);
 void vc_silence_update(vc_model *model, const vc_history *history, int silent);
+
+/* Floor of the logarithm to base 2; value > 0. */
+static inline unsigned vc_floor_log2(uint32_t value)
+{
+    unsigned exponent = 0;
+    while (value >> exponent > 1)
+        exponent++;
+    return exponent;
+}
 
 /* Dependent quantisation: state after an index, the quantiser of a state, and the level (in steps) of an index. */
 static inline unsigned vc_next_state(unsigned state, uint32_t index)
@@ -108,10 +119,10 @@ static inline int32_t vc_reconstruct(uint32_t level, int32_t step)
 /* Packet head: sequence * 2 + refresh, LEB128. Returns the bytes taken, or 0 when there is no valid head. */
 size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);
 
-extern const int32_t vc_cosine[512];    /* cos(2 pi i / 512) in 1/2^24 */
-extern const int16_t vc_stretch[2048];  /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
-extern const uint16_t vc_squash[1024];  /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
-extern const uint16_t vc_cost[2048];    /* -log2((i + 1/2) / 2048) in 1/256 bit */
+extern const int32_t vc_cosine[512];   /* cos(2 pi i / 512) in 1/2^24 */
+extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
+extern const uint16_t vc_squash[1024]; /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
+extern const uint16_t vc_cost[2048];   /* -log2((i + 1/2) / 2048) in 1/256 bit */
 extern const uint8_t vc_builtin_tables[];
 
 #endif

@@ -1,4 +1,5 @@
-/* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets are missing. */
+/* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets are missing.
+ */
 #include "mdct.h"
 
 #include <string.h>
@@ -8,9 +9,9 @@
 
 typedef struct {
     vc_history history;
-    unsigned state;                    /* of dependent quantisation */
-    int32_t spectrum[VC_MAX_HOP];      /* of the last block, in 1/256 of a least significant bit */
-    int32_t overlap[VC_MAX_HOP];       /* windowed second half of the last block, in the same unit */
+    unsigned state;               /* of dependent quantisation */
+    int32_t spectrum[VC_MAX_HOP]; /* of the last block, in 1/256 of a least significant bit */
+    int32_t overlap[VC_MAX_HOP];  /* windowed second half of the last block, in the same unit */
 } channel_state;
 
 struct vc_mdct_decoder {
@@ -95,7 +96,8 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop;
 }
 
-#define MAX_VALUE (1 << 30) /* of a signal value in 1/256 of a least significant bit; only hostile streams come near */
+#define MAX_VALUE (1 << 30) /* of a signal value in 1/256 of a least significant bit; only hostile streams come near   \
+                             */
 
 /* value / 2^24, rounded, within +-MAX_VALUE. */
 static int32_t scaled_down(int64_t value)
@@ -110,7 +112,8 @@ static int16_t rounded_sample(int64_t value)
     return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
 }
 
-/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are whole 1/512 of a turn because N divides 64. */
+/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are whole 1/512 of a turn because N divides 64.
+ */
 static int32_t inverse_mdct(const int32_t *spectrum, uint32_t hop, uint32_t n)
 {
     const int32_t root = hop == 16 ? 5931642 : hop == 32 ? 4194304 : 2965821; /* sqrt(2 / N) in 1/2^24 */
@@ -133,8 +136,9 @@ static int32_t windowed(int32_t value, int32_t weight)
     return scaled_down((int64_t)value * weight);
 }
 
-/* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum, windowed and overlap-added (Princen,
- * Johnson and Bradley 1987). The first half of the transform's output is odd about its middle, the second half even. */
+/* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum, windowed and overlap-added
+ * (Princen, Johnson and Bradley 1987). The first half of the transform's output is odd about its middle, the second
+ * half even. */
 static void synthesise(channel_state *channel, uint32_t hop, int16_t *samples, unsigned stride)
 {
     uint32_t n;
@@ -259,8 +263,9 @@ void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
             channel_state *state = &decoder->channels[channel];
             /* Each block repeats the last spectrum with random signs, scaled so that it ramps to zero. */
             for (k = 0; k < configuration->hop; k++)
-                state->spectrum[k] = block < fade ? (int32_t)((int64_t)state->spectrum[k] * (fade - 1 - block) / (fade - block)) *
-                                                        random_sign(decoder) : 0;
+                state->spectrum[k] = block < fade ? state->spectrum[k] / (int32_t)(fade - block) *
+                                                        (int32_t)(fade - block - 1) * random_sign(decoder)
+                                                  : 0;
             synthesise(state, configuration->hop, samples + channel, configuration->channels);
             if (channel + 1 == configuration->channels)
                 samples += (size_t)configuration->hop * configuration->channels;

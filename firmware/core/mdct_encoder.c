@@ -1,4 +1,5 @@
-/* Encoder of `mdct`: a trellis search for the levels with the least distortion + lambda * rate, then the decoder's steps mirrored. */
+/* Encoder of `mdct`: a search for the levels with the least distortion + lambda * rate, then the decoder's steps
+ * mirrored. */
 #include "mdct.h"
 
 #include <string.h>
@@ -59,14 +60,6 @@ static uint32_t magnitude_of(int32_t value)
     return value < 0 ? (uint32_t)-(int64_t)value : (uint32_t)value;
 }
 
-static unsigned bit_length(uint32_t value)
-{
-    unsigned bits = 0;
-    while (value >> bits > 1)
-        bits++;
-    return bits;
-}
-
 /* Estimated rate of an index in 1/256 bit: by the first context's adaptive probabilities alone, not mixed. */
 static int64_t estimated_cost(const vc_model *model, unsigned quantiser, unsigned context, uint32_t index)
 {
@@ -78,11 +71,12 @@ static int64_t estimated_cost(const vc_model *model, unsigned quantiser, unsigne
         cost += vc_cost[index > decision ? probability : 2047 - probability];
     }
     if (index >= VC_UNARY_LIMIT)
-        cost += 256 * (1 + 2 * (int64_t)bit_length(index - VC_UNARY_LIMIT + 1));
+        cost += 256 * (1 + 2 * (int64_t)vc_floor_log2(index - VC_UNARY_LIMIT + 1));
     return cost;
 }
 
-/* Squared difference of a magnitude (in 1/256 step) and what the level is reconstructed to, in 1/65536 of a squared step. */
+/* Squared difference of a magnitude (in 1/256 step) and what the level is reconstructed to, in 1/65536 of a squared
+ * step. */
 static int64_t distortion(uint32_t magnitude, uint32_t level)
 {
     int64_t difference = (int64_t)magnitude - (int64_t)level * 256;
@@ -96,8 +90,7 @@ static void extend(vc_mdct_encoder *encoder, const vc_history *history, uint32_t
                    const path *from, path *paths)
 {
     const unsigned quantiser = vc_quantiser_of(state);
-    const unsigned context =
-        vc_first_context(history, encoder->configuration.hop, k, from->level, from->level_below);
+    const unsigned context = vc_first_context(history, encoder->configuration.hop, k, from->level, from->level_below);
     const uint32_t nearest = (magnitude / 256 + quantiser) / 2;
     uint32_t candidates[4];
     unsigned count = 0, i;
@@ -122,7 +115,8 @@ static void extend(vc_mdct_encoder *encoder, const vc_history *history, uint32_t
     }
 }
 
-/* Chooses the indices of one block into encoder->indices (Viterbi search); returns 1 when the block is best left silent. */
+/* Chooses the indices of one block into encoder->indices (Viterbi search); returns 1 when the block is best left
+ * silent. */
 static int search(vc_mdct_encoder *encoder, const channel_state *channel, const int32_t *coefficients, int32_t step)
 {
     const uint32_t hop = encoder->configuration.hop;
@@ -175,7 +169,7 @@ static void encode_decision(vc_range_coder *coder, vc_model *model, const vc_con
 
 static void encode_suffix(vc_range_coder *coder, uint32_t value)
 {
-    unsigned bits = bit_length(value + 1), i;
+    unsigned bits = vc_floor_log2(value + 1), i;
     for (i = 0; i < bits; i++)
         vc_range_encode(coder, 1, 32768);
     vc_range_encode(coder, 0, 32768);
@@ -231,8 +225,8 @@ static uint8_t *write_head(uint8_t *packet, uint64_t head)
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, uint8_t *packet, size_t capacity)
 {
     const vc_mdct_configuration *configuration = &encoder->configuration;
-    const int refresh = encoder->sequence == 0 ||
-                        (encoder->refresh_packets != 0 && encoder->sequence % encoder->refresh_packets == 0);
+    const int refresh =
+        encoder->sequence == 0 || (encoder->refresh_packets != 0 && encoder->sequence % encoder->refresh_packets == 0);
     vc_range_coder coder;
     uint8_t *payload;
     uint32_t block;

@@ -1,4 +1,5 @@
-/* Context model of `mdct`: binary decisions on the quantised spectrum, predicted by logistic mixing of four adaptive contexts.
+/* Context model of `mdct`: binary decisions on the quantised spectrum, predicted by logistic mixing of four adaptive
+ * contexts.
  *
  * Logistic mixing follows M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005.
  */
@@ -101,25 +102,25 @@ uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude)
 
 void vc_history_next_block(vc_history *history, uint32_t hop)
 {
-    uint32_t k;
+    uint32_t k, row;
     history->block_sum = 0;
     for (k = 2; k < hop + 2; k++) {
         uint32_t magnitude = history->rows[0][k];
         history->block_sum += magnitude;
         history->average[k] = (uint16_t)(history->average[k] - (history->average[k] >> 3) + magnitude * 32);
     }
-    memmove(history->rows[1], history->rows[0], sizeof history->rows - sizeof history->rows[0]);
+    for (row = 3; row > 0; row--)
+        memcpy(history->rows[row], history->rows[row - 1], sizeof history->rows[0]);
     memset(history->rows[0], 0, sizeof history->rows[0]);
 }
 
 /* Number of steps, four an octave from 4 up and one a unit below: a logarithm of x with two bits of mantissa. */
 static unsigned fine_class(uint32_t x)
 {
-    unsigned exponent = 2;
+    unsigned exponent;
     if (x < 4)
         return x;
-    while (x >> (exponent + 1))
-        exponent++;
+    exponent = vc_floor_log2(x);
     return 4 * (exponent - 1) + ((x >> (exponent - 2)) & 3u);
 }
 
@@ -130,15 +131,16 @@ static unsigned coarse_class(uint32_t quarters)
     return steps < 15 ? steps : 15;
 }
 
-/* Expected magnitude of bin k, in 1/64 step: a weighted sum of its neighbours in this block, the last three and the running
- * average. Weights: maximum likelihood under a Laplace density on the training recordings. */
+/* Expected magnitude of bin k, in 1/64 step: a weighted sum of its neighbours in this block, the last three and the
+ * running average. Weights: maximum likelihood under a Laplace density on the training recordings. */
 static uint32_t expected_magnitude(const vc_history *history, uint32_t k, uint32_t below, uint32_t second_below)
 {
     const uint8_t *last = history->rows[1] + k + 2;
     const uint8_t *second = history->rows[2] + k + 2;
     const uint8_t *third = history->rows[3] + k + 2;
-    return (28 * below + 8 * second_below + 21u * last[0] + 18u * last[1] + 6u * last[-1] + 2u * last[2] + 12u * second[0] +
-            3u * second[1] + 3u * third[0] + ((26u * history->average[k + 2]) >> 8) + 20) >> 1;
+    return (28 * below + 8 * second_below + 21u * last[0] + 18u * last[1] + 6u * last[-1] + 2u * last[2] +
+            12u * second[0] + 3u * second[1] + 3u * third[0] + ((26u * history->average[k + 2]) >> 8) + 20) >>
+           1;
 }
 
 static unsigned first_context(unsigned expected_class, uint32_t hop, uint32_t k)
@@ -161,7 +163,8 @@ void vc_contexts_find(vc_contexts *contexts, const vc_history *history, uint32_t
     unsigned around = 2u * current[-1] + current[-2] + 2u * last[0] + last[1] + last[-1];
     contexts->index[0] = first_context(expected_class, hop, k);
     contexts->index[1] = (expected_class / 2 < 15 ? expected_class / 2 : 15) * 16 + band;
-    contexts->index[2] = coarse_class(block_sum * 16 / (k + 1)) * 16 + coarse_class((uint32_t)(average[0] + average[1]) >> 3);
+    contexts->index[2] =
+        coarse_class(block_sum * 16 / (k + 1)) * 16 + coarse_class((uint32_t)(average[0] + average[1]) >> 3);
     contexts->index[3] = coarse_class((average[-1] + 2u * average[0] + average[1]) >> 4) * 16 + band;
     contexts->scale = coarse_class(4 * around) / 4;
 }
@@ -182,8 +185,9 @@ uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decis
     probability = squash((int32_t)(sum / 65536));
     prediction->weight = weight;
     prediction->mixed = (int32_t)probability;
-    return probability < MIN_PROBABILITY ? MIN_PROBABILITY
-         : probability > 65536 - MIN_PROBABILITY ? 65536 - MIN_PROBABILITY : probability;
+    return probability < MIN_PROBABILITY           ? MIN_PROBABILITY
+           : probability > 65536 - MIN_PROBABILITY ? 65536 - MIN_PROBABILITY
+                                                   : probability;
 }
 
 static uint16_t adapted(uint16_t probability, int bit)
@@ -214,8 +218,9 @@ static unsigned silence_context(const vc_history *history)
 uint32_t vc_silence_predict(const vc_model *model, const vc_history *history)
 {
     uint32_t probability = model->silence[silence_context(history)];
-    return probability < MIN_PROBABILITY ? MIN_PROBABILITY
-         : probability > 65536 - MIN_PROBABILITY ? 65536 - MIN_PROBABILITY : probability;
+    return probability < MIN_PROBABILITY           ? MIN_PROBABILITY
+           : probability > 65536 - MIN_PROBABILITY ? 65536 - MIN_PROBABILITY
+                                                   : probability;
 }
 
 void vc_silence_update(vc_model *model, const vc_history *history, int silent)

@@ -1,7 +1,7 @@
 /* The integer core of vibrocast: the one decoder of `mdct` streams, and the encoder that mirrors it.
  *
- * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structures that the
- * caller owns. Every function returns a status or cannot fail. The layout of streams is in docs/bitstream.md.
+ * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structures
+ * that the caller owns. Every function returns a status or cannot fail. The layout of streams is in docs/bitstream.md.
  */
 #ifndef VIBROCAST_CORE_H
 #define VIBROCAST_CORE_H
@@ -29,8 +29,9 @@ size_t vc_mdct_encoder_size(void);
 /* Bytes of a set of initial tables (adaptive probabilities and mixer weights at a refresh). */
 size_t vc_mdct_tables_size(void);
 
-/* Prepares a decoder. `configuration`: the codec's bytes from the stream header. `tables`: NULL for the built-in set, else
- * vc_mdct_tables_size() bytes that must stay valid while the decoder is used. The first packet must be a refresh packet. */
+/* Prepares a decoder. `configuration`: the codec's bytes from the stream header. `tables`: NULL for the built-in set,
+ * else vc_mdct_tables_size() bytes that must stay valid while the decoder is used. The first packet must be a refresh
+ * packet. */
 int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
                          unsigned channels, const uint8_t *tables, size_t tables_length);
 
@@ -38,22 +39,23 @@ int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration,
 uint32_t vc_mdct_decoder_packet_samples(const vc_mdct_decoder *decoder);
 uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK, VC_CONCEALED when
- * the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written). Any bytes are safe. */
+/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
+ * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written).
+ * Any bytes are safe. */
 int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
-/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the packet
- * (or its first eight blocks), then silence for as long as no packet can be decoded. */
+/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
+ * packet (or its first eight blocks), then silence for as long as no packet can be decoded. */
 void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples);
 
-/* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one. `lambda`:
- * Lagrangian weight of one bit against squared error, in 1/256 of a squared quantiser step. */
+/* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one.
+ * `lambda`: Lagrangian weight of one bit against squared error, in 1/256 of a squared quantiser step. */
 int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration, size_t configuration_length,
                          unsigned channels, const uint8_t *tables, size_t tables_length, uint32_t refresh_packets,
                          uint32_t lambda);
 
-/* Codes one packet. `coefficients`: MDCT coefficients, blocks x channels x hop, in 1/256 of a sample's least significant bit.
- * Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE. */
+/* Codes one packet. `coefficients`: MDCT coefficients, blocks x channels x hop, in 1/256 of a sample's least
+ * significant bit. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE. */
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, uint8_t *packet, size_t capacity);
 
 /* The built-in tables. */

@@ -1,7 +1,8 @@
 /* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers.
  *
- * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The first record
- * is the configuration, its kind the number of channels. Every packet is decoded, and its bytes are encoded as coefficients. */
+ * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
+ * first record is the configuration, its kind the number of channels. Every packet is decoded, and its bytes are
+ * encoded as coefficients. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
