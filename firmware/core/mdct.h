@@ -33,8 +33,7 @@ typedef struct {
     uint16_t silence[VC_SILENCE_CONTEXTS];
 } vc_model;
 
-/* Magnitudes coded so far in one channel, from which contexts are formed. Rows have two bins of padding on each side.
- */
+/* Magnitudes coded so far in one channel, which make the contexts. Rows have two bins of padding on each side. */
 typedef struct {
     uint8_t rows[4][VC_MAX_HOP + 4];  /* this block, the last one, and the two before */
     uint16_t average[VC_MAX_HOP + 4]; /* running average of each bin, in 1/256 */
@@ -69,8 +68,7 @@ uint32_t vc_kept_magnitude(uint32_t magnitude);
 /* Records the magnitude of bin k of the current block; returns it as kept. */
 uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude);
 
-/* Context of input 0, on which the encoder's search bases its estimates of rate; magnitudes of the two bins below k are
- * given. */
+/* Context of input 0, by which the encoder's search estimates rates, given the magnitudes of the two bins below k. */
 unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, uint32_t below, uint32_t second_below);
 /* Contexts of bin k; `block_sum`: magnitudes of this block so far. */
 void vc_contexts_find(vc_contexts *contexts, const vc_history *history, uint32_t hop, uint32_t k, uint32_t block_sum);

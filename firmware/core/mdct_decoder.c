@@ -1,5 +1,4 @@
-/* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets are missing.
- */
+/* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets miss. */
 #include "mdct.h"
 
 #include <string.h>
@@ -96,8 +95,8 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop;
 }
 
-#define MAX_VALUE (1 << 30) /* of a signal value in 1/256 of a least significant bit; only hostile streams come near   \
-                             */
+/* Largest signal value, in 1/256 of a least significant bit; only hostile streams come near. */
+#define MAX_VALUE (1 << 30)
 
 /* value / 2^24, rounded, within +-MAX_VALUE. */
 static int32_t scaled_down(int64_t value)
@@ -112,8 +111,7 @@ static int16_t rounded_sample(int64_t value)
     return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
 }
 
-/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are whole 1/512 of a turn because N divides 64.
- */
+/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are in 1/512 of a turn: N divides 64. */
 static int32_t inverse_mdct(const int32_t *spectrum, uint32_t hop, uint32_t n)
 {
     const int32_t root = hop == 16 ? 5931642 : hop == 32 ? 4194304 : 2965821; /* sqrt(2 / N) in 1/2^24 */

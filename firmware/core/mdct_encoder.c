@@ -1,5 +1,4 @@
-/* Encoder of `mdct`: a search for the levels with the least distortion + lambda * rate, then the decoder's steps
- * mirrored. */
+/* Encoder of `mdct`: a search for the levels of least distortion + lambda * rate, then the decoder's steps mirrored. */
 #include "mdct.h"
 
 #include <string.h>

@@ -1,5 +1,4 @@
-/* Context model of `mdct`: binary decisions on the quantised spectrum, predicted by logistic mixing of four adaptive
- * contexts.
+/* Context model of `mdct`: decisions on the quantised spectrum, predicted by logistic mixing of four contexts.
  *
  * Logistic mixing follows M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005.
  */

@@ -1,5 +1,4 @@
-/* Binary range coder; see range_coder.h. The interval is narrowed as in carry-less arithmetic coders such as Mahoney's
- * lpaq. */
+/* Binary range coder; see range_coder.h. Carry-less, as in Mahoney's lpaq. */
 #include "range_coder.h"
 
 static uint32_t split_point(const vc_range_coder *coder, uint32_t probability)

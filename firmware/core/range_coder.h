@@ -1,5 +1,4 @@
-/* Binary range coder: 32-bit interval, 16-bit probabilities, no carry; bytes missing at the end of the input read as
- * zero. */
+/* Binary range coder: 32-bit interval, 16-bit probabilities, no carry; bytes past the end of the input read as zero. */
 #ifndef VIBROCAST_RANGE_CODER_H
 #define VIBROCAST_RANGE_CODER_H
 
