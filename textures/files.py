@@ -256,9 +256,10 @@ def _contents_of(array: NDArray[Any], rate_hz: Any, unit: Any, path: Path) -> Co
         # The range of longer or unsigned integers says nothing of the signal's.
         pcm = array.dtype.kind == "i" and array.dtype.itemsize <= 4
         full_scale = float(2 ** (8 * array.dtype.itemsize - 1)) if pcm else None
-    samples = array.astype(np.float64).reshape(len(array), -1 if array.size else 1)
+    samples = array.astype(np.float64)
     stated_unit = None if unit is None else known_unit(str(unit), f"{path}: {UNIT_KEY}")
-    return Contents(samples, None if rate_hz is None else float(rate_hz), stated_unit, full_scale)
+    columns = samples.reshape(-1, 1) if array.ndim == 1 else samples
+    return Contents(columns, None if rate_hz is None else float(rate_hz), stated_unit, full_scale)
 
 
 def _profile_of(table: Table, path: Path) -> Profile:

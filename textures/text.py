@@ -174,7 +174,7 @@ def _delimiter(line: str) -> str | None:
 
 def _is_numeric(line: str) -> bool:
     try:
-        for field in line.strip().split(_delimiter(line)):
+        for field in line.partition("#")[0].strip().split(_delimiter(line)):
             float(field)
     except ValueError:
         return False
@@ -187,7 +187,8 @@ def _columns(
     """Split a header into names and units: `time_s`, `x (m/s^2)`, `height_um`, `acceleration [g]`, `force`."""
     if not header:
         return ("",) * count, (None,) * count
-    if count == 1:
+    delimiter = delimiter or _delimiter(header)
+    if delimiter is None and count == 1:
         fields = [header]
     elif delimiter is None:  # between columns of blanks, "x (m/s^2)" is one name
         fields = re.findall(r"\S+(?:\s*[(\[][^)\]]*[)\]])?", header)

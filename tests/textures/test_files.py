@@ -1,0 +1,246 @@
+"""Tests of WAV, NPY and NPZ files, of saving, and of paths that are no file."""
+
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
+
+import textures
+from textures import Recording, TextureError, load, save_wav
+
+SHARED = Path(__file__).parents[2] / ".." / "shared"
+NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
+
+
+@pytest.mark.parametrize(
+    ("subtype", "tolerance"),
+    [
+        ("PCM_U8", 1 / 127),
+        ("PCM_16", 1e-4),
+        ("PCM_24", 1e-6),
+        ("PCM_32", 1e-8),
+        ("FLOAT", 1e-7),
+        ("DOUBLE", 0),
+        ("ULAW", 0.03),
+        ("ALAW", 0.03),
+    ],
+)
+@pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])
+def test_every_wav_sample_format(tmp_path: Path, subtype: str, tolerance: float, container: str) -> None:
+    soundfile.write(tmp_path / "noise.wav", NOISE, 12345, subtype, format=container)
+    recording = load(tmp_path / "noise.wav")
+    assert (recording.rate_hz, recording.unit, recording.name) == (12345, "full scale", "noise")
+    np.testing.assert_allclose(recording.samples, NOISE, rtol=0, atol=tolerance)
+
+
+def test_a_wav_file_takes_its_physical_value_from_unit_and_full_scale(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "a.wav", NOISE, 1000, "DOUBLE", format="WAV")
+    recording = load(tmp_path / "a.wav", unit="g", full_scale=2)
+    assert recording.unit == "m/s^2"
+    np.testing.assert_allclose(recording.samples, NOISE * 2 * 9.80665)
+    for options, message in (
+        ({"unit": "g"}, "give --full-scale too"),
+        ({"full_scale": 2.0}, "give its --unit too"),
+        ({"rate_hz": 2800.0}, "states 1000 Hz"),
+    ):
+        with pytest.raises(TextureError, match=message):
+            load(tmp_path / "a.wav", **options)
+
+
+@pytest.mark.parametrize("sixteen_bit", [True, False])
+@pytest.mark.parametrize(("unit", "peak", "full_scale"), [("full scale", 0.5, 1), ("full scale", 3, 3), ("um", 40, 40)])
+def test_a_saved_recording_states_its_unit(
+    tmp_path: Path, sixteen_bit: bool, unit: str, peak: float, full_scale: float
+) -> None:
+    recording = Recording(NOISE / np.abs(NOISE).max() * peak, 2800.0, unit, "saved")
+    stated = save_wav(tmp_path / "saved.wav", recording, sixteen_bit)
+    assert stated == (pytest.approx(full_scale) if sixteen_bit else 1)
+    loaded = load(tmp_path / "saved.wav")
+    assert (loaded.rate_hz, loaded.unit, loaded.name) == (2800, unit, "saved")
+    np.testing.assert_allclose(loaded.samples, recording.samples, rtol=0, atol=full_scale * 1.01 / 32768)
+    with soundfile.SoundFile(tmp_path / "saved.wav") as file:
+        np.testing.assert_allclose(file.read() * stated, recording.samples, rtol=0, atol=full_scale * 1.01 / 32768)
+
+
+def test_silence_is_saved(tmp_path: Path) -> None:
+    assert save_wav(tmp_path / "silence.wav", Recording(np.zeros((3, 1)), 2800, "um", "silence")) == 1
+    assert not load(tmp_path / "silence.wav").samples.any()
+
+
+@pytest.mark.parametrize(
+    "comment", ["unit=um", "unit=volt; full_scale=3", "unit=um; full_scale=x", "unit=um; full_scale=-1", "hello"]
+)
+def test_other_comments_of_a_wav_file_say_nothing(tmp_path: Path, comment: str) -> None:
+    with soundfile.SoundFile(tmp_path / "a.wav", "w", 1000, 1, "DOUBLE", format="WAV") as file:
+        file.comment = comment
+        file.write(NOISE[:, 0])
+    recording = load(tmp_path / "a.wav")
+    assert recording.unit == "full scale"
+    np.testing.assert_array_equal(recording.samples[:, 0], NOISE[:, 0])
+
+
+def test_what_cannot_be_saved(tmp_path: Path) -> None:
+    with pytest.raises(TextureError, match="resample first"):
+        save_wav(tmp_path / "a.wav", Recording(NOISE, 2800.5, "um", "a"))
+    with pytest.raises(TextureError, match="cannot be written"):
+        save_wav(tmp_path / "missing" / "a.wav", Recording(NOISE, 2800, "um", "a"))
+
+
+def test_arrays(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", NOISE)
+    np.testing.assert_array_equal(load(tmp_path / "a.npy", rate_hz=100, unit="um").samples, NOISE)
+    np.savez(tmp_path / "stated.npz", samples=np.asfortranarray(NOISE), rate_hz=500, unit="g", other=np.zeros(3))
+    recording = load(tmp_path / "stated.npz")
+    assert (recording.rate_hz, recording.unit) == (500, "m/s^2")
+    np.testing.assert_allclose(recording.samples, NOISE * 9.80665)
+    assert load(tmp_path / "stated.npz", key="other").samples.shape == (3, 1)
+    np.savez_compressed(tmp_path / "only.npz", anything=np.float32(NOISE[:, 0]), rate_hz=500)
+    assert load(tmp_path / "only.npz", unit="um").samples.shape == (50, 1)
+
+
+def test_integers_of_an_array_are_numbers_or_full_scale(tmp_path: Path) -> None:
+    np.save(tmp_path / "short.npy", np.array([16384, -32768], np.int16))
+    path = tmp_path / "short.npy"
+    assert load(path, rate_hz=100, unit="full scale").samples.tolist() == [[0.5], [-1]]
+    assert load(path, rate_hz=100, unit="um").samples.tolist() == [[16384], [-32768]]
+    assert load(path, rate_hz=100, unit="um", full_scale=40).samples.tolist() == [[20], [-40]]
+    for dtype in (np.int64, np.uint8):
+        np.save(tmp_path / "long.npy", np.array([1, 2], dtype))
+        assert load(tmp_path / "long.npy", rate_hz=100, unit="um").samples.tolist() == [[1], [2]]
+        with pytest.raises(TextureError, match="store them as int16"):
+            load(tmp_path / "long.npy", rate_hz=100, unit="full scale")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "options", "message"),
+    [
+        ({"a": [1.0], "b": [2.0]}, {}, "choose an array with --key; there are a, b"),
+        ({"a": [1.0], "b": [2.0]}, {"key": "c"}, "no array 'c' to --key; there are a, b"),
+        ({"rate_hz": 5}, {}, "there are none"),
+        ({"samples": [1.0]}, {}, "give --rate-hz"),
+        ({"samples": [1.0], "rate_hz": 5}, {}, "give --unit"),
+        ({"samples": [1.0], "rate_hz": 5, "unit": "volt"}, {}, "unknown unit 'volt'"),
+        ({"samples": [1.0], "rate_hz": [5, 6]}, {"unit": "um"}, "NumPy's format"),
+        ({"samples": [1.0], "rate_hz": "quick"}, {"unit": "um"}, "NumPy's format"),
+        ({"samples": [1.0], "rate_hz": 0}, {"unit": "um"}, "sample rate 0"),
+        ({"samples": 1.0}, {}, "shape"),
+        ({"samples": np.zeros((2, 2, 2))}, {}, "shape"),
+        ({"samples": np.zeros((0, 3))}, {"rate_hz": 5.0, "unit": "um"}, "no samples"),
+        ({"samples": np.zeros((3, 0))}, {"rate_hz": 5.0, "unit": "um"}, "no samples"),
+        ({"samples": np.zeros((3, 500))}, {"rate_hz": 5.0, "unit": "um"}, "rows must be samples"),
+        ({"samples": [1j]}, {}, "type complex128"),
+        ({"samples": ["x"]}, {}, "type <U1"),
+        ({"samples": np.array([{}], dtype=object)}, {}, "NumPy's format"),
+        ({"samples": [np.nan]}, {"rate_hz": 5.0, "unit": "um"}, "is nan"),
+    ],
+)
+def test_arrays_refused_with_what_to_do(
+    tmp_path: Path, arrays: dict[str, object], options: dict[str, object], message: str
+) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(TextureError, match=message):
+        load(tmp_path / "a.npz", **options)  # type: ignore[arg-type]
+
+
+def test_an_array_that_claims_to_be_huge(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", NOISE)
+    data = (tmp_path / "a.npy").read_bytes().replace(b"(50, 2), }      ", b"(50, 999999999)}")
+    (tmp_path / "a.npy").write_bytes(data)
+    with pytest.raises(TextureError):
+        load(tmp_path / "a.npy", rate_hz=100, unit="um")
+
+
+def test_paths_that_are_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "a.mp3").write_bytes(b"ID3")
+    (tmp_path / "flac.wav").write_bytes(b"RIFF")
+    soundfile.write(tmp_path / "flac.flac", NOISE, 8000, format="FLAC")
+    (tmp_path / "flac.flac").rename(tmp_path / "flac.wav")
+    os.mkfifo(tmp_path / "pipe.wav")
+    for name, message in (
+        ("a.mp3", "unknown kind of file; known are .wav"),
+        ("flac.wav", "FLAC in a .wav file"),
+        ("pipe.wav", "not a file"),
+        ("missing.wav", "no such file"),
+        ("missing/at/all.wav", "no such file"),
+        ("null\0.wav", "no such file"),
+        ("x" * 5000 + ".wav", "cannot be read"),
+    ):
+        with pytest.raises(TextureError, match=message):
+            load(tmp_path / name)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+@pytest.mark.parametrize("name", ["a.wav", "a.csv", "a.npy"])
+def test_a_file_without_permission(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"1\n")
+    (tmp_path / name).chmod(0)
+    with pytest.raises(TextureError, match="cannot be read"):
+        load(tmp_path / name)
+
+
+CHANGES = st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=8)
+
+
+@given(changes=CHANGES, cut=st.integers(0, 300))
+@pytest.mark.parametrize("name", ["a.wav", "a.npy", "a.npz"])
+def test_a_damaged_file_loads_or_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, name: str, changes: list[tuple[int, int]], cut: int
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"damaged-{name}"
+    if name.endswith("wav"):
+        save_wav(path, Recording(NOISE, 2800, "um", "a"))
+    elif name.endswith("npy"):
+        np.save(path, NOISE)
+    else:
+        np.savez_compressed(path, samples=NOISE, rate_hz=2800, unit="um")
+    data = bytearray(path.read_bytes())
+    for position, value in changes:
+        data[position % len(data)] = value
+    path.write_bytes(data[: len(data) - cut])
+    try:
+        assert np.isfinite(load(path).samples).all()
+    except TextureError as error:
+        assert str(error)
+
+
+@given(data=st.binary(max_size=400), head=st.sampled_from([b"", b"RIFF", b"\x93NUMPY\x01\x00", b"PK\x03\x04"]))
+@pytest.mark.parametrize("name", ["any.wav", "any.npy", "any.npz"])
+def test_any_bytes_load_or_are_refused(
+    tmp_path_factory: pytest.TempPathFactory, name: str, head: bytes, data: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / name
+    path.write_bytes(head + data)
+    with pytest.raises(TextureError):
+        load(path)
+
+
+def test_a_wav_file_that_claims_more_data_than_it_has(tmp_path: Path) -> None:
+    save_wav(tmp_path / "a.wav", Recording(NOISE, 2800, "um", "a"))
+    data = bytearray((tmp_path / "a.wav").read_bytes())
+    start = data.index(b"data") + 4
+    data[start : start + 4] = struct.pack("<I", 0xFFFFFFF0)
+    (tmp_path / "a.wav").write_bytes(data)
+    assert load(tmp_path / "a.wav").samples.shape == NOISE.shape
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the development recordings are not here")
+@pytest.mark.parametrize("folder", ["lmt_acceleration", "textsense_fingertip", "vibviz_effects", "vibtac12"])
+def test_development_recordings_load(folder: str) -> None:
+    for path in sorted((SHARED / "data" / folder).glob("*.wav")):
+        assert textures.resample(load(path), 2800).seconds == pytest.approx(load(path).seconds, abs=1e-3)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the development recordings are not here")
+@pytest.mark.parametrize("name", ["biotac_training.npz", "lmt_sound_training.npz"])
+def test_training_sets_load_by_key(name: str) -> None:
+    with np.load(SHARED / "data" / name) as arrays:
+        key = next(key for key in arrays if key != "rate_hz")
+        rate_hz, integers = float(arrays["rate_hz"]), arrays[key]
+    recording = load(SHARED / "data" / name, key=key, unit="full scale")
+    assert recording.rate_hz == rate_hz
+    np.testing.assert_array_equal(recording.samples[:, 0] * 32768, integers)

@@ -1,0 +1,166 @@
+"""Tests of the generators: seeds, bounds, bands, the physics they claim, and refused parameters."""
+
+import importlib.util
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from textures import GENERATORS, Recording, TextureError, load
+from textures.generate import grating, ridges, rough, rough_profile, stick_slip, taps, varying_speed, wood
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def spectrum(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    windowed = recording.samples[:, 0] * np.hanning(len(recording.samples))
+    return np.fft.rfftfreq(len(windowed), 1 / recording.rate_hz), np.abs(np.fft.rfft(windowed)) ** 2
+
+
+@pytest.mark.parametrize("kind", sorted(GENERATORS))
+def test_equal_seeds_make_equal_textures(kind: str) -> None:
+    first, again, other = (GENERATORS[kind](seed, 1.0, 40.0, 2800.0) for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first.samples, again.samples)
+    assert np.abs(first.samples - other.samples).max() > 0.1
+    assert (first.rate_hz, first.channels, len(first.samples)) == (2800, 1, 2800)
+
+
+@given(
+    kind=st.sampled_from(sorted(GENERATORS)),
+    seed=st.integers(0, 2**40),
+    seconds=st.floats(0.01, 2),
+    mean_mm_s=st.floats(1, 200),
+    variation=st.floats(0, 3),
+    rate_hz=st.sampled_from([1000.0, 2800.0, 8000.0]),
+)
+@settings(max_examples=50)
+def test_any_sweep_is_bounded_or_refused(
+    kind: str, seed: int, seconds: float, mean_mm_s: float, variation: float, rate_hz: float
+) -> None:
+    speed = varying_speed(seconds, rate_hz, mean_mm_s, variation)
+    try:
+        recording = GENERATORS[kind](seed, seconds, speed, rate_hz)
+    except TextureError as error:
+        assert "cannot be shown" in str(error)
+    else:
+        assert recording.samples.shape == (round(seconds * rate_hz), 1)
+        assert np.abs(recording.samples).max() < 1000
+
+
+@pytest.mark.parametrize("generator", [grating, ridges, rough])
+def test_sweeps_do_not_alias(generator: Any) -> None:
+    frequency_hz, power = spectrum(generator(3, 2.0, varying_speed(2.0, 2800, 120.0, 0.9), 2800.0))
+    assert power[frequency_hz > 0.47 * 2800].sum() < 1e-4 * power.sum()
+
+
+def test_a_grating_is_felt_at_speed_over_pitch() -> None:
+    frequency_hz, power = spectrum(grating(seconds=2, hand_speed_mm_s=60, pitch_mm=0.5))
+    assert frequency_hz[np.argmax(power)] == pytest.approx(120, abs=0.5)
+    fine = grating(rate_hz=48000.0, hand_speed_mm_s=10, height_um=30).samples
+    assert np.ptp(fine) == pytest.approx(30, rel=0.05)
+
+
+def test_a_faster_hand_feels_the_same_surface_faster() -> None:
+    slow = grating(5, 4.0, 30.0, 2800.0, slope_fraction=0.5)
+    fast = grating(5, 2.0, 60.0, 2800.0, slope_fraction=0.5)
+    np.testing.assert_allclose(fast.samples[:-1], slow.samples[::2][:-1], atol=0.5)
+
+
+def test_regular_ridges_lie_at_their_pitch() -> None:
+    frequency_hz, power = spectrum(ridges(seconds=4, hand_speed_mm_s=60, pitch_mm=1.5, jitter=0))
+    assert frequency_hz[np.argmax(power)] == pytest.approx(40, abs=0.5)
+
+
+@pytest.mark.parametrize("hurst", [0.3, 0.8])
+def test_a_rough_surface_has_its_hurst_exponent_and_roughness(hurst: float) -> None:
+    profile = rough_profile(1, length_mm=400, spacing_um=5, hurst=hurst, roll_off_mm=1, rms_um=8)
+    assert len(profile.heights_um) == 80001
+    assert np.std(profile.heights_um) == pytest.approx(8, rel=0.02)
+    power = np.abs(np.fft.rfft(profile.heights_um * np.hanning(80001))) ** 2
+    wavenumber = np.fft.rfftfreq(80001, 0.005)
+    bands = np.geomspace(3, 80, 12)
+    levels = [power[(wavenumber >= low) & (wavenumber < high)].mean() for low, high in pairwise(bands)]
+    slope = np.polyfit(np.log(bands[:-1]), np.log(levels), 1)[0]
+    assert slope == pytest.approx(-(1 + 2 * hurst), abs=0.15)
+
+
+def test_stick_slip_repeats_once_a_slip() -> None:
+    frequency_hz, power = spectrum(stick_slip(seconds=4, hand_speed_mm_s=40, slip_mm=0.4, jitter=0))
+    assert frequency_hz[np.argmax(power)] == pytest.approx(100, abs=0.5)
+
+
+def test_a_tap_is_a_decaying_sine_in_proportion_to_speed() -> None:
+    slow, fast = (taps(1, 2.0, speed, 28000.0).samples[:, 0] for speed in (50.0, 100.0))
+    np.testing.assert_allclose(fast, 2 * slow, atol=1e-9)
+    start = np.flatnonzero(np.abs(slow) > 1e-6)[0] - 1
+    time_s = np.arange(2000) / 28000
+    expected = 15 * np.exp(-60 * time_s) * np.sin(2 * np.pi * 200 * time_s)
+    np.testing.assert_allclose(slow[start : start + 2000], expected, atol=1e-6)
+
+
+def test_wood_rings_at_its_resonance() -> None:
+    frequency_hz, power = spectrum(wood(1, 8.0, 60.0, 2800.0, resonance_hz=300, damping_ratio=0.05))
+    assert frequency_hz[np.argmax(power)] == pytest.approx(300, abs=25)
+
+
+def test_a_still_hand_feels_nothing_new() -> None:
+    speed = np.full(2800, 50.0)
+    speed[1400:] = 0
+    held = rough(1, 1.0, speed, 2800.0).samples[1400:]
+    assert np.ptp(held) == 0
+
+
+@pytest.mark.parametrize(
+    ("generator", "options", "message"),
+    [
+        (rough, {"seed": -1}, "seed"),
+        (rough, {"seconds": 0}, "seconds"),
+        (rough, {"seconds": 1e9}, "samples can be made"),
+        (rough, {"seconds": 1e-9}, "samples can be made"),
+        (rough, {"rate_hz": float("nan")}, "rate_hz"),
+        (rough, {"hand_speed_mm_s": 0}, "hand speed"),
+        (rough, {"hand_speed_mm_s": float("inf")}, "hand speed"),
+        (rough, {"hand_speed_mm_s": np.ones(3)}, "give one number or 11200"),
+        (rough, {"hurst": 1.0}, "hurst"),
+        (rough, {"roll_off_mm": 0}, "roll_off_mm"),
+        (rough, {"rms_um": -1}, "rms_um"),
+        (rough_profile, {"length_mm": 1e9}, "shorten it"),
+        (rough_profile, {"spacing_um": 0}, "spacing_um"),
+        (grating, {"pitch_mm": 0.001}, "cannot be shown"),
+        (grating, {"slope_fraction": 0.6}, "slope_fraction"),
+        (ridges, {"pitch_mm": 0.001}, "cannot be shown"),
+        (ridges, {"jitter": 1.1}, "jitter"),
+        (wood, {"resonance_hz": 1400}, "resonance_hz"),
+        (stick_slip, {"slip_mm": 0.001}, "cannot be shown"),
+        (stick_slip, {"jitter": -0.1}, "jitter"),
+        (taps, {"jitter": 2}, "jitter"),
+        (taps, {"frequency_hz": 1400}, "cannot be shown"),
+        (taps, {"interval_s": 1e-6}, "cannot be shown"),
+        (varying_speed, {"seconds": 1, "rate_hz": 10, "period_s": 0}, "period_s"),
+    ],
+)
+def test_parameters_out_of_range(generator: Any, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(TextureError, match=message):
+        generator(**options)
+
+
+def test_examples_are_what_their_script_makes(tmp_path: Path) -> None:
+    specification = importlib.util.spec_from_file_location("make_examples", EXAMPLES / "make_examples.py")
+    assert specification is not None and specification.loader is not None
+    script = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(script)
+    for folder in (tmp_path / "first", tmp_path / "second"):
+        folder.mkdir()
+        script.make_examples(folder)
+    for made in (tmp_path / "first").iterdir():
+        assert made.read_bytes() == (tmp_path / "second" / made.name).read_bytes()
+        assert made.stat().st_size < 50_000
+        speed = 50.0 if made.suffix == ".csv" else None
+        shipped, again = (load(path, hand_speed_mm_s=speed) for path in (EXAMPLES / made.name, made))
+        assert (shipped.rate_hz, shipped.unit, shipped.channels) == (again.rate_hz, again.unit, again.channels)
+        # Another machine's sine may differ in the last bit, and so may a rounded sample.
+        np.testing.assert_allclose(again.samples, shipped.samples, rtol=0, atol=np.abs(shipped.samples).max() / 10000)

@@ -1,0 +1,119 @@
+"""Tests of IEEE P1918.1.1 traces in their folders, and of the reduction of three axes to one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from textures import TextureError, load
+from textures.p1918 import dft321
+
+SHARED = Path(__file__).parents[2] / ".." / "shared"
+TRACE = "Direct_-_1spike_Probe_-_cork_-_slow"
+AXES = np.random.default_rng(0).normal(size=(300, 3))
+
+
+def write_trace(folder: Path, trace: str = TRACE, axes: str = "XYZ", samples: int = 300) -> Path:
+    for letter in axes:
+        values = AXES[:samples, "XYZ".index(letter)]
+        (folder / f"{trace}_{letter}.txt").write_bytes(b"".join(b"   %.15e\r\n" % value for value in values))
+    return folder / trace
+
+
+def test_a_folder_of_one_trace_is_reduced(tmp_path: Path) -> None:
+    write_trace(tmp_path)
+    (tmp_path / "readme.txt").write_text("not a trace")
+    recording = load(tmp_path, unit="g")
+    assert (recording.rate_hz, recording.unit, recording.channels) == (2800, "m/s^2", 1)
+    np.testing.assert_allclose(recording.samples, dft321(AXES) * 9.80665)
+    np.testing.assert_allclose(load(tmp_path, unit="g", axis="dft321").samples, recording.samples)
+
+
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+def test_one_axis_is_chosen(tmp_path: Path, axis: str) -> None:
+    stem = write_trace(tmp_path)
+    expected = AXES[:, ["XYZ".index(axis)]]
+    np.testing.assert_allclose(load(tmp_path, unit="m/s^2", axis=axis).samples, expected)
+    np.testing.assert_allclose(load(stem, unit="m/s^2", axis=axis).samples, expected)
+    np.testing.assert_allclose(load(tmp_path / f"{TRACE}_{axis}.txt", unit="m/s^2").samples, expected)
+
+
+def test_one_of_several_traces_is_named(tmp_path: Path) -> None:
+    write_trace(tmp_path, TRACE)
+    stem = write_trace(tmp_path, TRACE.replace("slow", "fast"), samples=200)
+    with pytest.raises(TextureError, match=r"holds 2 traces; give one of them, such as .*fast.*slow"):
+        load(tmp_path, unit="g")
+    assert load(stem, unit="g").samples.shape == (200, 1)
+    assert load(stem, unit="g").name == stem.name
+
+
+def test_other_names_do_not_state_a_rate(tmp_path: Path) -> None:
+    write_trace(tmp_path, "mine")
+    with pytest.raises(TextureError, match="give --rate-hz"):
+        load(tmp_path, unit="g")
+    assert load(tmp_path, unit="g", rate_hz=1000).rate_hz == 1000
+
+
+def test_the_unit_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(TextureError, match="give --unit"):
+        load(write_trace(tmp_path))
+
+
+def test_a_missing_axis(tmp_path: Path) -> None:
+    stem = write_trace(tmp_path, axes="XZ")
+    with pytest.raises(TextureError, match=r"no file for axis Y; .* --axis X or Z"):
+        load(tmp_path, unit="g")
+    with pytest.raises(TextureError, match="no file for axis Y"):
+        load(stem, unit="g", axis="Y")
+    assert load(tmp_path, unit="g", axis="Z").channels == 1
+
+
+def test_axes_that_do_not_fit_together(tmp_path: Path) -> None:
+    write_trace(tmp_path)
+    write_trace(tmp_path, axes="Z", samples=299)
+    with pytest.raises(TextureError, match=r"differ in length \(300, 300, 299 samples\)"):
+        load(tmp_path, unit="g")
+
+
+def test_files_that_are_not_one_axis(tmp_path: Path) -> None:
+    write_trace(tmp_path)
+    with pytest.raises(TextureError, match=r"holds axis X; for --axis Y give .*slow$"):
+        load(tmp_path / f"{TRACE}_X.txt", unit="g", axis="Y")
+    (tmp_path / f"{TRACE}_Y.txt").write_text("1 2\n" * 300)
+    with pytest.raises(TextureError, match="several columns"):
+        load(tmp_path, unit="g")
+
+
+def test_folders_that_hold_no_trace(tmp_path: Path) -> None:
+    with pytest.raises(TextureError, match="a folder without traces"):
+        load(tmp_path)
+    with pytest.raises(TextureError, match="no such file or trace"):
+        load(tmp_path / "cork")
+
+
+@given(axes=arrays(np.float64, st.tuples(st.integers(1, 64), st.just(3)), elements=st.floats(-100, 100)))
+def test_reduction_keeps_the_energy_at_every_frequency(axes: np.ndarray) -> None:
+    reduced = dft321(axes)
+    assert reduced.shape == (len(axes), 1)
+    power = np.sum(np.abs(np.fft.rfft(axes, axis=0)) ** 2, axis=1)
+    np.testing.assert_allclose(np.abs(np.fft.rfft(reduced[:, 0])) ** 2, power, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(np.sum(reduced**2), np.sum(axes**2), rtol=1e-9, atol=1e-9)
+
+
+def test_reduction_of_one_moving_axis_is_that_axis() -> None:
+    still = np.zeros((300, 3))
+    still[:, 1] = AXES[:, 0]
+    np.testing.assert_allclose(dft321(still)[:, 0], AXES[:, 0], atol=1e-12)
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the development recordings are not here")
+def test_the_reference_trace_loads() -> None:
+    (path,) = (SHARED / "data" / "p1918_reference").iterdir()
+    recording = load(path, unit="g")
+    assert recording.rate_hz == 2800
+    assert recording.samples[0, 0] == pytest.approx(5.7914079e-02 * 9.80665)
+    with pytest.raises(TextureError, match="no file for axis Y, Z"):
+        load(path.parent, unit="g")

@@ -1,0 +1,40 @@
+"""Tests of what a recording may hold."""
+
+import numpy as np
+import pytest
+
+from device_protocol import coded_stream
+from textures import INPUT_UNITS, UNITS, Recording, TextureError
+from textures.recording import MAX_CHANNELS
+
+
+def test_units_and_channels_are_those_of_a_coded_stream() -> None:
+    assert UNITS == coded_stream.UNITS
+    assert MAX_CHANNELS == coded_stream.MAX_CHANNELS
+    assert {unit for unit, _ in INPUT_UNITS.values()} == set(UNITS)
+
+
+def test_duration_and_channels() -> None:
+    recording = Recording(np.zeros((1400, 3)), 2800.0, "um", "test")
+    assert recording.seconds == 0.5
+    assert recording.channels == 3
+
+
+@pytest.mark.parametrize(
+    ("samples", "rate_hz", "unit", "message"),
+    [
+        (np.zeros((0, 1)), 2800.0, "um", "no samples"),
+        (np.zeros((5, 0)), 2800.0, "um", "no samples"),
+        (np.zeros(5), 2800.0, "um", "float64"),
+        (np.zeros((5, 1), np.float32), 2800.0, "um", "float64"),
+        (np.zeros((5, 17)), 2800.0, "um", "17 channels"),
+        (np.zeros((5, 1)), 0.0, "um", "sample rate"),
+        (np.zeros((5, 1)), float("nan"), "um", "sample rate"),
+        (np.zeros((5, 1)), 2800.0, "volt", "unit"),
+        (np.array([[0.0, 1.0], [0.0, np.nan]]), 2800.0, "um", "sample 1 of channel 1 is nan"),
+        (np.array([[np.inf]]), 2800.0, "um", "is inf"),
+    ],
+)
+def test_refused(samples: np.ndarray, rate_hz: float, unit: str, message: str) -> None:
+    with pytest.raises(TextureError, match=message):
+        Recording(samples, rate_hz, unit, "test")

@@ -1,0 +1,62 @@
+"""Tests of the resampler's stated band, length and limits."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from textures import Recording, TextureError, resample
+
+
+def level_db(frequency_hz: float, old_hz: float, new_hz: float) -> float:
+    """Return the level of a resampled sine relative to the sine, away from its ends."""
+    sine = np.sin(2 * np.pi * frequency_hz * np.arange(int(2 * old_hz)) / old_hz).reshape(-1, 1)
+    resampled = resample(Recording(sine, old_hz, "um", "sine"), new_hz).samples
+    middle = resampled[len(resampled) // 4 : -len(resampled) // 4]
+    return float(10 * np.log10(2 * np.mean(middle**2) + 1e-30))
+
+
+@pytest.mark.parametrize(
+    ("old_hz", "new_hz"), [(10000, 2800), (8000, 2800), (2800, 8000), (33333.3, 2800), (2200, 2800)]
+)
+@pytest.mark.parametrize("fraction", [0.02, 0.5, 0.9, 0.91])
+def test_pass_band_is_flat(old_hz: float, new_hz: float, fraction: float) -> None:
+    assert abs(level_db(fraction * min(old_hz, new_hz) / 2, old_hz, new_hz)) < 0.02
+
+
+@pytest.mark.parametrize("old_hz", [10000, 48000, 200000])
+@pytest.mark.parametrize("fraction", [1.0, 1.2, 2.5])
+def test_stop_band_is_empty(old_hz: float, fraction: float) -> None:
+    assert level_db(fraction * 1400, old_hz, 2800) < -120
+
+
+def test_no_delay() -> None:
+    pulse = np.zeros((10000, 1))
+    pulse[5000] = 1
+    assert np.argmax(resample(Recording(pulse, 10000, "um", "pulse"), 2800).samples) == 1400
+
+
+@given(
+    count=st.integers(1, 3000),
+    channels=st.integers(1, 3),
+    old_hz=st.floats(1, 1e5),
+    new_hz=st.floats(100, 20000),
+)
+def test_length(count: int, channels: int, old_hz: float, new_hz: float) -> None:
+    expected = max(1, round(count * new_hz / old_hz))
+    if expected > 1_000_000:
+        new_hz, expected = old_hz, count
+    resampled = resample(Recording(np.ones((count, channels)), old_hz, "m/s^2", "ones"), new_hz)
+    assert resampled.samples.shape == (expected, channels)
+    assert (resampled.rate_hz, resampled.unit, resampled.name) == (new_hz, "m/s^2", "ones")
+
+
+def test_equal_rates_change_nothing() -> None:
+    recording = Recording(np.ones((7, 1)), 2800, "um", "ones")
+    assert resample(recording, 2800) is recording
+
+
+@pytest.mark.parametrize("rate_hz", [0, -1, float("nan"), float("inf"), 1e15])
+def test_refused_rates(rate_hz: float) -> None:
+    with pytest.raises(TextureError, match="rate"):
+        resample(Recording(np.ones((7, 1)), 2800, "um", "ones"), rate_hz)

@@ -1,0 +1,174 @@
+"""Tests of text files: columns, names, rates, units, and whatever else a text file may hold."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from textures import TextureError, load
+
+
+def written(folder: Path, text: str, name: str = "file.csv") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "rate_hz", "unit", "samples"),
+    [
+        ("# rate_hz: 2800\n# unit: m/s^2\n1\n-2.5\n", 2800, "m/s^2", [[1], [-2.5]]),
+        ("rate_hz = 500\nheight_um\n1\n2\n\n3\n", 500, "um", [[1], [2], [3]]),
+        ("time_s,x (m/s^2)\n0,1\n0.001,2\n0.002,4\n", 1000, "m/s^2", [[1], [2], [4]]),
+        ("time_ms;x_mm;y [mm]\n0;1;2\n2;3;4\n", 500, "um", [[1000, 2000], [3000, 4000]]),
+        ("t (us)\tacceleration_g\r\n0\t1\r\n100\t-1\r\n", 10000, "m/s^2", [[9.80665], [-9.80665]]),
+        ("time_s  x (m/s2)  y (m/s2)\n0.0 1 2\n0.5 3 5\n", 2, "m/s^2", [[1, 2], [3, 5]]),
+        ('# rate_hz: 10\n"left (um)","right (µm)"\n1,2 # first\n3,4\n', 10, "um", [[1, 2], [3, 4]]),
+        ("\ufeff# rate_hz: 10\n# unit: full scale\n# a remark\n0.5,5e-1\n", 10, "full scale", [[0.5, 0.5]]),
+        ("# rate_hz: 10\nx_m_s2,y_m_s2\n1,2\n", 10, "m/s^2", [[1, 2]]),
+    ],
+)
+def test_what_a_file_states(tmp_path: Path, text: str, rate_hz: float, unit: str, samples: list[list[float]]) -> None:
+    recording = load(written(tmp_path, text))
+    assert (recording.rate_hz, recording.unit, recording.name) == (rate_hz, unit, "file")
+    np.testing.assert_allclose(recording.samples, samples)
+
+
+def test_what_a_file_does_not_state_is_given(tmp_path: Path) -> None:
+    path = written(tmp_path, "1\n2\n")
+    recording = load(path, rate_hz=1000, unit="g")
+    assert (recording.rate_hz, recording.unit) == (1000, "m/s^2")
+    np.testing.assert_allclose(recording.samples, [[9.80665], [2 * 9.80665]])
+    np.testing.assert_allclose(load(path, rate_hz=1, unit="um", full_scale=40).samples, [[40], [80]])
+
+
+def test_a_rate_is_not_lost_in_the_digits_of_times(tmp_path: Path) -> None:
+    lines = [f"{index / 2800:.6f},{index % 7}" for index in range(3000)]
+    assert load(written(tmp_path, "\n".join(["time_s,x_um", *lines]))).rate_hz == 2800
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", {}, "no numbers"),
+        ("# only a comment\n", {}, "no numbers"),
+        ("x,y\n", {}, "no numbers"),
+        ("1\n2\n", {"unit": "um"}, "give --rate-hz"),
+        ("1\n2\n", {"rate_hz": 10}, "give --unit"),
+        ("1\n2\n", {"rate_hz": 10, "unit": "volt"}, "unknown unit 'volt'; known are"),
+        ("1\n2\n", {"rate_hz": 0, "unit": "um"}, "sample rate 0"),
+        ("1\n2\n", {"rate_hz": float("nan"), "unit": "um"}, "sample rate nan"),
+        ("1\n2\n", {"rate_hz": 10, "unit": "um", "full_scale": -1}, "must be positive"),
+        ("1\n2\n", {"rate_hz": 10, "unit": "full scale", "full_scale": 3}, "give its --unit too"),
+        ("1\nnan\n", {"rate_hz": 10, "unit": "um"}, "sample 1 of channel 0 is nan"),
+        ("1\n-inf\n", {"rate_hz": 10, "unit": "um"}, "is -inf"),
+        ("1,2\n3\n", {"rate_hz": 10, "unit": "um"}, "number of columns"),
+        ("1,2\n3,\n", {"rate_hz": 10, "unit": "um"}, "convert string"),
+        ("1\nabc\n", {"rate_hz": 10, "unit": "um"}, "convert string 'abc'"),
+        ("some\nwords\n", {}, "not a line of numbers"),
+        ("0,5;0,25\n", {}, "no numbers"),
+        ("x,y\n1\n", {}, "2 column names for 1"),
+        ("x,y\n1,2,3\n", {}, "2 column names for 3"),
+        ("x (volt)\n1\n", {}, "unknown unit 'volt'"),
+        ("# unit: volt\n1\n", {}, "unknown unit 'volt'"),
+        ("# rate_hz: fast\n1\n", {}, "'fast' is not a number"),
+        ("# rate_hz: -3\nx_um\n1\n", {}, "sample rate -3"),
+        ("# rate_hz: 10\nx_um\n1\n", {"rate_hz": 20}, "states 10 Hz; leave out --rate-hz 20"),
+        ("# rate_hz: 10\nx_um\n1\n", {"unit": "m/s^2"}, "states its unit"),
+        ("# rate_hz: 10\nx_um\n1\n", {"full_scale": 2}, "states its unit"),
+        ("# rate_hz: 10\nx_um,y_g\n1,2\n", {}, "different units"),
+        ("# rate_hz: 10\nx_um,y\n1,2\n", {}, "different units"),
+        ("# rate_hz: 10\nduration_ms\n1\n2\n", {}, "a channel in ms"),
+        ("time_s\n0\n1\n", {}, "1 of 1 columns are times"),
+        ("time_s,t_ms,x\n0,0,1\n1,1,1\n", {}, "2 of 3 columns are times"),
+        ("time_s,x_um\n0,1\n1,1\n5,1\n", {}, "not uniform, line 2"),
+        ("time_s,x_um\n0,1\n0,1\n", {}, "does not rise"),
+        ("time_s,x_um\n0,1\n", {}, "does not rise"),
+        ("time_s,x_um\n0,1\nnan,1\n", {}, "does not rise"),
+        ("time_s,x_um\n-1e308,1\n1e308,1\n", {}, "does not rise"),
+        ("# rate_hz: 3\ntime_s,x_um\n0,1\n1,1\n", {}, "times say 1 Hz, a comment says 3"),
+        ("time,x_um\n0,1\n1,1\n", {}, "give --rate-hz"),
+        ("0,5\n1,6\n2,8\n", {"rate_hz": 10, "unit": "um"}, "first column rises in equal steps"),
+        ("1\n2\n", {"axis": "X"}, "needs three channels"),
+        ("1\n2\n", {"axis": "W"}, "not one of X, Y, Z, dft321"),
+        ("1\n2\n", {"key": "a"}, "leave it out"),
+        ("1\n2\n", {"hand_speed_mm_s": 5}, "leave out --hand-speed-mm-s"),
+        ("\0\0\0", {}, "not a text file"),
+        ("7" * 200_000, {}, "not a text file"),
+    ],
+)
+def test_refused_with_what_to_do(tmp_path: Path, text: str, options: dict[str, float], message: str) -> None:
+    with pytest.raises(TextureError, match=message):
+        load(written(tmp_path, text), **options)  # type: ignore[arg-type]
+
+
+def test_three_columns_are_three_axes_on_request(tmp_path: Path) -> None:
+    path = written(tmp_path, "# rate_hz: 10\nx_um,y_um,z_um\n1,5,2\n2,3,4\n1,1,1\n")
+    assert load(path).channels == 3
+    np.testing.assert_allclose(load(path, axis="Y").samples, [[5], [3], [1]])
+    assert load(path, axis="dft321").channels == 1
+
+
+def test_other_encodings_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "file.csv"
+    for encoding in ("utf-16", "latin-1"):
+        path.write_text("height_µm\n1\n", encoding=encoding)
+        with pytest.raises(TextureError, match="UTF-8"):
+            load(path, rate_hz=10)
+
+
+@given(
+    values=st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 2), min_size=1),
+    delimiter=st.sampled_from([",", ";", "\t", " "]),
+)
+def test_numbers_come_back(
+    tmp_path_factory: pytest.TempPathFactory, values: list[tuple[float, float]], delimiter: str
+) -> None:
+    lines = [f"{left!r}{delimiter}{right!r}" for left, right in values]
+    path = written(tmp_path_factory.getbasetemp(), "\n".join([f"a_um{delimiter}b_um", *lines]), "numbers.csv")
+    try:
+        assert load(path, rate_hz=10).samples.tolist() == [list(pair) for pair in values]
+    except TextureError as error:
+        assert "first column rises" in str(error)
+
+
+PIECES = st.sampled_from(
+    [
+        "time_s",
+        "position_um",
+        "height_um",
+        "x (g)",
+        "# rate_hz: ",
+        "unit: um",
+        "1",
+        "-2.5",
+        "1e999",
+        "nan",
+        "0x10",
+        "1_0",
+        *list('\t \n\r,;"#[)_\x00\ufeff\x85\u2028é'),
+    ]
+)
+
+
+@given(text=st.lists(PIECES, max_size=40).map("".join) | st.text())
+def test_any_text_loads_or_is_refused(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    for options in ({}, {"rate_hz": 100.0, "unit": "um"}, {"hand_speed_mm_s": 10.0}):
+        try:
+            assert np.isfinite(load(path, **options).samples).all()
+        except TextureError as error:
+            assert str(error)
+
+
+@given(data=st.binary(max_size=300))
+def test_any_bytes_load_or_are_refused(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.txt"
+    path.write_bytes(data)
+    try:
+        assert np.isfinite(load(path, rate_hz=100, unit="um").samples).all()
+    except TextureError as error:
+        assert str(error)
