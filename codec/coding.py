@@ -14,6 +14,8 @@ RATE_TOLERANCE = 0.02
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
 _FILE_PACKET_BLOCKS = 512
+# Every packet fits into one frame of the wire protocol, so that a file can be played as it is.
+_LARGEST_PACKET_BYTES = 4000
 _SMALLEST_STEP = 2.0**-18
 _LARGEST_STEP = 2.0**6
 _STEPS_PER_OCTAVE = 64
@@ -235,12 +237,20 @@ class _Source:
         if not (math.isfinite(step) and step > 0):
             raise CodecError(f"a quantiser step of {step} is not a positive number")
         steps = tuple(min(max(step * rms, _SMALLEST_STEP), _LARGEST_STEP) for rms in self.rms)
-        encoder = self.codec.make_encoder(steps, self.rate_hz, self.framing, self.tables, thrift)
-        packets: list[bytes] = []
-        chunk = 1_000_000
-        for start in range(0, len(self.samples), chunk):
-            packets += encoder.encode(self.samples[start : start + chunk] / np.array(self.gains))
-        packets += encoder.finish()
+        framing = self.framing
+        while True:
+            encoder = self.codec.make_encoder(steps, self.rate_hz, framing, self.tables, thrift)
+            packets: list[bytes] = []
+            chunk = 1_000_000
+            for start in range(0, len(self.samples), chunk):
+                packets += encoder.encode(self.samples[start : start + chunk] / np.array(self.gains))
+            packets += encoder.finish()
+            halved = Framing(encoder.packet_samples // 2, 2 * framing.refresh_packets)
+            if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or halved.packet_samples < mdct.hop_samples(
+                self.rate_hz
+            ):
+                break
+            framing = halved
         return CodedSignal(
             self.codec.name, self.rate_hz, len(self.samples), self.gains, encoder.configuration, tuple(packets)
         )

@@ -120,8 +120,9 @@ class _Playback:
         self._compensation = compensation
         self._capture = capture
         self._refreshes = self._check()
-        buffer_samples = min(round(buffer_s * header.rate_hz), controller.description.limits.buffer_samples)
-        self._buffer_packets = max(1, buffer_samples // packet_samples)
+        # One more than the packet that is played, however long packets are, where the controller has room for it.
+        wanted_packets = max(2, round(buffer_s * header.rate_hz) // packet_samples)
+        self._buffer_packets = min(wanted_packets, controller.description.limits.buffer_samples // packet_samples)
         # Waiting for a full frame must not empty the buffer.
         self._frame_packets = max(1, min(_LARGEST_FRAME_PACKETS, self._buffer_packets // 4))
         # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
