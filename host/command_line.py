@@ -60,7 +60,7 @@ class OneLineErrors(click.Group):
             sys.exit(super().main(*arguments, **extra))
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else "vibrocast"
-            fail(f"{error.format_message()} See `{command} --help`.", error.exit_code)
+            fail(f"{error.format_message().rstrip('.')}. See `{command} --help`.", error.exit_code)
         except click.ClickException as error:
             fail(error.format_message(), error.exit_code)
         except click.Abort:
@@ -183,11 +183,14 @@ device_option = click.option(
 )
 
 
-@click.group(cls=OneLineErrors, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=OneLineErrors, context_settings={"help_option_names": ["-h", "--help"]}, invoke_without_command=True)
 @click.version_option(version("vibrocast"))
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-def main(debug: bool) -> None:
+@click.pass_context
+def main(ctx: click.Context, debug: bool) -> None:
     """Record, compress, stream and replay the feel of a surface."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
 
 
 @main.command()
@@ -201,14 +204,14 @@ def main(debug: bool) -> None:
 def play(
     file: Path, address: str, loops: int, report_path: Path | None, plot_path: Path | None, **choices: Any
 ) -> None:
-    """Play a recording, or a .vct file, on a tactor controller."""
+    """Play a recording or a .vct file on a controller."""
     stream, encoding = prepared(file, choices)
     with devices.connect(address) as controller, playing_progress(stream.bits_per_second) as progress:
         outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, progress)
     if report_path:
         outcome.report.write(report_path)
     if plot_path:
-        picture.draw(plot_path, f"{file.name} on {outcome.report.actuator.name} ({address})", outcome.traces)
+        picture.draw(plot_path, f"{file.name} on {address}", outcome.caption, outcome.traces)
     show(summary(outcome.report))
     if False in (outcome.report.decoded_equals_offline, outcome.report.dac_equals_offline):
         raise ControllerError(
@@ -235,13 +238,15 @@ def encode(file: Path, out: Path, **choices: Any) -> None:
 @click.argument("out", type=OutputFile(".wav"))
 @click.option("--format", "sample_format", type=click.Choice(("float", "16-bit")), default="float", show_default=True)
 def decode(file: Path, out: Path, sample_format: str) -> None:
-    """Decode a .vct file into a WAV file: of physical values (float), or relative to full scale (16-bit)."""
+    """Decode a .vct file into a WAV file.
+
+    As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
+    its unit and full scale in its comment, from which this program knows them again.
+    """
     stream = coding.read(file)
     full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit")
-    unit = stream.header.unit
-    click.echo(f"{out}: {stream.seconds:.3f} s at {stream.header.rate_hz} Hz, 1.0 is {full_scale:g} {unit}")
-    if unit != "full scale" or full_scale != 1.0:
-        click.echo(f"to load it again: --unit '{unit}' --full-scale {full_scale:g}")
+    header = stream.header
+    click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, 1.0 is {full_scale:g} {header.unit}")
 
 
 @main.command()
@@ -257,10 +262,10 @@ def info(file: Path, as_json: bool) -> None:
 @click.argument("out", type=OutputFile(".wav"))
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another seed, another texture.")
 @click.option("--seconds", type=POSITIVE, default=4.0, show_default=True)
-@click.option("--rate-hz", type=POSITIVE, default=float(coding.DEFAULT_STREAM_RATE_HZ), show_default=True)
+@click.option("--rate-hz", type=click.IntRange(min=1), default=coding.DEFAULT_STREAM_RATE_HZ, show_default=True)
 @click.option("--hand-speed-mm-s", type=POSITIVE, default=50.0, show_default=True)
 def generate(kind: str, out: Path, **choices: Any) -> None:
-    """Make a texture of one of the kinds that the generator knows, as a WAV file."""
+    """Make a texture, as a WAV file."""
     recording = textures.GENERATORS[kind](**choices)
     with whole_file(out) as partial:
         full_scale = textures.save_wav(partial, recording)
@@ -269,7 +274,7 @@ def generate(kind: str, out: Path, **choices: Any) -> None:
 
 @main.command("devices")
 def list_devices() -> None:
-    """List the serial ports, the USB devices that may be controllers, and the simulated ones."""
+    """List what may be a controller."""
     show(devices.available())
 
 
@@ -277,7 +282,11 @@ def list_devices() -> None:
 @click.argument("image", type=INPUT)
 @device_option
 def flash(image: Path, address: str) -> None:
-    """Flash a model image: transfer, verify by reading back, run on trial, confirm."""
+    """Flash a model image into a controller.
+
+    It is transferred, verified by reading it back, started on trial and confirmed. Cut off, the same command goes on
+    where it stopped, and the controller keeps running the image before.
+    """
     packed = image.read_bytes()
     with devices.connect(address) as controller, byte_progress() as progress:
         slot = flasher.flash(controller, packed, progress=progress)
@@ -288,7 +297,7 @@ def flash(image: Path, address: str) -> None:
 @device_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def status(address: str, as_json: bool) -> None:
-    """Show what a controller is and what it is doing."""
+    """Show what a controller is and does."""
     with devices.connect(address) as controller:
         facts = devices.facts(controller)
     show(facts, as_json)
@@ -299,7 +308,10 @@ def status(address: str, as_json: bool) -> None:
 @click.option("--drift-ppm", type=click.IntRange(-10_000, 10_000), default=0, show_default=True, help="Of its clock.")
 @click.option("--flash-file", type=OutputFile(), help="Keeps the model images; without it they last until the end.")
 def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
-    """Run a simulated controller on a pseudo-terminal, for other programs, until Ctrl-C."""
+    """Run a simulated controller until Ctrl-C.
+
+    It is behind a pseudo-terminal, whose address is printed; other programs open it as a serial port.
+    """
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm)
     with PtyPort(SimulatedController(settings, flash_memory)) as port:

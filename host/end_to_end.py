@@ -29,9 +29,10 @@ SKIN_OVERSAMPLING = 4
 
 @dataclass(frozen=True)
 class Outcome:
-    """What playing gave: the report, and the traces that the picture shows."""
+    """What playing gave: the report, and the traces that the picture shows, with where they come from."""
 
     report: Report
+    caption: str
     traces: tuple[Trace, ...]
 
 
@@ -44,9 +45,9 @@ def play(
     loops: int = 1,
     progress: Callable[[player.Progress], None] | None = None,
 ) -> Outcome:
-    """Play a stream to its end, read back what was decoded and what went to the DAC, and compare both with the same
-    computed here from the same packets.
+    """Play a stream to its end and compare what was decoded and what went to the DAC with the same computed here.
 
+    Both are read back from the controller, unless it captures nothing: then there is nothing to compare.
     `encoding`: how the stream was made from a recording, None for a file that was coded before. `file_name` and
     `address` are for the report. Raises CodecError, and whatever `player.play` raises.
     """
@@ -58,10 +59,9 @@ def play(
         stream.packets,
         decoder.packet_samples,
         loops=loops,
-        capture=True,
+        capture=controller.description.limits.capture_samples > 0,
         progress=progress,
     )
-    assert result.decoded is not None and result.dac_codes is not None
     hello = controller.description
     actuator = actuator_model(hello.actuator)
     offline_loops = np.tile(offline, (loops, 1))
@@ -70,6 +70,9 @@ def play(
     codes, _ = render(replace(header, samples=samples), offline_loops, decoder.delay_samples, actuator)
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0
+    played = result.decoded if result.decoded is not None else offline_loops
+    played_codes = result.dac_codes if result.dac_codes is not None else codes
+    source = "read back from the controller" if result.dac_codes is not None else "computed here"
     drive_s = Drive(header, actuator, compensation=True).delay_seconds + 1 / actuator.dac_rate_hz
     algorithmic_s = (decoder.packet_samples + decoder.delay_samples) / header.rate_hz
     report = Report(
@@ -106,13 +109,13 @@ def play(
             slew_limited=result.status.slew_limited,
             power_limited=result.status.power_limited,
         ),
-        decoded_equals_offline=np.array_equal(result.decoded, offline_loops) if comparable else None,
-        dac_equals_offline=np.array_equal(result.dac_codes, codes) if comparable else None,
+        decoded_equals_offline=_equal(result.decoded, offline_loops, comparable),
+        dac_equals_offline=_equal(result.dac_codes, codes, comparable),
     )
     missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
     delay_s = decoder.delay_samples / header.rate_hz
-    decoded = _from_start(result.decoded, header.rate_hz, delay_s - missed_s, stream.seconds)
-    skin = actuator.displacement_um(result.dac_codes, SKIN_OVERSAMPLING)
+    decoded = _from_start(played, header.rate_hz, delay_s - missed_s, stream.seconds)
+    skin = actuator.displacement_um(played_codes, SKIN_OVERSAMPLING)
     skin_rate_hz = SKIN_OVERSAMPLING * actuator.dac_rate_hz
     skin = _from_start(skin, skin_rate_hz, delay_s + drive_s - missed_s, stream.seconds)
     signals = {"recording": encoding.recording.samples} if encoding else {}
@@ -129,7 +132,8 @@ def play(
         for name, values in signals.items()
     ]
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
-    return Outcome(report, tuple(traces))
+    caption = f"skin: the DAC's codes, {source}, through the model of the actuator {actuator.name}"
+    return Outcome(report, caption, tuple(traces))
 
 
 def actuator_model(description: ActuatorDescription) -> Actuator:
@@ -165,6 +169,10 @@ def displacement_um(values: NDArray[np.float64], unit: str, rate_hz: float, actu
     if unit == "m/s^2":
         return np.asarray(signal.lfilter(*displacement_filter(round(rate_hz)), values, axis=0))
     return values
+
+
+def _equal(read_back: NDArray[np.int16] | None, computed: NDArray[np.int16], comparable: bool) -> bool | None:
+    return None if read_back is None or not comparable else np.array_equal(read_back, computed)
 
 
 def _from_start(values: NDArray[Any], rate_hz: float, late_s: float, seconds: float) -> NDArray[np.float64]:

@@ -45,7 +45,7 @@ class Trace:
     displacement_rate_hz: float
 
 
-def draw(path: Path, title: str, traces: Sequence[Trace]) -> None:
+def draw(path: Path, title: str, caption: str, traces: Sequence[Trace]) -> None:
     """Write a picture (format by suffix) of up to three traces of equal channel count, the first drawn lightest.
 
     Raises OSError when the file cannot be written and ValueError for a suffix that matplotlib does not know.
@@ -57,6 +57,7 @@ def draw(path: Path, title: str, traces: Sequence[Trace]) -> None:
     if shown < channels:
         title += f" (the first {shown} of {channels} channels)"
     figure.suptitle(title, fontweight="bold")
+    figure.supxlabel(caption, fontsize="small")
     blocks = np.atleast_1d(np.asarray(figure.subfigures(shown, 1), dtype=object))
     threshold = detection_threshold()
     for channel, block in enumerate(blocks):
@@ -151,10 +152,11 @@ def _draw_spectra(axes: Axes, traces: Sequence[Trace], channel: int, threshold: 
         for trace, style in zip(traces, STYLES, strict=False)
     ]
     curves.append(("detection threshold", THRESHOLD_STYLE, threshold[:, 0], threshold[:, 1]))
-    highest_hz = max(float(frequencies[-1]) for _, _, frequencies, _ in curves if len(frequencies))
+    # The first trace has the stream's rate: the skin's spectrum above it holds nothing but images.
+    highest_hz = max(float(frequencies[-1]) for frequencies in (curves[0][2], threshold[:, 0]) if len(frequencies))
     top_db = max(float(np.max(levels)) for _, _, _, levels in curves if len(levels)) + 20
     for index, (name, style, frequencies, levels) in enumerate(curves):
-        felt = levels > FLOOR_DB
+        felt = (levels > FLOOR_DB) & (frequencies <= highest_hz)
         if not felt.any():
             reason = "silent" if len(levels) else "too short for a spectrum"
             axes.text(0.03, 0.03 + 0.04 * index, f"{name}: {reason}", transform=axes.transAxes, color=style["color"])

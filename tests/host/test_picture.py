@@ -23,20 +23,20 @@ def traces(values: NDArray[np.float64]) -> list[Trace]:
 def test_draws_every_length_and_channel_count(samples: int, channels: int, tmp_path: Path) -> None:
     values = np.random.default_rng(samples).normal(size=(samples, channels))
     path = tmp_path / "picture.png"
-    draw(path, "noise", traces(values))
+    draw(path, "noise", "caption", traces(values))
     assert imread(path).std() > 0.05
     assert [entry.name for entry in tmp_path.iterdir()] == ["picture.png"]
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-30, 1e30])
 def test_draws_silence_and_extremes(level: float, tmp_path: Path) -> None:
-    draw(tmp_path / "picture.svg", "flat", traces(np.full((500, 1), level)))
+    draw(tmp_path / "picture.svg", "flat", "caption", traces(np.full((500, 1), level)))
     text = (tmp_path / "picture.svg").read_text()
     assert text.endswith("</svg>\n")
 
 
 def test_draws_a_stream_without_its_recording(tmp_path: Path) -> None:
-    draw(tmp_path / "picture.png", "coded", traces(np.ones((500, 1)))[1:])
+    draw(tmp_path / "picture.png", "coded", "caption", traces(np.ones((500, 1)))[1:])
     assert (tmp_path / "picture.png").stat().st_size > 1000
 
 
@@ -44,7 +44,7 @@ def test_keeps_a_good_picture_when_the_new_one_fails(tmp_path: Path) -> None:
     path = tmp_path / "picture.nonsense"
     path.write_text("good")
     with pytest.raises(ValueError, match="nonsense"):
-        draw(path, "noise", traces(np.ones((50, 1))))
+        draw(path, "noise", "caption", traces(np.ones((50, 1))))
     assert path.read_text() == "good"
     assert list(tmp_path.iterdir()) == [path]
 
