@@ -13,7 +13,7 @@ SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
-_FILE_PACKET_BLOCKS = 512
+_FILE_PACKET_BLOCKS = 128
 # Every packet fits into one frame of the wire protocol, so that a file can be played as it is.
 _LARGEST_PACKET_BYTES = 4000
 _SMALLEST_STEP = 2.0**-18
@@ -71,7 +71,7 @@ def live_framing(rate_hz: int) -> Framing:
 
 
 def file_framing(samples: int, rate_hz: int, channels: int) -> Framing:
-    """Return the framing for a file: one refresh at the start, packets of at most 512 blocks over all channels."""
+    """Return the framing for a file: one refresh at the start, packets of at most 128 blocks over all channels."""
     hop = mdct.hop_samples(rate_hz)
     needed = -(-samples // hop) + 1
     return Framing(min(needed, max(1, _FILE_PACKET_BLOCKS // channels)) * hop, 0)
