@@ -297,6 +297,18 @@ def test_loops_repeat_the_stream_and_can_be_changed() -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), np.tile(played.decoded, (2, 1)))
 
 
+def test_every_iteration_begins_afresh_whatever_was_lost_before() -> None:
+    played = stream(0.5)
+    bench = Bench()
+    bench.configure(played, loops=2)
+    bench.send(played, range(len(played.packets) - 2))
+    bench.send(played, range(len(played.packets)), iteration=1)
+    bench.ask(Start())
+    bench.run(1400)
+    assert bench.status().lost_packets == 2
+    np.testing.assert_array_equal(bench.captured(Tap.DECODED)[len(played.decoded) :], played.decoded)
+
+
 def test_loop_count_already_passed_ends_after_this_iteration() -> None:
     played = stream(0.5)
     bench = Bench()
@@ -521,7 +533,7 @@ def test_flashing_is_refused_while_playing() -> None:
 def test_refusal_that_quotes_the_host_still_fits_a_frame() -> None:
     bench = Bench()
     bench.ask(Hello())
-    assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), "x" * 4000))) == ErrorCode.WRONG_HARDWARE
+    assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), "x" * 4050))) == ErrorCode.WRONG_HARDWARE
 
 
 # ---- hostile bytes ----

@@ -73,7 +73,7 @@ def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() 
     names = set()
     while True:
         flash = blank_flash()
-        flash._data[:] = contents
+        flash.program(0, contents)
         flash.cut_after_bytes = cut_after_bytes
         try:
             install(flash, 1, NEW)

@@ -1,0 +1,1 @@
+"""What every controller must do, whichever way it is reached."""
