@@ -61,11 +61,11 @@ class FlashMemory:
             self.cut_after_bytes -= done
         cut = done < len(after)
         changed = after[:done] + half_done[done : done + 1] if cut else after
-        self._data[address : address + len(changed)] = changed
         if self._path is not None:
             with self._path.open("r+b") as file:
                 file.seek(address)
                 file.write(changed)
+        self._data[address : address + len(changed)] = changed
         if cut:
             raise PowerCut
 

@@ -8,6 +8,9 @@ from typing import Self
 from simulated_device.controller import Controller
 
 PERIOD_S = 0.005
+# A computer under load may keep the thread waiting, which no controller's own processor does: of a longer wait, the
+# controller's clock counts only so much.
+LONGEST_STEP_US = 50_000
 
 
 class RealTimePort:
@@ -21,6 +24,8 @@ class RealTimePort:
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
+        self._read_us = time.monotonic_ns() // 1000
+        self._now_us = 0
         self._pending = b""  # from the controller, not yet taken by the host
 
     def __enter__(self) -> Self:
@@ -49,11 +54,13 @@ class RealTimePort:
     def _exchange(self, data: bytes) -> None:
         """Give bytes to the controller, let its time pass, and put what it sends into `_pending`."""
         with self._lock:
-            now_us = time.monotonic_ns() // 1000
+            read_us = time.monotonic_ns() // 1000
+            self._now_us += min(LONGEST_STEP_US, read_us - self._read_us)
+            self._read_us = read_us
             if data:
-                self._controller.receive(data, now_us)
+                self._controller.receive(data, self._now_us)
             else:
-                self._controller.advance(now_us)
+                self._controller.advance(self._now_us)
             # What the host does not take stays in the controller, which bounds it.
             if not self._pending:
                 self._pending = self._controller.transmit()

@@ -10,7 +10,9 @@ from device_protocol.messages import (
     Configure,
     ErrorCode,
     FlashBegin,
+    FlashData,
     FlashStatus,
+    FlashVerify,
     Gain,
     Hello,
     HelloResponse,
@@ -22,7 +24,7 @@ from device_protocol.messages import (
     State,
     Status,
 )
-from device_protocol.model_image import ModelImage
+from device_protocol.model_image import ModelImage, sha256
 from host.controller import Controller as Host
 from host.controller import ControllerError
 from host.flasher import flash
@@ -46,6 +48,10 @@ def refusal(session: Host, message: Message) -> int | None:
         session.request(message, Status)
     assert str(refused.value)
     return refused.value.code
+
+
+def empty_slot(session: Host) -> int:
+    return next(image.slot for image in session.description.images if image.state == SlotState.EMPTY)
 
 
 def test_hello_tells_what_the_controller_is(session: Host) -> None:
@@ -142,8 +148,19 @@ def test_model_image_is_flashed_tried_and_kept(session: Host) -> None:
     assert (kept.name, kept.version, kept.state) == ("conformance", "1", SlotState.CONFIRMED)
 
 
-def test_damaged_image_is_refused(session: Host) -> None:
-    free = next(image.slot for image in session.description.images if image.state == SlotState.EMPTY)
+def test_image_for_other_hardware_is_refused(session: Host) -> None:
     with pytest.raises(ControllerError) as refused:
-        session.request(FlashBegin(free, 100, bytes(32), "other hardware"), FlashStatus)
+        session.request(FlashBegin(empty_slot(session), 100, bytes(32), "other hardware"), FlashStatus)
     assert refused.value.code == ErrorCode.WRONG_HARDWARE
+
+
+def test_damaged_image_is_refused_and_the_slot_is_empty(session: Host) -> None:
+    slot, image = empty_slot(session), bytes(range(200))
+    assert session.request(FlashBegin(slot, len(image), sha256(image), ""), FlashStatus).next_offset == 0
+    assert session.request(FlashData(slot, 50, image[50:]), FlashStatus).next_offset == 0
+    assert session.request(FlashData(slot, 0, image), FlashStatus).next_offset == len(image)
+    with pytest.raises(ControllerError) as refused:
+        session.request(FlashVerify(slot), FlashStatus)
+    assert refused.value.code == ErrorCode.IMAGE_REFUSED
+    session.say_hello()
+    assert slot == empty_slot(session)

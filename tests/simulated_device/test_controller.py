@@ -1,6 +1,7 @@
 """The controller, message by message in simulated time: session, playing, limits of what it keeps, hostile bytes."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,7 +45,8 @@ from device_protocol.messages import (
 )
 from device_protocol.model_image import ModelImage, sha256
 from simulated_device.actuator import LRA, PIEZO_STACK
-from simulated_device.controller import Controller, Settings
+from simulated_device.controller import FLASH_BYTES, Controller, Settings
+from simulated_device.flash import FlashMemory
 from simulated_device.output import FADE_SECONDS, render
 from tests.simulated_device.bench import RATE_HZ, Bench, Stream, stream
 
@@ -528,6 +530,15 @@ def test_flashing_is_refused_while_playing() -> None:
     bench.run(10)
     assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), ""))) == ErrorCode.WRONG_STATE
     assert error_code(bench.ask(FlashActivate(0))) == ErrorCode.WRONG_STATE
+
+
+def test_flash_that_fails_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "flash.bin"
+    bench = Bench(flash=FlashMemory(FLASH_BYTES, path=path))
+    bench.ask(Hello())
+    path.unlink()
+    assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), ""))) == ErrorCode.FLASH_FAILED
+    assert isinstance(bench.ask(StatusRequest()), Status)
 
 
 def test_refusal_that_quotes_the_host_still_fits_a_frame() -> None:
