@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ import codec
 import textures
 from device_protocol import coded_stream
 from device_protocol.coded_stream import StreamHeader
+from device_protocol.model_image import ModelImage, sha256
 from host.output_files import whole_file
 
 DEFAULT_SNR_DB = 15.0
@@ -20,12 +21,27 @@ DEFAULT_STREAM_RATE_HZ = 2800
 FINE_STEP = 0.25
 
 
+class _How(TypedDict):
+    """What all encoding functions of the codec take."""
+
+    codec: str
+    live: bool
+    tables: bytes | None
+
+
 @dataclass(frozen=True)
 class Stream:
-    """A whole coded stream in memory: what a .vct file holds."""
+    """A whole coded stream in memory: what a .vct file holds, and the packed model image that it needs, if any."""
 
     header: StreamHeader
     packets: tuple[bytes, ...]
+    image: bytes | None = None
+
+    def __post_init__(self) -> None:
+        if self.image is not None and image_hash(self.image) != self.header.image_hash:
+            raise codec.CodecError(
+                "the stream was not coded for this model image; leave out --image, or give the other"
+            )
 
     @property
     def size_bytes(self) -> int:
@@ -51,31 +67,45 @@ class Stream:
         return 8 * self.size_bytes / self.seconds
 
     @property
-    def coded(self) -> codec.CodedSignal:
-        """The stream as the codec takes it. Raises CodecError when the codec or its model image is not here."""
-        header = self.header
-        if header.image_hash:
+    def codec_name(self) -> str:
+        """Name of the codec. Raises CodecError when there is none of that number."""
+        return codec.codec_by_identifier(self.header.codec_identifier).name
+
+    @property
+    def tables(self) -> bytes | None:
+        """The codec's tables, None = built in. Raises CodecError when they are in a model image that is not here."""
+        if self.image is not None:
+            return ModelImage.unpack(self.image).payload
+        if self.header.image_hash:
             raise codec.CodecError(
-                f"coded for the model image {header.image_hash.hex()}, which this program does not have; "
-                "install the vibrocast that ships it"
+                f"the stream was coded for the model image {self.header.image_hash.hex()}; give its file with --image"
             )
-        name = codec.codec_by_identifier(header.codec_identifier).name
-        return codec.CodedSignal(name, header.rate_hz, self.samples, header.gains, header.configuration, self.packets)
+        return None
 
     def decoder(self) -> codec.Decoder:
-        """Return a decoder for this stream's packets. Raises CodecError when there is none."""
+        """Return a decoder with the built-in tables, for what it says of the packets. Raises CodecError."""
         return codec.decoder(self.header.codec_identifier, self.header.configuration, self.header.channels)
+
+    def decode_integers(self) -> NDArray[np.int16]:
+        """Return what a controller decodes: int16 (packets * packet_samples, channels). Raises CodecError."""
+        return codec.decode_integers(self._coded(), self.tables)
 
     def decode(self) -> NDArray[np.float64]:
         """Return float64 (samples, channels) in the header's unit, the codec's delay removed. Raises CodecError."""
-        return codec.decode(self.coded)
+        return codec.decode(self._coded(), self.tables)
+
+    def _coded(self) -> codec.CodedSignal:
+        header = self.header
+        return codec.CodedSignal(
+            self.codec_name, header.rate_hz, self.samples, header.gains, header.configuration, self.packets
+        )
 
     def facts(self) -> dict[str, Any]:
         """Return what a person or a program wants to know of the stream, ready for JSON. Raises CodecError."""
         decoder = self.decoder()
         refreshes = sum(refresh for _, refresh in map(coded_stream.packet_sequence, self.packets))
         return {
-            "codec": codec.codec_by_identifier(self.header.codec_identifier).name,
+            "codec": self.codec_name,
             "rate_hz": self.header.rate_hz,
             "channels": self.header.channels,
             "unit": self.header.unit,
@@ -91,6 +121,7 @@ class Stream:
             "refresh_packets": refreshes,
             "packet_samples": decoder.packet_samples,
             "delay_samples": decoder.delay_samples,
+            "model_image": self.header.image_hash.hex() or None,
         }
 
 
@@ -115,41 +146,52 @@ def encode(
     codec_name: str = "mdct",
     rate_bps: float | None = None,
     snr_db: float | None = None,
+    image: bytes | None = None,
     live: bool = False,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
-    `rate_bps` counts the bits of the whole .vct file. `live` adds refresh packets, for a link that may lose some.
-    Raises CodecError (also when the asked rate or SNR cannot be met), StreamError or TextureError, with what to do.
+    `rate_bps` counts the bits of the whole .vct file. `image`: packed model image whose tables are used, None = those
+    built in. `live` adds refresh packets, for a link that may lose some. Raises CodecError (also when the asked rate
+    or SNR cannot be met), ModelImageError, StreamError or TextureError, with what to do.
     """
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
+    identifier = codec.codec_by_name(codec_name).identifier
+    tables = None
+    if image is not None:
+        model = ModelImage.unpack(image)
+        if model.codec_identifier != identifier:
+            raise codec.CodecError(f"the model image {model.name} is not for the codec {codec_name}; give another")
+        tables = model.payload
 
     def as_stream(coded: codec.CodedSignal) -> Stream:
-        identifier = codec.CODECS[coded.codec].identifier
         header = StreamHeader(
-            identifier, coded.rate_hz, coded.samples, recording.unit, coded.gains, coded.configuration
+            identifier,
+            coded.rate_hz,
+            coded.samples,
+            recording.unit,
+            coded.gains,
+            coded.configuration,
+            b"" if image is None else image_hash(image),
         )
-        return Stream(header, coded.packets)
+        return Stream(header, coded.packets, image)
 
+    def size_bytes(coded: codec.CodedSignal) -> int:
+        return as_stream(coded).size_bytes
+
+    how: _How = {"codec": codec_name, "live": live, "tables": tables}
     note = None
     if rate_bps is not None:
-        coded = codec.encode_to_rate(
-            samples,
-            stream_rate_hz,
-            rate_bps,
-            lambda candidate: as_stream(candidate).size_bytes,
-            codec=codec_name,
-            live=live,
-        )
+        coded = codec.encode_to_rate(samples, stream_rate_hz, rate_bps, size_bytes, **how)
     elif snr_db is not None:
-        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, codec=codec_name, live=live)
+        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, **how)
     else:
         try:
-            coded = codec.encode_to_snr(samples, stream_rate_hz, DEFAULT_SNR_DB, codec=codec_name, live=live)
+            coded = codec.encode_to_snr(samples, stream_rate_hz, DEFAULT_SNR_DB, **how)
         except codec.CodecError as reason:
-            # Nobody asked for this SNR in particular: a very short recording is coded finely instead of refused.
-            coded = codec.encode(samples, stream_rate_hz, FINE_STEP, codec=codec_name, live=live)
+            # Nobody asked for this SNR in particular: such a recording is coded finely instead of refused.
+            coded = codec.encode(samples, stream_rate_hz, FINE_STEP, **how)
             note = f"coded with a fine step instead of the default quality: {reason}"
     stream = as_stream(coded)
     decoded = stream.decode()
@@ -157,10 +199,18 @@ def encode(
     return Encoding(stream, resampled, _finite_snr_db(samples, decoded), each_db, note)
 
 
-def read(path: Path) -> Stream:
-    """Read a .vct file. Raises StreamError when it is damaged, OSError when it cannot be read."""
+def image_hash(image: bytes) -> bytes:
+    """Return the bytes by which a stream's header names a packed model image."""
+    return sha256(image)[: coded_stream.IMAGE_HASH_BYTES]
+
+
+def read(path: Path, image: bytes | None = None) -> Stream:
+    """Read a .vct file, coded for a packed model image or for the built-in tables.
+
+    Raises StreamError when it is damaged, CodecError for another image, OSError when it cannot be read.
+    """
     header, packets = coded_stream.read_file(path)
-    return Stream(header, tuple(packets))
+    return Stream(header, tuple(packets), image)
 
 
 def write(path: Path, stream: Stream) -> None:

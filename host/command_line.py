@@ -70,7 +70,7 @@ class OneLineErrors(click.Group):
         """Run a subcommand, its errors turned into click's own; with --debug they pass with their traceback."""
         try:
             return super().invoke(ctx)
-        except (click.ClickException, click.exceptions.Exit, click.Abort):
+        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
             if ctx.params["debug"]:
@@ -159,6 +159,9 @@ recording_options = options(
     click.option("--key", help="Which array of an NPZ file."),
     click.option("--hand-speed-mm-s", type=POSITIVE, help="Speed of the hand over a height profile."),
 )
+image_option = click.option(
+    "--image", "image_path", type=INPUT, help="Model image with the codec's tables, instead of those built in."
+)
 quality_options = options(
     click.option("--codec", "codec_name", type=click.Choice(sorted(codec.CODECS)), default="mdct", show_default=True),
     click.option("--rate-bps", type=POSITIVE, help="Size of the whole coded file, in bits per second of signal."),
@@ -172,6 +175,7 @@ quality_options = options(
         show_default=True,
         help="Sample rate of the coded stream.",
     ),
+    image_option,
 )
 device_option = click.option(
     "--device",
@@ -237,13 +241,14 @@ def encode(file: Path, out: Path, **choices: Any) -> None:
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".wav"))
 @click.option("--format", "sample_format", type=click.Choice(("float", "16-bit")), default="float", show_default=True)
-def decode(file: Path, out: Path, sample_format: str) -> None:
+@image_option
+def decode(file: Path, out: Path, sample_format: str, image_path: Path | None) -> None:
     """Decode a .vct file into a WAV file.
 
     As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
     its unit and full scale in its comment, from which this program knows them again.
     """
-    stream = coding.read(file)
+    stream = coding.read(file, packed_image(image_path))
     full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit")
     header = stream.header
     click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, 1.0 is {full_scale:g} {header.unit}")
@@ -325,10 +330,11 @@ def prepared(file: Path, choices: dict[str, Any]) -> tuple[coding.Stream, coding
     if file.suffix.lower() != ".vct":
         encoding = encoded(file, choices, live=True)
         return encoding.stream, encoding
+    image = packed_image(choices.pop("image_path"))
     given = [name for name, value in choices.items() if value not in (None, coding.DEFAULT_STREAM_RATE_HZ, "mdct")]
     if given:
         raise click.UsageError(f"{file} is coded already: drop --{given[0].replace('_', '-')}.")
-    return coding.read(file), None
+    return coding.read(file, image), None
 
 
 def encoded(file: Path, choices: dict[str, Any], live: bool) -> coding.Encoding:
@@ -336,10 +342,16 @@ def encoded(file: Path, choices: dict[str, Any], live: bool) -> coding.Encoding:
     quality = {name: choices.pop(name) for name in ("codec_name", "rate_bps", "snr_db", "stream_rate_hz")}
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
-    encoding = coding.encode(textures.load(file, **choices), live=live, **quality)
+    image = packed_image(choices.pop("image_path"))
+    encoding = coding.encode(textures.load(file, **choices), image=image, live=live, **quality)
     if encoding.note:
         click.echo(f"note: {encoding.note}", err=True)
     return encoding
+
+
+def packed_image(path: Path | None) -> bytes | None:
+    """Return the bytes of a model image file, None for none."""
+    return None if path is None else path.read_bytes()
 
 
 @contextmanager

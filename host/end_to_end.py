@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-import codec
 from device_protocol.messages import ActuatorDescription
 from host import player
 from host.coding import Encoding, Stream
@@ -52,7 +51,7 @@ def play(
     `address` are for the report. Raises CodecError, and whatever `player.play` raises.
     """
     header, decoder = stream.header, stream.decoder()
-    offline = codec.decode_integers(stream.coded)
+    offline = stream.decode_integers()
     result = player.play(
         controller,
         header,
@@ -78,7 +77,7 @@ def play(
     report = Report(
         version=version("vibrocast"),
         file=file_name,
-        codec=stream.coded.codec,
+        codec=stream.codec_name,
         channels=header.channels,
         stream_rate_hz=header.rate_hz,
         loops=loops,
