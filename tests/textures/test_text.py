@@ -134,23 +134,8 @@ def test_numbers_come_back(
         assert "first column rises" in str(error)
 
 
-PIECES = st.sampled_from(
-    [
-        "time_s",
-        "position_um",
-        "height_um",
-        "x (g)",
-        "# rate_hz: ",
-        "unit: um",
-        "1",
-        "-2.5",
-        "1e999",
-        "nan",
-        "0x10",
-        "1_0",
-        *list('\t \n\r,;"#[)_\x00\ufeff\x85\u2028é'),
-    ]
-)
+WORDS = ["time_s", "position_um", "height_um", "x (g)", "# rate_hz: ", "unit: um", "1", "-2.5", "1e999", "nan", "0x10"]
+PIECES = st.sampled_from([*WORDS, *'\t \n\r,;"#[)_\0\ufeff\x85\u2028é'])
 
 
 @given(text=st.lists(PIECES, max_size=40).map("".join) | st.text())
