@@ -16,6 +16,7 @@ LIVE_REFRESH_S = 0.25
 _FILE_PACKET_BLOCKS = 128
 # Every packet fits into one frame of the wire protocol, so that a file can be played as it is.
 _LARGEST_PACKET_BYTES = 4000
+_CHUNK_SAMPLES = 1_000_000
 _SMALLEST_STEP = 2.0**-18
 _LARGEST_STEP = 2.0**6
 _STEPS_PER_OCTAVE = 64
@@ -239,18 +240,19 @@ class _Source:
         steps = tuple(min(max(step * rms, _SMALLEST_STEP), _LARGEST_STEP) for rms in self.rms)
         framing = self.framing
         while True:
-            encoder = self.codec.make_encoder(steps, self.rate_hz, framing, self.tables, thrift)
-            packets: list[bytes] = []
-            chunk = 1_000_000
-            for start in range(0, len(self.samples), chunk):
-                packets += encoder.encode(self.samples[start : start + chunk] / np.array(self.gains))
-            packets += encoder.finish()
-            halved = Framing(encoder.packet_samples // 2, 2 * framing.refresh_packets)
-            if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or halved.packet_samples < mdct.hop_samples(
-                self.rate_hz
-            ):
-                break
-            framing = halved
+            coded = self._encode(steps, framing, thrift)
+            shorter = Framing(framing.packet_samples // 2, 2 * framing.refresh_packets)
+            fits = max(map(len, coded.packets)) <= _LARGEST_PACKET_BYTES
+            if fits or shorter.packet_samples < mdct.hop_samples(self.rate_hz):
+                return coded
+            framing = shorter
+
+    def _encode(self, steps: tuple[float, ...], framing: Framing, thrift: float) -> CodedSignal:
+        encoder = self.codec.make_encoder(steps, self.rate_hz, framing, self.tables, thrift)
+        packets: list[bytes] = []
+        for start in range(0, len(self.samples), _CHUNK_SAMPLES):
+            packets += encoder.encode(self.samples[start : start + _CHUNK_SAMPLES] / np.array(self.gains))
+        packets += encoder.finish()
         return CodedSignal(
             self.codec.name, self.rate_hz, len(self.samples), self.gains, encoder.configuration, tuple(packets)
         )
