@@ -77,13 +77,13 @@ def table_rows(rates: BdRates) -> list[tuple[str, ...]]:
 TABLE_HEADER = ("peer", "mean", "median", "lowest", "highest", "mean by akima", "traces", "SNR compared")
 
 
-def markdown(codec_name: str, rows: list[tuple[str, ...]], traces: int) -> str:
+def markdown(codec_name: str, rows: list[tuple[str, ...]], folder: str, traces: int) -> str:
     """Return the page that holds the table and the charts."""
     lines = [
         f"# Rate and distortion of `{codec_name}`",
         "",
-        f"Written by `python -m evaluation.rate_distortion`. BD-rate on {traces} traces: bits of the whole file",
-        f"relative to the peer's at equal SNR, over {WINDOW_DB[0]:g} to {WINDOW_DB[1]:g} dB where both have points, by",
+        f"Written by `python -m evaluation.rate_distortion`. BD-rate on the {traces} traces of `{folder}`: bits of the",
+        f"whole file relative to the peer's at equal SNR, over {WINDOW_DB[0]:g} to {WINDOW_DB[1]:g} dB where both have points, by",
         "pchip on the monotone envelope of at least 6 points; -50 % is half the bits. Peers that shape their noise for",
         "perception get no credit for it here.",
         "",
@@ -132,7 +132,9 @@ def main(folder: Path, peers: Path, out: Path, codec_name: str) -> None:
         "points": [asdict(point) for point in points],
     }
     (out / "rate_distortion.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    (out / "rate_distortion.md").write_text(markdown(codec_name, rows, len(paths)), encoding="utf-8")
+    (out / "rate_distortion.md").write_text(
+        markdown(codec_name, rows, folder.resolve().name, len(paths)), encoding="utf-8"
+    )
     curves = by_codec_and_trace([*points, *(point for point in peer_points if point.codec in rates)])
     plot_mean(out / "rate_distortion.png", curves, codec_name)
     plot_traces(out / "rate_distortion_traces.png", curves, codec_name)

@@ -18,7 +18,7 @@ def make_examples(folder: Path) -> None:
     hand = varying_speed(SECONDS, RATE_HZ, mean_mm_s=60, variation=0.6, period_s=1.6)
     save_wav(folder / "oak.wav", wood(1, SECONDS, hand, RATE_HZ))
     save_wav(folder / "cloth_two_fingers.wav", two_fingers())
-    save_wav(folder / "sandpaper.wav", rough(3, SECONDS, 60.0, RATE_HZ, hurst=0.3, roll_off_mm=0.4, rms_um=10))
+    save_wav(folder / "sandpaper.wav", rough(3, SECONDS, 60.0, RATE_HZ, hurst=0.3, roll_off_mm=0.4, rms_um=6))
     save_wav(folder / "taps.wav", taps(4, SECONDS, 50.0, RATE_HZ))
     profile = rough_profile(5, length_mm=8.0, spacing_um=4.0, rms_um=6.0)
     lines = [f"{index * profile.spacing_um:.0f},{height:.3f}" for index, height in enumerate(profile.heights_um)]
