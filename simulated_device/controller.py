@@ -42,6 +42,7 @@ from device_protocol.messages import (
 )
 from simulated_device.actuator import PIEZO_STACK, Actuator, Codes
 from simulated_device.flash import FlashMemory, ImageStore
+from simulated_device.output import recording_end
 from simulated_device.playback import Playback
 from simulated_device.refusal import Refusal
 
@@ -334,9 +335,17 @@ class Controller:
             )
         make_decoder = self._pick_decoder(header)
         try:
-            packet_samples = make_decoder().packet_samples
+            decoder = make_decoder()
         except CodecError as error:
             raise Refusal(ErrorCode.UNKNOWN_CODEC, str(error)) from error
+        packet_samples = decoder.packet_samples
+        recorded = recording_end(header, decoder.delay_samples)
+        if recorded is not None and configure.packets * packet_samples >= recorded + 2 * packet_samples:
+            raise Refusal(
+                ErrorCode.BAD_VALUE,
+                f"{configure.packets} packets of {packet_samples} samples are too many for the {header.samples} "
+                "samples that the stream header announces",
+            )
         if max(packet_samples, configure.prebuffer_samples) > settings.buffer_samples:
             raise Refusal(
                 ErrorCode.BEYOND_LIMITS,

@@ -257,7 +257,7 @@ class Playback:
         self.captures[Tap.DECODED].write(decoded)
         recorded = recording_end(self._header, self._decoder.delay_samples)
         end = self._end()
-        if recorded is None or end is None or index < end - self._packets:
+        if self.live or recorded is None or end is None or index < end - self._packets:
             return decoded
         return decoded[: max(0, recorded - number * self._packet_samples)]
 

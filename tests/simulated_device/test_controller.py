@@ -155,6 +155,7 @@ def test_configure_refuses_what_cannot_be_played() -> None:
         (Configure(1, header.pack() + b"x", 0), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack(), 0, packets=0, loops=0), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack(), 0, packets=5, first_packet=5), ErrorCode.BAD_VALUE),
+        (Configure(1, header.pack(), 0, packets=len(good.packets) + 2), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack(), 1 << 20, packets=5), ErrorCode.BEYOND_LIMITS),
         (Configure(1, three_channels.pack(), 0), ErrorCode.BEYOND_LIMITS),
         (Configure(1, replace(header, rate_hz=99).pack(), 0), ErrorCode.BEYOND_LIMITS),
@@ -350,6 +351,16 @@ def test_live_stream_ends_where_the_host_says() -> None:
     assert bench.status().state == State.FINISHED
     assert bench.status().underruns == 0
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), played.decoded[: 10 * played.packet_samples])
+
+
+def test_live_stream_without_an_end_in_sight_stops_with_its_host() -> None:
+    bench = Bench()
+    bench.configure(stream(), packets=0)
+    bench.ask(Start())
+    assert state_of(bench.ask(EndStream(7, 2**32 - 1))) == State.ARMED
+    bench.run(5000, polling=False)
+    assert bench.status().state == State.WATCHDOG
+    assert bench.status().underruns == 1
 
 
 def test_first_packet_is_where_playing_begins() -> None:
@@ -585,7 +596,13 @@ def hostile_payloads() -> st.SearchStrategy[bytes]:
         ),
         st.integers(1, 0xFFFF),
     )
-    return valid | fuzzed | st.binary(min_size=1, max_size=80)
+    altered = st.builds(
+        lambda payload, at, byte: payload[: 3 + at % len(payload)] + bytes([byte]) + payload[4 + at % len(payload) :],
+        valid,
+        st.integers(0, 60),
+        st.integers(0, 255),
+    )
+    return valid | altered | fuzzed | st.binary(min_size=1, max_size=80)
 
 
 @settings(max_examples=80, deadline=None)
