@@ -15,7 +15,6 @@ import codec
 from device_protocol.coded_stream import StreamHeader
 from evaluation.bd_rate import WINDOW_DB, BdRate, bd_rates, summary
 from evaluation.charts import plot_mean, plot_traces
-from evaluation.metrics import snr_db
 from evaluation.points import Point, PointsError, by_codec_and_trace, read_points, write_points
 from host import coding
 from textures import TextureError, load
@@ -40,8 +39,10 @@ def measure(path: Path, codec_name: str, step: float) -> Point:
         coding.write(file, coding.Stream(header, coded.packets))
         size_bytes = file.stat().st_size
         decoded = coding.read(file).decode()
-    reached_db = round(snr_db(recording.samples, decoded), 4)
-    return Point(path.stem, codec_name, f"step {step:.4f}", recording.samples.size, size_bytes, reached_db)
+    reached_db = codec.snr_db(recording.samples, decoded)
+    if reached_db is None:
+        raise codec.CodecError(f"{path} is silent and has no SNR; leave it out")
+    return Point(path.stem, codec_name, f"step {step:.4f}", recording.samples.size, size_bytes, round(reached_db, 4))
 
 
 def measure_all(paths: list[Path], codec_name: str) -> list[Point]:

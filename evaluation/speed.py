@@ -16,7 +16,6 @@ from rich.console import Console
 from rich.table import Table
 
 import codec
-from evaluation.metrics import snr_db
 from textures.generate import varying_speed, wood
 
 RATE_HZ = 2800
@@ -50,7 +49,7 @@ def measure(codec_name: str, repeats: int) -> dict[str, Any]:
     samples = wood(0, SECONDS, speed, RATE_HZ).samples
     megasamples = len(samples) / 1e6
     reference_s = reference_seconds(repeats)
-    results: list[dict[str, float]] = []
+    results: list[dict[str, float | None]] = []
     for step in STEPS:
         encode = partial(codec.encode, samples, RATE_HZ, step, codec=codec_name)
         coded = encode()
@@ -59,7 +58,7 @@ def measure(codec_name: str, repeats: int) -> dict[str, Any]:
         results.append(
             {
                 "step": step,
-                "snr_db": snr_db(samples, codec.decode(coded)),
+                "snr_db": codec.snr_db(samples, codec.decode(coded)),
                 "bits_per_sample": 8 * sum(map(len, coded.packets)) / len(samples),
                 "encode_s_per_megasample": encode_s / megasamples,
                 "decode_s_per_megasample": decode_s / megasamples,

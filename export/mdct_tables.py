@@ -1,7 +1,7 @@
 """Trains the initial tables of `mdct` on recordings: a refresh then starts from what textures have in common.
 
-    python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a controller
-    python -m export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
+python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a controller
+python -m export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
 """
 
 from collections.abc import Iterator
@@ -65,7 +65,7 @@ def train(textures: list[Signal], seed: int, tables: bytes) -> bytes:
 def c_source(tables: bytes) -> str:
     """Return firmware/core/builtin_tables.c for the tables."""
     lines = [", ".join(map(str, tables[start : start + 20])) for start in range(0, len(tables), 20)]
-    head = '/* Initial tables of the context model; written by `python -m export.mdct_tables --built-in`. */\n'
+    head = "/* Initial tables of the context model; written by `python -m export.mdct_tables --built-in`. */\n"
     return head + '#include "mdct.h"\n\nconst uint8_t vc_builtin_tables[] = {\n    ' + ",\n    ".join(lines) + "};\n"
 
 

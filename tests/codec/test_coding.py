@@ -145,3 +145,28 @@ def test_live_streams_refresh_at_least_every_quarter_second() -> None:
     decoder = codec.decoder(1, coded.configuration, 1)
     assert decoder.packet_samples * max(np.diff(refreshes)) <= 0.25 * RATE_HZ
     assert len(refreshes) >= 8
+
+
+def three_sines() -> codec.Signal:
+    """A signal whose figures are known: 60, 250 and 700 Hz at 2800 Hz."""
+    turns = 2 * np.pi * np.arange(2100) / RATE_HZ
+    sines = 0.5 * np.sin(60 * turns) + 0.2 * np.sin(250 * turns + 0.3) + 0.05 * np.sin(700 * turns)
+    return np.asarray(sines, dtype=np.float64)[:, None]
+
+
+def test_snr_of_known_signals() -> None:
+    signal = three_sines()
+    assert codec.snr_db(signal, np.round(16 * signal) / 16) == pytest.approx(26.3637133687, abs=1e-9)
+    assert codec.snr_db(signal, signal / 2) == pytest.approx(6.0206, abs=1e-4)
+    assert codec.snr_db(signal, signal) == math.inf
+    assert codec.snr_db(0 * signal, signal) is None
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1.0, 1e200])
+def test_snr_does_not_depend_on_the_unit(scale: float) -> None:
+    assert codec.snr_db(three_sines() * scale, three_sines() * scale * 0.9) == pytest.approx(20.0)
+
+
+def test_snr_is_the_mean_over_channels_that_are_not_silent() -> None:
+    signal = np.hstack([three_sines(), 100 * three_sines(), np.zeros((2100, 1))])
+    assert codec.snr_db(signal, signal * [0.9, 0.99, 1.0]) == pytest.approx(30.0)
