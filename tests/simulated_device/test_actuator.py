@@ -30,7 +30,8 @@ def test_full_drive_moves_the_piezo_stack_by_half_its_stroke() -> None:
 def test_resonant_tactor_peaks_at_its_resonance_by_its_stroke() -> None:
     rate_hz = 800_000.0
     frequencies_hz = np.linspace(50.0, 400.0, 351)
-    gains = [gain_at(LRA.response(rate_hz), frequency_hz, rate_hz) for frequency_hz in frequencies_hz]
+    _, response = signal.freqz(*LRA.response(rate_hz), worN=frequencies_hz, fs=rate_hz)
+    gains = np.abs(response)
     assert frequencies_hz[int(np.argmax(gains))] == pytest.approx(LRA.corner_hz, abs=1.0)
     assert max(gains) == pytest.approx(1.0, rel=2e-3)
     lower_hz, upper_hz = LRA.band_hz
@@ -47,8 +48,8 @@ def test_compensated_piezo_stack_follows_exactly_one_sample_late() -> None:
 @pytest.mark.parametrize("actuator", [LRA, ACTUATORS["voice-coil"]], ids=lambda actuator: actuator.name)
 def test_compensation_of_a_resonance_is_bounded_and_broadens_it(actuator: Actuator) -> None:
     inverse = actuator.inverse()
-    gains = [gain_at(inverse, frequency_hz, actuator.dac_rate_hz) for frequency_hz in np.linspace(1, 3999, 500)]
-    assert max(gains) <= actuator.maximum_boost * (1 + 1e-9)
+    _, response = signal.freqz(*inverse, worN=500)
+    assert np.abs(response).max() <= actuator.maximum_boost * (1 + 1e-9)
     assert gain_at(inverse, actuator.corner_hz, actuator.dac_rate_hz) == pytest.approx(1.0, rel=1e-9)
     beside_hz = 1.2 * actuator.corner_hz
     bare = gain_at(actuator.response(actuator.dac_rate_hz), beside_hz, actuator.dac_rate_hz)

@@ -399,6 +399,7 @@ def test_underrun_is_counted_once_faded_and_never_plays_old_samples() -> None:
     bench.run(1700)
     assert bench.status().state == State.FINISHED
     assert bench.status().underruns == 1
+    assert bench.status().buffered_samples == 0
     captured = bench.captured(Tap.DECODED)
     assert len(captured) == len(played.decoded)
     starved_from = 8 * played.packet_samples
