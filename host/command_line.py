@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 import codec
 import textures
-from device_protocol.coded_stream import StreamError
+from device_protocol.coded_stream import MAX_RATE_HZ, StreamError
 from device_protocol.messages import MessageError
 from device_protocol.model_image import ModelImageError
 from device_protocol.transports import TransportError
@@ -170,7 +170,7 @@ quality_options = options(
     ),
     click.option(
         "--stream-rate-hz",
-        type=click.IntRange(min=1),
+        type=click.IntRange(1, MAX_RATE_HZ),
         default=coding.DEFAULT_STREAM_RATE_HZ,
         show_default=True,
         help="Sample rate of the coded stream.",
@@ -267,7 +267,9 @@ def info(file: Path, as_json: bool) -> None:
 @click.argument("out", type=OutputFile(".wav"))
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another seed, another texture.")
 @click.option("--seconds", type=POSITIVE, default=4.0, show_default=True)
-@click.option("--rate-hz", type=click.IntRange(min=1), default=coding.DEFAULT_STREAM_RATE_HZ, show_default=True)
+@click.option(
+    "--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=coding.DEFAULT_STREAM_RATE_HZ, show_default=True
+)
 @click.option("--hand-speed-mm-s", type=POSITIVE, default=50.0, show_default=True)
 def generate(kind: str, out: Path, **choices: Any) -> None:
     """Make a texture, as a WAV file."""

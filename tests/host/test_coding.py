@@ -1,0 +1,128 @@
+"""Tests of the way from recordings to coded streams and back."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import textures
+from codec import CodecError
+from device_protocol.coded_stream import StreamError
+from device_protocol.model_image import ModelImage, ModelImageError
+from host import coding
+
+IMAGE = (Path(__file__).parents[2] / "models" / "mdct-textures.vcmi").read_bytes()
+
+
+def noise(seconds: float = 0.5, channels: int = 1, rate_hz: float = 2800, unit: str = "m/s^2") -> textures.Recording:
+    samples = np.random.default_rng(1).normal(size=(round(seconds * rate_hz), channels))
+    return textures.Recording(samples, rate_hz, unit, "noise")
+
+
+@pytest.mark.parametrize("snr_db", [6.0, 20.0, 40.0])
+def test_meets_the_asked_quality(snr_db: float) -> None:
+    encoding = coding.encode(noise(), snr_db=snr_db)
+    assert encoding.snr_db == pytest.approx(snr_db, abs=0.2)
+    assert encoding.note is None
+
+
+@pytest.mark.parametrize("rate_bps", [2000.0, 9000.0])
+def test_meets_the_asked_rate_in_bytes_of_the_file(rate_bps: float, tmp_path: Path) -> None:
+    encoding = coding.encode(noise(seconds=2), rate_bps=rate_bps)
+    coding.write(tmp_path / "noise.vct", encoding.stream)
+    assert 8 * (tmp_path / "noise.vct").stat().st_size / 2 == pytest.approx(rate_bps, rel=0.02)
+
+
+def test_says_why_a_wish_cannot_be_met() -> None:
+    with pytest.raises(CodecError, match="10 bit/s cannot be met"):
+        coding.encode(noise(), rate_bps=10)
+    with pytest.raises(CodecError, match="200 dB cannot be met"):
+        coding.encode(noise(), snr_db=200)
+
+
+@settings(max_examples=20, deadline=None)
+@given(samples=st.integers(1, 90), level=st.sampled_from([0.0, 1e-9, 1.0, 1e9]), channels=st.integers(1, 3))
+def test_any_recording_can_be_coded_without_a_wish(samples: int, level: float, channels: int) -> None:
+    recording = textures.Recording(np.full((samples, channels), level), 2800, "um", "level")
+    encoding = coding.encode(recording)
+    assert encoding.stream.decode().shape == (samples, channels)
+    if level:
+        assert encoding.snr_db is None or encoding.snr_db > 14.5
+    else:
+        assert encoding.snr_db is None
+
+
+def test_a_file_holds_the_whole_stream(tmp_path: Path) -> None:
+    encoding = coding.encode(noise(channels=2, rate_hz=10_000))
+    path = tmp_path / "noise.vct"
+    coding.write(path, encoding.stream)
+    stream = coding.read(path)
+    assert stream == encoding.stream
+    assert stream.size_bytes == path.stat().st_size
+    facts = stream.facts()
+    assert (facts["rate_hz"], facts["channels"], facts["unit"], facts["samples"]) == (2800, 2, "m/s^2", 1400)
+
+
+def test_live_streams_refresh_and_files_do_not() -> None:
+    assert coding.encode(noise(seconds=2)).stream.facts()["refresh_packets"] == 1
+    assert coding.encode(noise(seconds=2), live=True).stream.facts()["refresh_packets"] >= 8
+
+
+def test_damage_anywhere_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "noise.vct"
+    coding.write(path, coding.encode(noise(seconds=0.1)).stream)
+    data = path.read_bytes()
+    for position in range(len(data)):
+        damaged = bytearray(data)
+        damaged[position] ^= 0x10
+        path.write_bytes(damaged)
+        with pytest.raises((StreamError, CodecError)):
+            coding.read(path).decode()
+
+
+def test_a_length_beyond_the_packets_is_refused() -> None:
+    stream = coding.encode(noise()).stream
+    longer = replace(stream, header=replace(stream.header, samples=10**12))
+    with pytest.raises(CodecError, match="cut short"):
+        longer.decode()
+
+
+def test_a_live_header_leaves_the_length_to_the_packets() -> None:
+    stream = coding.encode(noise(), live=True).stream
+    live = replace(stream, header=replace(stream.header, samples=None))
+    assert live.samples >= stream.samples
+    np.testing.assert_array_equal(live.decode()[: stream.samples], stream.decode())
+
+
+def test_float_wav_is_exact_and_16_bit_wav_is_near(tmp_path: Path) -> None:
+    stream = coding.encode(noise(channels=2)).stream
+    assert coding.write_wav(tmp_path / "float.wav", stream, sixteen_bit=False) == 1.0
+    full_scale = coding.write_wav(tmp_path / "short.wav", stream, sixteen_bit=True)
+    exact, near = textures.load(tmp_path / "float.wav"), textures.load(tmp_path / "short.wav")
+    np.testing.assert_array_equal(exact.samples, stream.decode())
+    np.testing.assert_allclose(near.samples, stream.decode(), atol=full_scale / 32768)
+    assert exact.unit == near.unit == "m/s^2"
+
+
+def test_an_image_is_named_by_the_stream_and_needed_to_decode(tmp_path: Path) -> None:
+    recording = noise()
+    stream = coding.encode(recording, image=IMAGE).stream
+    assert stream.header.image_hash == coding.image_hash(IMAGE)
+    coding.write(tmp_path / "noise.vct", stream)
+    assert coding.read(tmp_path / "noise.vct", IMAGE).decode().shape == recording.samples.shape
+    with pytest.raises(CodecError, match="give its file with --image"):
+        coding.read(tmp_path / "noise.vct").decode()
+    with pytest.raises(CodecError, match="not coded for this model image"):
+        coding.read(tmp_path / "noise.vct", IMAGE + b"x")
+
+
+def test_an_image_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(ModelImageError):
+        coding.encode(noise(), image=b"nonsense")
+    with pytest.raises(CodecError, match="not for the codec"):
+        coding.encode(noise(), image=ModelImage(9, "other", "1", "", b"").pack())
+    with pytest.raises(CodecError):
+        coding.encode(noise(), image=ModelImage(1, "short", "1", "", b"too short").pack())

@@ -1,0 +1,354 @@
+"""Tests of the `vibrocast` command: every subcommand, what it prints, its exit codes, and bad input of every kind."""
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from click.testing import CliRunner, Result
+
+import textures
+from device_protocol.messages import State
+from host import devices
+from host.command_line import main
+from host.report import Report
+from simulated_device.actuator import Codes
+from simulated_device.controller import Controller
+from simulated_device.pty_port import PtyPort
+
+ROOT = Path(__file__).parents[2]
+SHARED = ROOT / ".." / "shared" / "data"
+IMAGE = str(ROOT / "models" / "mdct-textures.vcmi")
+RATE_HZ = 2800
+
+
+def vibrocast(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def succeeds(*arguments: object) -> str:
+    result = vibrocast(*arguments)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def fails(exit_code: int, *arguments: object) -> str:
+    """Return the error, which is one line, for a person, without a traceback."""
+    result = vibrocast(*arguments)
+    assert result.exit_code == exit_code, result.output
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert "unexpected" not in result.stderr
+    return result.stderr
+
+
+@pytest.fixture
+def texture(tmp_path: Path) -> Path:
+    """A texture short enough to lie in the controller's buffer before it is played: no busy machine disturbs it."""
+    path = tmp_path / "texture.wav"
+    samples = np.random.default_rng(3).normal(size=(RATE_HZ // 5, 1))
+    textures.save_wav(path, textures.Recording(samples, RATE_HZ, "m/s^2", "texture"))
+    return path
+
+
+@pytest.fixture
+def coded(texture: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "texture.vct"
+    succeeds("encode", texture, path)
+    return path
+
+
+class Watched:
+    """A simulated controller on a pseudo-terminal, and when it began to move its actuator."""
+
+    def __init__(self) -> None:
+        self.moved = threading.Event()
+        self.port = PtyPort(Controller(on_dac=self._on_dac))
+        self.address = f"serial:{self.port.name}"
+
+    def _on_dac(self, codes: Codes) -> None:
+        if codes.any():
+            self.moved.set()
+
+
+@pytest.fixture
+def watched() -> Iterator[Watched]:
+    controller = Watched()
+    with controller.port:
+        yield controller
+
+
+def started(*arguments: object) -> subprocess.Popen[str]:
+    """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background."""
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from host.command_line import main; main()"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("device", ["sim", "sim-usb"])
+def test_play_reports_and_draws(device: str, texture: Path, tmp_path: Path) -> None:
+    report_path, plot_path = tmp_path / "report.json", tmp_path / "plot.png"
+    output = succeeds("play", texture, "--device", device, "--report", report_path, "--plot", plot_path)
+    assert "decoded as sent" in output
+    assert "\x1b" not in output
+    report = json.loads(report_path.read_text())
+    assert set(report) == {field.name for field in dataclasses.fields(Report)}
+    assert report["decoded_equals_offline"] is True
+    assert report["dac_equals_offline"] is True
+    assert (report["underruns"], report["lost_packets"], report["reconnects"]) == (0, 0, 0)
+    assert report["snr_db"] == pytest.approx(15, abs=0.2)
+    assert report["bits_per_second"] == 8 * report["stream_bytes"] / 0.2
+    assert report["bits_per_sample"] == pytest.approx(report["bits_per_second"] / RATE_HZ)
+    assert report["wire_bytes"] > report["stream_bytes"]
+    latency = report["latency_ms"]
+    assert latency["end_to_end"] > latency["algorithmic"] + latency["buffered"] > 0
+    assert report["device"]["address"] == device
+    assert report["actuator"]["name"] == "piezo-stack"
+    assert plot_path.stat().st_size > 10_000
+
+
+def test_report_page_explains_every_field() -> None:
+    page = (ROOT / "docs" / "report.md").read_text()
+    missing = [field.name for field in dataclasses.fields(Report) if f"`{field.name}" not in page]
+    assert missing == []
+
+
+def test_play_loops_over_several_channels(tmp_path: Path) -> None:
+    path, report_path = tmp_path / "two.wav", tmp_path / "report.json"
+    samples = np.random.default_rng(4).normal(size=(400, 2))
+    textures.save_wav(path, textures.Recording(samples, RATE_HZ, "um", "two"))
+    succeeds("play", path, "--loop", 3, "--snr-db", 10, "--report", report_path, "--plot", tmp_path / "two.svg")
+    report = json.loads(report_path.read_text())
+    assert (report["loops"], report["channels"]) == (3, 2)
+    assert report["decoded_equals_offline"] is True
+    assert report["dac_equals_offline"] is True
+
+
+@pytest.mark.parametrize(("samples", "level"), [(1, 1.0), (17, 0.5), (500, 0.0), (500, 1.0)])
+def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
+    path, report_path = tmp_path / "extreme.wav", tmp_path / "report.json"
+    soundfile.write(path, np.full((samples, 1), level), RATE_HZ, subtype="FLOAT")
+    succeeds("play", path, "--report", report_path, "--plot", tmp_path / "plot.png")
+    report = json.loads(report_path.read_text())
+    assert report["dac_equals_offline"] is True
+    assert (report["snr_db"] is None) == (level == 0)
+
+
+def test_plays_a_coded_file(coded: Path, tmp_path: Path) -> None:
+    report_path = tmp_path / "report.json"
+    succeeds("play", coded, "--report", report_path, "--plot", tmp_path / "plot.png")
+    report = json.loads(report_path.read_text())
+    assert report["stream_bytes"] == coded.stat().st_size
+    assert report["snr_db"] is None
+    assert report["decoded_equals_offline"] is True
+
+
+def test_plays_a_height_profile_at_a_hand_speed() -> None:
+    profile = ROOT / "examples" / "leather_profile.csv"
+    assert "DAC as computed" in succeeds("play", profile, "--hand-speed-mm-s", 50)
+    assert "--hand-speed-mm-s" in fails(2, "play", profile)
+
+
+def test_encode_info_decode(texture: Path, tmp_path: Path) -> None:
+    coded_path, wav_path = tmp_path / "out.vct", tmp_path / "out.wav"
+    assert "SNR " in succeeds("encode", texture, coded_path, "--snr-db", 30)
+    facts = json.loads(succeeds("info", coded_path, "--json"))
+    assert (facts["codec"], facts["rate_hz"], facts["unit"], facts["samples"]) == ("mdct", RATE_HZ, "m/s^2", 560)
+    assert facts["size_bytes"] == coded_path.stat().st_size
+    assert "mdct" in succeeds("info", coded_path)
+    for sample_format in ("float", "16-bit"):
+        assert "m/s^2" in succeeds("decode", coded_path, wav_path, "--format", sample_format)
+        decoded = textures.load(wav_path)
+        original = textures.load(texture)
+        error = np.sum((decoded.samples - original.samples) ** 2) / np.sum(original.samples**2)
+        assert -10 * np.log10(error) == pytest.approx(30, abs=0.3)
+
+
+def test_encode_to_a_rate_and_at_another_stream_rate(tmp_path: Path) -> None:
+    out = tmp_path / "oak.vct"
+    succeeds("encode", ROOT / "examples" / "oak.wav", out, "--rate-bps", 3000, "--stream-rate-hz", 2000)
+    assert 8 * out.stat().st_size / 4 == pytest.approx(3000, rel=0.02)
+    assert json.loads(succeeds("info", out, "--json"))["rate_hz"] == 2000
+
+
+@pytest.mark.parametrize("kind", sorted(textures.GENERATORS))
+def test_generate(kind: str, tmp_path: Path) -> None:
+    one, again, other = tmp_path / "one.wav", tmp_path / "again.wav", tmp_path / "other.wav"
+    for path, seed in ((one, 1), (again, 1), (other, 2)):
+        succeeds("generate", kind, path, "--seed", seed, "--seconds", 0.5, "--hand-speed-mm-s", 80)
+    assert one.read_bytes() == again.read_bytes()
+    assert textures.load(one).seconds == 0.5
+
+
+def test_devices_and_status() -> None:
+    listed = succeeds("devices")
+    assert "sim-usb" in listed
+    assert "piezo-stack" in succeeds("status")
+    facts = json.loads(succeeds("status", "--device", "sim-usb", "--json"))
+    assert facts["status"]["state"] == "idle"
+    assert facts["codecs"] == ["mdct"]
+
+
+def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, watched: Watched) -> None:
+    coded_path = tmp_path / "image.vct"
+    succeeds("encode", texture, coded_path, "--image", IMAGE)
+    assert "flash it first" in fails(1, "play", coded_path, "--image", IMAGE, "--device", watched.address)
+    assert "confirmed" in succeeds("flash", IMAGE, "--device", watched.address)
+    assert "mdct-textures" in succeeds("status", "--device", watched.address)
+    assert "DAC as computed" in succeeds("play", coded_path, "--image", IMAGE, "--device", watched.address)
+    assert "--image" in fails(2, "decode", coded_path, tmp_path / "out.wav")
+    succeeds("decode", coded_path, tmp_path / "out.wav", "--image", IMAGE)
+
+
+def test_simulate_serves_other_programs_until_interrupted(texture: Path, tmp_path: Path) -> None:
+    process = started("simulate", "--actuator", "lra", "--drift-ppm", "100", "--flash-file", tmp_path / "flash.bin")
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert address.startswith("serial:/")
+        report_path = tmp_path / "report.json"
+        succeeds("play", texture, "--device", address, "--report", report_path, "--plot", tmp_path / "plot.png")
+        report = json.loads(report_path.read_text())
+        assert report["actuator"]["name"] == "lra"
+        assert report["dac_equals_offline"] is True
+        succeeds("flash", IMAGE, "--device", address)
+    finally:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert errors.strip() == "error: interrupted"
+    assert not Path(address.removeprefix("serial:")).exists()
+    assert b"mdct-textures" in (tmp_path / "flash.bin").read_bytes()
+
+
+def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(tmp_path: Path, watched: Watched) -> None:
+    path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
+    textures.save_wav(path, textures.GENERATORS["rough"](seconds=60.0))
+    process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
+    assert watched.moved.wait(30)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert (output, errors.strip()) == ("", "error: interrupted")
+    assert not report_path.exists()
+    with devices.connect(watched.address) as controller:
+        assert controller.request_status().state == State.STOPPED
+
+
+def test_pulled_cable_is_found_again(tmp_path: Path, watched: Watched) -> None:
+    path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
+    textures.save_wav(path, textures.GENERATORS["rough"](seconds=1.5))
+    process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
+    assert watched.moved.wait(30)
+    watched.port.unplug()
+    watched.port.plug()
+    process.communicate(timeout=30)
+    assert json.loads(report_path.read_text())["reconnects"] >= 1
+
+
+def test_no_arguments_and_help_and_version() -> None:
+    for arguments in ((), ("--help",), ("play", "-h")):
+        assert "Usage" in succeeds(*arguments)
+    assert "version" in succeeds("--version")
+
+
+def test_refuses_bad_usage(texture: Path, coded: Path, tmp_path: Path) -> None:
+    assert "No such command" in fails(2, "dance")
+    assert "exclude each other" in fails(2, "play", texture, "--rate-bps", 1000, "--snr-db", 10)
+    assert "coded already" in fails(2, "play", coded, "--snr-db", 10)
+    assert "finite" in fails(2, "play", texture, "--snr-db", "nan")
+    assert "--rate-bps" in fails(2, "play", texture, "--rate-bps", -5)
+    assert "--loop" in fails(2, "play", texture, "--loop", 0)
+    assert "cannot be met" in fails(2, "encode", texture, tmp_path / "out.vct", "--rate-bps", 1)
+    assert "does not exist" in fails(2, "play", texture, "--report", tmp_path / "none" / "out.json")
+    assert ".png" in fails(2, "play", texture, "--plot", tmp_path / "plot.bmp")
+    assert ".vct" in fails(2, "encode", texture, tmp_path / "out.wav")
+    assert "sim-usb" in fails(2, "play", texture, "--device", "hand")
+
+
+def test_refuses_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.vct"
+    garbage, truncated, flipped = tmp_path / "garbage.wav", tmp_path / "short.vct", tmp_path / "flipped.vct"
+    garbage.write_bytes(bytes(range(256)) * 10)
+    truncated.write_bytes(coded.read_bytes()[:-3])
+    flipped.write_bytes(coded.read_bytes()[:-9] + b"\x55" + coded.read_bytes()[-8:])
+    not_a_number, no_rate, ragged = tmp_path / "nan.wav", tmp_path / "plain.csv", tmp_path / "ragged.csv"
+    soundfile.write(not_a_number, np.array([0.0, np.nan]), RATE_HZ, subtype="FLOAT")
+    no_rate.write_text("1\n2\n3\n")
+    ragged.write_text("1,2\n3\n")
+    fails(2, "play", tmp_path / "missing.wav")
+    fails(2, "play", tmp_path)
+    fails(2, "play", garbage)
+    fails(2, "play", truncated)
+    fails(2, "info", flipped)
+    fails(2, "decode", flipped, tmp_path / "out.wav")
+    fails(2, "decode", texture, tmp_path / "out.wav")
+    fails(2, "info", tmp_path)
+    fails(2, "info", tmp_path / "missing.vct")
+    fails(2, "encode", not_a_number, out)
+    fails(2, "encode", ragged, out, "--rate-hz", 2800, "--unit", "um")
+    assert "--rate-hz" in fails(2, "encode", no_rate, out)
+    assert "--unit" in fails(2, "encode", no_rate, out, "--rate-hz", 2800)
+    fails(2, "encode", texture, out, "--rate-hz", 44_100)
+    fails(2, "encode", texture, out, "--unit", "um")
+    fails(2, "encode", texture, out, "--hand-speed-mm-s", 10)
+    fails(2, "encode", texture, out, "--stream-rate-hz", 10**9)
+    fails(2, "generate", "rough", tmp_path / "out.wav", "--seconds", 1e12)
+    fails(2, "flash", garbage)
+    fails(2, "flash", tmp_path / "missing.vcmi")
+    assert not out.exists()
+
+
+def test_fails_on_the_device(texture: Path, tmp_path: Path) -> None:
+    assert "vibrocast devices" in fails(1, "play", texture, "--device", f"serial:{tmp_path}/none")
+    assert "Plug it in" in fails(1, "status", "--device", "usb:dead:beef")
+    assert "hexadecimal" in fails(1, "status", "--device", "usb:nonsense")
+    assert "resample first" in fails(1, "play", texture, "--stream-rate-hz", 60)
+
+
+def test_a_good_file_outlives_a_failed_run(texture: Path, coded: Path) -> None:
+    before = coded.read_bytes()
+    fails(2, "encode", texture, coded, "--snr-db", 300)
+    assert coded.read_bytes() == before
+
+
+def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("two\nlines")
+
+    monkeypatch.setattr("host.coding.encode", breaks)
+    result = vibrocast("play", texture)
+    assert result.exit_code == 1
+    assert "unexpected ZeroDivisionError: two lines" in result.stderr
+    assert "--debug" in result.stderr
+    assert isinstance(vibrocast("--debug", "play", texture).exception, ZeroDivisionError)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the shared recordings are not beside this checkout")
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("lmt_acceleration/Brick_3_Z.wav", ()),
+        ("textsense_fingertip/text9_v4.wav", ()),
+        ("vibviz_effects/v-09-12-8-21.wav", ()),
+        ("surface_profiles/mts_Bu_1_56_ak.csv", ("--hand-speed-mm-s", 20)),
+        ("p1918_reference/Direct_-_1spike_Probe_-_polyesterPad_-_slow_X.txt", ("--unit", "m/s^2")),
+    ],
+)
+def test_encodes_every_kind_of_shared_recording(name: str, options: tuple[object, ...], tmp_path: Path) -> None:
+    assert "SNR 1" in succeeds("encode", SHARED / name, tmp_path / "out.vct", *options)
