@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -64,9 +64,7 @@ def play(
     hello = controller.description
     actuator = actuator_model(hello.actuator)
     offline_loops = np.tile(offline, (loops, 1))
-    # Passes follow each other without a gap; only the last ends with the recording instead of with its last packet.
-    samples = None if header.samples is None else len(offline_loops) - len(offline) + header.samples
-    codes, _ = render(replace(header, samples=samples), offline_loops, decoder.delay_samples, actuator)
+    codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=loops)
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0
     played = result.decoded if result.decoded is not None else offline_loops

@@ -300,14 +300,16 @@ def render(
     *,
     compensation: bool = True,
     gain: float = 1.0,
+    loops: int = 1,
 ) -> tuple[Codes, LimitCounts]:
-    """Return all DAC codes int16 (n, channels) of a stream played once without a pause, and what the limits did.
+    """Return all DAC codes int16 (n, channels) of a stream played `loops` times without a pause, and what limits did.
 
-    `decoded`: int16 (samples, channels), every packet of the stream; `delay_samples`: the decoder's. Bit for bit what
+    `decoded`: int16 (samples, channels), every packet of one pass; `delay_samples`: the decoder's. Bit for bit what
     a controller with this actuator puts out and its capture returns.
     """
     drive = Drive(header, actuator, compensation)
     dac = Dac(actuator, header.channels, gain, compensation, drive.drive_samples(delay_samples))
-    played = drive.push(decoded[: recording_end(header, delay_samples)])
+    end = recording_end(header, delay_samples)
+    played = drive.push(np.concatenate([decoded[:end]] + [decoded[delay_samples:end]] * (loops - 1)))
     codes = [dac.play(played), dac.play(drive.finish()), dac.ramp_down()]
     return np.concatenate(codes), dac.counts

@@ -255,11 +255,11 @@ class Playback:
             self._lost_packets += 1
             decoded = self._decoder.conceal()
         self.captures[Tap.DECODED].write(decoded)
+        # Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording.
+        first = self._decoder.delay_samples if iteration > 0 else 0
         recorded = recording_end(self._header, self._decoder.delay_samples)
-        end = self._end()
-        if self.live or recorded is None or end is None or index < end - self._packets:
-            return decoded
-        return decoded[: max(0, recorded - number * self._packet_samples)]
+        last = None if self.live or recorded is None else max(0, recorded - number * self._packet_samples)
+        return decoded[max(0, first - number * self._packet_samples) : last]
 
     def _decode(self, packet: bytes) -> Decoded | None:
         try:

@@ -89,6 +89,13 @@ def test_loops_play_back_to_back(session: Host) -> None:
     result = play(session, header, packets, packet_samples, loops=2, capture=True)
     assert result.decoded is not None
     np.testing.assert_array_equal(result.decoded, np.tile(decoded, (2, 1)))
+    assert result.dac_codes is not None
+    # The recording is whole periods of a sine, which goes on across the seam: no window of 10 ms is weaker than others.
+    window = session.description.actuator.dac_rate_hz // 100
+    sound = result.dac_codes[np.flatnonzero(result.dac_codes[:, 0])[0] : np.flatnonzero(result.dac_codes[:, 0])[-1]]
+    windows = sound[2 * window : -3 * window].astype(float)
+    levels = [np.std(windows[start : start + window]) for start in range(0, len(windows) - window, window)]
+    assert min(levels) > 0.8 * max(levels)
 
 
 def test_stop_works_in_every_state_and_at_once(session: Host) -> None:

@@ -53,9 +53,15 @@ from tests.simulated_device.bench import RATE_HZ, Bench, Stream, stream
 FADE_CODES = round(FADE_SECONDS * PIEZO_STACK.dac_rate_hz)
 
 
-def rendered(played: Stream, gain: float = 1.0, compensation: bool = True) -> np.ndarray:
+def rendered(played: Stream, gain: float = 1.0, compensation: bool = True, loops: int = 1) -> np.ndarray:
     codes, _ = render(
-        played.header, played.decoded, played.delay_samples, PIEZO_STACK, gain=gain, compensation=compensation
+        played.header,
+        played.decoded,
+        played.delay_samples,
+        PIEZO_STACK,
+        gain=gain,
+        compensation=compensation,
+        loops=loops,
     )
     return codes
 
@@ -298,6 +304,7 @@ def test_loops_repeat_the_stream_and_can_be_changed() -> None:
     bench.run(700)
     assert bench.status().state == State.FINISHED
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), np.tile(played.decoded, (2, 1)))
+    np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played, loops=2))
 
 
 def test_every_iteration_begins_afresh_whatever_was_lost_before() -> None:
