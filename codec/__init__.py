@@ -2,6 +2,8 @@
 
 from codec.coding import (
     CODECS,
+    RATE_TOLERANCE,
+    SNR_TOLERANCE_DB,
     Codec,
     codec_by_identifier,
     codec_by_name,
@@ -19,6 +21,8 @@ from codec.interface import CodecError, CodedSignal, Decoded, Decoder, Encoder, 
 
 __all__ = [
     "CODECS",
+    "RATE_TOLERANCE",
+    "SNR_TOLERANCE_DB",
     "Codec",
     "CodecError",
     "CodedSignal",

@@ -180,7 +180,7 @@ def encode_to_rate(
     found = _search(source, excess, RATE_TOLERANCE, side=-1)
     if isinstance(found, float):
         raise CodecError(
-            f"a rate of {bits_per_second:g} bit/s cannot be met; this signal takes at least "
+            f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least "
             f"{bits_per_second * (1 + found):.0f} bit/s, most of it headers: ask for more, or code a longer signal"
         )
     return found

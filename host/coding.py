@@ -17,8 +17,6 @@ from host.output_files import whole_file
 
 DEFAULT_SNR_DB = 15.0
 DEFAULT_STREAM_RATE_HZ = 2800
-# Quantiser step relative to the RMS value; about 20 dB of SNR.
-FINE_STEP = 0.25
 
 
 class _How(TypedDict):
@@ -130,7 +128,7 @@ class Encoding:
     """What encoding made: the stream, what went into it and how near the wish it came.
 
     `recording`: at the stream's rate. `snr_db`, as `codec.snr_db`, over all channels and of each: None for silence, or
-    where nothing was lost. `note`: why the default quality was not met, None when it was.
+    where nothing was lost. `note`: why the asked rate or SNR was not met, None when it was.
     """
 
     stream: Stream
@@ -181,22 +179,25 @@ def encode(
         return as_stream(coded).size_bytes
 
     how: _How = {"codec": codec_name, "live": live, "tables": tables}
-    note = None
     if rate_bps is not None:
         coded = codec.encode_to_rate(samples, stream_rate_hz, rate_bps, size_bytes, **how)
-    elif snr_db is not None:
-        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, **how)
     else:
-        try:
-            coded = codec.encode_to_snr(samples, stream_rate_hz, DEFAULT_SNR_DB, **how)
-        except codec.CodecError as reason:
-            # Nobody asked for this SNR in particular: such a recording is coded finely instead of refused.
-            coded = codec.encode(samples, stream_rate_hz, FINE_STEP, **how)
-            note = f"coded with a fine step instead of the default quality: {reason}"
+        snr_db = DEFAULT_SNR_DB if snr_db is None else snr_db
+        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, **how)
     stream = as_stream(coded)
     decoded = stream.decode()
     each_db = tuple(_finite_snr_db(samples[:, [n]], decoded[:, [n]]) for n in range(samples.shape[1]))
-    return Encoding(stream, resampled, _finite_snr_db(samples, decoded), each_db, note)
+    reached_db = _finite_snr_db(samples, decoded)
+    return Encoding(stream, resampled, reached_db, each_db, _shortfall(stream, reached_db, rate_bps, snr_db))
+
+
+def _shortfall(stream: Stream, reached_db: float | None, rate_bps: float | None, snr_db: float | None) -> str | None:
+    """Return why the asked rate, or else SNR, was not met within its tolerance; None when it was."""
+    if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - codec.RATE_TOLERANCE):
+        return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no step of this signal comes nearer"
+    if snr_db is not None and reached_db is not None and reached_db > snr_db + codec.SNR_TOLERANCE_DB:
+        return f"{reached_db:.2f} dB instead of {snr_db:g}: no step of this signal comes nearer from above"
+    return None
 
 
 def image_hash(image: bytes) -> bytes:

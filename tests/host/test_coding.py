@@ -43,6 +43,19 @@ def test_says_why_a_wish_cannot_be_met() -> None:
         coding.encode(noise(), snr_db=200)
 
 
+def test_says_how_far_from_a_wish_it_came() -> None:
+    """Of a constant a few coefficients remain, and its quality jumps; above the finest step there is no more rate."""
+    constant = textures.Recording(np.full((2800, 1), 0.5), 2800, "um", "constant")
+    finer = coding.encode(constant, snr_db=15)
+    assert finer.snr_db is not None
+    assert finer.snr_db > 15.2
+    assert finer.note is not None
+    assert "instead of 15" in finer.note
+    finest = coding.encode(noise(), rate_bps=1e7)
+    assert finest.note is not None
+    assert "instead of 10000000" in finest.note
+
+
 @settings(max_examples=20, deadline=None)
 @given(samples=st.integers(1, 90), level=st.sampled_from([0.0, 1e-9, 1.0, 1e9]), channels=st.integers(1, 3))
 def test_any_recording_can_be_coded_without_a_wish(samples: int, level: float, channels: int) -> None:
