@@ -1,5 +1,6 @@
 """The integer core (firmware/core), compiled while installing and loaded through cffi."""
 
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,10 @@ def library() -> Any:
     Raises RuntimeError when the core has not been compiled.
     """
     folder = Path(__file__).parent
-    compiled = [path for path in folder.glob("vibrocast_core.*") if path.suffix in (".so", ".dylib", ".dll")]
-    if not compiled:
+    compiled = folder / {"darwin": "vibrocast_core.dylib", "win32": "vibrocast_core.dll"}.get(
+        sys.platform, "vibrocast_core.so"
+    )
+    if not compiled.exists():
         raise RuntimeError("the C core is not compiled; install vibrocast with pip, or run `make install`")
     ffi.cdef((folder / "vibrocast_core.cdef").read_text(), override=True)
-    return ffi.dlopen(str(compiled[0]))
+    return ffi.dlopen(str(compiled))

@@ -16,7 +16,7 @@ IDENTIFIER = 1
 HOPS = (16, 32, 64)
 MAX_CHANNELS = 16
 MAX_PACKET_BYTES = 65_535
-MAX_PACKET_BLOCKS = 4096
+MAX_PACKET_BLOCKS = 4095
 STEP_CODES = 21 * 64
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; the best BD-rate on the development recordings."""

@@ -7,7 +7,7 @@
 
 #define VC_MAX_HOP 64
 #define VC_MAX_CHANNELS 16
-#define VC_MAX_PACKET_BLOCKS 4096
+#define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
 /* Coefficients, in 1/256 of a sample's least significant bit, stay within this: 64 * sqrt(64) times full scale. */
 #define VC_MAX_COEFFICIENT (1 << 28)

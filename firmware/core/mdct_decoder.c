@@ -30,6 +30,7 @@ size_t vc_mdct_decoder_size(void)
 
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels)
 {
+    vc_mdct_configuration read;
     uint32_t head;
     size_t used;
     unsigned channel;
@@ -45,15 +46,17 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
     }
     if ((head & 3u) > 2 || head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS || length != used + 2 * channels)
         return VC_BAD_CONFIGURATION;
-    configuration->hop = 16u << (head & 3u);
-    configuration->packet_blocks = head >> 2;
-    configuration->channels = channels;
+    memset(&read, 0, sizeof read);
+    read.hop = 16u << (head & 3u);
+    read.packet_blocks = head >> 2;
+    read.channels = channels;
     for (channel = 0; channel < channels; channel++) {
         uint32_t code = bytes[used + 2 * channel] | (uint32_t)bytes[used + 2 * channel + 1] << 8;
         if (code >= VC_STEP_CODES)
             return VC_BAD_CONFIGURATION;
-        configuration->step[channel] = (int32_t)((64 + (code & 63)) << (code >> 6));
+        read.step[channel] = (int32_t)((64 + (code & 63)) << (code >> 6));
     }
+    *configuration = read;
     return VC_OK;
 }
 

@@ -56,7 +56,8 @@ void vc_mdct_encoder_tables(const vc_mdct_encoder *encoder, uint8_t *tables)
 
 static uint32_t magnitude_of(int32_t value)
 {
-    return value < 0 ? (uint32_t)-(int64_t)value : (uint32_t)value;
+    int64_t magnitude = value < 0 ? -(int64_t)value : value;
+    return (uint32_t)(magnitude < VC_MAX_COEFFICIENT ? magnitude : VC_MAX_COEFFICIENT);
 }
 
 /* Estimated rate of an index in 1/256 bit: by the first context's adaptive probabilities alone, not mixed. */

@@ -40,8 +40,9 @@ uint32_t vc_mdct_decoder_packet_samples(const vc_mdct_decoder *decoder);
 uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder);
 
 /* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
- * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written).
- * Any bytes are safe. */
+ * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written). A
+ * refresh packet is decoded whatever its number: the caller orders packets and drops those that come late. Any bytes
+ * are safe. */
 int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
 /* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
@@ -55,7 +56,7 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
                          uint32_t lambda);
 
 /* Codes one packet. `coefficients`: MDCT coefficients, blocks x channels x hop, in 1/256 of a sample's least
- * significant bit. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE. */
+ * significant bit, limited to +-2^28. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE. */
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, uint8_t *packet, size_t capacity);
 
 /* The built-in tables. */

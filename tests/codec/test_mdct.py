@@ -122,7 +122,7 @@ def test_any_configuration_is_read_or_refused(configuration: bytes, channels: in
         decoder = mdct.MdctDecoder(configuration, channels)
     except CodecError:
         return
-    assert len(decoder.conceal()) == decoder.packet_samples <= 4096 * 64
+    assert len(decoder.conceal()) == decoder.packet_samples <= 4095 * 64
 
 
 @pytest.mark.parametrize("tables", [b"", bytes(100), mdct.built_in_tables() + b"\0"])
@@ -149,7 +149,7 @@ def test_other_tables_decode_what_they_coded() -> None:
     ("steps", "framing", "hop"),
     [
         ([0.1], Framing(0, 0), 32),
-        ([0.1], Framing(10**6, 0), 32),
+        ([0.1], Framing(4096 * 32, 0), 32),
         ([], Framing(32, 0), 32),
         ([0.1] * 17, Framing(32, 0), 32),
     ]
@@ -166,6 +166,12 @@ def test_a_packet_that_does_not_fit_is_refused() -> None:
     noise = np.random.default_rng(1).uniform(-1, 1, (32 * 600, 16))
     with pytest.raises(CodecError, match="shorter packets"):
         encoder.encode(noise)
+
+
+def test_longest_packets() -> None:
+    encoder = mdct.MdctEncoder([0.5], RATE_HZ, Framing(4095 * 32, 0))
+    (packet,) = encoder.encode(np.zeros((4095 * 32, 1)))
+    assert len(mdct.MdctDecoder(encoder.configuration, 1).decode(packet)) == 4095 * 32
 
 
 @given(st.floats(2.0**-17, 2.0**10))
