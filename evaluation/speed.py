@@ -76,29 +76,59 @@ def measure(codec_name: str, repeats: int) -> dict[str, Any]:
     }
 
 
+HEADER = ("SNR, dB", "bits per sample", "encode, s", "decode, s", "both, s", "both / reference")
+
+
+def table_rows(figures: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return one row of text for each step."""
+    rows = []
+    for result in figures["results"]:
+        encode_s, decode_s = result["encode_s_per_megasample"], result["decode_s_per_megasample"]
+        seconds = (f"{value:.3f}" for value in (encode_s, decode_s, encode_s + decode_s))
+        snr, bits = f"{result['snr_db']:.1f}", f"{result['bits_per_sample']:.2f}"
+        rows.append((snr, bits, *seconds, f"{result['both_over_reference']:.2f}"))
+    return rows
+
+
+def markdown(figures: dict[str, Any]) -> str:
+    """Return the page that holds the table."""
+    lines = [
+        f"# Speed of `{figures['codec']}`",
+        "",
+        f"Written by `python -m evaluation.speed`: processor seconds per million samples, one core of a shared "
+        f"{figures['machine']} machine, median of",
+        f"{figures['repeats']} runs, process start excluded, on {SECONDS:g} s of a generated wood texture, one channel; "
+        "one coding at a given step, without the search",
+        f"for a rate or an SNR. The reference is zlib, level 6, of four million bytes of noise in the same run: "
+        f"{figures['reference_s']:.3f} s.",
+        "",
+        f"| {' | '.join(HEADER)} |",
+        "|---:" * len(HEADER) + "|",
+        *(f"| {' | '.join(row)} |" for row in table_rows(figures)),
+        "",
+    ]
+    return "\n".join(lines)
+
+
 @click.command()
 @click.option("--codec", "codec_name", type=click.Choice(sorted(codec.CODECS)), default="mdct", show_default=True)
 @click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True, help="The median of so many runs.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write the figures as JSON too.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for speed.md and speed.json.")
 def main(codec_name: str, repeats: int, out: Path | None) -> None:
     """Print processor seconds per million samples, encoding and decoding a generated texture, one channel."""
     figures = measure(codec_name, repeats)
-    table = Table("SNR, dB", "bits per sample", "encode, s", "decode, s", "both, s", "both / reference")
-    for result in figures["results"]:
-        encode_s, decode_s = result["encode_s_per_megasample"], result["decode_s_per_megasample"]
-        table.add_row(
-            f"{result['snr_db']:.1f}",
-            f"{result['bits_per_sample']:.2f}",
-            *(f"{seconds:.3f}" for seconds in (encode_s, decode_s, encode_s + decode_s)),
-            f"{result['both_over_reference']:.2f}",
-        )
+    table = Table(*HEADER)
+    for row in table_rows(figures):
+        table.add_row(*row)
     console = Console()
     console.print(f"{codec_name}: processor seconds per million samples, median of {repeats} runs")
     console.print(table)
     console.print(f"reference, zlib level 6 of 4 million bytes of noise: {figures['reference_s']:.3f} s")
     if out:
         try:
-            out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+            out.mkdir(parents=True, exist_ok=True)
+            (out / "speed.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+            (out / "speed.md").write_text(markdown(figures), encoding="utf-8")
         except OSError as error:
             raise click.ClickException(f"{out}: cannot be written: {error.strerror}") from error
 
