@@ -97,7 +97,7 @@ def markdown(figures: dict[str, Any]) -> str:
         "",
         f"Written by `python -m evaluation.speed`: processor seconds per million samples, one core of a shared "
         f"{figures['machine']} machine, median of",
-        f"{figures['repeats']} runs, process start excluded, on {SECONDS:g} s of a generated wood texture, one channel;",
+        f"{figures['repeats']} runs, without process start, on {SECONDS:g} s of a generated wood texture of one channel,",
         "one coding at a given step, without the search",
         f"for a rate or an SNR. The reference is zlib, level 6, of four million bytes of noise in the same run: "
         f"{figures['reference_s']:.3f} s.",

@@ -1,13 +1,12 @@
-"""Tests of the command that compares rate and distortion with peers, and of the speed figures."""
+"""Tests of the command that compares rate and distortion with peers."""
 
 import json
-import math
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from evaluation import rate_distortion, speed
+from evaluation import rate_distortion
 from evaluation.bd_rate import bd_rate, summary
 from evaluation.points import by_codec_and_trace, read_points, write_points
 from tests.evaluation.curves import curve
@@ -86,23 +85,3 @@ def test_the_codec_beats_its_peers(peer: str, percent: float) -> None:
     points = [rate_distortion.measure(path, "mdct", step) for path in paths for step in rate_distortion.STEPS]
     rates = rate_distortion.compare(points, read_points(SHARED / "peers" / "dev_2800.csv"), "mdct")
     assert summary([rates[peer][name] for name in names]).mean < percent
-
-
-def test_speed_figures_belong_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "SECONDS", 1.0)
-    result = CliRunner().invoke(speed.main, ["--repeats", "1", "--out", str(tmp_path / "speed.json")])
-    assert result.exit_code == 0, result.output
-    figures = json.loads((tmp_path / "speed.json").read_text())
-    assert (figures["samples"], figures["repeats"]) == (2800, 1)
-    snrs_db = [row["snr_db"] for row in figures["results"]]
-    assert snrs_db == sorted(snrs_db) and len(snrs_db) == len(speed.STEPS)
-    for row in figures["results"]:
-        both_s = row["encode_s_per_megasample"] + row["decode_s_per_megasample"]
-        assert math.isclose(row["both_over_reference"] * figures["reference_s"], both_s)
-
-
-def test_speed_figures_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "SECONDS", 0.1)
-    result = CliRunner().invoke(speed.main, ["--repeats", "1", "--out", str(tmp_path / "missing" / "speed.json")])
-    assert result.exit_code == 1
-    assert "cannot be written" in result.output
