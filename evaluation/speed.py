@@ -95,12 +95,10 @@ def markdown(figures: dict[str, Any]) -> str:
     lines = [
         f"# Speed of `{figures['codec']}`",
         "",
-        f"Written by `python -m evaluation.speed`: processor seconds per million samples, one core of a shared "
-        f"{figures['machine']} machine, median of",
-        f"{figures['repeats']} runs, without process start, on {SECONDS:g} s of a generated wood texture of one channel,",
-        "one coding at a given step, without the search",
-        f"for a rate or an SNR. The reference is zlib, level 6, of four million bytes of noise in the same run: "
-        f"{figures['reference_s']:.3f} s.",
+        "Written by `python -m evaluation.speed`: processor seconds per million samples on one core of a shared",
+        f"{figures['machine']} machine, median of {figures['repeats']} runs without process start, coding one channel of",
+        f"{SECONDS:g} s of a generated wood texture at a given step, without the search for a rate or an SNR. Reference:",
+        f"zlib, level 6, of four million bytes of noise in the same run, {figures['reference_s']:.3f} s.",
         "",
         f"| {' | '.join(HEADER)} |",
         "|---:" * len(HEADER) + "|",
