@@ -1,11 +1,9 @@
 """Layout of a coded stream: the header that opens a .vct file and a played stream, and the packets behind it."""
 
 import binascii
-import os
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 MAGIC = b"VCT"
 VERSION = 1
@@ -21,6 +19,8 @@ _UNIT_BITS = 0x03
 _HAS_IMAGE_HASH = 0x04
 _LENGTH_UNKNOWN = 0x08
 _MAX_VARINT_BYTES = 9
+_MAX_SEQUENCE_VARINT_BYTES = 5
+_MAX_SEQUENCE = 2**32 - 1
 
 
 class StreamError(ValueError):
@@ -115,7 +115,9 @@ class StreamHeader:
 
 def packet_sequence(packet: bytes) -> tuple[int, bool]:
     """Return the sequence number of a packet and whether it is a refresh. Raises StreamError on a malformed packet."""
-    sequence, refresh = divmod(_Reader(packet).varint(), 2)
+    sequence, refresh = divmod(_Reader(packet).varint(_MAX_SEQUENCE_VARINT_BYTES), 2)
+    if sequence > _MAX_SEQUENCE:
+        raise StreamError(f"damaged coded stream: a packet of number {sequence}, beyond 32 bits")
     return sequence, bool(refresh)
 
 
@@ -136,7 +138,10 @@ def pack_file(header: StreamHeader, packets: Iterable[bytes]) -> bytes:
 
 
 def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
-    """Read the bytes of a .vct file. Raises StreamError when they are damaged or end in the middle of a packet."""
+    """Read the bytes of a .vct file. Raises StreamError when they are damaged or end in the middle of a packet.
+
+    Whether all packets are there, only the codec can tell, which knows how many samples a packet covers.
+    """
     header, position = StreamHeader.unpack(data)
     head_crc = _crc16(data[:position])
     reader = _Reader(data, position)
@@ -146,33 +151,13 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
         (crc,) = struct.unpack("<H", reader.take(2))
         if crc != _crc16(packet, head_crc):
             raise StreamError(f"damaged coded stream: packet {len(packets)} fails its checksum; copy the file again")
-        if packet_sequence(packet)[0] != len(packets):
+        sequence, refresh = packet_sequence(packet)
+        if sequence != len(packets):
             raise StreamError(f"damaged coded stream: packet {len(packets)} is missing; copy the file again")
+        if sequence == 0 and not refresh:
+            raise StreamError("damaged coded stream: its first packet is no refresh packet; encode the recording again")
         packets.append(packet)
     return header, packets
-
-
-def write_file(path: Path, header: StreamHeader, packets: Iterable[bytes]) -> int:
-    """Write a .vct file, replacing an older one only when the new one is complete; return its size in bytes.
-
-    Raises OSError when the folder cannot be written.
-    """
-    data = pack_file(header, packets)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_bytes(data)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return len(data)
-
-
-def read_file(path: Path) -> tuple[StreamHeader, list[bytes]]:
-    """Read a .vct file. Raises StreamError when it is damaged, OSError when it cannot be read."""
-    try:
-        return unpack_file(path.read_bytes())
-    except StreamError as error:
-        raise StreamError(f"{path}: {error}") from error
 
 
 def pack_varint(value: int) -> bytes:
@@ -200,9 +185,9 @@ class _Reader:
         self.position = end
         return taken
 
-    def varint(self) -> int:
+    def varint(self, max_bytes: int = _MAX_VARINT_BYTES) -> int:
         value = 0
-        for index in range(_MAX_VARINT_BYTES):
+        for index in range(max_bytes):
             byte = self.take(1)[0]
             value |= (byte & 0x7F) << (7 * index)
             if byte < 0x80:

@@ -1,6 +1,7 @@
 """Recordings to coded streams and back: joins textures, codec and the layout of .vct files."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
@@ -11,12 +12,16 @@ from numpy.typing import NDArray
 import codec
 import textures
 from device_protocol import coded_stream
-from device_protocol.coded_stream import StreamHeader
+from device_protocol.coded_stream import StreamError, StreamHeader
 from device_protocol.model_image import ModelImage, sha256
+from host.input_files import read_input
 from host.output_files import whole_file
 
 DEFAULT_SNR_DB = 15.0
 DEFAULT_STREAM_RATE_HZ = 2800
+MAX_SAMPLES = 2**29
+"""Of all channels together, in one stream: 53 hours of one channel at 2800 Hz, 5 GiB while they are decoded."""
+MAX_FILE_BYTES = 2**30
 
 
 class _How(TypedDict):
@@ -29,7 +34,10 @@ class _How(TypedDict):
 
 @dataclass(frozen=True)
 class Stream:
-    """A whole coded stream in memory: what a .vct file holds, and the packed model image that it needs, if any."""
+    """A whole coded stream in memory: what a .vct file holds, and the packed model image that it needs, if any.
+
+    Raises CodecError for another image or codec, StreamError unless the packets hold just the samples of the header.
+    """
 
     header: StreamHeader
     packets: tuple[bytes, ...]
@@ -40,6 +48,14 @@ class Stream:
             raise codec.CodecError(
                 "the stream was not coded for this model image; leave out --image, or give the other"
             )
+        decoder = self.decoder()
+        if not self.packets or self.samples < 1:
+            raise StreamError("it holds no signal; encode the recording again")
+        needed = -(-(self.samples + decoder.delay_samples) // decoder.packet_samples)
+        if len(self.packets) != needed:
+            flaw = "it is cut short" if len(self.packets) < needed else "it has surplus packets"
+            raise StreamError(f"{flaw}: {len(self.packets)} instead of {needed}; copy the file again")
+        _check_length(self.samples * decoder.channels)
 
     @property
     def size_bytes(self) -> int:
@@ -52,7 +68,7 @@ class Stream:
         if self.header.samples is not None:
             return self.header.samples
         decoder = self.decoder()
-        return max(0, len(self.packets) * decoder.packet_samples - decoder.delay_samples)
+        return len(self.packets) * decoder.packet_samples - decoder.delay_samples
 
     @property
     def seconds(self) -> float:
@@ -84,19 +100,28 @@ class Stream:
         """Return a decoder with the built-in tables, for what it says of the packets. Raises CodecError."""
         return codec.decoder(self.header.codec_identifier, self.header.configuration, self.header.channels)
 
-    def decode_integers(self) -> NDArray[np.int16]:
-        """Return what a controller decodes: int16 (packets * packet_samples, channels). Raises CodecError."""
-        return codec.decode_integers(self._coded(), self.tables)
+    def decode_integers(self, progress: Callable[[float], None] | None = None) -> NDArray[np.int16]:
+        """Return what a controller decodes: int16 (packets * packet_samples, channels).
 
-    def decode(self) -> NDArray[np.float64]:
-        """Return float64 (samples, channels) in the header's unit, the codec's delay removed. Raises CodecError."""
-        return codec.decode(self._coded(), self.tables)
-
-    def _coded(self) -> codec.CodedSignal:
+        `progress` is called with the part done, from 0 to 1. Raises CodecError.
+        """
         header = self.header
-        return codec.CodedSignal(
-            self.codec_name, header.rate_hz, self.samples, header.gains, header.configuration, self.packets
-        )
+        decoder = codec.decoder(header.codec_identifier, header.configuration, header.channels, self.tables)
+        decoded = np.empty((len(self.packets), decoder.packet_samples, decoder.channels), dtype=np.int16)
+        for number, packet in enumerate(self.packets):
+            decoded[number] = decoder.decode(packet)
+            if progress is not None:
+                progress((number + 1) / len(self.packets))
+        return decoded.reshape(-1, decoder.channels)
+
+    def decode(self, progress: Callable[[float], None] | None = None) -> NDArray[np.float64]:
+        """Return float64 (samples, channels) in the header's unit, the codec's delay removed.
+
+        `progress` as in `decode_integers`. Raises CodecError.
+        """
+        start = self.decoder().delay_samples
+        integers = self.decode_integers(progress)[start : start + self.samples]
+        return integers * (np.array(self.header.gains) / 32768)
 
     def facts(self) -> dict[str, Any]:
         """Return what a person or a program wants to know of the stream, ready for JSON. Raises CodecError."""
@@ -111,10 +136,8 @@ class Stream:
             "samples": self.samples,
             "seconds": self.seconds,
             "size_bytes": self.size_bytes,
-            "bits_per_second": self.bits_per_second if self.samples else None,
-            "bits_per_sample": self.bits_per_second / self.header.rate_hz / self.header.channels
-            if self.samples
-            else None,
+            "bits_per_second": self.bits_per_second,
+            "bits_per_sample": self.bits_per_second / self.header.rate_hz / self.header.channels,
             "packets": len(self.packets),
             "refresh_packets": refreshes,
             "packet_samples": decoder.packet_samples,
@@ -155,6 +178,7 @@ def encode(
     """
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
+    _check_length(samples.size)
     identifier = codec.codec_by_name(codec_name).identifier
     tables = None
     if image is not None:
@@ -205,13 +229,25 @@ def image_hash(image: bytes) -> bytes:
     return sha256(image)[: coded_stream.IMAGE_HASH_BYTES]
 
 
+def _check_length(samples: int) -> None:
+    if samples > MAX_SAMPLES:
+        raise StreamError(
+            f"{samples} samples in all channels, at most {MAX_SAMPLES} make one stream; cut it into parts"
+        )
+
+
 def read(path: Path, image: bytes | None = None) -> Stream:
     """Read a .vct file, coded for a packed model image or for the built-in tables.
 
-    Raises StreamError when it is damaged, CodecError for another image, OSError when it cannot be read.
+    Raises InputFileError when it is no such file, StreamError when it is damaged, CodecError for another image or
+    codec, OSError when it cannot be read.
     """
-    header, packets = coded_stream.read_file(path)
-    return Stream(header, tuple(packets), image)
+    data = read_input(path, "coded stream (.vct file)", coded_stream.MAGIC, MAX_FILE_BYTES)
+    try:
+        header, packets = coded_stream.unpack_file(data)
+        return Stream(header, tuple(packets), image)
+    except StreamError as error:
+        raise StreamError(f"{path}: {error}") from error
 
 
 def write(path: Path, stream: Stream) -> None:

@@ -18,10 +18,12 @@ import codec
 import textures
 from device_protocol.coded_stream import MAX_RATE_HZ, StreamError
 from device_protocol.messages import MessageError
-from device_protocol.model_image import ModelImageError
+from device_protocol.model_image import MAGIC as IMAGE_MAGIC
+from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImageError
 from device_protocol.transports import TransportError
 from host import coding, devices, end_to_end, flasher, picture, player
 from host.controller import ControllerError
+from host.input_files import InputFileError, read_input
 from host.output_files import whole_file
 from host.report import Report
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK
@@ -32,7 +34,15 @@ from simulated_device.pty_port import PtyPort
 
 INTERRUPTED = 130
 
-INPUT_ERRORS = (textures.TextureError, codec.CodecError, StreamError, ModelImageError, OSError, MemoryError)
+INPUT_ERRORS = (
+    textures.TextureError,
+    codec.CodecError,
+    InputFileError,
+    StreamError,
+    ModelImageError,
+    OSError,
+    MemoryError,
+)
 DEVICE_ERRORS = (ControllerError, TransportError, MessageError)
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -248,7 +258,7 @@ def decode(file: Path, out: Path, sample_format: str, image_path: Path | None) -
     As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
     its unit and full scale in its comment, from which this program knows them again.
     """
-    stream = coding.read(file, packed_image(image_path))
+    stream = coding.read(file, packed_image(image_path) if image_path else None)
     full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit")
     header = stream.header
     click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, 1.0 is {full_scale:g} {header.unit}")
@@ -294,7 +304,7 @@ def flash(image: Path, address: str) -> None:
     It is transferred, verified by reading it back, started on trial and confirmed. Cut off, the same command goes on
     where it stopped, and the controller keeps running the image before.
     """
-    packed = image.read_bytes()
+    packed = packed_image(image)
     with devices.connect(address) as controller, byte_progress() as progress:
         slot = flasher.flash(controller, packed, progress=progress)
     click.echo(f"{image.name}: {slot.name} {slot.version} runs from slot {slot.slot}, confirmed")
@@ -332,7 +342,8 @@ def prepared(file: Path, choices: dict[str, Any]) -> tuple[coding.Stream, coding
     if file.suffix.lower() != ".vct":
         encoding = encoded(file, choices, live=True)
         return encoding.stream, encoding
-    image = packed_image(choices.pop("image_path"))
+    image_path = choices.pop("image_path")
+    image = packed_image(image_path) if image_path else None
     given = [name for name, value in choices.items() if value not in (None, coding.DEFAULT_STREAM_RATE_HZ, "mdct")]
     if given:
         raise click.UsageError(f"{file} is coded already: drop --{given[0].replace('_', '-')}.")
@@ -344,16 +355,17 @@ def encoded(file: Path, choices: dict[str, Any], live: bool) -> coding.Encoding:
     quality = {name: choices.pop(name) for name in ("codec_name", "rate_bps", "snr_db", "stream_rate_hz")}
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
-    image = packed_image(choices.pop("image_path"))
+    image_path = choices.pop("image_path")
+    image = packed_image(image_path) if image_path else None
     encoding = coding.encode(textures.load(file, **choices), image=image, live=live, **quality)
     if encoding.note:
         click.echo(f"note: {encoding.note}", err=True)
     return encoding
 
 
-def packed_image(path: Path | None) -> bytes | None:
-    """Return the bytes of a model image file, None for none."""
-    return None if path is None else path.read_bytes()
+def packed_image(path: Path) -> bytes:
+    """Return the bytes of a model image file. Raises InputFileError or OSError."""
+    return read_input(path, "model image", IMAGE_MAGIC, MAXIMUM_IMAGE_BYTES)
 
 
 @contextmanager

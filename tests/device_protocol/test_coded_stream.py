@@ -2,7 +2,6 @@
 
 import math
 import struct
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -15,9 +14,7 @@ from device_protocol.coded_stream import (
     pack_file,
     pack_varint,
     packet_sequence,
-    read_file,
     unpack_file,
-    write_file,
 )
 
 gains = st.integers(1, 0x7F7F).map(lambda code: float(struct.unpack("<f", struct.pack("<I", code << 16))[0]))
@@ -101,16 +98,23 @@ def test_golden_file() -> None:
     assert data.hex() == "56435411" + "01" + "f015" + "bc05" + "2040" + "02" + "0102" + "03" + "01aabb" + "f332"
 
 
-def test_interrupted_write_keeps_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.vct"
-    write_file(path, HEADER, numbered([b"first"]))
-    with pytest.raises(StreamError):
-        write_file(path, HEADER, [b""])
-    assert read_file(path) == (HEADER, numbered([b"first"]))
-    assert list(tmp_path.iterdir()) == [path]
+def test_first_packet_without_refresh_is_refused() -> None:
+    with pytest.raises(StreamError, match="no refresh packet"):
+        unpack_file(pack_file(HEADER, [pack_varint(0) + b"payload"]))
 
 
-def test_packet_sequence() -> None:
-    assert packet_sequence(pack_varint(2 * 70 + 1) + b"payload") == (70, True)
+@pytest.mark.parametrize("packets", [[b""], [bytes(65_536)]])
+def test_packet_that_cannot_be_stored_is_refused(packets: list[bytes]) -> None:
+    with pytest.raises(StreamError, match="1 to 65535"):
+        pack_file(HEADER, packets)
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+def test_packet_sequence(sequence: int, refresh: bool) -> None:
+    assert packet_sequence(pack_varint(2 * sequence + refresh) + b"payload") == (sequence, refresh)
+
+
+@pytest.mark.parametrize("head", [b"", pack_varint(2**33), pack_varint(2**35), b"\x81\x80\x80\x80\x80\x00"])
+def test_packet_sequence_that_no_decoder_takes_is_refused(head: bytes) -> None:
     with pytest.raises(StreamError):
-        packet_sequence(b"")
+        packet_sequence(head)

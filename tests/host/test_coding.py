@@ -1,5 +1,6 @@
 """Tests of the way from recordings to coded streams and back."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,10 @@ from hypothesis import strategies as st
 
 import textures
 from codec import CodecError
-from device_protocol.coded_stream import StreamError
+from device_protocol.coded_stream import StreamError, StreamHeader, pack_file, pack_varint
 from device_protocol.model_image import ModelImage, ModelImageError
 from host import coding
+from host.input_files import InputFileError
 
 IMAGE = (Path(__file__).parents[2] / "models" / "mdct-textures.vcmi").read_bytes()
 
@@ -92,15 +94,49 @@ def test_damage_anywhere_is_found(tmp_path: Path) -> None:
         damaged = bytearray(data)
         damaged[position] ^= 0x10
         path.write_bytes(damaged)
-        with pytest.raises((StreamError, CodecError)):
+        with pytest.raises((InputFileError, StreamError, CodecError)):
             coding.read(path).decode()
 
 
-def test_a_length_beyond_the_packets_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("samples", "flaw"),
+    [(1, "surplus"), (1376, "surplus"), (1377, None), (1504, None), (1505, "cut short"), (2**62, "cut short")],
+)
+def test_more_or_fewer_packets_than_the_samples_take_are_refused(samples: int, flaw: str | None) -> None:
+    stream = coding.encode(noise(channels=2), live=True).stream
+    assert len(stream.packets) * stream.decoder().packet_samples == 1504 + stream.decoder().delay_samples
+    with pytest.raises(StreamError, match=flaw) if flaw else nullcontext():
+        assert len(replace(stream, header=replace(stream.header, samples=samples)).decode()) == samples
+
+
+def test_a_file_without_its_last_packet_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "noise.vct"
+    stream = coding.encode(noise(), live=True).stream
+    path.write_bytes(pack_file(stream.header, stream.packets[:-1]))
+    with pytest.raises(StreamError, match=r"noise\.vct: it is cut short: 11 instead of 12"):
+        coding.read(path)
+
+
+@pytest.mark.parametrize("samples", [0, None])
+def test_a_stream_without_signal_is_refused(samples: int | None) -> None:
     stream = coding.encode(noise()).stream
-    longer = replace(stream, header=replace(stream.header, samples=10**12))
-    with pytest.raises(CodecError, match="cut short"):
-        longer.decode()
+    header = replace(stream.header, samples=samples)
+    with pytest.raises(StreamError, match="no signal"):
+        replace(stream, header=header, packets=())
+    if samples == 0:
+        with pytest.raises(StreamError, match="no signal"):
+            replace(stream, header=header)
+
+
+@pytest.mark.parametrize("samples", [100, None])
+def test_a_small_file_of_many_samples_is_refused_before_it_is_decoded(samples: int | None, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.vct"
+    longest_packets_of_16_channels = bytes((4095 << 2 & 0x7F | 0x82, 4095 << 2 >> 7)) + bytes(2 * 16)
+    header = StreamHeader(1, 2800, samples, "um", (1.0,) * 16, longest_packets_of_16_channels)
+    path.write_bytes(pack_file(header, [pack_varint(2 * n + (n == 0)) + b"\xff" for n in range(3000)]))
+    assert path.stat().st_size < 20_000
+    with pytest.raises(StreamError, match="surplus packets" if samples else "cut it into parts"):
+        coding.read(path)
 
 
 def test_a_live_header_leaves_the_length_to_the_packets() -> None:

@@ -310,6 +310,11 @@ def test_refuses_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
     fails(2, "encode", texture, out, "--stream-rate-hz", 10**9)
     fails(2, "generate", "rough", tmp_path / "out.wav", "--seconds", 1e12)
     fails(2, "flash", garbage)
+    assert "no file" in fails(2, "info", "/dev/zero")
+    assert "no file" in fails(2, "decode", "/dev/zero", tmp_path / "out.wav")
+    assert "no file" in fails(2, "flash", "/dev/zero")
+    assert "no file" in fails(2, "encode", texture, out, "--image", "/dev/zero")
+    assert "model image" in fails(2, "encode", texture, out, "--image", coded)
     fails(2, "flash", tmp_path / "missing.vcmi")
     assert not out.exists()
 
