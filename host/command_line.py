@@ -21,18 +21,13 @@ from device_protocol.messages import MessageError
 from device_protocol.model_image import MAGIC as IMAGE_MAGIC
 from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImageError
 from device_protocol.transports import TransportError
-from host import coding, devices, end_to_end, flasher, picture, player
+from host import coding, devices, flasher, player
 from host.controller import ControllerError
+from host.entry import INTERRUPTED
 from host.input_files import InputFileError, read_input
 from host.output_files import whole_file
 from host.report import Report
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK
-from simulated_device.controller import FLASH_BYTES, Settings
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.flash import FlashMemory
-from simulated_device.pty_port import PtyPort
-
-INTERRUPTED = 130
 
 INPUT_ERRORS = (
     textures.TextureError,
@@ -219,6 +214,8 @@ def play(
     file: Path, address: str, loops: int, report_path: Path | None, plot_path: Path | None, **choices: Any
 ) -> None:
     """Play a recording or a .vct file on a controller."""
+    from host import end_to_end, picture
+
     stream, encoding = prepared(file, choices)
     with devices.connect(address) as controller, playing_progress(stream.bits_per_second) as progress:
         outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, progress)
@@ -329,6 +326,11 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
 
     It is behind a pseudo-terminal, whose address is printed; other programs open it as a serial port.
     """
+    from simulated_device.controller import FLASH_BYTES, Settings
+    from simulated_device.controller import Controller as SimulatedController
+    from simulated_device.flash import FlashMemory
+    from simulated_device.pty_port import PtyPort
+
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm)
     with PtyPort(SimulatedController(settings, flash_memory)) as port:

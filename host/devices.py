@@ -19,9 +19,6 @@ from device_protocol.transports import (
     open_transport,
 )
 from host.controller import Controller
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.pty_port import PtyPort
-from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
 SIMULATED = {
     "sim": "simulated controller behind a pseudo-terminal",
@@ -38,6 +35,11 @@ def connect(address: str) -> Iterator[Controller]:
     """
     with contextlib.ExitStack() as stack:
         transport: Transport
+        if address in SIMULATED:
+            # Takes longer to load than all the rest, and only here is it needed.
+            from simulated_device.controller import Controller as SimulatedController
+            from simulated_device.pty_port import PtyPort
+            from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
         if address == "sim":
             transport = SerialTransport(stack.enter_context(PtyPort(SimulatedController())).name)
         elif address == "sim-usb":

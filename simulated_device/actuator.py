@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+import scipy  # loads scipy.signal when it is first used
 from numpy.typing import NDArray
-from scipy import signal
 
 Samples: TypeAlias = NDArray[np.float64]
 Codes: TypeAlias = NDArray[np.int16]
@@ -78,7 +78,7 @@ class Actuator:
             b, a = np.array([w]), np.array([1.0, w])
         else:
             b, a = np.array([w * w / self.quality]), np.array([1.0, w / self.quality, w * w])
-        numerator, denominator, _ = signal.cont2discrete((b, a), 1 / rate_hz, method="zoh")
+        numerator, denominator, _ = scipy.signal.cont2discrete((b, a), 1 / rate_hz, method="zoh")
         return np.ravel(numerator), np.asarray(denominator)
 
     def inverse(self) -> Filter:
@@ -97,7 +97,7 @@ class Actuator:
         w = math.tan(math.pi * self.corner_hz / self.dac_rate_hz)
         boost = max(1.0, self.maximum_boost)
         broad = self.quality / boost
-        b, a = signal.bilinear([boost, boost * w / self.quality, boost * w * w], [1, w / broad, w * w], fs=0.5)
+        b, a = scipy.signal.bilinear([boost, boost * w / self.quality, boost * w * w], [1, w / broad, w * w], fs=0.5)
         return np.asarray(b), np.asarray(a)
 
     def displacement_um(self, codes: Codes, oversampling: int = 1) -> Samples:
@@ -107,7 +107,7 @@ class Actuator:
         """
         held = np.repeat(codes / self.full_scale, oversampling, axis=0)
         b, a = self.response(self.dac_rate_hz * oversampling)
-        return self.excursion_um * np.asarray(signal.lfilter(b, a, held, axis=0))
+        return self.excursion_um * np.asarray(scipy.signal.lfilter(b, a, held, axis=0))
 
 
 def resonant(

@@ -88,8 +88,7 @@ def watched() -> Iterator[Watched]:
 def started(*arguments: object) -> subprocess.Popen[str]:
     """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background."""
     code = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        "from host.command_line import main; main()"
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from host.entry import main; main()"
     )
     return subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)],
@@ -215,6 +214,18 @@ def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, 
     succeeds("decode", coded_path, tmp_path / "out.wav", "--image", IMAGE)
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_simulate_cleans_up_when_it_is_killed(number: signal.Signals) -> None:
+    process = started("simulate")
+    assert process.stdout is not None
+    address = process.stdout.readline().strip()
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert errors.strip() == "error: interrupted"
+    assert not Path(address.removeprefix("serial:")).parent.exists()
+
+
 def test_simulate_serves_other_programs_until_interrupted(texture: Path, tmp_path: Path) -> None:
     process = started("simulate", "--actuator", "lra", "--drift-ppm", "100", "--flash-file", tmp_path / "flash.bin")
     try:
@@ -236,12 +247,15 @@ def test_simulate_serves_other_programs_until_interrupted(texture: Path, tmp_pat
     assert b"mdct-textures" in (tmp_path / "flash.bin").read_bytes()
 
 
-def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(tmp_path: Path, watched: Watched) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
+    number: signal.Signals, tmp_path: Path, watched: Watched
+) -> None:
     path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
     textures.save_wav(path, textures.GENERATORS["rough"](seconds=60.0))
     process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
     assert watched.moved.wait(30)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     output, errors = process.communicate(timeout=20)
     assert process.returncode == 130
     assert (output, errors.strip()) == ("", "error: interrupted")
