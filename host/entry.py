@@ -1,4 +1,4 @@
-"""Where the `vibrocast` command begins: however and whenever it is stopped, it ends in one line, the actuator at rest."""
+"""Where the `vibrocast` command begins: whenever and however it is stopped, it ends in one line, the tactor at rest."""
 
 import signal
 import sys
