@@ -1,31 +1,35 @@
 """Where the `vibrocast` command begins: whenever and however it is stopped, it ends in one line, the tactor at rest."""
 
+import os
 import signal
-import sys
 from types import FrameType
 from typing import NoReturn
 
 INTERRUPTED = 130
-STOPPING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def main() -> None:
     """Run the command line; Ctrl-C, a kill and a closed terminal end it in order, also while it is being loaded."""
-    for number in STOPPING_SIGNALS:
-        # nohup has told this program to live on.
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
-    try:
-        from host.command_line import main as command_line
+    # Others may have told this program to live on, as nohup does.
+    heeded = [number for number in STOPPING_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    for number in heeded:
+        signal.signal(number, _leave)
+    from host.command_line import main as command_line
 
-        command_line()
-    except KeyboardInterrupt:
-        sys.stderr.write("error: interrupted\n")
-        sys.exit(INTERRUPTED)
+    for number in heeded:
+        signal.signal(number, _interrupt)
+    command_line()
+
+
+def _leave(_number: int, _frame: FrameType | None) -> NoReturn:
+    """Leave at once: nothing is under way yet, and libraries that are being loaded may swallow an exception."""
+    os.write(2, b"error: interrupted\n")
+    os._exit(INTERRUPTED)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
-    """Interrupt as Ctrl-C does, but once: a closed terminal may signal again while the actuator is being stopped."""
-    for number in STOPPING_SIGNALS:
+    """Interrupt what is under way. A closed terminal may signal twice, but only Ctrl-C may cut the cleaning up short."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
