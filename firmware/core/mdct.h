@@ -5,6 +5,10 @@
 #include "range_coder.h"
 #include "vibrocast_core.h"
 
+/* All of libc that the core needs; declared here because a microcontroller's compiler may come without its headers. */
+void *memcpy(void *destination, const void *source, size_t length);
+void *memset(void *destination, int value, size_t length);
+
 #define VC_MAX_HOP 64
 #define VC_MAX_CHANNELS 16
 #define VC_MAX_PACKET_BLOCKS 4095

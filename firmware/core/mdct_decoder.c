@@ -1,8 +1,6 @@
 /* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets miss. */
 #include "mdct.h"
 
-#include <string.h>
-
 #define MAX_SUFFIX_BITS 24u
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
 

@@ -1,8 +1,6 @@
 /* Encoder of `mdct`: a search for the levels of least distortion + lambda * rate, then the decoder's steps mirrored. */
 #include "mdct.h"
 
-#include <string.h>
-
 #define STATES 4
 #define UNREACHED INT64_MAX
 #define MAX_DIFFERENCE (1 << 27)

@@ -4,8 +4,6 @@
  */
 #include "mdct.h"
 
-#include <string.h>
-
 #define CELLS (VC_DECISIONS * 2 * VC_INPUTS * VC_CONTEXTS)
 #define WEIGHTS (VC_DECISIONS * 2 * VC_SCALES * (VC_INPUTS + 1))
 #define TABLES_BYTES (CELLS + 2 * WEIGHTS + VC_SILENCE_CONTEXTS)
