@@ -151,7 +151,7 @@ def peak_of(channel: Signal) -> float:
 class Source:
     """A signal ready to be coded at any step.
 
-    `gains` and `rms`: the physical value of full scale of each channel, and its RMS value relative to that (silence: 1).
+    `gains`: the physical value of full scale of each channel. `rms`: its RMS value relative to that, 1 for silence.
     `silent`: every channel is.
     """
 
