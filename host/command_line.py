@@ -5,7 +5,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -121,6 +121,17 @@ class OutputFile(click.Path):
         return path
 
 
+def refuse_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
+    """Raise click.UsageError where a file to write is also one to read, or two to write are the same."""
+    used = [path for path in inputs if path]
+    for output in filter(None, outputs):
+        for other in used:
+            same = os.path.realpath(output) == os.path.realpath(other)
+            if same or (output.exists() and other.exists() and output.samefile(other)):
+                raise click.UsageError(f"{output} and {other} are the same file: give the output another name.")
+        used.append(output)
+
+
 def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
     """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
     if value not in devices.SIMULATED and not value.startswith(devices.PREFIXES):
@@ -206,7 +217,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 @click.argument("file", type=INPUT)
 @device_option
 @click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
-@click.option("--report", "report_path", type=OutputFile(), help="Write the figures as JSON.")
+@click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
 @click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
 @quality_options
 @recording_options
@@ -216,6 +227,7 @@ def play(
     """Play a recording or a .vct file on a controller."""
     from host import end_to_end, picture
 
+    refuse_overwriting([report_path, plot_path], [file, choices["image_path"]])
     stream, encoding = prepared(file, choices)
     with devices.connect(address) as controller, playing_progress(stream.bits_per_second) as progress:
         outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, progress)
@@ -238,6 +250,7 @@ def play(
 @recording_options
 def encode(file: Path, out: Path, **choices: Any) -> None:
     """Code a recording into a .vct file."""
+    refuse_overwriting([out], [file, choices["image_path"]])
     encoding = encoded(file, choices, live=False)
     coding.write(out, encoding.stream)
     snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
@@ -255,6 +268,7 @@ def decode(file: Path, out: Path, sample_format: str, image_path: Path | None) -
     As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
     its unit and full scale in its comment, from which this program knows them again.
     """
+    refuse_overwriting([out], [file, image_path])
     stream = coding.read(file, packed_image(image_path) if image_path else None)
     full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit")
     header = stream.header
@@ -331,6 +345,8 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
     from simulated_device.flash import FlashMemory
     from simulated_device.pty_port import PtyPort
 
+    if flash_file and flash_file.exists() and not (flash_file.is_file() and flash_file.stat().st_size == FLASH_BYTES):
+        raise BadInput(f"{flash_file}: not the {FLASH_BYTES} bytes of this flash memory; give a name for a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm)
     with PtyPort(SimulatedController(settings, flash_memory)) as port:

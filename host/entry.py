@@ -29,7 +29,7 @@ def _leave(_number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
-    """Interrupt what is under way. A closed terminal may signal twice, but only Ctrl-C may cut the cleaning up short."""
+    """Interrupt what is under way. A closed terminal may signal twice; only Ctrl-C may cut the cleaning up short."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt

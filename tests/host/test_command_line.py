@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -293,6 +294,39 @@ def test_refuses_bad_usage(texture: Path, coded: Path, tmp_path: Path) -> None:
     assert ".png" in fails(2, "play", texture, "--plot", tmp_path / "plot.bmp")
     assert ".vct" in fails(2, "encode", texture, tmp_path / "out.wav")
     assert "sim-usb" in fails(2, "play", texture, "--device", "hand")
+
+
+def test_refuses_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path: Path) -> None:
+    before = texture.read_bytes()
+    assert ".json" in fails(2, "play", texture, "--report", texture)
+    named_json, linked = tmp_path / "image.json", tmp_path / "linked.json"
+    named_json.write_bytes(Path(IMAGE).read_bytes())
+    linked.hardlink_to(texture)
+    assert "same file" in fails(2, "play", coded, "--image", named_json, "--report", named_json)
+    assert "same file" in fails(2, "play", texture, "--report", linked)
+    looped = tmp_path / "again.vct"
+    looped.symlink_to(texture)
+    assert "same file" in fails(2, "encode", texture, looped)
+    out = tmp_path / "out.wav"
+    out.symlink_to(tmp_path / ".." / tmp_path.name / coded.name)
+    assert "same file" in fails(2, "decode", coded, out)
+    assert texture.read_bytes() == before
+    assert coded.exists()
+
+
+def test_refuses_one_name_for_two_outputs(texture: Path, tmp_path: Path) -> None:
+    report_path, plot_path = tmp_path / "out.json", tmp_path / "out.png"
+    plot_path.symlink_to(report_path)
+    assert "same file" in fails(2, "play", texture, "--report", report_path, "--plot", plot_path)
+    assert not report_path.exists()
+
+
+@pytest.mark.parametrize("name", ["texture.wav", "pipe"])
+def test_refuses_a_flash_file_that_is_none(name: str, texture: Path) -> None:
+    path = texture.with_name(name)
+    if name == "pipe":
+        os.mkfifo(path)
+    assert "flash memory" in fails(2, "simulate", "--flash-file", path)
 
 
 def test_refuses_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
