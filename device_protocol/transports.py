@@ -136,6 +136,9 @@ class UsbTransport(_Closing):
             if self._in is None or self._out is None:
                 raise TransportError(f"{self._name} lacks a vendor interface with bulk endpoints: no tactor controller")
             usb.util.claim_interface(device, interface)
+            # A stall, or the data toggle of a program that ended in the middle, must not outlive what left it there.
+            self._in.clear_halt()
+            self._out.clear_halt()
         except usb.core.USBError as error:
             hint = (
                 "Give your user access to it (a udev rule on Linux)." if error.errno == errno.EACCES else "Replug it."
@@ -152,7 +155,7 @@ class UsbTransport(_Closing):
             try:
                 data = data[self._out.write(data, int(_WRITE_TIMEOUT_S * 1000)) :]
             except usb.core.USBError as error:
-                raise self._broken(error) from error
+                self._clear_stall(self._out, error)
             if data and time.monotonic() > deadline:
                 raise TransportError(f"{self._name} took no data for {_WRITE_TIMEOUT_S:g} s. Reset the controller.")
 
@@ -161,9 +164,18 @@ class UsbTransport(_Closing):
             # libusb takes 0 as "for ever".
             return bytes(self._in.read(_USB_READ_BYTES, max(1, round(timeout_s * 1000))))
         except usb.core.USBError as error:
-            if isinstance(error, usb.core.USBTimeoutError) or error.errno == errno.ETIMEDOUT:
-                return b""
+            if not isinstance(error, usb.core.USBTimeoutError) and error.errno != errno.ETIMEDOUT:
+                self._clear_stall(self._in, error)
+            return b""
+
+    def _clear_stall(self, endpoint: Any, error: usb.core.USBError) -> None:
+        """Set a stalled endpoint going again; raise TransportError for any other error, or if that fails."""
+        if error.errno != errno.EPIPE:
             raise self._broken(error) from error
+        try:
+            endpoint.clear_halt()
+        except usb.core.USBError as failure:
+            raise self._broken(failure) from failure
 
     def reopen(self) -> None:
         self.close()

@@ -93,13 +93,17 @@ def descriptor(**fields: int) -> Any:
 
 
 class MadeUpUsb(usb.backend.IBackend):  # type: ignore[misc]
-    """One device, 1209:0001, that sends back what it gets; at most 64 bytes a transfer."""
+    """One device, 1209:0001, that sends back what it gets; at most 64 bytes a transfer.
+
+    `stalled`: the endpoints that refuse every transfer until their halt is cleared.
+    """
 
     def __init__(self, interface_class: int = 0xFF, endpoints: tuple[int, ...] = (0x01, 0x82)) -> None:
         self.interface_class = interface_class
         self.endpoints = endpoints
         self.fault: int | None = None
         self.plugged = True
+        self.stalled: set[int] = set()
         self.echo = b""
 
     def enumerate_devices(self) -> list[str]:
@@ -148,13 +152,17 @@ class MadeUpUsb(usb.backend.IBackend):  # type: ignore[misc]
     def release_interface(self, handle: str, interface: int) -> None:
         self.fail()
 
-    def bulk_write(self, handle: str, endpoint: int, interface: int, data: "array[int]", timeout_ms: int) -> int:
+    def clear_halt(self, handle: str, endpoint: int) -> None:
         self.fail()
+        self.stalled.discard(endpoint)
+
+    def bulk_write(self, handle: str, endpoint: int, interface: int, data: "array[int]", timeout_ms: int) -> int:
+        self.fail(endpoint)
         self.echo += bytes(data[:64])
         return min(64, len(data))
 
     def bulk_read(self, handle: str, endpoint: int, interface: int, buffer: "array[int]", timeout_ms: int) -> int:
-        self.fail()
+        self.fail(endpoint)
         assert timeout_ms > 0, "0 would wait for ever"
         if not self.echo:
             raise usb.core.USBTimeoutError("timed out", errno=errno.ETIMEDOUT)
@@ -162,9 +170,11 @@ class MadeUpUsb(usb.backend.IBackend):  # type: ignore[misc]
         buffer[: len(piece)] = array("B", piece)
         return len(piece)
 
-    def fail(self) -> None:
+    def fail(self, endpoint: int = 0) -> None:
         if self.fault is not None:
             raise usb.core.USBError("made up", errno=self.fault)
+        if endpoint in self.stalled:
+            raise usb.core.USBError("Pipe error", errno=errno.EPIPE)
 
 
 def test_usb_carries_every_byte_both_ways() -> None:
@@ -190,6 +200,42 @@ def test_unplugged_usb_device_is_an_error_until_it_is_back() -> None:
     assert transport.read(0) == b"back"
     transport.close()
     transport.close()
+
+
+def test_stalled_usb_endpoints_are_cleared_in_use_and_when_opened() -> None:
+    backend = MadeUpUsb()
+    backend.stalled = {0x01, 0x82}
+    with UsbTransport(0x1209, 0x0001, backend) as transport:
+        assert not backend.stalled
+        backend.stalled = {0x01, 0x82}
+        transport.write(EVERY_BYTE)
+        assert transport.read(0) == b""
+        assert transport.read(0) == EVERY_BYTE[:64]
+        assert not backend.stalled
+
+
+def test_usb_endpoint_that_stalls_for_ever_is_an_error_and_not_a_hang(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("device_protocol.transports._WRITE_TIMEOUT_S", 0.05)
+    backend = MadeUpUsb()
+    monkeypatch.setattr(backend, "clear_halt", lambda handle, endpoint: None)
+    transport = UsbTransport(0x1209, 0x0001, backend)
+    backend.stalled = {0x01, 0x82}
+    with pytest.raises(TransportError, match="took no data"):
+        transport.write(b"x")
+    assert transport.read(0) == b""
+
+
+def test_usb_device_unplugged_while_a_stall_is_cleared_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = MadeUpUsb()
+    transport = UsbTransport(0x1209, 0x0001, backend)
+    backend.stalled = {0x82}
+
+    def gone(handle: str, endpoint: int) -> None:
+        raise usb.core.USBError("made up", errno=errno.ENODEV)
+
+    monkeypatch.setattr(backend, "clear_halt", gone)
+    with pytest.raises(TransportError, match="cable"):
+        transport.read(0)
 
 
 def test_usb_device_of_another_user_names_the_remedy() -> None:
