@@ -1,5 +1,6 @@
 """Tests of writing files whole or not at all."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -38,3 +39,15 @@ def test_writes_directly_to_what_is_no_file(tmp_path: Path) -> None:
     with whole_file(pipe) as partial:
         assert partial == pipe
     assert list(tmp_path.iterdir()) == [pipe]
+
+
+def test_an_error_names_the_file_that_was_wanted(tmp_path: Path) -> None:
+    path = tmp_path / "out.txt"
+    with pytest.raises(OSError, match="No space left") as caught, whole_file(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert caught.value.filename == str(path)
+    unwritable = tmp_path / "none" / "out.txt"
+    with pytest.raises(FileNotFoundError) as missing, whole_file(unwritable):
+        pass
+    assert missing.value.filename == str(unwritable)
+    assert list(tmp_path.iterdir()) == []
