@@ -83,7 +83,8 @@ def play(
     KeyboardInterrupt included, the controller is stopped first. A broken connection is opened anew for `reconnect_s`;
     if the controller has given up meanwhile, playing (also what was paused) goes on at the next refresh packet.
 
-    Raises StreamError for packets that make no stream, ControllerError, TransportError and MessageError.
+    Raises StreamError for packets that make no stream, or none that the controller takes, ControllerError,
+    TransportError and MessageError.
     """
     playback = _Playback(controller, header, packets, packet_samples, loops, gain, compensation, buffer_s, capture)
     try:
@@ -93,6 +94,18 @@ def play(
         with contextlib.suppress(ControllerError, TransportError):
             controller.stop()
         raise
+
+
+def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
+    """Raise StreamError, with the limit, if the controller cannot play a stream of these channels and this rate."""
+    limits = controller.description.limits
+    if channels > limits.channels:
+        raise StreamError(f"{channels} channels, the controller has {limits.channels}: leave some out of the recording")
+    if not limits.minimum_rate_hz <= rate_hz <= limits.maximum_rate_hz:
+        raise StreamError(
+            f"a stream of {rate_hz} Hz, the controller takes {limits.minimum_rate_hz} to {limits.maximum_rate_hz} Hz: "
+            "encode with another --stream-rate-hz"
+        )
 
 
 class _Playback:
@@ -140,6 +153,7 @@ class _Playback:
     def _check(self) -> list[int]:
         """Return the numbers of the refresh packets. Raises StreamError, and ControllerError for what never fits."""
         limits = self._controller.description.limits
+        check_limits(self._controller, self._header.channels, self._header.rate_hz)
         if not self._packets:
             raise StreamError("the stream has no packets: there is nothing to play")
         if self._packet_samples > limits.buffer_samples:

@@ -1,6 +1,7 @@
 """The streaming player: credit, captures, loops, lost connections, stops - against a controller in simulated time."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -271,6 +272,21 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh_packet() -> 
 def test_streams_that_cannot_be_played_are_refused(packets: list[bytes], packet_samples: int, reason: str) -> None:
     with pytest.raises((StreamError, ControllerError), match=reason):
         play(connect(ScriptedController()), HEADER, packets, packet_samples)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"gains": (1.0, 1.0)}, "2 channels, the controller has 1"),
+        ({"rate_hz": 99}, "99 Hz, the controller takes 100 to 48000 Hz"),
+        ({"rate_hz": 48_001}, "48001 Hz"),
+    ],
+)
+def test_streams_beyond_the_controllers_limits_are_refused(change: dict[str, Any], reason: str) -> None:
+    scripted = ScriptedController()
+    with pytest.raises(StreamError, match=reason):
+        play(connect(scripted), replace(HEADER, **change), PACKETS, PACKET_SAMPLES)
+    assert not any(isinstance(message, Configure) for message in scripted.handled)
 
 
 @settings(max_examples=60, deadline=None)
