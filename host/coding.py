@@ -1,7 +1,7 @@
 """Recordings to coded streams and back: joins textures, codec and the layout of .vct files."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict
@@ -30,6 +30,7 @@ class _How(TypedDict):
     codec: str
     live: bool
     tables: bytes | None
+    progress: Callable[[float], None] | None
 
 
 @dataclass(frozen=True)
@@ -169,12 +170,14 @@ def encode(
     snr_db: float | None = None,
     image: bytes | None = None,
     live: bool = False,
+    progress: Callable[[float], None] | None = None,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
     `rate_bps` counts the bits of the whole .vct file. `image`: packed model image whose tables are used, None = those
-    built in. `live` adds refresh packets, for a link that may lose some. Raises CodecError (also when the asked rate
-    or SNR cannot be met), ModelImageError, StreamError or TextureError, with what to do.
+    built in. `live` adds refresh packets, for a link that may lose some. `progress` is called with the part of the
+    search that is done, from 0 to 1. Raises CodecError (also when the asked rate or SNR cannot be met),
+    ModelImageError, StreamError or TextureError, with what to do.
     """
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
@@ -202,7 +205,7 @@ def encode(
     def size_bytes(coded: codec.CodedSignal) -> int:
         return as_stream(coded).size_bytes
 
-    how: _How = {"codec": codec_name, "live": live, "tables": tables}
+    how: _How = {"codec": codec_name, "live": live, "tables": tables, "progress": progress}
     if rate_bps is not None:
         coded = codec.encode_to_rate(samples, stream_rate_hz, rate_bps, size_bytes, **how)
     else:
@@ -210,17 +213,23 @@ def encode(
         coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, **how)
     stream = as_stream(coded)
     decoded = stream.decode()
-    each_db = tuple(_finite_snr_db(samples[:, [n]], decoded[:, [n]]) for n in range(samples.shape[1]))
-    reached_db = _finite_snr_db(samples, decoded)
-    return Encoding(stream, resampled, reached_db, each_db, _shortfall(stream, reached_db, rate_bps, snr_db))
+    reached_db = _finite(codec.snr_db(samples, decoded))
+    each_db = tuple(map(_finite, codec.channel_snrs_db(samples, decoded)))
+    return Encoding(stream, resampled, reached_db, each_db, _shortfall(stream, each_db, rate_bps, snr_db))
 
 
-def _shortfall(stream: Stream, reached_db: float | None, rate_bps: float | None, snr_db: float | None) -> str | None:
+def _shortfall(
+    stream: Stream, each_db: Sequence[float | None], rate_bps: float | None, snr_db: float | None
+) -> str | None:
     """Return why the asked rate, or else SNR, was not met within its tolerance; None when it was."""
     if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - codec.RATE_TOLERANCE):
         return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no step of this signal comes nearer"
-    if snr_db is not None and reached_db is not None and reached_db > snr_db + codec.SNR_TOLERANCE_DB:
-        return f"{reached_db:.2f} dB instead of {snr_db:g}: no step of this signal comes nearer from above"
+    audible = [(ratio_db, number) for number, ratio_db in enumerate(each_db, 1) if ratio_db is not None]
+    if snr_db is not None and audible:
+        furthest_db, number = max(audible, key=lambda ratio: abs(ratio[0] - snr_db))
+        if abs(furthest_db - snr_db) > codec.SNR_TOLERANCE_DB:
+            where = f" in channel {number}" if len(each_db) > 1 else ""
+            return f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no step of this signal comes nearer from above"
     return None
 
 
@@ -256,16 +265,16 @@ def write(path: Path, stream: Stream) -> None:
         partial.write_bytes(coded_stream.pack_file(stream.header, stream.packets))
 
 
-def write_wav(path: Path, stream: Stream, sixteen_bit: bool) -> float:
+def write_wav(path: Path, stream: Stream, sixteen_bit: bool, progress: Callable[[float], None] | None = None) -> float:
     """Decode a stream into a WAV file; return the physical value, in the header's unit, of 1.0 in that file.
 
-    As 32-bit float the file holds the physical values exactly. Raises CodecError, TextureError or OSError.
+    As 32-bit float the file holds the physical values exactly. `progress` as in `Stream.decode`. Raises CodecError,
+    TextureError or OSError.
     """
-    recording = textures.Recording(stream.decode(), stream.header.rate_hz, stream.header.unit, path.stem)
+    recording = textures.Recording(stream.decode(progress), stream.header.rate_hz, stream.header.unit, path.stem)
     with whole_file(path) as partial:
         return textures.save_wav(partial, recording, sixteen_bit)
 
 
-def _finite_snr_db(original: NDArray[np.float64], decoded: NDArray[np.float64]) -> float | None:
-    ratio_db = codec.snr_db(original, decoded)
+def _finite(ratio_db: float | None) -> float | None:
     return ratio_db if ratio_db is not None and math.isfinite(ratio_db) else None

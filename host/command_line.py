@@ -1,18 +1,17 @@
 """The `vibrocast` command: reads arguments, calls the rooms, prints what a person needs; errors are one line."""
 
+import errno
 import json
 import math
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import click
-from rich.progress import BarColumn, Progress, TextColumn
 
 import codec
 import textures
@@ -21,7 +20,7 @@ from device_protocol.messages import MessageError
 from device_protocol.model_image import MAGIC as IMAGE_MAGIC
 from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImageError
 from device_protocol.transports import TransportError
-from host import coding, devices, flasher, player
+from host import coding, devices, flasher, player, progress
 from host.controller import ControllerError
 from host.entry import INTERRUPTED
 from host.input_files import InputFileError, read_input
@@ -38,6 +37,7 @@ INPUT_ERRORS = (
     OSError,
     MemoryError,
 )
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 DEVICE_ERRORS = (ControllerError, TransportError, MessageError)
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -86,21 +86,22 @@ class OneLineErrors(click.Group):
 def explained(error: Exception) -> click.ClickException:
     """Return the exception that tells a person what went wrong and what to do, with its exit code."""
     text = str(error)
-    if isinstance(error, OSError) and error.filename:
+    if isinstance(error, OSError) and error.errno in DISK_FULL:
+        text = f"{error.filename or 'the output'}: {error.strerror}; make room, or write elsewhere"
+    elif isinstance(error, OSError) and error.filename:
         text = f"{error.filename}: {error.strerror}; check the name and your permissions"
     if isinstance(error, MemoryError):
         text = "not enough memory for this recording; cut it into shorter ones"
     if not isinstance(error, (*INPUT_ERRORS, *DEVICE_ERRORS)):
         text = f"unexpected {type(error).__name__}: {text}; `vibrocast --debug ...` shows where, please report it"
-    one_line = " ".join(text.split())
     # A TransportError is an OSError too.
     bad_input = isinstance(error, INPUT_ERRORS) and not isinstance(error, DEVICE_ERRORS)
-    return BadInput(one_line) if bad_input else DeviceFailure(one_line)
+    return BadInput(text) if bad_input else DeviceFailure(text)
 
 
 def fail(message: str, exit_code: int) -> NoReturn:
-    """Print one line on stderr and exit."""
-    click.echo(f"error: {message}", err=True)
+    """Print one line on stderr, whatever names with newlines it quotes, and exit."""
+    click.echo(f"error: {' '.join(message.split())}", err=True)
     sys.exit(exit_code)
 
 
@@ -134,9 +135,11 @@ def refuse_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | N
 
 def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
     """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
-    if value not in devices.SIMULATED and not value.startswith(devices.PREFIXES):
+    if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
         known = ", ".join(devices.SIMULATED)
-        raise click.BadParameter(f"{value!r} is none of {known}, serial:PORT and usb:VID:PID.", ctx, param)
+        raise click.BadParameter(
+            f"{value!r} is none of {known}, serial:PORT and usb:VID:PID (in hexadecimal digits).", ctx, param
+        )
     return value
 
 
@@ -228,9 +231,23 @@ def play(
     from host import end_to_end, picture
 
     refuse_overwriting([report_path, plot_path], [file, choices["image_path"]])
-    stream, encoding = prepared(file, choices)
-    with devices.connect(address) as controller, playing_progress(stream.bits_per_second) as progress:
-        outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, progress)
+    if file.suffix.lower() == ".vct":
+        source: coding.Stream | textures.Recording = coded_already(file, choices)
+    else:
+        quality = quality_of(choices)
+        source = textures.load(file, **choices)
+    with devices.connect(address) as controller:
+        # What the controller cannot play need not be encoded first.
+        if isinstance(source, coding.Stream):
+            player.check_limits(controller, source.header.channels, source.header.rate_hz)
+            stream, encoding = source, None
+        else:
+            player.check_limits(controller, source.channels, quality["stream_rate_hz"])
+            encoding = encoded(source, quality, live=True)
+            stream = encoding.stream
+        with progress.shown("playing") as update:
+            tell = playing(update, stream.bits_per_second)
+            outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, tell)
     if report_path:
         outcome.report.write(report_path)
     if plot_path:
@@ -251,7 +268,8 @@ def play(
 def encode(file: Path, out: Path, **choices: Any) -> None:
     """Code a recording into a .vct file."""
     refuse_overwriting([out], [file, choices["image_path"]])
-    encoding = encoded(file, choices, live=False)
+    quality = quality_of(choices)
+    encoding = encoded(textures.load(file, **choices), quality, live=False)
     coding.write(out, encoding.stream)
     snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
     click.echo(f"{out}: {encoding.stream.size_bytes} bytes, {encoding.stream.bits_per_second:.0f} bit/s, {snr}")
@@ -270,7 +288,8 @@ def decode(file: Path, out: Path, sample_format: str, image_path: Path | None) -
     """
     refuse_overwriting([out], [file, image_path])
     stream = coding.read(file, packed_image(image_path) if image_path else None)
-    full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit")
+    with progress.shown("decoding") as update:
+        full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit", progress=update)
     header = stream.header
     click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, 1.0 is {full_scale:g} {header.unit}")
 
@@ -316,8 +335,8 @@ def flash(image: Path, address: str) -> None:
     where it stopped, and the controller keeps running the image before.
     """
     packed = packed_image(image)
-    with devices.connect(address) as controller, byte_progress() as progress:
-        slot = flasher.flash(controller, packed, progress=progress)
+    with devices.connect(address) as controller, progress.shown("flashing") as update:
+        slot = flasher.flash(controller, packed, progress=lambda done, total: update(done / total))
     click.echo(f"{image.name}: {slot.name} {slot.version} runs from slot {slot.slot}, confirmed")
 
 
@@ -355,27 +374,28 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
         threading.Event().wait()
 
 
-def prepared(file: Path, choices: dict[str, Any]) -> tuple[coding.Stream, coding.Encoding | None]:
-    """Return the stream to play, and how it was made where `file` is a recording."""
-    if file.suffix.lower() != ".vct":
-        encoding = encoded(file, choices, live=True)
-        return encoding.stream, encoding
+def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:
+    """Read a .vct file to play, to which no option of the two groups applies but the image."""
     image_path = choices.pop("image_path")
-    image = packed_image(image_path) if image_path else None
     given = [name for name, value in choices.items() if value not in (None, coding.DEFAULT_STREAM_RATE_HZ, "mdct")]
     if given:
         raise click.UsageError(f"{file} is coded already: drop --{given[0].replace('_', '-')}.")
-    return coding.read(file, image), None
+    return coding.read(file, packed_image(image_path) if image_path else None)
 
 
-def encoded(file: Path, choices: dict[str, Any], live: bool) -> coding.Encoding:
-    """Load a recording and encode it as the options of the two groups ask; say what was not met."""
+def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of the quality group out of all choices; return them as `coding.encode` takes them."""
     quality = {name: choices.pop(name) for name in ("codec_name", "rate_bps", "snr_db", "stream_rate_hz")}
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
     image_path = choices.pop("image_path")
-    image = packed_image(image_path) if image_path else None
-    encoding = coding.encode(textures.load(file, **choices), image=image, live=live, **quality)
+    return {**quality, "image": packed_image(image_path) if image_path else None}
+
+
+def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) -> coding.Encoding:
+    """Encode a recording, show how far it is, and say what was not met."""
+    with progress.shown("encoding") as update:
+        encoding = coding.encode(recording, live=live, progress=update, **quality)
     if encoding.note:
         click.echo(f"note: {encoding.note}", err=True)
     return encoding
@@ -386,29 +406,18 @@ def packed_image(path: Path) -> bytes:
     return read_input(path, "model image", IMAGE_MAGIC, MAXIMUM_IMAGE_BYTES)
 
 
-@contextmanager
-def playing_progress(bits_per_second: float) -> Iterator[Callable[[player.Progress], None]]:
-    """Show a playback while it runs: position, rate, buffer, underruns; nothing where stdout is no terminal."""
-    columns = BarColumn(), TextColumn("{task.description}")
-    with Progress(*columns, disable=not sys.stdout.isatty(), transient=True) as bar:
-        task = bar.add_task("connecting", total=None)
+def playing(update: progress.Update, bits_per_second: float) -> Callable[[player.Progress], None]:
+    """Return what tells `update` of a playback: position, rate, buffer, underruns."""
 
-        def update(now: player.Progress) -> None:
-            text = (
-                f"{now.position_s:.1f} of {now.duration_s:.1f} s  {bits_per_second / 1000:.2f} kbit/s  "
-                f"buffer {1000 * now.buffered_s:.0f} ms  underruns {now.status.underruns}"
-            )
-            bar.update(task, total=now.duration_s, completed=now.position_s, description=text)
+    def tell(now: player.Progress) -> None:
+        duration_s = now.duration_s or math.inf
+        details = (
+            f"{now.position_s:.1f} of {duration_s:.1f} s  {bits_per_second / 1000:.2f} kbit/s  "
+            f"buffer {1000 * now.buffered_s:.0f} ms  underruns {now.status.underruns}"
+        )
+        update(now.position_s / duration_s, details)
 
-        yield update
-
-
-@contextmanager
-def byte_progress() -> Iterator[Callable[[int, int], None]]:
-    """Show a transfer while it runs; nothing where stdout is no terminal."""
-    with Progress(disable=not sys.stdout.isatty(), transient=True) as bar:
-        task = bar.add_task("flashing", total=None)
-        yield lambda done, total: bar.update(task, total=total, completed=done)
+    return tell
 
 
 def summary(report: Report) -> dict[str, object]:

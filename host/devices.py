@@ -1,6 +1,7 @@
 """Controllers by the address that a person gives: opens them, lists them, and tells what they are."""
 
 import contextlib
+import re
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
@@ -24,7 +25,7 @@ SIMULATED = {
     "sim": "simulated controller behind a pseudo-terminal",
     "sim-usb": "simulated controller behind a simulated USB device",
 }
-PREFIXES = ("serial:", "usb:")
+ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
 
 
 @contextlib.contextmanager

@@ -156,6 +156,22 @@ def test_float_wav_is_exact_and_16_bit_wav_is_near(tmp_path: Path) -> None:
     assert exact.unit == near.unit == "m/s^2"
 
 
+def test_says_how_far_encoding_and_decoding_are() -> None:
+    encoding, decoding = [0.0], [0.0]
+    stream = coding.encode(noise(), progress=encoding.append).stream
+    stream.decode(decoding.append)
+    assert decoding == sorted(decoding)
+    assert encoding[-1] <= 1 == decoding[-1]
+    assert len(encoding) > 1
+
+
+def test_names_the_channel_furthest_from_the_asked_quality() -> None:
+    samples = np.hstack([noise().samples, np.full((1400, 1), 0.5)])
+    encoding = coding.encode(textures.Recording(samples, 2800, "um", "one constant channel"), snr_db=15)
+    assert encoding.note is not None
+    assert "instead of 15 in channel 2" in encoding.note
+
+
 def test_an_image_is_named_by_the_stream_and_needed_to_decode(tmp_path: Path) -> None:
     recording = noise()
     stream = coding.encode(recording, image=IMAGE).stream

@@ -12,6 +12,7 @@ from device_protocol.messages import (
     Error,
     ErrorCode,
     Gain,
+    Hello,
     HelloResponse,
     Limits,
     Loop,
@@ -25,6 +26,8 @@ from device_protocol.messages import (
 )
 from device_protocol.transports import TransportError
 from host.controller import TRIES, ConnectionLost, Controller, ControllerError
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.memory_link import MemoryLink
 from tests.host.scripted_controller import ScriptedController
 
 
@@ -39,6 +42,44 @@ def test_hello_and_status() -> None:
         assert controller.request_status().state == State.IDLE
         assert controller.bytes_sent > 0
         assert controller.bytes_received > 0
+
+
+def test_hello_under_a_number_of_the_last_session_is_said_again_under_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    draws = [41, 41, 41, 500]
+    monkeypatch.setattr("host.controller.random.randrange", lambda end: draws.pop(0))
+    link = MemoryLink(SimulatedController())
+    earlier = Controller(link, link.clock, link.sleep)
+    earlier.request_status()
+    again = Controller(link, link.clock, link.sleep)
+    assert draws == []
+    assert again.request_status().state == State.IDLE
+
+
+@pytest.mark.parametrize("old", [Status(State.IDLE, *[0] * 12), Error(ErrorCode.WRONG_STATE, "of long ago")])
+def test_hello_that_gets_the_answer_of_an_earlier_session_is_said_again(
+    old: Message, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draws = [41, 500]
+    monkeypatch.setattr("host.controller.random.randrange", lambda end: draws.pop(0))
+    scripted = ScriptedController()
+    scripted.last = (42, write_frame(pack(old, 42)))
+    assert connect(scripted).description == scripted.description
+    assert scripted.handled == [Hello()]
+
+
+def test_nobody_at_the_other_end_is_known_after_two_seconds() -> None:
+    scripted = ScriptedController()
+    attempts: list[Message] = []
+
+    def swallow(message: Message) -> bool:
+        attempts.append(message)
+        return True
+
+    scripted.swallow = swallow
+    with pytest.raises(ConnectionLost, match="does not answer"):
+        connect(scripted)
+    assert len(attempts) == TRIES
+    assert 2.0 <= scripted.now_s < 2.5
 
 
 def test_lost_requests_are_sent_again_and_carried_out_once() -> None:

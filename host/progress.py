@@ -1,0 +1,44 @@
+"""Shows on stderr how far long work is: a bar in a terminal, elsewhere a plain line about once a second."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+LINE_INTERVAL_S = 1.0
+
+
+class Update(Protocol):
+    """Takes the part of the work that is done, from 0 to 1, and what else there is to say."""
+
+    def __call__(self, part: float, details: str = "", /) -> None: ...
+
+
+@contextmanager
+def shown(work: str) -> Iterator[Update]:
+    """Yield what the work, named `work`, tells how far it is, as often as it likes."""
+    if sys.stderr.isatty():
+        columns = BarColumn(), TextColumn("{task.description}")
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(work, total=1.0)
+            yield lambda part, details="": bar.update(task, completed=part, description=f"{work} {details}")
+    else:
+        yield _Lines(work)
+
+
+class _Lines:
+    """Prints nothing for work of less than a second."""
+
+    def __init__(self, work: str) -> None:
+        self._work = work
+        self._printed_s = time.monotonic()
+
+    def __call__(self, part: float, details: str = "", /) -> None:
+        now_s = time.monotonic()
+        if now_s - self._printed_s >= LINE_INTERVAL_S:
+            self._printed_s = now_s
+            print(f"{self._work} {100 * part:.0f} % {details}".rstrip(), file=sys.stderr, flush=True)
