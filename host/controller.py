@@ -32,6 +32,7 @@ from device_protocol.transports import Transport, TransportError
 # docs/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1
 TRIES = 20
+HELLO_TRIES = 5
 SMALLEST_PAYLOAD_LIMIT_BYTES = 256
 SMALLEST_WATCHDOG_MS = 50
 LARGEST_DAC_RATE_HZ = 1_000_000
@@ -80,8 +81,7 @@ class Controller:
         self.sleep = sleep
         self._transport = transport
         self._reader = FrameReader()
-        # Drawn at random: a late answer to a session before this one is not taken for an answer to this one.
-        self._sequence = random.randrange(1, MAXIMUM_SEQUENCE + 1)
+        self._sequence = NOTIFICATION
         self._complaint: Error | None = None
         self.say_hello()
 
@@ -98,7 +98,7 @@ class Controller:
     def say_hello(self) -> None:
         """Open a session, or open it anew; sets `description`. Raises as `request`."""
         self._write(DELIMITER)  # ends whatever the line has picked up
-        description = self.request(Hello(), HelloResponse)
+        description = self._greet()
         if description.major != PROTOCOL_MAJOR:
             raise ControllerError(
                 f"the controller speaks protocol {description.major}.{description.minor}, this host "
@@ -116,15 +116,33 @@ class Controller:
             )
         self.description = description
 
+    def _greet(self) -> HelloResponse:
+        """Return the answer to a Hello under a sequence number that means nothing to the controller yet."""
+        tries_left = TRIES
+        while True:
+            # Drawn at random: a late answer to an earlier session is not taken for an answer to this one. Drawn again
+            # if the number was one of the last session's, whose copy the controller ignores or answers as it did then.
+            self._sequence = random.randrange(MAXIMUM_SEQUENCE)
+            tries_left -= HELLO_TRIES
+            try:
+                return self.request(Hello(), HelloResponse, tries=HELLO_TRIES)
+            except ControllerError as error:
+                if tries_left <= 0 or error.code == ErrorCode.UNSUPPORTED_VERSION:
+                    raise
+
     def request(
-        self, message: Message, answer_type: type[_Answer], answer_timeout_s: float = ANSWER_TIMEOUT_S
+        self,
+        message: Message,
+        answer_type: type[_Answer],
+        answer_timeout_s: float = ANSWER_TIMEOUT_S,
+        tries: int = TRIES,
     ) -> _Answer:
         """Send a request, as often as it takes, and return its answer.
 
         Raises ControllerError with the controller's text if it refuses, ConnectionLost, TransportError, MessageError.
         """
         frame = self._next_request(message)
-        for _ in range(TRIES):
+        for _ in range(tries):
             self._write(frame)
             deadline_s = self.clock() + answer_timeout_s
             while self.clock() < deadline_s:
@@ -137,8 +155,7 @@ class Controller:
                     asked, answered = type(message).__name__, type(answer).__name__
                     raise ControllerError(f"the controller answers {asked} with {answered}: update its firmware")
         raise ConnectionLost(
-            f"the controller does not answer ({TRIES} tries in {TRIES * answer_timeout_s:g} s). "
-            "Check that it has power and that the address is the right one."
+            "the controller does not answer. Check that it has power and that the address is the right one."
         )
 
     def send(self, data: StreamData) -> None:
