@@ -273,7 +273,11 @@ def write_wav(path: Path, stream: Stream, sixteen_bit: bool, progress: Callable[
     """
     recording = textures.Recording(stream.decode(progress), stream.header.rate_hz, stream.header.unit, path.stem)
     with whole_file(path) as partial:
-        return textures.save_wav(partial, recording, sixteen_bit)
+        try:
+            return textures.save_wav(partial, recording, sixteen_bit)
+        except textures.TextureError as error:
+            # It names the partial file, and libsndfile keeps to itself what was wrong.
+            raise textures.TextureError(f"{path}: cannot be written; make room, or write elsewhere") from error
 
 
 def _finite(ratio_db: float | None) -> float | None:

@@ -3,6 +3,7 @@
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -154,6 +155,17 @@ def test_float_wav_is_exact_and_16_bit_wav_is_near(tmp_path: Path) -> None:
     np.testing.assert_array_equal(exact.samples, stream.decode())
     np.testing.assert_allclose(near.samples, stream.decode(), atol=full_scale / 32768)
     assert exact.unit == near.unit == "m/s^2"
+
+
+def test_a_wav_that_cannot_be_written_is_named_as_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Path, *_: object) -> NoReturn:
+        raise textures.TextureError(f"{path}: cannot be written: System error.")
+
+    stream = coding.encode(noise()).stream
+    monkeypatch.setattr("textures.save_wav", fail)
+    with pytest.raises(textures.TextureError, match=r"/out\.wav: cannot be written; make room"):
+        coding.write_wav(tmp_path / "out.wav", stream, sixteen_bit=False)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_says_how_far_encoding_and_decoding_are() -> None:
