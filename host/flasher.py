@@ -40,14 +40,21 @@ def flash(
     A cut connection is opened anew for `reconnect_s` and the transfer resumed; a later call resumes it as well.
     An image that runs already is left alone. Raises ModelImageError, ControllerError, TransportError, MessageError.
     """
-    hardware = ModelImage.unpack(image).hardware
+    model = ModelImage.unpack(image)
     identity = sha256(image)
+
+    def described(slot: int, state: SlotState) -> ImageDescription:
+        # A controller reads the name from the image itself: it shows that the image is whole, and so can run.
+        return ImageDescription(slot, state, identity, model.name, model.version)
+
     for found in controller.description.images:
-        if found.sha256 == identity and found.state in _RUNNING and slot in (None, found.slot):
-            return found if found.state == SlotState.CONFIRMED else _confirm(controller, found.slot)
+        if slot in (None, found.slot) and found == described(found.slot, SlotState.CONFIRMED):
+            return found
+        if slot in (None, found.slot) and found == described(found.slot, SlotState.TRIAL):
+            return _confirm(controller, described(found.slot, SlotState.CONFIRMED))
     if slot is None:
         slot = _free_slot(controller)
-    begin = FlashBegin(slot, len(image), identity, hardware)
+    begin = FlashBegin(slot, len(image), identity, model.hardware)
     resumed_at = -1
     while True:
         received = 0
@@ -68,23 +75,18 @@ def flash(
         raise ControllerError(
             f"slot {slot} reads back otherwise than it was written. Flash it again or use another slot."
         )
-    _start_trial(controller, slot)
-    return _confirm(controller, slot)
+    _start_trial(controller, described(slot, SlotState.TRIAL))
+    return _confirm(controller, described(slot, SlotState.CONFIRMED))
 
 
 def _free_slot(controller: Controller) -> int:
     """Return the slot to flash: one whose transfer was cut first, so that it is resumed."""
     free = [image for image in controller.description.images if image.state not in _RUNNING]
     if not free:
-        raise ControllerError("the controller has no slot to flash: it takes no model images")
+        raise ControllerError(
+            "the controller has no slot to flash: it takes no model images, or one is on trial (a restart ends that)"
+        )
     return min(free, key=lambda image: (image.state != SlotState.WRITING, image.state)).slot
-
-
-def _slot(controller: Controller, slot: int) -> ImageDescription:
-    for image in controller.description.images:
-        if image.slot == slot:
-            return image
-    raise ControllerError(f"the controller has no slot {slot}")
 
 
 def _send_piece(controller: Controller, slot: int, image: bytes, offset: int) -> int:
@@ -99,22 +101,27 @@ def _send_piece(controller: Controller, slot: int, image: bytes, offset: int) ->
     return next_offset
 
 
-def _start_trial(controller: Controller, slot: int) -> None:
-    """Activate the slot and wait until the controller runs it. Raises ControllerError if it does not."""
+def _start_trial(controller: Controller, wanted: ImageDescription) -> None:
+    """Activate the slot and wait until the controller runs the image in it. Raises ControllerError if it does not."""
     # A restart may cut off the answer; what counts is what runs afterwards.
     with contextlib.suppress(TransportError, ConnectionLost):
-        controller.request(FlashActivate(slot), FlashStatus)
+        controller.request(FlashActivate(wanted.slot), FlashStatus)
     deadline_s = controller.clock() + _RESTART_S
     while True:
         controller.reconnect(_RESTART_S)
-        if _slot(controller, slot).state == SlotState.TRIAL:
+        if wanted in controller.description.images:
             return
         if controller.clock() >= deadline_s:
-            raise ControllerError(f"the controller did not start the image in slot {slot}: it runs the one before.")
+            raise ControllerError(
+                f"the controller did not start the image in slot {wanted.slot}: it runs the one before. Flash it again."
+            )
         controller.sleep(_RESTART_PAUSE_S)
 
 
-def _confirm(controller: Controller, slot: int) -> ImageDescription:
-    controller.request(FlashConfirm(slot), FlashStatus)
+def _confirm(controller: Controller, wanted: ImageDescription) -> ImageDescription:
+    """Keep the image that is on trial. Raises ControllerError if the controller does not."""
+    controller.request(FlashConfirm(wanted.slot), FlashStatus)
     controller.say_hello()
-    return _slot(controller, slot)
+    if wanted not in controller.description.images:
+        raise ControllerError(f"the controller did not keep the image in slot {wanted.slot}. Flash it again.")
+    return wanted

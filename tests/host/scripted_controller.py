@@ -41,7 +41,7 @@ from device_protocol.messages import (
     pack,
     unpack,
 )
-from device_protocol.model_image import sha256
+from device_protocol.model_image import ModelImage, sha256
 from device_protocol.transports import TransportError
 
 PACKET_SAMPLES = 10
@@ -192,8 +192,12 @@ class ScriptedController:
         return Status(self.state, stream, time_us, self.position, credit, buffered, 0, missing, missing, 0, 0, 0, 0)
 
     def set_slot(self, slot: int, state: SlotState) -> None:
-        images = [replace(image, state=state) if image.slot == slot else image for image in self.description.images]
-        self.description = replace(self.description, images=tuple(images))
+        described = ImageDescription(slot, state, self.begun.sha256)
+        if state in (SlotState.VERIFIED, SlotState.TRIAL, SlotState.CONFIRMED):
+            image = ModelImage.unpack(bytes(self.flash))
+            described = replace(described, name=image.name, version=image.version)
+        others = [image for image in self.description.images if image.slot != slot]
+        self.description = replace(self.description, images=(*others, described))
 
     def respond(self, message: Message) -> Message:
         if isinstance(message, Hello):

@@ -1,6 +1,7 @@
 """Flashing: the whole way, cuts, refusals, images that do not start."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -24,6 +25,10 @@ from host.flasher import flash
 from tests.host.scripted_controller import ScriptedController
 
 IMAGE = ModelImage(1, "oak", "1.0", "none", bytes(range(256)) * 20).pack()
+IMAGES_ON_TRIAL = (
+    ImageDescription(0, SlotState.CONFIRMED),
+    ImageDescription(1, SlotState.TRIAL, sha256(IMAGE), "oak", "1.0"),
+)
 
 
 def connect(scripted: ScriptedController) -> Controller:
@@ -75,16 +80,26 @@ def test_cable_that_stays_out_is_an_error_and_a_later_call_resumes() -> None:
     assert offsets[0] == written
 
 
-def test_image_that_does_not_start_is_reported() -> None:
+@pytest.mark.parametrize("fallen_back", [{"state": SlotState.VERIFIED}, {"name": "", "version": ""}])
+def test_image_that_does_not_start_is_reported_and_not_confirmed(fallen_back: dict[str, Any]) -> None:
     scripted = ScriptedController()
-    scripted.answer = lambda message: (
-        FlashStatus(1, SlotState.VERIFIED, 0) if isinstance(message, FlashActivate) else None
-    )
-    scripted.set_slot(1, SlotState.VERIFIED)
-    scripted.at_read = lambda: scripted.set_slot(1, SlotState.VERIFIED)
+
+    def fall_back() -> None:
+        if FlashActivate(1) in scripted.handled:
+            images = [image if image.slot == 0 else replace(image, **fallen_back) for image in IMAGES_ON_TRIAL]
+            scripted.description = replace(scripted.description, images=tuple(images))
+
+    scripted.at_read = fall_back
     with pytest.raises(ControllerError, match="did not start"):
         flash(connect(scripted), IMAGE)
     assert not any(isinstance(message, FlashConfirm) for message in scripted.handled)
+
+
+def test_image_that_is_not_kept_is_reported() -> None:
+    scripted = ScriptedController()
+    scripted.answer = lambda message: FlashStatus(1, SlotState.TRIAL, 0) if isinstance(message, FlashConfirm) else None
+    with pytest.raises(ControllerError, match="did not keep"):
+        flash(connect(scripted), IMAGE)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +127,7 @@ def test_other_bytes_read_back_are_an_error_and_nothing_is_activated() -> None:
 
 def test_image_that_runs_already_is_left_alone() -> None:
     scripted = ScriptedController()
-    running = ImageDescription(0, SlotState.CONFIRMED, sha256(IMAGE))
+    running = ImageDescription(0, SlotState.CONFIRMED, sha256(IMAGE), "oak", "1.0")
     scripted.description = replace(scripted.description, images=(running,))
     assert flash(connect(scripted), IMAGE) == running
     assert len(scripted.handled) == 1
@@ -120,8 +135,9 @@ def test_image_that_runs_already_is_left_alone() -> None:
 
 def test_image_left_on_trial_is_confirmed() -> None:
     scripted = ScriptedController()
-    trial = ImageDescription(1, SlotState.TRIAL, sha256(IMAGE))
-    scripted.description = replace(scripted.description, images=(trial,))
+    scripted.description = replace(scripted.description, images=IMAGES_ON_TRIAL)
+    scripted.flash = bytearray(IMAGE)
+    scripted.begun = FlashBegin(1, len(IMAGE), sha256(IMAGE), "none")
     assert flash(connect(scripted), IMAGE).state == SlotState.CONFIRMED
     assert not any(isinstance(message, FlashData) for message in scripted.handled)
 
