@@ -1,7 +1,9 @@
 """Where the `vibrocast` command begins: whenever and however it is stopped, it ends in one line, the tactor at rest."""
 
+import io
 import os
 import signal
+import sys
 from types import FrameType
 from typing import NoReturn
 
@@ -19,6 +21,9 @@ def main() -> None:
 
     for number in heeded:
         signal.signal(number, _interrupt)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # The names of files may be no text at all.
+        sys.stdout.reconfigure(errors="backslashreplace")
     command_line()
 
 

@@ -1,6 +1,7 @@
 """Draws what was recorded, what was decoded and what the skin gets, over time and against the detection threshold."""
 
 import csv
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,15 +57,17 @@ def draw(path: Path, title: str, caption: str, traces: Sequence[Trace]) -> None:
     FigureCanvasAgg(figure)
     if shown < channels:
         title += f" (the first {shown} of {channels} channels)"
-    figure.suptitle(title, fontweight="bold")
-    figure.supxlabel(caption, fontsize="small")
+    figure.suptitle(title, fontweight="bold", parse_math=False)
+    figure.supxlabel(caption, fontsize="small", parse_math=False)
     blocks = np.atleast_1d(np.asarray(figure.subfigures(shown, 1), dtype=object))
     threshold = detection_threshold()
     for channel, block in enumerate(blocks):
         if channels > 1:
             block.suptitle(f"channel {channel + 1}", x=0.02, horizontalalignment="left")
         _draw_channel(block, traces, channel, threshold)
-    with whole_file(path) as partial:
+    with whole_file(path) as partial, warnings.catch_warnings():
+        # Boxes stand for the letters of a file's name that the font lacks.
+        warnings.filterwarnings("ignore", "Glyph .* missing")
         figure.savefig(partial)
 
 

@@ -49,3 +49,12 @@ def test_help_loads_nothing_that_only_playing_needs() -> None:
     loaded = set(run(code, "--help").stdout.split())
     assert "host.command_line" in loaded
     assert loaded.isdisjoint({"matplotlib", "host.end_to_end", "simulated_device.controller"})
+
+
+def test_prints_names_that_are_no_text(tmp_path: Path) -> None:
+    out = tmp_path / "\udcff.vct"
+    arguments = "encode", str(ROOT / "examples" / "taps.wav"), str(out)
+    result = run("from host.entry import main; main()", *arguments)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "\\udcff.vct: " in result.stdout
+    assert out.exists()

@@ -35,6 +35,12 @@ def test_draws_silence_and_extremes(level: float, tmp_path: Path) -> None:
     assert text.endswith("</svg>\n")
 
 
+@pytest.mark.filterwarnings("error")
+def test_draws_any_name_as_it_is(tmp_path: Path) -> None:
+    draw(tmp_path / "picture.svg", "$x_{$ \u6728", "$y^{$", traces(np.ones((500, 1))))
+    assert "$x_{$" in (tmp_path / "picture.svg").read_text()
+
+
 def test_draws_a_stream_without_its_recording(tmp_path: Path) -> None:
     draw(tmp_path / "picture.png", "coded", "caption", traces(np.ones((500, 1)))[1:])
     assert (tmp_path / "picture.png").stat().st_size > 1000
