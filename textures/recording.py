@@ -9,6 +9,7 @@ Signal = NDArray[np.float64]
 
 UNITS = ("full scale", "m/s^2", "um")
 MAX_CHANNELS = 16  # what one coded stream carries
+MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 1e7  # beyond any texture; such a rate is a slip of units or of a damaged file
 
 # Unit as people write it: the unit of UNITS that it becomes, and the factor. Standard gravity: CGPM 1901, exact.
 INPUT_UNITS: dict[str, tuple[str, float]] = {
@@ -44,9 +45,9 @@ class Contents:
 class Recording:
     """A recorded or generated texture.
 
-    `samples`: float64 (n, channels), n >= 1, finite; one channel is one tactor. `rate_hz`: samples a second. `unit`:
-    "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is the full stroke of whatever plays it.
-    `name`: what a person calls it. Raises TextureError on anything else.
+    `samples`: float64 (n, channels), n >= 1, finite; one channel is one tactor. `rate_hz`: samples a second,
+    MIN_RATE_HZ to MAX_RATE_HZ. `unit`: "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is the full
+    stroke of whatever plays it. `name`: what a person calls it. Raises TextureError on anything else.
     """
 
     samples: Signal
@@ -64,8 +65,7 @@ class Recording:
                 f"{self.name}: {self.channels} channels, at most {MAX_CHANNELS} can be played; "
                 "rows must be samples and columns channels"
             )
-        if not np.isfinite(self.rate_hz) or self.rate_hz <= 0:
-            raise TextureError(f"{self.name}: sample rate {self.rate_hz} Hz; it must be positive")
+        check_rate(self.rate_hz, self.name)
         if self.unit not in UNITS:
             raise TextureError(f"{self.name}: unit {self.unit!r} is not one of {', '.join(UNITS)}")
         finite = np.isfinite(self.samples)
@@ -85,3 +85,12 @@ class Recording:
     def seconds(self) -> float:
         """Duration."""
         return len(self.samples) / self.rate_hz
+
+
+def check_rate(rate_hz: float, name: str) -> None:
+    """Raise TextureError, naming the recording, on a sample rate that no recording has."""
+    if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+        raise TextureError(
+            f"{name}: sample rate {rate_hz:g} Hz; it must be {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: correct the rate, "
+            "or the hand speed over a height profile"
+        )

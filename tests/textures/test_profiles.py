@@ -65,6 +65,7 @@ def test_load_sweeps_at_the_given_speed(tmp_path: Path) -> None:
         ({}, "give the speed of the hand over it: --hand-speed-mm-s"),
         ({"hand_speed_mm_s": 0}, "must be positive"),
         ({"hand_speed_mm_s": float("nan")}, "must be positive"),
+        ({"hand_speed_mm_s": 1e12}, "sample rate 5e[+]14 Hz.*correct .* the hand speed"),
         ({"hand_speed_mm_s": 50, "unit": "um"}, "no other option"),
         ({"hand_speed_mm_s": 50, "rate_hz": 2800}, "no other option"),
     ],

@@ -30,6 +30,8 @@ def test_duration_and_channels() -> None:
         (np.zeros((5, 17)), 2800.0, "um", "17 channels"),
         (np.zeros((5, 1)), 0.0, "um", "sample rate"),
         (np.zeros((5, 1)), float("nan"), "um", "sample rate"),
+        (np.zeros((5, 1)), 0.009, "um", "sample rate 0.009 Hz; it must be 0.01 to 1e[+]07 Hz"),
+        (np.zeros((5, 1)), 2.0**31, "um", "sample rate 2.14748e[+]09 Hz"),
         (np.zeros((5, 1)), 2800.0, "volt", "unit"),
         (np.array([[0.0, 1.0], [0.0, np.nan]]), 2800.0, "um", "sample 1 of channel 1 is nan"),
         (np.array([[np.inf]]), 2800.0, "um", "is inf"),

@@ -43,10 +43,15 @@ def test_no_delay() -> None:
     new_hz=st.floats(100, 20000),
 )
 def test_length(count: int, channels: int, old_hz: float, new_hz: float) -> None:
-    expected = max(1, round(count * new_hz / old_hz))
+    expected = round(count * new_hz / old_hz)
     if expected > 1_000_000:
         new_hz, expected = old_hz, count
-    resampled = resample(Recording(np.ones((count, channels)), old_hz, "m/s^2", "ones"), new_hz)
+    recording = Recording(np.ones((count, channels)), old_hz, "m/s^2", "ones")
+    if expected == 0:
+        with pytest.raises(TextureError, match="less than one sample"):
+            resample(recording, new_hz)
+        return
+    resampled = resample(recording, new_hz)
     assert resampled.samples.shape == (expected, channels)
     assert (resampled.rate_hz, resampled.unit, resampled.name) == (new_hz, "m/s^2", "ones")
 
@@ -56,7 +61,21 @@ def test_equal_rates_change_nothing() -> None:
     assert resample(recording, 2800) is recording
 
 
-@pytest.mark.parametrize("rate_hz", [0, -1, float("nan"), float("inf"), 1e15])
+@pytest.mark.parametrize("rate_hz", [0, -1, float("nan"), float("inf"), 1e15, 1e-5])
 def test_refused_rates(rate_hz: float) -> None:
     with pytest.raises(TextureError, match="rate"):
         resample(Recording(np.ones((7, 1)), 2800, "um", "ones"), rate_hz)
+
+
+@pytest.mark.parametrize(
+    ("count", "old_hz", "new_hz", "message"),
+    [
+        (10, 1e7, 50, "too far from the 50 Hz"),
+        (10, 0.01, 2800, "too far from the 2800 Hz"),
+        (3, 1e6, 2800, "3 samples at 1e[+]06 Hz last less than one sample at 2800 Hz"),
+        (2_000_000, 0.1, 2800, "too long for 2800 Hz"),
+    ],
+)
+def test_refused_pairs_of_rates(count: int, old_hz: float, new_hz: float, message: str) -> None:
+    with pytest.raises(TextureError, match=message):
+        resample(Recording(np.ones((count, 1)), old_hz, "um", "ones"), new_hz)
