@@ -38,6 +38,7 @@ _ARRAY_ERRORS = (
 )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a Recording refuses what overflows
 def load(
     path: str | Path,
     rate_hz: float | None = None,
@@ -85,8 +86,7 @@ def load(
     output_unit, scale = _scale(contents, unit, full_scale, path)
     samples = contents.samples
     if scale != 1:
-        with np.errstate(over="ignore"):
-            samples *= scale
+        samples *= scale
     return Recording(samples, stated_or_given_hz, output_unit, path.stem if path.is_file() else path.name)
 
 
@@ -256,7 +256,7 @@ def _contents_of(array: NDArray[Any], rate_hz: Any, unit: Any, path: Path) -> Co
         # The range of longer or unsigned integers says nothing of the signal's.
         pcm = array.dtype.kind == "i" and array.dtype.itemsize <= 4
         full_scale = float(2 ** (8 * array.dtype.itemsize - 1)) if pcm else None
-    samples = array.astype(np.float64)
+    samples = array.astype(np.float64, copy=False)
     stated_unit = None if unit is None else known_unit(str(unit), f"{path}: {UNIT_KEY}")
     columns = samples.reshape(-1, 1) if array.ndim == 1 else samples
     return Contents(columns, None if rate_hz is None else float(rate_hz), stated_unit, full_scale)

@@ -9,6 +9,7 @@ Signal = NDArray[np.float64]
 
 UNITS = ("full scale", "m/s^2", "um")
 MAX_CHANNELS = 16  # what one coded stream carries
+MAX_MAGNITUDE = 1e30  # of a sample, in any unit; float32 holds it, and its square is still a number
 MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 1e7  # beyond any texture; such a rate is a slip of units or of a damaged file
 
 # Unit as people write it: the unit of UNITS that it becomes, and the factor. Standard gravity: CGPM 1901, exact.
@@ -45,9 +46,9 @@ class Contents:
 class Recording:
     """A recorded or generated texture.
 
-    `samples`: float64 (n, channels), n >= 1, finite; one channel is one tactor. `rate_hz`: samples a second,
-    MIN_RATE_HZ to MAX_RATE_HZ. `unit`: "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is the full
-    stroke of whatever plays it. `name`: what a person calls it. Raises TextureError on anything else.
+    `samples`: float64 (n, channels), n >= 1, up to MAX_MAGNITUDE; one channel is one tactor. `rate_hz`: samples a
+    second, MIN_RATE_HZ to MAX_RATE_HZ. `unit`: "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is
+    the full stroke of whatever plays it. `name`: what a person calls it. Raises TextureError on anything else.
     """
 
     samples: Signal
@@ -68,12 +69,13 @@ class Recording:
         check_rate(self.rate_hz, self.name)
         if self.unit not in UNITS:
             raise TextureError(f"{self.name}: unit {self.unit!r} is not one of {', '.join(UNITS)}")
-        finite = np.isfinite(self.samples)
-        if not finite.all():
-            sample, channel = np.unravel_index(np.argmin(finite), finite.shape)
+        # The extremes are nan where any sample is; to find them takes no memory, which a recording of a day would.
+        if not (self.samples.min() >= -MAX_MAGNITUDE and self.samples.max() <= MAX_MAGNITUDE):
+            usable = np.abs(self.samples) <= MAX_MAGNITUDE
+            sample, channel = np.unravel_index(np.argmin(usable), usable.shape)
             raise TextureError(
                 f"{self.name}: sample {sample} of channel {channel} is {self.samples[sample, channel]}; "
-                "remove or repair what is not a number"
+                f"remove or repair what is not a number of at most {MAX_MAGNITUDE:g}"
             )
 
     @property

@@ -2,7 +2,9 @@
 
 import os
 import struct
+import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +52,15 @@ def test_a_wav_file_takes_its_physical_value_from_unit_and_full_scale(tmp_path: 
     ):
         with pytest.raises(TextureError, match=message):
             load(tmp_path / "a.wav", **options)
+
+
+def test_a_long_recording_is_held_once(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "long.wav", np.zeros(1_000_000), 2800, "PCM_16")
+    tracemalloc.start()
+    recording = textures.resample(load(tmp_path / "long.wav", unit="g", full_scale=2), 2800)
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak_bytes < 1.05 * recording.samples.nbytes
 
 
 @pytest.mark.parametrize("sixteen_bit", [True, False])
@@ -145,6 +156,25 @@ def test_arrays_refused_with_what_to_do(
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
     with pytest.raises(TextureError, match=message):
         load(tmp_path / "a.npz", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("samples", "options"),
+    [
+        (np.array([0.0, 0.5]), {"full_scale": 1e308, "unit": "g"}),
+        (np.array([0.0, 1e308]), {"unit": "g"}),
+        (np.array([0.0, np.longdouble(10) ** 4000]), {"unit": "um"}),
+        (np.full((9, 3), 1e308), {"unit": "um", "axis": "dft321"}),
+        (np.array([0.0, 1e300]), {"unit": "um"}),
+    ],
+)
+def test_numbers_that_overflow_are_one_error_and_no_warning(
+    tmp_path: Path, samples: np.ndarray, options: dict[str, Any]
+) -> None:
+    np.savez(tmp_path / "a.npz", samples=samples, rate_hz=100)
+    with pytest.raises(TextureError, match="at most 1e"):
+        load(tmp_path / "a.npz", **options)
 
 
 def test_an_array_that_claims_to_be_huge(tmp_path: Path) -> None:

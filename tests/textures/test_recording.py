@@ -35,6 +35,7 @@ def test_duration_and_channels() -> None:
         (np.zeros((5, 1)), 2800.0, "volt", "unit"),
         (np.array([[0.0, 1.0], [0.0, np.nan]]), 2800.0, "um", "sample 1 of channel 1 is nan"),
         (np.array([[np.inf]]), 2800.0, "um", "is inf"),
+        (np.array([[0.0], [-2e30]]), 2800.0, "um", "sample 1 of channel 0 is -2e[+]30; .* at most 1e[+]30"),
     ],
 )
 def test_refused(samples: np.ndarray, rate_hz: float, unit: str, message: str) -> None:
