@@ -118,9 +118,9 @@ class MdctEncoder:
         )
         _check_made(status)
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
-        # The last hop samples of the block before, then samples not coded yet.
+        # The last hop samples, which the next block ends, then those that no block has begun.
         self._pending: Signal = np.zeros((self._hop, self._channels))
-        self._owed = 0
+        self._begun = False
 
     @property
     def packet_samples(self) -> int:
@@ -143,18 +143,18 @@ class MdctEncoder:
             if not np.all(np.isfinite(part)):
                 raise CodecError("the signal holds NaN or infinity; repair the recording first")
             self._pending = np.concatenate([self._pending, np.clip(part, -1.0, 1.0)])
-            self._owed += len(part)
+            self._begun = True
             packets += self._complete_packets()
         return packets
 
     def finish(self) -> list[bytes]:
         """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
-        if self._owed == 0:
+        if not self._begun:
             return []
-        remaining = self._owed + self._hop
-        packets = -(-remaining // self.packet_samples)
+        self._begun = False
+        packets = -(-len(self._pending) // self.packet_samples)
         missing = packets * self.packet_samples + self._hop - len(self._pending)
-        self._pending = np.concatenate([self._pending, np.zeros((max(missing, 0), self._channels))])
+        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
         return self._complete_packets()
 
     def adapted_tables(self) -> bytes:
@@ -174,7 +174,6 @@ class MdctEncoder:
         coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
         packets = [self._code(part) for part in np.split(coefficients, count)]
         self._pending = self._pending[blocks * self._hop :]
-        self._owed = max(self._owed - blocks * self._hop, 0)
         return packets
 
     def _code(self, coefficients: NDArray[np.int32]) -> bytes:

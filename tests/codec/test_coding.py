@@ -118,6 +118,18 @@ def test_silent_channel_beside_a_loud_one() -> None:
     assert not np.any(codec.decode(coded)[:, 1])
 
 
+@pytest.mark.parametrize("live", [False, True])
+@given(samples=st.integers(1, 700) | st.sampled_from([4064, 4095, 4096, 4097, 8192]))
+@settings(deadline=None, max_examples=60)
+def test_every_length_has_just_the_packets_that_hold_it(live: bool, samples: int) -> None:
+    signal = texture(samples)
+    coded = codec.encode(signal, RATE_HZ, 0.1, live=live)
+    decoder = codec.decoder(1, coded.configuration, 1)
+    assert len(coded.packets) == -(-(samples + decoder.delay_samples) // decoder.packet_samples)
+    ratio = codec.snr_db(signal[-50:], codec.decode(coded)[-50:])
+    assert ratio is None or ratio > 10
+
+
 @pytest.mark.parametrize(
     "signal",
     [
