@@ -79,21 +79,56 @@ def play(
 
     `loops`: how often, 0 = until stopped. `buffer_s`: how much the controller holds before it begins and while it
     plays, as far as its own buffer and credit go. `progress` is called in this thread whenever the controller reports,
-    and may itself use the controller: `request` a Pause, Resume or Gain, or `stop` it. Whatever is raised,
-    KeyboardInterrupt included, the controller is stopped first. A broken connection is opened anew for `reconnect_s`;
-    if the controller has given up meanwhile, playing (also what was paused) goes on at the next refresh packet.
+    and may itself use the controller: `request` a Pause, Resume or Gain, or `stop` it; but no Loop, for which this host
+    would send no data. Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken
+    connection is opened anew for `reconnect_s`; if the controller has given up meanwhile, playing (also what was
+    paused) goes on at the next refresh packet.
 
     Raises StreamError for packets that make no stream, or none that the controller takes, ControllerError,
     TransportError and MessageError.
     """
-    playback = _Playback(controller, header, packets, packet_samples, loops, gain, compensation, buffer_s, capture)
+    source = _Source(controller, header, packets, packet_samples, loops)
+    settings = _Settings(gain, compensation, buffer_s, capture, progress)
+    sent_before, received_before = controller.bytes_sent, controller.bytes_received
+    started_s = controller.clock()
+    reconnects, came_back_at = 0, -1
     try:
-        return playback.run(reconnect_s, progress)
+        stretches = [_Stretch(controller, source, settings, 0)]
+        while True:
+            last = stretches[-1]
+            try:
+                if last.step():
+                    break
+            except (TransportError, ConnectionLost) as cause:
+                if last.position <= came_back_at:
+                    raise  # nothing was gained by coming back
+                came_back_at = last.position
+                controller.reconnect(reconnect_s)
+                reconnects += 1
+                if not last.goes_on():
+                    stretches.append(_Stretch(controller, source, settings, last.refresh_to_go_on_from(cause)))
+        if capture:
+            last.read_captures_to_their_end()
     except BaseException:
         # Where the controller is out of reach, its own watchdog stops it.
         with contextlib.suppress(ControllerError, TransportError):
             controller.stop()
         raise
+    reports = sum(stretch.reports_playing for stretch in stretches)
+    return PlaybackResult(
+        state=last.status.state,
+        status=last.status,
+        seconds=controller.clock() - started_s,
+        buffered_s=sum(stretch.buffered_s_sum for stretch in stretches) / max(1, reports),
+        wire_bytes_sent=controller.bytes_sent - sent_before,
+        wire_bytes_received=controller.bytes_received - received_before,
+        underruns=sum(stretch.status.underruns for stretch in stretches),
+        lost_packets=sum(stretch.status.lost_packets for stretch in stretches),
+        reconnects=reconnects,
+        captured_from=last.first,
+        decoded=last.captured(Tap.DECODED) if capture else None,
+        dac_codes=last.captured(Tap.DAC) if capture else None,
+    )
 
 
 def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
@@ -108,63 +143,38 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
         )
 
 
-class _Playback:
-    """One playback. Packets are counted over all loops: packet k is number k % n of iteration k // n."""
+class _Source:
+    """The packets over all loops: packet k is number k % n of iteration k // n.
+
+    `packet_s`: mean time that a packet plays. Where iterations join, what is not of the recording is left out of its
+    packet, though positions count it.
+    """
 
     def __init__(
-        self,
-        controller: Controller,
-        header: StreamHeader,
-        packets: Sequence[bytes],
-        packet_samples: int,
-        loops: int,
-        gain: float,
-        compensation: bool,
-        buffer_s: float,
-        capture: bool,
+        self, controller: Controller, header: StreamHeader, packets: Sequence[bytes], packet_samples: int, loops: int
     ) -> None:
-        self._controller = controller
-        self._header = header
-        self._packets = packets
-        self._packet_samples = packet_samples
-        self._loops = loops
-        self._end = loops * len(packets) if loops else None
-        self._gain = gain
-        self._compensation = compensation
-        self._capture = capture
-        self._refreshes = self._check()
-        # One more than the packet that is played, however long packets are, where the controller has room for it.
-        wanted_packets = max(2, round(buffer_s * header.rate_hz) // packet_samples)
-        self._buffer_packets = min(wanted_packets, controller.description.limits.buffer_samples // packet_samples)
-        # Waiting for a full frame must not empty the buffer.
-        self._frame_packets = max(1, min(_LARGEST_FRAME_PACKETS, self._buffer_packets // 4))
-        # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
-        self._status_interval_s = min(
-            _LONGEST_STATUS_INTERVAL_S,
-            controller.description.limits.watchdog_ms / 4000,
-            self._buffer_packets * packet_samples / header.rate_hz / 2,
-        )
-        self._ask_s = 0.0
-        self._earlier: list[Status] = []
-        self._reconnects = 0
-        self._came_back_at = -1
-        self._buffered_sum = self._buffered_count = 0
-
-    def _check(self) -> list[int]:
-        """Return the numbers of the refresh packets. Raises StreamError, and ControllerError for what never fits."""
-        limits = self._controller.description.limits
-        check_limits(self._controller, self._header.channels, self._header.rate_hz)
-        if not self._packets:
-            raise StreamError("the stream has no packets: there is nothing to play")
-        if self._packet_samples > limits.buffer_samples:
+        """Check the stream. Raises StreamError, and ControllerError for what never fits the controller."""
+        limits = controller.description.limits
+        check_limits(controller, header.channels, header.rate_hz)
+        if not packets or header.samples == 0:
+            raise StreamError("the stream has no packets or no samples: there is nothing to play")
+        if packet_samples > limits.buffer_samples:
             raise ControllerError(
-                f"a packet has {self._packet_samples} samples, the controller's buffer {limits.buffer_samples}: "
+                f"a packet has {packet_samples} samples, the controller's buffer {limits.buffer_samples}: "
                 "encode with shorter packets"
             )
+        self.header = header
+        self.packets = packets
+        self.packet_samples = packet_samples
+        self.loops = loops
+        self.end = loops * len(packets) if loops else None
+        self.packet_s = packet_samples / header.rate_hz
+        if loops != 1 and header.samples is not None:
+            self.packet_s = min(self.packet_s, header.samples / len(packets) / header.rate_hz)
+        self._refreshes: list[int] = []
         frame_bytes = len(pack(StreamData(0, 0, ()))) + 2 * _LONGEST_VARINT_BYTES
         largest_bytes = min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - frame_bytes)
-        refreshes = []
-        for number, packet in enumerate(self._packets):
+        for number, packet in enumerate(packets):
             sequence, refresh = packet_sequence(packet)
             if sequence != number:
                 raise StreamError(
@@ -176,69 +186,89 @@ class _Playback:
                     "encode at a lower rate"
                 )
             if refresh:
-                refreshes.append(number)
-        if refreshes[:1] != [0]:
+                self._refreshes.append(number)
+        if self._refreshes[:1] != [0]:
             raise StreamError("the stream does not begin with a refresh packet: it cannot be decoded")
-        return refreshes
 
-    def run(self, reconnect_s: float, progress: Callable[[Progress], None] | None) -> PlaybackResult:
-        clock = self._controller.clock
-        sent_before, received_before = self._controller.bytes_sent, self._controller.bytes_received
-        started_s = clock()
-        self._configure(0)
-        while True:
-            try:
-                if self._pass(progress):
-                    break
-            except (TransportError, ConnectionLost) as cause:
-                self._come_back(cause, reconnect_s)
-        if self._capture:
-            for tap, rate_hz in self._taps():
-                # The output comes to rest within a second; a longer capture is none of this stream.
-                longest = self._captured_by_now(rate_hz) + rate_hz
-                while self._captured_samples[tap] < longest and self._read_capture(tap):
-                    pass
-        statuses = [*self._earlier, self._status]
-        return PlaybackResult(
-            state=self._status.state,
-            status=self._status,
-            seconds=clock() - started_s,
-            buffered_s=self._buffered_sum / max(1, self._buffered_count) / self._header.rate_hz,
-            wire_bytes_sent=self._controller.bytes_sent - sent_before,
-            wire_bytes_received=self._controller.bytes_received - received_before,
-            underruns=sum(status.underruns for status in statuses),
-            lost_packets=sum(status.lost_packets for status in statuses),
-            reconnects=self._reconnects,
-            captured_from=self._first,
-            decoded=self._captured(Tap.DECODED) if self._capture else None,
-            dac_codes=self._captured(Tap.DAC) if self._capture else None,
+    def seconds(self, positions: int) -> float:
+        """Return the time that it takes to play so many samples, as positions count them."""
+        return positions / self.packet_samples * self.packet_s
+
+    def next_refresh(self, packet: int) -> int | None:
+        """Return the first refresh packet at or after `packet`, None if the stream ends before it."""
+        iteration, number = divmod(packet, len(self.packets))
+        at = bisect.bisect_left(self._refreshes, number)
+        refresh = (iteration + 1) * len(self.packets)
+        if at < len(self._refreshes):
+            refresh = iteration * len(self.packets) + self._refreshes[at]
+        return refresh if self.end is None or refresh < self.end else None
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """How to play; as in `play`."""
+
+    gain: float
+    compensation: bool
+    buffer_s: float
+    capture: bool
+    progress: Callable[[Progress], None] | None
+
+
+class _Stretch:
+    """What is played under one Configure, from packet `first` on.
+
+    `status`: the last one. `reports_playing`, `buffered_s_sum`: how many came while it played, and the sum of the time
+    that data waited in the controller then.
+    """
+
+    def __init__(self, controller: Controller, source: _Source, settings: _Settings, first: int) -> None:
+        """Set the stream up and start it."""
+        self._controller = controller
+        self._source = source
+        self._settings = settings
+        limits = controller.description.limits
+        # What is played and the next one, however long packets are, where the controller has room for it; and one more
+        # where the packet at the end of an iteration may be cut to almost nothing.
+        least_packets = 3 if source.packet_s < source.packet_samples / source.header.rate_hz else 2
+        wanted_packets = max(least_packets, int(settings.buffer_s / source.packet_s))
+        self._buffer_packets = min(wanted_packets, limits.buffer_samples // source.packet_samples)
+        # Waiting for a full frame must not empty the buffer.
+        self._frame_packets = max(1, min(_LARGEST_FRAME_PACKETS, self._buffer_packets // 4))
+        # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
+        self._status_interval_s = min(
+            _LONGEST_STATUS_INTERVAL_S, limits.watchdog_ms / 4000, self._buffer_packets * source.packet_s / 2
         )
-
-    def _configure(self, packet: int) -> None:
-        """Set the stream up and start it, so that playing begins with `packet`."""
-        iteration, first_packet = divmod(packet, len(self._packets))
-        self._stream = (self._controller.request_status().stream + 1) % 256
-        self._base = iteration * len(self._packets)
-        self._first = self._next = packet
+        self._ask_s = 0.0
+        self.reports_playing, self.buffered_s_sum = 0, 0.0
         self._captures: dict[Tap, list[NDArray[np.int16]]] = {tap: [] for tap in Tap}
         self._captured_samples = dict.fromkeys(Tap, 0)
+        iteration, first_packet = divmod(first, len(source.packets))
+        self._base = iteration * len(source.packets)  # where the controller's positions begin
+        self.first = self._next = first
+        self._stream = (controller.request_status().stream + 1) % 256
         configure = Configure(
             stream=self._stream,
-            header=self._header.pack(),
-            prebuffer_samples=self._buffer_packets * self._packet_samples,
-            packets=len(self._packets),
+            header=source.header.pack(),
+            prebuffer_samples=self._buffer_packets * source.packet_samples,
+            packets=len(source.packets),
             first_packet=first_packet,
-            loops=self._loops - iteration if self._loops else 0,
-            compensation=self._compensation,
-            gain=self._gain,
+            loops=source.loops - iteration if source.loops else 0,
+            compensation=settings.compensation,
+            gain=settings.gain,
         )
-        self._status = self._controller.request(configure, Status)
-        self._credit = self._status.credit_until
-        self._furthest = self._status.position
-        self._noted_s = self._moved_s = self._controller.clock()
-        self._controller.request(Start(), Status)
+        self.status = controller.request(configure, Status)
+        self._credit = self.status.credit_until
+        self._furthest = self.status.position
+        self._noted_s = self._moved_s = controller.clock()
+        controller.request(Start(), Status)
 
-    def _pass(self, progress: Callable[[Progress], None] | None) -> bool:
+    @property
+    def position(self) -> int:
+        """Where the controller was when it last reported, counted over all loops."""
+        return self._base * self._source.packet_samples + self.status.position
+
+    def step(self) -> bool:
         """Send a frame if there is credit, take in what came; return whether the playback has ended."""
         now_s = self._controller.clock()
         if now_s - self._noted_s > _SILENCE_S:
@@ -254,27 +284,63 @@ class _Playback:
             self._controller.ask_status()
         self._controller.poll(0 if data is not None else min(_READ_S, self._status_interval_s))
         status = self._controller.status
-        if status is not None and status is not self._status and status.stream == self._stream:
+        if status is not None and status is not self.status and status.stream == self._stream:
             self._note(status)
-            if progress is not None:
-                progress(self._progress())
-        if self._capture:
+            if self._settings.progress is not None:
+                self._settings.progress(self._progress())
+        if self._settings.capture:
             self._read_long_captures()
-        return self._status.state in (State.FINISHED, State.STOPPED)
+        return self.status.state in (State.FINISHED, State.STOPPED)
+
+    def goes_on(self) -> bool:
+        """Take in what a controller that was out of reach is doing; return whether it still plays this stretch."""
+        status = self._controller.request_status()
+        if status.stream != self._stream:
+            return False
+        if status.state in (State.ARMED, State.PLAYING, State.PAUSED, State.FINISHED, State.STOPPED):
+            # What was under way when the connection broke may be lost; the controller drops what it has twice.
+            self._next = min(self._next, self._base + status.position // self._source.packet_samples)
+            self._note(status)
+            return True
+        if status.state == State.WATCHDOG:
+            self.status = status
+        return False
+
+    def refresh_to_go_on_from(self, cause: Exception) -> int:
+        """Return the first refresh packet that was not played. Raises ControllerError if there is none."""
+        refresh = self._source.next_refresh(-(-self.position // self._source.packet_samples))
+        if refresh is None:
+            raise ControllerError(
+                "the connection was lost for too long, and the stream has no further refresh packet to go on from: "
+                "play it again, encoded for streaming"
+            ) from cause
+        return refresh
+
+    def read_captures_to_their_end(self) -> None:
+        """Read back what is left of the captures."""
+        for tap, captured_by_now, rate_hz in self._taps():
+            # The output comes to rest within a second; a longer capture is none of this stream.
+            while self._captured_samples[tap] < captured_by_now + rate_hz and self._read_capture(tap):
+                pass
+
+    def captured(self, tap: Tap) -> NDArray[np.int16]:
+        """Return what was read back: (samples, channels)."""
+        return np.concatenate(self._captures[tap])
 
     def _next_data(self) -> StreamData | None:
         """Return the next packets that credit and one frame have room for, and count them as sent."""
-        iteration, number = divmod(self._next, len(self._packets))
-        if self._end is not None and self._next >= self._end:
+        source = self._source
+        iteration, number = divmod(self._next, len(source.packets))
+        if source.end is not None and self._next >= source.end:
             return None
         sent = self._next - self._base
-        granted = min(self._credit // self._packet_samples, self._playing() + self._buffer_packets) - sent
-        if self._status.state == State.PLAYING and granted < min(self._frame_packets, len(self._packets) - number):
+        granted = min(self._credit // source.packet_samples, self._playing() + self._buffer_packets) - sent
+        if self.status.state == State.PLAYING and granted < min(self._frame_packets, len(source.packets) - number):
             return None  # wait for a full frame
         room_bytes = self._controller.description.limits.maximum_payload_bytes
         room_bytes -= len(pack(StreamData(0, 0, ()))) + _LONGEST_VARINT_BYTES
         chosen: list[bytes] = []
-        for packet in self._packets[number : number + min(self._frame_packets, max(0, granted))]:
+        for packet in source.packets[number : number + min(self._frame_packets, max(0, granted))]:
             room_bytes -= len(packet) + _LONGEST_VARINT_BYTES
             if room_bytes < 0:
                 break
@@ -282,105 +348,73 @@ class _Playback:
         if not chosen:
             return None
         self._next += len(chosen)
-        return StreamData(self._stream, iteration - self._base // len(self._packets), tuple(chosen))
+        return StreamData(self._stream, iteration - self._base // len(source.packets), tuple(chosen))
 
     def _playing(self) -> int:
         """Return the packet that the controller is playing by now, counted as in its positions."""
-        position: float = self._status.position
-        if self._status.state == State.PLAYING:
-            position += (self._controller.clock() - self._noted_s) * self._header.rate_hz
-        return int(position // self._packet_samples)
+        packets = self.status.position / self._source.packet_samples
+        if self.status.state == State.PLAYING:
+            packets += (self._controller.clock() - self._noted_s) / self._source.packet_s
+        return int(packets)
 
     def _note(self, status: Status) -> None:
         """Take in a status of this stream."""
+        source = self._source
         if status.state == State.FAULT:
             raise ControllerError("the controller reports a fault of its hardware and has stopped")
-        if self._end is not None and self._base + status.position / self._packet_samples > self._end:
-            raise ControllerError("the controller's position is beyond the end of the stream. Restart it.")
+        if source.end is not None and self._base + status.position / source.packet_samples > source.end:
+            raise ControllerError(
+                "the controller goes on beyond the end of the stream: restart it, unless this program sent it a Loop"
+            )
         if status.state == State.PAUSED or status.position > self._furthest:
             self._furthest = status.position
             self._moved_s = self._controller.clock()
-        self._status = status
+        self.status = status
         self._noted_s = self._controller.clock()
         self._credit = max(self._credit, status.credit_until)
         if status.state == State.WATCHDOG:
             watchdog_ms = self._controller.description.limits.watchdog_ms
             raise ConnectionLost(f"the controller stopped because it heard nothing of this host for {watchdog_ms} ms")
         if status.state == State.PLAYING:
-            self._buffered_sum += status.buffered_samples
-            self._buffered_count += 1
-        playing = self._base + status.position // self._packet_samples
+            self.reports_playing += 1
+            self.buffered_s_sum += source.seconds(status.buffered_samples)
+        playing = self._base + status.position // source.packet_samples
         if playing > self._next:
             # Too late for what lies between: the controller is silent until the next refresh packet, if there is one.
-            self._next = self._next_refresh(playing) or playing
-
-    def _next_refresh(self, packet: int) -> int | None:
-        """Return the first refresh packet at or after `packet`, None if the stream ends before it."""
-        iteration, number = divmod(packet, len(self._packets))
-        at = bisect.bisect_left(self._refreshes, number)
-        refresh = (iteration + 1) * len(self._packets)
-        if at < len(self._refreshes):
-            refresh = iteration * len(self._packets) + self._refreshes[at]
-        return refresh if self._end is None or refresh < self._end else None
-
-    def _come_back(self, cause: Exception, reconnect_s: float) -> None:
-        """Open the lost connection anew; go on where the controller is, or at the next refresh packet if it gave up."""
-        position = self._base * self._packet_samples + self._status.position
-        if position <= self._came_back_at:
-            raise cause  # nothing was gained by coming back
-        self._came_back_at = position
-        self._controller.reconnect(reconnect_s)
-        self._reconnects += 1
-        status = self._controller.request_status()
-        ours = status.stream == self._stream
-        if ours and status.state in (State.ARMED, State.PLAYING, State.PAUSED, State.FINISHED, State.STOPPED):
-            # What was under way when the connection broke may be lost; the controller drops what it has twice.
-            self._next = min(self._next, self._base + status.position // self._packet_samples)
-            self._note(status)
-            return
-        last = status if ours and status.state == State.WATCHDOG else self._status
-        refresh = self._next_refresh(self._base + -(-last.position // self._packet_samples))
-        if refresh is None:
-            raise ControllerError(
-                "the connection was lost for too long, and the stream has no further refresh packet to go on from: "
-                "play it again, encoded for streaming"
-            ) from cause
-        self._earlier.append(last)
-        self._configure(refresh)
+            self._next = source.next_refresh(playing) or playing
 
     def _progress(self) -> Progress:
-        rate_hz = self._header.rate_hz
+        source = self._source
         return Progress(
-            position_s=(self._base * self._packet_samples + self._status.position) / rate_hz,
-            duration_s=None if self._end is None else self._end * self._packet_samples / rate_hz,
-            buffered_s=self._status.buffered_samples / rate_hz,
-            status=self._status,
+            position_s=source.seconds(self.position),
+            duration_s=None if source.end is None else source.seconds(source.end * source.packet_samples),
+            buffered_s=source.seconds(self.status.buffered_samples),
+            status=self.status,
         )
 
-    def _taps(self) -> list[tuple[Tap, int]]:
-        return [(Tap.DECODED, self._header.rate_hz), (Tap.DAC, self._controller.description.actuator.dac_rate_hz)]
-
-    def _captured_by_now(self, rate_hz: int) -> int:
-        """Return how many samples at `rate_hz` the controller has captured since playing began."""
-        played = self._status.position - (self._first - self._base) * self._packet_samples
-        return played * rate_hz // self._header.rate_hz
+    def _taps(self) -> list[tuple[Tap, int, int]]:
+        """Return each tap, about how many samples it has captured by now, and how many it captures a second."""
+        source = self._source
+        positions = self.status.position - (self.first - self._base) * source.packet_samples
+        dac_rate_hz = self._controller.description.actuator.dac_rate_hz
+        return [
+            (Tap.DECODED, positions, source.header.rate_hz),
+            (Tap.DAC, int(source.seconds(positions) * dac_rate_hz), dac_rate_hz),
+        ]
 
     def _read_long_captures(self) -> None:
         """Read back a frame of each capture that would soon be longer than what the controller keeps."""
-        for tap, rate_hz in self._taps():
-            unread = self._captured_by_now(rate_hz) - self._captured_samples[tap]
+        for tap, captured_by_now, _ in self._taps():
+            unread = captured_by_now - self._captured_samples[tap]
             if unread > self._controller.description.limits.capture_samples // 4:
                 self._read_capture(tap)
 
     def _read_capture(self, tap: Tap) -> bool:
         """Read a frame of a capture; return whether there is more."""
-        channels = self._header.channels
+        channels = self._source.header.channels
         room = self._controller.capture_room(channels)
         captured = self._controller.read_capture(tap, self._captured_samples[tap], room, channels)
         samples = np.frombuffer(captured.data, "<i2").astype(np.int16).reshape(-1, channels)
         self._captures[tap].append(samples)
         self._captured_samples[tap] += len(samples)
         return len(samples) > 0 and self._captured_samples[tap] < captured.end
-
-    def _captured(self, tap: Tap) -> NDArray[np.int16]:
-        return np.concatenate(self._captures[tap])

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import codec
 from device_protocol.coded_stream import StreamError, StreamHeader
 from device_protocol.messages import (
     CaptureData,
@@ -26,6 +27,8 @@ from device_protocol.messages import (
 from device_protocol.transports import TransportError
 from host.controller import ConnectionLost, Controller, ControllerError
 from host.player import Progress, play
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.memory_link import MemoryLink
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
 
 HEADER = StreamHeader(codec_identifier=1, rate_hz=RATE_HZ, samples=None, unit="um", gains=(1.0,), configuration=b"")
@@ -94,6 +97,48 @@ def test_short_streams_and_loops_play_every_iteration(count: int) -> None:
     assert result.state == State.FINISHED
     assert result.underruns == 0
     assert scripted.received == set(range(5 * count))
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize(("samples", "loops"), [(10, 200), (1, 50), (90, 60), (225, 30), (840, 10)])
+def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
+    samples: int, loops: int, live: bool
+) -> None:
+    coded = codec.encode(np.sin(np.arange(samples) + 1.0)[:, None], 2800, 0.01, live=live)
+    decoder = codec.decoder(1, coded.configuration, 1)
+    header = StreamHeader(1, 2800, samples, "um", coded.gains, coded.configuration)
+    link = MemoryLink(SimulatedController())
+    controller = Controller(link, link.clock, link.sleep)
+    seen: list[Progress] = []
+    result = play(
+        controller,
+        header,
+        coded.packets,
+        decoder.packet_samples,
+        loops=loops,
+        buffer_s=0.1,
+        capture=True,
+        progress=seen.append,
+    )
+    assert result.state == State.FINISHED
+    assert result.underruns == result.lost_packets == 0
+    assert result.buffered_s < 0.1 + 3 * samples / 2800
+    assert seen[-1].position_s == seen[-1].duration_s == pytest.approx(loops * samples / 2800)
+    decoded = codec.decode_integers(coded)
+    assert result.decoded is not None
+    np.testing.assert_array_equal(result.decoded, np.tile(decoded, (loops, 1)))
+
+
+def test_loop_that_the_player_knows_nothing_of_is_named() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def play_on(message: Message) -> Message | None:
+        return replace(scripted.status(), position=scripted.position + 2000) if scripted.position > 500 else None
+
+    scripted.answer = play_on
+    with pytest.raises(ControllerError, match="sent it a Loop"):
+        play(controller, HEADER, PACKETS, PACKET_SAMPLES)
 
 
 def test_endless_loop_plays_until_the_callback_stops_it() -> None:
@@ -261,7 +306,7 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh_packet() -> 
 @pytest.mark.parametrize(
     ("packets", "packet_samples", "reason"),
     [
-        ([], PACKET_SAMPLES, "no packets"),
+        ([], PACKET_SAMPLES, "nothing to play"),
         (PACKETS[1:], PACKET_SAMPLES, "packet 0 says that it is 1"),
         ([b"\x00payload"], PACKET_SAMPLES, "refresh packet"),
         ([b"\x01" + bytes(64)], PACKET_SAMPLES, "lower rate"),
