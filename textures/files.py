@@ -24,6 +24,11 @@ ARRAY_SUFFIXES = (".npy", ".npz")
 SAMPLES_KEY, RATE_KEY, UNIT_KEY = "samples", "rate_hz", "unit"
 POSITION_NAME = "position"
 
+# What libsndfile notes, in bytes, where a header states more than the file holds: of the data, of all in an RF64 file.
+_CUT_OFF = re.compile(r"(?:data|Riff size) : (\d+) \(should be (\d+)\)")
+# Programs that write into a pipe state about 2 or 4 GiB, for they cannot go back to the header at the end.
+UNKNOWN_LENGTHS_BYTES = (2**31, 2**32)
+UNKNOWN_LENGTH_MARGIN_BYTES = 2**16
 _WAV_COMMENT = re.compile(r"unit=(.+); full_scale=(.+)")
 _ARRAY_ERRORS = (
     EOFError,
@@ -196,6 +201,7 @@ def _read_wav(path: Path) -> Contents:
         with soundfile.SoundFile(path) as file:
             if file.format not in ("WAV", "WAVEX", "RF64"):
                 raise TextureError(f"{path}: {file.format} in a .wav file; convert it to WAV")
+            _refuse_cut_off(file.extra_info, path)
             samples = file.read(dtype="float64", always_2d=True)
             rate_hz, comment = float(file.samplerate), file.comment
     except soundfile.SoundFileError as error:
@@ -203,6 +209,18 @@ def _read_wav(path: Path) -> Contents:
     unit, full_scale = _stated_by_comment(comment)
     samples *= full_scale
     return Contents(samples, rate_hz, unit)
+
+
+def _refuse_cut_off(notes: str, path: Path) -> None:
+    """Raise TextureError where libsndfile's notes on a WAV file say that its end is missing."""
+    for stated, held in re.findall(_CUT_OFF, notes):
+        missing = int(stated) - int(held)
+        unknown = any(abs(int(stated) - length) <= UNKNOWN_LENGTH_MARGIN_BYTES for length in UNKNOWN_LENGTHS_BYTES)
+        if missing > 0 and not unknown:
+            raise TextureError(
+                f"{path}: cut off, the last {missing} of {stated} bytes are missing; get the whole file, or save what "
+                "is left as a new WAV file"
+            )
 
 
 def _stated_by_comment(comment: str) -> tuple[str, float]:

@@ -249,13 +249,25 @@ def test_any_bytes_load_or_are_refused(
         load(path)
 
 
-def test_a_wav_file_that_claims_more_data_than_it_has(tmp_path: Path) -> None:
+@pytest.mark.parametrize("stated_bytes", [0x7FFFF000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFF0, 0xFFFFFFFF])
+def test_a_wav_file_written_into_a_pipe(tmp_path: Path, stated_bytes: int) -> None:
     save_wav(tmp_path / "a.wav", Recording(NOISE, 2800, "um", "a"))
     data = bytearray((tmp_path / "a.wav").read_bytes())
     start = data.index(b"data") + 4
-    data[start : start + 4] = struct.pack("<I", 0xFFFFFFF0)
+    data[start : start + 4] = struct.pack("<I", stated_bytes)
     (tmp_path / "a.wav").write_bytes(data)
     assert load(tmp_path / "a.wav").samples.shape == NOISE.shape
+
+
+@pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])
+@pytest.mark.parametrize("subtype", ["PCM_16", "PCM_24", "FLOAT", "ULAW"])
+@pytest.mark.parametrize("missing_bytes", [1, 71])
+def test_a_wav_file_that_is_cut_off(tmp_path: Path, container: str, subtype: str, missing_bytes: int) -> None:
+    soundfile.write(tmp_path / "a.wav", NOISE, 2800, subtype, format=container)
+    data = (tmp_path / "a.wav").read_bytes()
+    (tmp_path / "a.wav").write_bytes(data[:-missing_bytes])
+    with pytest.raises(TextureError, match=f"cut off, the last {missing_bytes} of .* are missing"):
+        load(tmp_path / "a.wav")
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the development recordings are not here")
