@@ -40,7 +40,7 @@ def read_folder(path: Path, axis: str | None) -> Contents:
         trace = path.name
         if trace not in traces:
             raise TextureError(f"{path}: no such file or trace; check the name")
-    files = traces[trace]
+    files = _file_of_each_axis(traces[trace])
     wanted = AXES if axis is None else (axis,)
     if missing := [letter for letter in wanted if letter not in files]:
         raise TextureError(
@@ -85,9 +85,18 @@ def dft321(samples: Signal) -> Signal:
     return np.fft.irfft(magnitude * np.exp(1j * phase), n=len(samples)).reshape(-1, 1)
 
 
-def _traces(folder: Path) -> dict[str, dict[str, Path]]:
-    traces: dict[str, dict[str, Path]] = {}
+def _traces(folder: Path) -> dict[str, list[Path]]:
+    traces: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if match := _AXIS_FILE.fullmatch(path.name):
-            traces.setdefault(match[1], {})[match[2].upper()] = path
+            traces.setdefault(match[1], []).append(path)
     return traces
+
+
+def _file_of_each_axis(paths: list[Path]) -> dict[str, Path]:
+    files: dict[str, Path] = {}
+    for path in paths:
+        other = files.setdefault(path.stem[-1].upper(), path)
+        if other != path:
+            raise TextureError(f"{path}: the same axis as {other.name}; remove or rename one of them")
+    return files

@@ -71,6 +71,15 @@ def test_a_missing_axis(tmp_path: Path) -> None:
     assert load(tmp_path, unit="g", axis="Z").channels == 1
 
 
+def test_two_files_of_one_axis(tmp_path: Path) -> None:
+    write_trace(tmp_path)
+    (tmp_path / f"{TRACE}_x.txt").write_text("1\n" * 300)
+    if (tmp_path / f"{TRACE}_X.txt").read_text() == "1\n" * 300:
+        pytest.skip("this file system takes x for X")
+    with pytest.raises(TextureError, match=r"slow_x.txt: the same axis as .*slow_X.txt"):
+        load(tmp_path, unit="g")
+
+
 def test_axes_that_do_not_fit_together(tmp_path: Path) -> None:
     write_trace(tmp_path)
     write_trace(tmp_path, axes="Z", samples=299)
