@@ -1,0 +1,60 @@
+"""Playing with the comparison of what was read back: over loops, where it differs, and where it would be too long."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import textures
+from device_protocol.messages import CaptureData, Tap
+from host import coding, end_to_end
+from host.controller import Controller
+from host.end_to_end import Outcome
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.memory_link import MemoryLink
+
+LOOPS = 3
+SAMPLES = 1000
+
+
+def play() -> Outcome:
+    samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
+    encoding = coding.encode(textures.Recording(samples, 2800.0, "um", "sine"), live=True)
+    link = MemoryLink(SimulatedController())
+    controller = Controller(link, link.clock, link.sleep)
+    return end_to_end.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)
+
+
+def test_every_pass_is_compared() -> None:
+    outcome = play()
+    assert outcome.report.decoded_equals_offline is True
+    assert outcome.report.dac_equals_offline is True
+    assert "read back" in outcome.caption
+
+
+@pytest.mark.parametrize("tap", Tap)
+def test_difference_in_the_last_pass_is_found(tap: Tap, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = Controller.read_capture
+
+    def read_wrongly(controller: Controller, of: Tap, offset: int, count: int, channels: int) -> CaptureData:
+        captured = read(controller, of, offset, count, channels)
+        last = offset + len(captured.data) // 2 == captured.end
+        return replace(captured, data=captured.data[:-1] + b"\x55") if of == tap and last else captured
+
+    monkeypatch.setattr(Controller, "read_capture", read_wrongly)
+    report = play().report
+    assert report.decoded_equals_offline is (tap != Tap.DECODED)
+    assert report.dac_equals_offline is (tap != Tap.DAC)
+
+
+def test_what_would_be_too_long_is_played_without_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = play()
+    monkeypatch.setattr(end_to_end, "MAX_COMPARED_SAMPLES", LOOPS * SAMPLES)
+    outcome = play()
+    assert outcome.report.underruns == 0
+    assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is None
+    assert "computed here" in outcome.caption
+    for trace, same in zip(outcome.traces[:2], compared.traces[:2], strict=True):
+        np.testing.assert_array_equal(trace.values, same.values)
+    skin, read_back = outcome.traces[2].values, compared.traces[2].values
+    np.testing.assert_array_equal(skin[: len(skin) * 9 // 10], read_back[: len(skin) * 9 // 10])
