@@ -1,5 +1,6 @@
 """Reads text files of numbers, CSV and TXT, with what they say of columns, rates and units."""
 
+import csv
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,8 @@ GRID_TOLERANCE = 0.25  # of a step: how far a time or position may lie from the 
 WHOLE_RATE_TOLERANCE = 1e-5  # what printing times with six decimals leaves uncertain within a tenth of a second
 
 _STATEMENT = re.compile(r"[#\s]*(rate_hz|unit)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
+_DECIMAL_COMMA = r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?"
+_DECIMAL_COMMAS = re.compile(rf"{_DECIMAL_COMMA}(?:[;,\s]\s*{_DECIMAL_COMMA})*")
 _BRACKETED = re.compile(r"(.*?)[\s_]*[(\[]\s*(.*?)\s*[)\]]")
 
 
@@ -46,8 +49,8 @@ class Table:
 def read_table(path: Path) -> Table:
     """Read numbers in columns separated by tab, semicolon, comma or blanks, below any comments and column names.
 
-    Lines that start with # and empty lines are left out. Raises TextureError with what to do, OSError when the file
-    cannot be read.
+    Numbers may be quoted, and lines may end in a separator. Lines that start with # and empty lines are left out.
+    Raises TextureError with what to do, also where commas may be decimal ones; OSError when the file cannot be read.
     """
     try:
         with path.open(encoding=ENCODING) as file:
@@ -140,24 +143,34 @@ def _read(file: TextIO, path: Path) -> Table:
         if statement := _STATEMENT.fullmatch(line):
             statements[statement[1].lower()] = statement[2]
         elif line.strip() and not line.lstrip().startswith("#"):
-            if _is_numeric(line):
+            numbers = line.partition("#")[0]
+            if _is_numeric(numbers):
                 break
+            if _DECIMAL_COMMAS.fullmatch(line.strip().replace('"', "")):
+                raise TextureError(f"{path}: {line.strip()[:40]!r} has decimal commas; write decimal points")
             if header:
                 raise TextureError(
                     f"{path}: {line.strip()[:40]!r} is not a line of numbers; write numbers with a decimal point, "
                     "commas between columns and # before comments"
                 )
             header = line.strip()
-    delimiter = _delimiter(line)
+    delimiter = _delimiter(numbers)
     file.seek(start)
-    try:
-        values = np.loadtxt(file, delimiter=delimiter, ndmin=2, dtype=np.float64)
-    except UnicodeDecodeError:
-        raise
-    except ValueError as error:
-        reason = str(error).partition(";")[0].rstrip(".")
-        raise TextureError(f"{path}: {reason}, counted from the first line of numbers; repair that line") from error
-    names, units = _columns(header, delimiter, values.shape[1], path)
+    values = _values(file, delimiter, _fields(numbers, delimiter), path)
+    fields = _column_names(header, delimiter, values.shape[1])
+    if len(fields) != values.shape[1]:
+        file.seek(start)
+        if delimiter == "," and _may_be_decimal_commas(file):
+            raise TextureError(
+                f"{path}: decimal commas? write decimal points, or name each of the {values.shape[1]} columns in a "
+                "first line"
+            )
+        if header:
+            raise TextureError(
+                f"{path}: {len(fields)} column names for {values.shape[1]} columns of numbers; name each column"
+            )
+    columns = [_name_and_unit(field.strip().strip("\"'"), path) for field in fields] or [("", None)] * values.shape[1]
+    names, units = tuple(name for name, _ in columns), tuple(unit for _, unit in columns)
     if "unit" in statements:
         unit = known_unit(statements["unit"], str(path))
         units = tuple(own or unit for own in units)
@@ -172,32 +185,67 @@ def _delimiter(line: str) -> str | None:
     return next((delimiter for delimiter in "\t;," if delimiter in line.strip()), None)
 
 
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    """Split a line at the delimiter or at blanks; quotes around a field are taken off."""
+    if delimiter is None:
+        return [field.strip('"') for field in line.split()]
+    return next(csv.reader([line.strip(" \r\n")], delimiter=delimiter))
+
+
 def _is_numeric(line: str) -> bool:
+    fields = _fields(line, _delimiter(line))
     try:
-        for field in line.partition("#")[0].strip().split(_delimiter(line)):
+        for field in fields if fields[-1] else fields[:-1]:
             float(field)
     except ValueError:
         return False
-    return True
+    return any(fields)
 
 
-def _columns(
-    header: str, delimiter: str | None, count: int, path: Path
-) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
-    """Split a header into names and units: `time_s`, `x (m/s^2)`, `height_um`, `acceleration [g]`, `force`."""
-    if not header:
-        return ("",) * count, (None,) * count
+def _may_be_decimal_commas(file: TextIO) -> bool:
+    """Return whether all lines that follow may hold numbers with decimal commas and commas between them."""
+    lines = (line.partition("#")[0].strip().replace('"', "") for line in file)
+    return all(_DECIMAL_COMMAS.fullmatch(line) for line in lines if line)
+
+
+def _values(file: TextIO, delimiter: str | None, first_fields: list[str], path: Path) -> Signal:
+    """Return the lines that follow as float64 (rows, columns); a delimiter at the end of all makes no column."""
+    surplus = len(first_fields) - 1 if not first_fields[-1] else None
+    try:
+        values = np.loadtxt(
+            file,
+            delimiter=delimiter,
+            quotechar='"',
+            converters=None if surplus is None else {surplus: _nothing},
+            ndmin=2,
+            dtype=np.float64,
+        )
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        reason = str(error).partition(";")[0].rstrip(".")
+        raise TextureError(f"{path}: {reason}, counted from the first line of numbers; repair that line") from error
+    return values if surplus is None else np.delete(values, surplus, axis=1)
+
+
+def _nothing(field: str) -> float:
+    if field.strip():
+        raise ValueError
+    return 0.0
+
+
+def _column_names(header: str, delimiter: str | None, count: int) -> list[str]:
+    """Split a header into columns: `time_s`, `x (m/s^2)`, `height_um`, `acceleration [g]`, `force`."""
     delimiter = delimiter or _delimiter(header)
+    if not header:
+        return []
     if delimiter is None and count == 1:
         fields = [header]
     elif delimiter is None:  # between columns of blanks, "x (m/s^2)" is one name
         fields = re.findall(r"\S+(?:\s*[(\[][^)\]]*[)\]])?", header)
     else:
-        fields = header.split(delimiter)
-    if len(fields) != count:
-        raise TextureError(f"{path}: {len(fields)} column names for {count} columns of numbers; name each column")
-    columns = [_name_and_unit(field.strip().strip("\"'"), path) for field in fields]
-    return tuple(name for name, _ in columns), tuple(unit for _, unit in columns)
+        fields = _fields(header, delimiter)
+    return fields[:-1] if len(fields) == count + 1 and not fields[-1] else fields
 
 
 def _name_and_unit(field: str, path: Path) -> tuple[str, str | None]:
