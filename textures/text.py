@@ -11,6 +11,7 @@ import numpy as np
 from textures.recording import INPUT_UNITS, Contents, Signal, TextureError
 
 TIME_NAMES = ("t", "time", "timestamp")
+INDEX_NAMES = ("", "index", "n", "sample", "unnamed: 0")  # the first and the last as pandas writes and reads its index
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 OTHER_SPELLINGS = {
     "full_scale": "full scale",
@@ -49,7 +50,8 @@ class Table:
 def read_table(path: Path) -> Table:
     """Read numbers in columns separated by tab, semicolon, comma or blanks, below any comments and column names.
 
-    Numbers may be quoted, and lines may end in a separator. Lines that start with # and empty lines are left out.
+    Numbers may be quoted, and lines may end in a separator. Lines that start with #, empty lines and a column that is
+    named an index and counts the lines are left out.
     Raises TextureError with what to do, also where commas may be decimal ones; OSError when the file cannot be read.
     """
     try:
@@ -66,8 +68,10 @@ def signal_of(table: Table, path: Path) -> Contents:
     """
     times = [index for index, name in enumerate(table.names) if name in TIME_NAMES]
     channels = [index for index in range(len(table.names)) if index not in times]
-    if len(times) > 1 or not channels:
-        raise TextureError(f"{path}: {len(times)} of {len(table.names)} columns are times; one and a signal are needed")
+    if len(times) > 1:
+        raise TextureError(f"{path}: {len(times)} columns of times; keep one")
+    if not channels:
+        raise TextureError(f"{path}: no column of a signal beside those of a time or an index; add one")
     rate_hz = table.rate_hz
     if times and table.units[times[0]] in SECONDS:
         seconds = SECONDS[table.units[times[0]] or ""]
@@ -76,8 +80,8 @@ def signal_of(table: Table, path: Path) -> Contents:
             raise TextureError(f"{path}: the times say {rate_hz:g} Hz, a comment says {table.rate_hz:g}; correct one")
     if not times and len(channels) > 1 and _is_ramp(table.values[:, 0]):
         raise TextureError(
-            f"{path}: the first column rises in equal steps, like a time or an index; remove it, or name it time_s "
-            "or time_ms in a first line"
+            f"{path}: the first column rises in equal steps, like a time or an index; name it time_s, time_ms or "
+            "index in a first line, or remove it"
         )
     units = {table.units[index] for index in channels}
     if len(units) > 1:
@@ -170,6 +174,9 @@ def _read(file: TextIO, path: Path) -> Table:
                 f"{path}: {len(fields)} column names for {values.shape[1]} columns of numbers; name each column"
             )
     columns = [_name_and_unit(field.strip().strip("\"'"), path) for field in fields] or [("", None)] * values.shape[1]
+    if header:
+        kept = [index for index, column in enumerate(columns) if not _is_index(*column, values[:, index])]
+        values, columns = values[:, kept], [columns[index] for index in kept]
     names, units = tuple(name for name, _ in columns), tuple(unit for _, unit in columns)
     if "unit" in statements:
         unit = known_unit(statements["unit"], str(path))
@@ -246,6 +253,10 @@ def _column_names(header: str, delimiter: str | None, count: int) -> list[str]:
     else:
         fields = _fields(header, delimiter)
     return fields[:-1] if len(fields) == count + 1 and not fields[-1] else fields
+
+
+def _is_index(name: str, unit: str | None, values: Signal) -> bool:
+    return name in INDEX_NAMES and unit is None and np.array_equal(values, values[0] + np.arange(len(values)))
 
 
 def _name_and_unit(field: str, path: Path) -> tuple[str, str | None]:
