@@ -334,7 +334,7 @@ def test_streams_beyond_the_controllers_limits_are_refused(change: dict[str, Any
     assert not any(isinstance(message, Configure) for message in scripted.handled)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_controller_that_reports_nonsense_never_holds_the_player_for_ever(data: st.DataObject) -> None:
     scripted = ScriptedController()
