@@ -83,16 +83,17 @@ def load(
         raise TextureError(
             f"{path}: not a height profile (columns position_um, height_um); leave out --hand-speed-mm-s"
         )
-    if rate_hz is not None and contents.rate_hz not in (None, rate_hz):
+    if rate_hz is None:
+        rate_hz = contents.rate_hz
+    elif contents.rate_hz is not None and abs(contents.rate_hz - rate_hz) > contents.rate_tolerance_hz:
         raise TextureError(f"{path}: states {contents.rate_hz:g} Hz; leave out --rate-hz {rate_hz:g}")
-    stated_or_given_hz = rate_hz if contents.rate_hz is None else contents.rate_hz
-    if stated_or_given_hz is None:
+    if rate_hz is None:
         raise TextureError(f"{path}: does not state its sample rate; give --rate-hz")
     output_unit, scale = _scale(contents, unit, full_scale, path)
     samples = contents.samples
     if scale != 1:
         samples *= scale
-    return Recording(samples, stated_or_given_hz, output_unit, path.stem if path.is_file() else path.name)
+    return Recording(samples, rate_hz, output_unit, path.stem if path.is_file() else path.name)
 
 
 def load_profile(path: str | Path) -> Profile:

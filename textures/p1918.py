@@ -56,7 +56,7 @@ def read_folder(path: Path, axis: str | None) -> Contents:
             f"{folder / trace}: axes differ in length ({lengths} samples), rate or unit; repair them, or choose one "
             "with --axis"
         )
-    return Contents(np.hstack([one.samples for one in axes]), axes[0].rate_hz, axes[0].unit)
+    return replace(axes[0], samples=np.hstack([one.samples for one in axes]))
 
 
 def with_known_rate(contents: Contents, path: Path) -> Contents:

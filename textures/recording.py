@@ -33,13 +33,15 @@ class Contents:
 
     `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of INPUT_UNITS): None where the
     file does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None
-    where the file's integers are of a type that says nothing of it.
+    where the file's integers are of a type that says nothing of it. `rate_tolerance_hz`: how far `rate_hz` may be off,
+    for all that the file says.
     """
 
     samples: Signal
     rate_hz: float | None
     unit: str | None
     full_scale: float | None = 1.0
+    rate_tolerance_hz: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ OTHER_SPELLINGS = {
 ENCODING = "utf-8-sig"
 MAX_LINE_CHARACTERS = 100_000
 GRID_TOLERANCE = 0.25  # of a step: how far a time or position may lie from the uniform grid
-WHOLE_RATE_TOLERANCE = 1e-5  # what printing times with six decimals leaves uncertain within a tenth of a second
+RATE_TOLERANCE = 1e-9  # what the arithmetic of times leaves uncertain
 
 _STATEMENT = re.compile(r"[#\s]*(rate_hz|unit)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
 _DECIMAL_COMMA = r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?"
@@ -72,12 +72,16 @@ def signal_of(table: Table, path: Path) -> Contents:
         raise TextureError(f"{path}: {len(times)} columns of times; keep one")
     if not channels:
         raise TextureError(f"{path}: no column of a signal beside those of a time or an index; add one")
-    rate_hz = table.rate_hz
+    rate_hz, tolerance_hz = table.rate_hz, 0.0
     if times and table.units[times[0]] in SECONDS:
         seconds = SECONDS[table.units[times[0]] or ""]
-        rate_hz = _rate_of_times(table.values[:, times[0]] * seconds, path)
-        if table.rate_hz not in (None, rate_hz):
-            raise TextureError(f"{path}: the times say {rate_hz:g} Hz, a comment says {table.rate_hz:g}; correct one")
+        rate_hz, tolerance_hz = _rate_of_times(table.values[:, times[0]] * seconds, path)
+        if table.rate_hz is not None:
+            if abs(table.rate_hz - rate_hz) > tolerance_hz:
+                raise TextureError(
+                    f"{path}: the times say {rate_hz:g} Hz, a comment says {table.rate_hz:g}; correct one"
+                )
+            rate_hz, tolerance_hz = table.rate_hz, 0.0
     if not times and len(channels) > 1 and _is_ramp(table.values[:, 0]):
         raise TextureError(
             f"{path}: the first column rises in equal steps, like a time or an index; name it time_s, time_ms or "
@@ -89,7 +93,8 @@ def signal_of(table: Table, path: Path) -> Contents:
     unit = units.pop()
     if unit in SECONDS:
         raise TextureError(f"{path}: a channel in {unit}; name a column of times time_{unit}, remove any other")
-    return Contents(table.values[:, channels] if times else table.values, rate_hz, unit)
+    samples = table.values[:, channels] if times else table.values
+    return Contents(samples, rate_hz, unit, rate_tolerance_hz=tolerance_hz)
 
 
 def known_unit(text: str, place: str) -> str:
@@ -118,13 +123,21 @@ def uniform_step(values: Signal, place: str) -> float:
     return step
 
 
-def _rate_of_times(times_s: Signal, path: Path) -> float:
+def _rate_of_times(times_s: Signal, path: Path) -> tuple[float, float]:
+    """Return the rate, a whole number if the times allow one, and how far from it they allow the rate to be, in hertz.
+
+    Times printed with few digits scatter about their grid, and so may the first and the last, which give the rate.
+    """
     try:
-        rate_hz = 1 / uniform_step(times_s, f"{path}: column of times")
+        step_s = uniform_step(times_s, f"{path}: column of times")
     except TextureError as error:
         raise TextureError(f"{error}, or remove that column and give --rate-hz") from error
-    whole_hz = float(round(rate_hz))
-    return whole_hz if abs(rate_hz - whole_hz) <= WHOLE_RATE_TOLERANCE * rate_hz else rate_hz
+    rate_hz = 1 / step_s
+    intervals = np.arange(len(times_s))
+    scatter_s = float(np.ptp(times_s - step_s * intervals))
+    tolerance_hz = rate_hz * (scatter_s * rate_hz / intervals[-1] + RATE_TOLERANCE)
+    whole_hz = float(np.round(rate_hz))
+    return (whole_hz if abs(rate_hz - whole_hz) <= tolerance_hz else rate_hz), tolerance_hz
 
 
 def _is_ramp(values: Signal) -> bool:

@@ -56,9 +56,35 @@ def test_what_a_file_does_not_state_is_given(tmp_path: Path) -> None:
     np.testing.assert_allclose(load(path, rate_hz=1, unit="um", full_scale=40).samples, [[40], [80]])
 
 
-def test_a_rate_is_not_lost_in_the_digits_of_times(tmp_path: Path) -> None:
-    lines = [f"{index / 2800:.6f},{index % 7}" for index in range(3000)]
-    assert load(written(tmp_path, "\n".join(["time_s,x_um", *lines]))).rate_hz == 2800
+def with_times(folder: Path, rate_hz: float, form: str, start_s: float = 0.0, count: int = 3000) -> Path:
+    lines = [f"{start_s + index / rate_hz:{form}},{index % 7}" for index in range(count)]
+    return written(folder, "\n".join(["time_s,x_um", *lines]))
+
+
+@pytest.mark.parametrize("form", [".4f", ".5f", ".6f", ".9f", ".6g", ""])
+@pytest.mark.parametrize("start_s", [0, 0.7, 12.34567])
+@pytest.mark.parametrize("rate_hz", [1000, 2200, 2800])
+def test_a_rate_is_not_lost_in_the_digits_of_times(tmp_path: Path, rate_hz: float, start_s: float, form: str) -> None:
+    path = with_times(tmp_path, rate_hz, form, start_s)
+    assert load(path).rate_hz == rate_hz
+    assert load(path, rate_hz=rate_hz).rate_hz == rate_hz
+    for other_hz in (0.998 * rate_hz, 1.002 * rate_hz):
+        with pytest.raises(TextureError, match="leave out --rate-hz"):
+            load(path, rate_hz=other_hz)
+
+
+def test_a_rate_that_the_digits_of_times_allow(tmp_path: Path) -> None:
+    path = with_times(tmp_path, 2800.1, ".4f")
+    assert load(path).rate_hz == 2800
+    assert load(path, rate_hz=2800.1).rate_hz == 2800.1
+    path.write_text("# rate_hz: 2800.1\n" + path.read_text())
+    assert load(path).rate_hz == 2800.1
+
+
+@pytest.mark.parametrize("rate_hz", [0.5, 12.5, 2800.5, 3333.25])
+def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
+    assert load(with_times(tmp_path, rate_hz, ".9f")).rate_hz == pytest.approx(rate_hz, rel=1e-6)
+    assert load(with_times(tmp_path, rate_hz, ".9f", count=3)).rate_hz == pytest.approx(rate_hz, rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +137,7 @@ def test_a_rate_is_not_lost_in_the_digits_of_times(tmp_path: Path) -> None:
         ("time_s,x_um\n0,1\n", {}, "does not rise"),
         ("time_s,x_um\n0,1\nnan,1\n", {}, "does not rise"),
         ("time_s,x_um\n-1e308,1\n1e308,1\n", {}, "does not rise"),
+        ("time_s,x_um\n0,1\n1e-310,1\n2e-310,1\n", {}, "sample rate inf"),
         ("# rate_hz: 3\ntime_s,x_um\n0,1\n1,1\n", {}, "times say 1 Hz, a comment says 3"),
         ("time,x_um\n0,1\n1,1\n", {}, "give --rate-hz"),
         ("0,5\n1,6\n2,-8\n", {"rate_hz": 10, "unit": "um"}, "first column rises in equal steps"),
