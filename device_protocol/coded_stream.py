@@ -1,9 +1,10 @@
 """Layout of a coded stream: the header that opens a .vct file and a played stream, and the packets behind it."""
 
-import binascii
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+from device_protocol.encoding import crc16, pack_varint, unpack_varint
 
 MAGIC = b"VCT"
 VERSION = 1
@@ -18,9 +19,8 @@ IMAGE_HASH_BYTES = 8
 _UNIT_BITS = 0x03
 _HAS_IMAGE_HASH = 0x04
 _LENGTH_UNKNOWN = 0x08
-_MAX_VARINT_BYTES = 9
-_MAX_SEQUENCE_VARINT_BYTES = 5
-_MAX_SEQUENCE = 2**32 - 1
+_VARINT_BITS = 63
+_SEQUENCE_BITS = 32
 
 
 class StreamError(ValueError):
@@ -115,9 +115,7 @@ class StreamHeader:
 
 def packet_sequence(packet: bytes) -> tuple[int, bool]:
     """Return the sequence number of a packet and whether it is a refresh. Raises StreamError on a malformed packet."""
-    sequence, refresh = divmod(_Reader(packet).varint(_MAX_SEQUENCE_VARINT_BYTES), 2)
-    if sequence > _MAX_SEQUENCE:
-        raise StreamError(f"damaged coded stream: a packet of number {sequence}, beyond 32 bits")
+    sequence, refresh = divmod(_Reader(packet).varint(_SEQUENCE_BITS + 1), 2)
     return sequence, bool(refresh)
 
 
@@ -129,11 +127,11 @@ def pack_file(header: StreamHeader, packets: Iterable[bytes]) -> bytes:
     """
     head = header.pack()
     parts = [head]
-    head_crc = _crc16(head)
+    head_crc = crc16(head)
     for packet in packets:
         if not 1 <= len(packet) <= MAX_PACKET_BYTES:
             raise StreamError(f"packet of {len(packet)} bytes; 1 to {MAX_PACKET_BYTES} are allowed")
-        parts += [pack_varint(len(packet)), packet, struct.pack("<H", _crc16(packet, head_crc))]
+        parts += [pack_varint(len(packet)), packet, struct.pack("<H", crc16(packet, head_crc))]
     return b"".join(parts)
 
 
@@ -143,13 +141,13 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
     Whether all packets are there, only the codec can tell, which knows how many samples a packet covers.
     """
     header, position = StreamHeader.unpack(data)
-    head_crc = _crc16(data[:position])
+    head_crc = crc16(data[:position])
     reader = _Reader(data, position)
     packets: list[bytes] = []
     while reader.position < len(data):
         packet = reader.take(reader.varint())
         (crc,) = struct.unpack("<H", reader.take(2))
-        if crc != _crc16(packet, head_crc):
+        if crc != crc16(packet, head_crc):
             raise StreamError(f"damaged coded stream: packet {len(packets)} fails its checksum; copy the file again")
         sequence, refresh = packet_sequence(packet)
         if sequence != len(packets):
@@ -158,16 +156,6 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
             raise StreamError("damaged coded stream: its first packet is no refresh packet; encode the recording again")
         packets.append(packet)
     return header, packets
-
-
-def pack_varint(value: int) -> bytes:
-    """Return `value` >= 0 as LEB128: seven bits a byte, lowest first, the top bit set on all but the last byte."""
-    encoded = bytearray()
-    while value >= 0x80:
-        encoded.append(value & 0x7F | 0x80)
-        value >>= 7
-    encoded.append(value)
-    return bytes(encoded)
 
 
 class _Reader:
@@ -185,18 +173,12 @@ class _Reader:
         self.position = end
         return taken
 
-    def varint(self, max_bytes: int = _MAX_VARINT_BYTES) -> int:
-        value = 0
-        for index in range(max_bytes):
-            byte = self.take(1)[0]
-            value |= (byte & 0x7F) << (7 * index)
-            if byte < 0x80:
-                return value
-        raise StreamError("damaged coded stream: a number has too many digits")
-
-
-def _crc16(data: bytes, start: int = 0xFFFF) -> int:
-    return binascii.crc_hqx(data, start)
+    def varint(self, bits: int = _VARINT_BITS) -> int:
+        try:
+            value, self.position = unpack_varint(self.data, self.position, bits)
+        except ValueError as error:
+            raise StreamError(f"truncated or damaged coded stream: {error}; copy the file again") from error
+        return value
 
 
 def _pack_gain(gain: float) -> bytes:

@@ -1,8 +1,8 @@
 """Frames on the wire: a payload and its CRC-16, COBS-encoded, closed by a zero byte."""
 
-import binascii
-
 from cobs import cobs
+
+from device_protocol.encoding import crc16
 
 MAXIMUM_PAYLOAD_BYTES = 4096
 DELIMITER = b"\x00"
@@ -14,11 +14,6 @@ _OVERHEAD_BYTES = _CRC_BYTES + 1 + (MAXIMUM_PAYLOAD_BYTES + _CRC_BYTES) // 254
 
 class FrameError(ValueError):
     """A payload that does not fit a frame."""
-
-
-def crc16(data: bytes) -> int:
-    """CRC-16/IBM-3740 (also "CCITT-FALSE"): polynomial 0x1021, initial state 0xFFFF, not reflected, no final XOR."""
-    return binascii.crc_hqx(data, 0xFFFF)
 
 
 def write_frame(payload: bytes) -> bytes:

@@ -7,6 +7,8 @@ from dataclasses import astuple, dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Self, TypeVar
 
+from device_protocol.encoding import pack_varint, unpack_varint
+
 PROTOCOL_MAJOR = 1
 PROTOCOL_MINOR = 0
 
@@ -17,7 +19,7 @@ MAXIMUM_SEQUENCE = 0xFFFF
 _UNSEQUENCED_TYPES = range(0x40, 0x80)
 _SEQUENCE = struct.Struct("<BH")
 _TLV = struct.Struct("<BH")
-_VARINT_BYTES = 5
+_VARINT_BITS = 32
 _Member = TypeVar("_Member", bound=IntEnum)
 
 
@@ -348,9 +350,11 @@ class StreamData(Message):
         """Return the bytes after the type."""
         if not 0 <= self.stream <= 0xFF:
             raise MessageError(f"stream {self.stream} is not in 0 to 255")
-        pieces = [bytes([self.stream]), _varint(self.iteration)]
+        if not 0 <= self.iteration < 1 << _VARINT_BITS:
+            raise MessageError(f"iteration {self.iteration} is not in 0 to 2^{_VARINT_BITS} - 1")
+        pieces = [bytes([self.stream]), pack_varint(self.iteration)]
         for packet in self.packets:
-            pieces += [_varint(len(packet)), packet]
+            pieces += [pack_varint(len(packet)), packet]
         return b"".join(pieces)
 
     @classmethod
@@ -358,10 +362,10 @@ class StreamData(Message):
         """Return the message that `body` packed. Raises MessageError."""
         if not body:
             raise MessageError("the stream is missing")
-        iteration, position = _read_varint(body, 1)
+        iteration, position = _unpack_varint(body, 1)
         packets = []
         while position < len(body):
-            length, position = _read_varint(body, position)
+            length, position = _unpack_varint(body, position)
             if length > len(body) - position:
                 raise MessageError(f"a packet of {length} bytes, {len(body) - position} are left")
             packets.append(body[position : position + length])
@@ -674,26 +678,12 @@ def _tlvs(data: bytes) -> Iterator[tuple[int, bytes]]:
         position += length
 
 
-def _varint(value: int) -> bytes:
-    """Return LEB128: seven bits a byte, low ones first, the top bit set in all but the last."""
-    if not 0 <= value < 1 << 32:
-        raise MessageError(f"{value} is not in 0 to 2^32 - 1")
-    encoded = bytearray()
-    while value > 0x7F:
-        encoded.append(value & 0x7F | 0x80)
-        value >>= 7
-    encoded.append(value)
-    return bytes(encoded)
-
-
-def _read_varint(data: bytes, position: int) -> tuple[int, int]:
+def _unpack_varint(data: bytes, position: int) -> tuple[int, int]:
     """Return the value and the position after it. Raises MessageError if it is cut or longer than 32 bits."""
-    value = 0
-    for index, byte in enumerate(data[position : position + _VARINT_BYTES]):
-        value |= (byte & 0x7F) << (7 * index)
-        if byte < 0x80 and value < 1 << 32:
-            return value, position + index + 1
-    raise MessageError("a variable-length number is cut or longer than 32 bits")
+    try:
+        return unpack_varint(data, position, _VARINT_BITS)
+    except ValueError as error:
+        raise MessageError(str(error)) from error
 
 
 def _pack(layout: struct.Struct, *values: object) -> bytes:

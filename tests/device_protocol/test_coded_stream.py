@@ -12,10 +12,10 @@ from device_protocol.coded_stream import (
     StreamError,
     StreamHeader,
     pack_file,
-    pack_varint,
     packet_sequence,
     unpack_file,
 )
+from device_protocol.encoding import pack_varint
 
 gains = st.integers(1, 0x7F7F).map(lambda code: float(struct.unpack("<f", struct.pack("<I", code << 16))[0]))
 headers = st.builds(

@@ -7,13 +7,9 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, FrameError, FrameReader, crc16, write_frame
+from device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, FrameError, FrameReader, write_frame
 
 payloads = st.binary(min_size=1, max_size=600)
-
-
-def test_crc_is_the_named_one() -> None:
-    assert crc16(b"123456789") == 0x29B1
 
 
 @given(st.lists(payloads), st.lists(st.integers(0, 2000)))

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 import textures
 from codec import CodecError
-from device_protocol.coded_stream import StreamError, StreamHeader, pack_file, pack_varint
+from device_protocol.coded_stream import StreamError, StreamHeader, pack_file
+from device_protocol.encoding import pack_varint
 from device_protocol.model_image import ModelImage, ModelImageError
 from host import coding
 from host.input_files import InputFileError

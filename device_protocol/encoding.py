@@ -1,0 +1,34 @@
+"""Encodings that frames, messages and coded streams share: CRC-16 and numbers of variable length."""
+
+import binascii
+
+
+def crc16(data: bytes, start: int = 0xFFFF) -> int:
+    """CRC-16/IBM-3740 (also "CCITT-FALSE"): polynomial 0x1021, not reflected, no final XOR.
+
+    `start`: the CRC of the bytes before, or the initial state.
+    """
+    return binascii.crc_hqx(data, start)
+
+
+def pack_varint(value: int) -> bytes:
+    """Return `value` >= 0 as LEB128: seven bits a byte, lowest first, the top bit set on all but the last byte."""
+    encoded = bytearray()
+    while value >= 0x80:
+        encoded.append(value & 0x7F | 0x80)
+        value >>= 7
+    encoded.append(value)
+    return bytes(encoded)
+
+
+def unpack_varint(data: bytes, position: int, bits: int) -> tuple[int, int]:
+    """Return the LEB128 number at `position` and the position after it.
+
+    Raises ValueError if it is cut, or longer than `bits`; zeros above them count as well where they take more bytes.
+    """
+    value = 0
+    for index, byte in enumerate(data[position : position + -(-bits // 7)]):
+        value |= (byte & 0x7F) << (7 * index)
+        if byte < 0x80 and value < 1 << bits:
+            return value, position + index + 1
+    raise ValueError(f"a number of variable length is cut or longer than {bits} bits")
