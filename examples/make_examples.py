@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from textures import Recording, save_wav
+from textures import Recording, save_profile, save_wav
 from textures.generate import ridges, rough, rough_profile, taps, varying_speed, wood
 
 RATE_HZ = 2800.0
@@ -20,9 +20,7 @@ def make_examples(folder: Path) -> None:
     save_wav(folder / "cloth_two_fingers.wav", two_fingers())
     save_wav(folder / "sandpaper.wav", rough(3, SECONDS, 60.0, RATE_HZ, hurst=0.3, roll_off_mm=0.4, rms_um=6))
     save_wav(folder / "taps.wav", taps(4, SECONDS, 50.0, RATE_HZ))
-    profile = rough_profile(5, length_mm=8.0, spacing_um=4.0, rms_um=6.0)
-    lines = [f"{index * profile.spacing_um:.0f},{height:.3f}" for index, height in enumerate(profile.heights_um)]
-    (folder / "leather_profile.csv").write_text("\n".join(["position_um,height_um", *lines, ""]), newline="\n")
+    save_profile(folder / "leather_profile.csv", rough_profile(5, length_mm=8.0, spacing_um=4.0, rms_um=6.0))
 
 
 def two_fingers() -> Recording:

@@ -304,15 +304,35 @@ def info(file: Path, as_json: bool) -> None:
 
 @main.command()
 @click.argument("kind", type=click.Choice(sorted(textures.GENERATORS)))
-@click.argument("out", type=OutputFile(".wav"))
+@click.argument("out", type=OutputFile(".wav", ".csv"))
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another seed, another texture.")
 @click.option("--seconds", type=POSITIVE, default=4.0, show_default=True)
 @click.option(
     "--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=coding.DEFAULT_STREAM_RATE_HZ, show_default=True
 )
-@click.option("--hand-speed-mm-s", type=POSITIVE, default=50.0, show_default=True)
-def generate(kind: str, out: Path, **choices: Any) -> None:
-    """Make a texture, as a WAV file."""
+@click.option("--hand-speed-mm-s", type=POSITIVE, default=50.0, show_default=True, help="Mean speed of the hand.")
+@click.option(
+    "--speed-variation",
+    type=Finite(min=0, max=2),
+    default=0.0,
+    show_default=True,
+    help="How far the speed swings to either side of its mean, in parts of it, once a second; above 1 it turns back.",
+)
+def generate(kind: str, out: Path, speed_variation: float, **choices: Any) -> None:
+    """Make a texture, as a WAV file, or the height profile of its surface, as a CSV file."""
+    if out.suffix.lower() == ".csv":
+        if speed_variation:
+            raise click.UsageError("a height profile is the same at any speed: drop --speed-variation.")
+        profile = textures.surface_profile(kind, **choices)
+        with whole_file(out) as partial:
+            textures.save_profile(partial, profile)
+        click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
+        return
+    if speed_variation:
+        mean_mm_s = choices["hand_speed_mm_s"]
+        choices["hand_speed_mm_s"] = textures.varying_speed(
+            choices["seconds"], choices["rate_hz"], mean_mm_s, speed_variation
+        )
     recording = textures.GENERATORS[kind](**choices)
     with whole_file(out) as partial:
         full_scale = textures.save_wav(partial, recording)

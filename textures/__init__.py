@@ -1,7 +1,7 @@
 """Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
 
-from textures.files import AXES, load, load_profile, save_wav
-from textures.generate import GENERATORS
+from textures.files import AXES, load, load_profile, save_profile, save_wav
+from textures.generate import GENERATORS, surface_profile, varying_speed
 from textures.profiles import Profile
 from textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
 from textures.resampling import resample
@@ -17,5 +17,8 @@ __all__ = [
     "load",
     "load_profile",
     "resample",
+    "save_profile",
     "save_wav",
+    "surface_profile",
+    "varying_speed",
 ]

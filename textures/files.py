@@ -1,4 +1,4 @@
-"""Loads recordings and height profiles from files of every supported kind, and saves WAV files."""
+"""Loads recordings and height profiles from files of every supported kind, and saves WAV files and profiles."""
 
 import re
 import tokenize
@@ -105,6 +105,14 @@ def load_profile(path: str | Path) -> Profile:
         return _profile_of(read_table(path), path)
     except OSError as error:
         raise TextureError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def save_profile(path: str | Path, profile: Profile) -> None:
+    """Save a height profile as CSV of position_um and height_um, to a nanometre of height. Raises OSError."""
+    positions_um = profile.spacing_um * np.arange(len(profile.heights_um))
+    columns = np.column_stack([positions_um, profile.heights_um])
+    names = "position_um,height_um"
+    np.savetxt(path, columns, fmt=("%.10g", "%.3f"), delimiter=",", header=names, comments="")
 
 
 def save_wav(path: str | Path, recording: Recording, sixteen_bit: bool = True) -> float:

@@ -153,23 +153,38 @@ def wood(
 ) -> Recording:
     """Return the acceleration, in m/s^2, of a stylus dragged across the grain of wood.
 
-    The tip follows a rough surface (Hurst exponent 0.6, `rms_um`) with irregular ridges of grain. The stylus follows
-    the tip as a mass on spring and damper whose foot is moved: X/H = (2 d w s + w^2) / (s^2 + 2 d w s + w^2) with
-    w = 2 pi resonance_hz, d = damping_ratio: S. Rao, "Mechanical Vibrations", response to the motion of the base. By
-    the bilinear transform, then differenced twice.
+    The tip follows `wood_surface`, and the stylus the tip as a mass on spring and damper whose foot is moved:
+    X/H = (2 d w s + w^2) / (s^2 + 2 d w s + w^2) with w = 2 pi resonance_hz, d = damping_ratio: S. Rao, "Mechanical
+    Vibrations", response to the motion of the base. By the bilinear transform, then differenced twice.
     """
     _check_positive(resonance_hz=resonance_hz, damping_ratio=damping_ratio)
     if resonance_hz > BAND * rate_hz:
         raise TextureError(f"resonance_hz {resonance_hz}: it must be at most {BAND} of the sample rate")
-    surface = rough(seed, seconds, hand_speed_mm_s, rate_hz, 0.6, pitch_mm, rms_um)
-    grain = ridges(seed, seconds, hand_speed_mm_s, rate_hz, pitch_mm, 0.6, 0.1, grain_um)
-    height_m = 1e-6 * (surface.samples + grain.samples)
+    height_m = 1e-6 * wood_surface(seed, seconds, hand_speed_mm_s, rate_hz, pitch_mm, grain_um, rms_um).samples
     angular = 2 * np.pi * resonance_hz
     damping = 2 * damping_ratio * angular
     numerator, denominator = bilinear([damping, angular**2], [1, damping, angular**2], rate_hz)
     stylus_m = lfilter(numerator, denominator, height_m - height_m[0], axis=0)
     acceleration = np.diff(stylus_m, n=2, axis=0, prepend=stylus_m[[0, 0]]) * rate_hz**2
     return Recording(acceleration, rate_hz, "m/s^2", "wood")
+
+
+def wood_surface(
+    seed: int = 0,
+    seconds: float = 4.0,
+    hand_speed_mm_s: HandSpeed = 50.0,
+    rate_hz: float = 2800.0,
+    pitch_mm: float = 1.2,
+    grain_um: float = 12.0,
+    rms_um: float = 3.0,
+) -> Recording:
+    """Return the height, in um, under a probe that sweeps across the grain of wood.
+
+    The grain is irregular ridges, `grain_um` high, on a rough surface of Hurst exponent 0.6 and `rms_um`.
+    """
+    surface = rough(seed, seconds, hand_speed_mm_s, rate_hz, 0.6, pitch_mm, rms_um)
+    grain = ridges(seed, seconds, hand_speed_mm_s, rate_hz, pitch_mm, 0.6, 0.1, grain_um)
+    return Recording(surface.samples + grain.samples, rate_hz, "um", "wood surface")
 
 
 def stick_slip(
@@ -256,6 +271,22 @@ GENERATORS: dict[str, Callable[..., Recording]] = {
     "taps": taps,
     "wood": wood,
 }
+SURFACES: dict[str, Callable[..., Recording]] = {
+    "grating": grating,
+    "ridges": ridges,
+    "rough": rough,
+    "wood": wood_surface,
+}
+
+
+def surface_profile(
+    kind: str, seed: int = 0, seconds: float = 4.0, hand_speed_mm_s: float = 50.0, rate_hz: float = 2800.0
+) -> Profile:
+    """Return the surface that a generator of SURFACES sweeps over at one speed: a height every speed / rate."""
+    if kind not in SURFACES:
+        raise TextureError(f"{kind}: a height profile can be made of {', '.join(SURFACES)}")
+    recording = SURFACES[kind](seed, seconds, hand_speed_mm_s, rate_hz)
+    return Profile(recording.samples[:, 0], 1000 * hand_speed_mm_s / rate_hz, kind)
 
 
 def _check_positive(**values: float) -> None:

@@ -10,8 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from textures import GENERATORS, Recording, TextureError, load
-from textures.generate import grating, ridges, rough, rough_profile, stick_slip, taps, varying_speed, wood
+from textures import GENERATORS, Recording, TextureError, load, load_profile, save_profile
+from textures.generate import (
+    SURFACES,
+    grating,
+    ridges,
+    rough,
+    rough_profile,
+    stick_slip,
+    surface_profile,
+    taps,
+    varying_speed,
+    wood,
+)
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -107,6 +118,20 @@ def test_wood_rings_at_its_resonance() -> None:
     assert frequency_hz[np.argmax(power)] == pytest.approx(300, abs=25)
 
 
+@pytest.mark.parametrize("kind", sorted(SURFACES))
+def test_the_profile_of_a_surface_is_what_a_sweep_feels(kind: str, tmp_path: Path) -> None:
+    profile = surface_profile(kind, 7, 1.0, 40.0, 2000.0)
+    felt = SURFACES[kind](7, 1.0, 40.0, 2000.0).samples[:, 0]
+    np.testing.assert_array_equal(profile.heights_um, felt)
+    assert profile.spacing_um == 20
+    assert profile.length_mm == pytest.approx(40, abs=0.021)
+    save_profile(tmp_path / "profile.csv", profile)
+    loaded = load_profile(tmp_path / "profile.csv")
+    assert loaded.spacing_um == pytest.approx(20)
+    np.testing.assert_allclose(loaded.heights_um, felt, atol=0.00051)
+    assert load(tmp_path / "profile.csv", hand_speed_mm_s=40).rate_hz == pytest.approx(2000)
+
+
 def test_a_still_hand_feels_nothing_new() -> None:
     speed = np.full(2800, 50.0)
     speed[1400:] = 0
@@ -122,6 +147,7 @@ def test_a_still_hand_feels_nothing_new() -> None:
         (rough, {"seconds": 1e9}, "samples can be made"),
         (rough, {"seconds": 1e-9}, "samples can be made"),
         (rough, {"rate_hz": float("nan")}, "rate_hz"),
+        (taps, {"rate_hz": 2.0**31, "seconds": 1e-8}, "sample rate 2.14748e[+]09 Hz"),
         (rough, {"hand_speed_mm_s": 0}, "hand speed"),
         (rough, {"hand_speed_mm_s": float("inf")}, "hand speed"),
         (rough, {"hand_speed_mm_s": np.ones(3)}, "give one number or 11200"),
@@ -130,6 +156,8 @@ def test_a_still_hand_feels_nothing_new() -> None:
         (rough, {"rms_um": -1}, "rms_um"),
         (rough_profile, {"length_mm": 1e9}, "shorten it"),
         (rough_profile, {"spacing_um": 0}, "spacing_um"),
+        (surface_profile, {"kind": "taps"}, "can be made of grating, ridges, rough, wood"),
+        (surface_profile, {"kind": "rough", "seconds": 1e-3}, "at least 8 heights"),
         (grating, {"pitch_mm": 0.001}, "cannot be shown"),
         (grating, {"slope_fraction": 0.6}, "slope_fraction"),
         (ridges, {"pitch_mm": 0.001}, "cannot be shown"),
