@@ -129,9 +129,9 @@ class ImageStore:
             )
         wanted = _Slot(SlotState.WRITING, False, size_bytes, digest)
         if slot != wanted:
-            self._set(number, _Slot())
+            self._set({number: _Slot()})
             self._flash.erase(self._address(number), self.slot_bytes)
-            self._set(number, wanted)
+            self._set({number: wanted})
         return self._status(number)
 
     def write(self, number: int, offset: int, data: bytes) -> FlashStatus:
@@ -159,9 +159,9 @@ class ImageStore:
             if image.hardware not in ("", self._hardware):
                 raise ModelImageError(f"the image is for {image.hardware}, this controller is {self._hardware}")
         except ModelImageError as error:
-            self._set(number, _Slot())
+            self._set({number: _Slot()})
             raise Refusal(ErrorCode.IMAGE_REFUSED, str(error)) from error
-        self._set(number, replace(slot, state=SlotState.VERIFIED))
+        self._set({number: replace(slot, state=SlotState.VERIFIED)})
         return self._status(number)
 
     def activate(self, number: int) -> FlashStatus:
@@ -169,33 +169,54 @@ class ImageStore:
         slot = self._slot_in(number, SlotState.VERIFIED, "verify it first")
         if any(other.state == SlotState.TRIAL for other in self._slots):
             raise Refusal(ErrorCode.WRONG_STATE, "another slot is on trial: confirm it, or restart to fall back")
-        self._set(number, replace(slot, state=SlotState.TRIAL))
+        self._set({number: replace(slot, state=SlotState.TRIAL)})
         return self._status(number)
 
     def confirm(self, number: int) -> FlashStatus:
-        """Keep the slot that is on trial; the one confirmed before becomes verified. Raises Refusal."""
+        """Keep the slot that runs on trial; the one confirmed before becomes verified. Raises Refusal."""
         slot = self._slot(number)
-        if slot.state != SlotState.CONFIRMED:
-            self._slot_in(number, SlotState.TRIAL, "it is not on trial")
-            for other, before in enumerate(self._slots):
-                if before.state == SlotState.CONFIRMED:
-                    self._slots[other] = replace(before, state=SlotState.VERIFIED)
-            self._set(number, replace(slot, state=SlotState.CONFIRMED, booted=False))
+        if number != self._running_slot:
+            raise Refusal(ErrorCode.WRONG_STATE, f"slot {number} does not run: only what has been tried can be kept")
+        if slot.state == SlotState.TRIAL:
+            changes = {
+                other: replace(before, state=SlotState.VERIFIED)
+                for other, before in enumerate(self._slots)
+                if before.state == SlotState.CONFIRMED
+            }
+            self._set(changes | {number: replace(slot, state=SlotState.CONFIRMED, booted=False)})
         return self._status(number)
 
     def _boot(self) -> None:
-        for number, slot in enumerate(self._slots):
-            if slot.state == SlotState.TRIAL and slot.booted:
-                self._set(number, replace(slot, state=SlotState.VERIFIED, booted=False))
-            elif slot.state == SlotState.TRIAL:
-                self._set(number, replace(slot, booted=True))
+        """Start what is on trial for the first time, or else what is confirmed; note what turned out to be broken."""
         self._written = [self._programmed_bytes(number) for number in range(SLOTS)]
-        for state in (SlotState.TRIAL, SlotState.CONFIRMED):
-            for number, slot in enumerate(self._slots):
-                image = self._image(number) if slot.state == state else None
-                if image is not None:
-                    self.running, self.running_sha256, self._running_slot = image, slot.sha256, number
-                    return
+        changes: dict[int, _Slot] = {}
+        for number, slot in enumerate(self._slots):
+            if slot.state in (SlotState.TRIAL, SlotState.CONFIRMED) and self._image(number) is None:
+                changes[number] = _Slot()
+                spare = self._whole(SlotState.VERIFIED)
+                if slot.state == SlotState.CONFIRMED and spare is not None:
+                    changes[spare] = replace(self._slots[spare], state=SlotState.CONFIRMED)
+            elif slot.state == SlotState.TRIAL and slot.booted:
+                changes[number] = replace(slot, state=SlotState.VERIFIED, booted=False)
+            elif slot.state == SlotState.TRIAL:
+                changes[number] = replace(slot, booted=True)
+        startable = [SlotState.TRIAL, SlotState.CONFIRMED]
+        try:
+            if changes:
+                self._set(changes)
+        except OSError:
+            startable.remove(SlotState.TRIAL)  # without a record of it, the trial would never end
+        for state in startable:
+            running = self._whole(state)
+            if running is not None:
+                self.running, self.running_sha256 = self._image(running), self._slots[running].sha256
+                self._running_slot = running
+                return
+
+    def _whole(self, state: SlotState) -> int | None:
+        """Return a slot in this state whose image is whole."""
+        whole = (n for n, slot in enumerate(self._slots) if slot.state == state and self._image(n) is not None)
+        return next(whole, None)
 
     def _image(self, number: int) -> ModelImage | None:
         """Return the image in a slot if it is whole."""
@@ -234,9 +255,9 @@ class ImageStore:
         last = len(data.rstrip(bytes([ERASED]))) - 1
         return max(0, last) // self._PAGE_BYTES * self._PAGE_BYTES
 
-    def _set(self, number: int, slot: _Slot) -> None:
-        """Change a slot's state, in the record first."""
-        slots = [*self._slots[:number], slot, *self._slots[number + 1 :]]
+    def _set(self, changes: dict[int, _Slot]) -> None:
+        """Change slots' states, all at once: in the record first, so that a flash that fails changes nothing."""
+        slots = [changes.get(number, slot) for number, slot in enumerate(self._slots)]
         counter = self._counter + 1
         packed = b"".join(_Slot.LAYOUT.pack(s.state, s.booted, s.size_bytes, s.sha256) for s in slots)
         head = self._RECORD.pack(self._MAGIC, counter, packed, 0)[:-4]
@@ -244,8 +265,9 @@ class ImageStore:
         self._flash.erase(address, self._flash.sector_bytes)
         self._flash.program(address, head + zlib.crc32(head).to_bytes(4, "little"))
         self._counter, self._slots = counter, slots
-        if slot.state == SlotState.EMPTY:
-            self._written[number] = 0
+        for number, slot in changes.items():
+            if slot.state == SlotState.EMPTY:
+                self._written[number] = 0
 
     def _read_record(self) -> tuple[int, list[_Slot]]:
         newest: tuple[int, list[_Slot]] = (0, [_Slot()] * SLOTS)
