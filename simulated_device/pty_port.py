@@ -40,16 +40,26 @@ class PtyPort(RealTimePort):
         self._order(self._connect)
 
     def close(self) -> None:
-        """Stop serving and remove the port; may be called again."""
-        super().close()
+        """Stop serving and remove the port; may be called again. Raises TransportError if the controller had failed."""
+        try:
+            super().close()
+        finally:
+            self._disconnect()
+            self._folder.cleanup()
+
+    def _run(self) -> None:
+        super()._run()
         self._disconnect()
-        self._folder.cleanup()
 
     def _order(self, action: Callable[[], None]) -> None:
-        """Have the serving thread do something and wait for it: no one else may close what it is reading from."""
+        """Have the serving thread do something and wait for it: no one else may close what it is reading from.
+
+        Where it has ended there is nothing to plug or to unplug any more.
+        """
         done = threading.Event()
         self._orders.put((action, done))
-        done.wait()
+        while self._thread.is_alive() and not done.wait(PERIOD_S):
+            pass
 
     def _connect(self) -> None:
         if self._master < 0:

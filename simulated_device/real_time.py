@@ -5,6 +5,7 @@ import time
 from types import TracebackType
 from typing import Self
 
+from device_protocol.transports import TransportError
 from simulated_device.controller import Controller
 
 PERIOD_S = 0.005
@@ -16,7 +17,8 @@ LONGEST_STEP_US = 50_000
 class RealTimePort:
     """A controller that runs against the clock. A port fills `_wait`, and hands bytes over with `_exchange`.
 
-    A context manager: the thread runs inside it, and has ended when it is left.
+    A context manager: the thread runs inside it, and has ended when it is left. A controller that fails takes its port
+    with it; `close` then says why.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -27,6 +29,7 @@ class RealTimePort:
         self._read_us = time.monotonic_ns() // 1000
         self._now_us = 0
         self._pending = b""  # from the controller, not yet taken by the host
+        self._failure: Exception | None = None
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -38,10 +41,15 @@ class RealTimePort:
         self.close()
 
     def close(self) -> None:
-        """Stop the controller's time; may be called again."""
+        """Stop the controller's time; may be called again. Raises TransportError if the controller had failed."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise TransportError(
+                f"the simulated controller failed ({failure!r}): this is a fault in it, please report it"
+            ) from failure
 
     def _run(self) -> None:
         while not self._closing.is_set():
@@ -57,10 +65,14 @@ class RealTimePort:
             read_us = time.monotonic_ns() // 1000
             self._now_us += min(LONGEST_STEP_US, read_us - self._read_us)
             self._read_us = read_us
-            if data:
-                self._controller.receive(data, self._now_us)
-            else:
-                self._controller.advance(self._now_us)
+            try:
+                if data:
+                    self._controller.receive(data, self._now_us)
+                else:
+                    self._controller.advance(self._now_us)
+            except Exception as failure:  # whatever it is: the host must see that the device is gone
+                self._failure = failure
+                self._closing.set()
             # What the host does not take stays in the controller, which bounds it.
             if not self._pending:
                 self._pending = self._controller.transmit()

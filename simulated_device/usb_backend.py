@@ -37,6 +37,8 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
         self._plugged = True
         self._pulled = 0
         self._configuration = 0
+        self._halted: set[int] = set()
+        self._busy_until_s = 0.0
 
     def plug(self) -> None:
         """Plug the device in again."""
@@ -48,7 +50,16 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
             self._plugged = False
             self._pulled += 1
             self._configuration = 0
+            self._halted.clear()
             self._pending = b""
+
+    def stall(self) -> None:
+        """Halt both bulk endpoints: each stalls until `clear_halt` or a reset."""
+        self._halted = {ENDPOINT_IN, ENDPOINT_OUT}
+
+    def keep_busy(self, seconds: float) -> None:
+        """Neither take nor give data for so long: transfers wait, and time out. The controller goes on."""
+        self._busy_until_s = time.monotonic() + seconds
 
     def _wait(self) -> bytes:
         self._closing.wait(PERIOD_S)
@@ -175,10 +186,12 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
     def clear_halt(self, handle: int, endpoint: int) -> None:
         """End a stall of an endpoint."""
         self._need_device(handle)
+        self._halted.discard(endpoint)
 
     def reset_device(self, handle: int) -> None:
         """Reset the device's USB side."""
         self._need_device(handle)
+        self._halted.clear()
 
     def ctrl_transfer(
         self, handle: int, request_type: int, request: int, value: int, index: int, data: Any, timeout_ms: int
@@ -189,29 +202,39 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
 
     def bulk_write(self, handle: int, endpoint: int, interface: int, data: Any, timeout_ms: int) -> int:
         """Send bytes to the controller; return how many."""
-        self._need_device(handle)
-        if endpoint != ENDPOINT_OUT:
-            raise usb.core.USBError("Pipe error", None, errno.EPIPE)
+        deadline_s = time.monotonic() + timeout_ms / 1000
+        self._need_endpoint(handle, endpoint, ENDPOINT_OUT)
+        while time.monotonic() < self._busy_until_s:
+            self._wait_for_endpoint(timeout_ms, deadline_s)
+            self._need_endpoint(handle, endpoint, ENDPOINT_OUT)
         self._exchange(bytes(data))
         return len(data)
 
     def bulk_read(self, handle: int, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
         """Fill `buffer` with what the controller has sent; return the bytes. A timeout of 0 waits for ever."""
-        if endpoint != ENDPOINT_IN:
-            raise usb.core.USBError("Pipe error", None, errno.EPIPE)
         deadline_s = time.monotonic() + timeout_ms / 1000
         while True:
-            self._need_device(handle)
-            with self._lock:
-                if not self._pending:
-                    self._pending = self._controller.transmit()
-                taken, self._pending = self._pending[: len(buffer)], self._pending[len(buffer) :]
+            self._need_endpoint(handle, endpoint, ENDPOINT_IN)
+            taken = b""
+            if time.monotonic() >= self._busy_until_s:
+                with self._lock:
+                    if not self._pending:
+                        self._pending = self._controller.transmit()
+                    taken, self._pending = self._pending[: len(buffer)], self._pending[len(buffer) :]
             if taken:
                 buffer[: len(taken)] = array.array("B", taken)
                 return len(taken)
-            if timeout_ms and time.monotonic() >= deadline_s:
-                raise usb.core.USBTimeoutError("Operation timed out", None, errno.ETIMEDOUT)
-            self._closing.wait(PERIOD_S / 5)
+            self._wait_for_endpoint(timeout_ms, deadline_s)
+
+    def _wait_for_endpoint(self, timeout_ms: int, deadline_s: float) -> None:
+        if timeout_ms and time.monotonic() >= deadline_s:
+            raise usb.core.USBTimeoutError("Operation timed out", None, errno.ETIMEDOUT)
+        self._closing.wait(PERIOD_S / 5)
+
+    def _need_endpoint(self, handle: int, endpoint: int, wanted: int) -> None:
+        self._need_device(handle)
+        if endpoint != wanted or endpoint in self._halted:
+            raise usb.core.USBError("Pipe error", None, errno.EPIPE)
 
     def _need_device(self, handle: int) -> None:
         if not self._plugged or handle != self._pulled or self._closing.is_set():
