@@ -12,6 +12,9 @@ Samples: TypeAlias = NDArray[np.float64]
 Codes: TypeAlias = NDArray[np.int16]
 Filter: TypeAlias = tuple[Samples, Samples]
 
+# Textures are felt up to 400 Hz, and little above 800 Hz, where the Pacinian band ends: no boost is wasted there.
+COMPENSATED_HZ = 800.0
+
 
 @dataclass(frozen=True)
 class Actuator:
@@ -21,7 +24,7 @@ class Actuator:
     voltage range that full DAC scale covers, peak to peak; a unipolar actuator rests on a bias of half of it.
     `corner_hz`: without `quality` the -3 dB frequency of a first-order low-pass, with it the resonance of a
     second-order one, of which `quality` is the Q. `slew_volts_per_second`, `volts_limit` (from rest) and `power_limit`
-    (running mean of the squared drive, full scale = 1) are what the amplifier and the actuator bear.
+    (mean of the squared drive over any second, full scale = 1) are what the amplifier and the actuator bear.
     `maximum_boost`: factor by which the compensation of a resonance may raise the drive.
     """
 
@@ -84,21 +87,40 @@ class Actuator:
     def inverse(self) -> Filter:
         """Return (b, a): the compensation filter at the DAC's rate.
 
-        First order: the exact inverse of `response`, one DAC sample late. Resonance: the resonance is exchanged for one
-        that is `maximum_boost` times as broad, (Q / Q') (s^2 + w s / Q + w^2) / (s^2 + w s / Q' + w^2) with
-        Q' = Q / maximum_boost, by the bilinear transform matched at w. Its gain is 1 there and the boost at most
-        everywhere else, where a plain inverse would grow with the square of the frequency.
+        First order: the exact inverse of `response`, one DAC sample late, times a second-order Butterworth low-pass at
+        COMPENSATED_HZ. So PIEZO_STACK follows up to 400 Hz within 0.12 dB, and within 2 % of the amplitude, phase
+        included, 1.7 DAC samples late; the boost is at most 2.14, where the inverse alone reaches 3.63.
+
+        Resonance: it is exchanged for one that is `maximum_boost` times as broad,
+        (Q / Q') (s^2 + w s / Q + w^2) / (s^2 + w s / Q' + w^2) with Q' = Q / maximum_boost, by the bilinear transform
+        matched at w. Its gain is 1 there and the boost at most everywhere else, where a plain inverse would grow with
+        the square of the frequency.
         """
         if self.quality is None:
             numerator, denominator = self.response(self.dac_rate_hz)
-            # The 0 keeps scipy on its recursive path, whose results do not depend on the size of a piece.
-            return denominator / numerator[1], np.array([1.0, 0.0])
+            b, a = scipy.signal.butter(2, self._low_pass_hz, fs=self.dac_rate_hz)
+            return np.convolve(denominator / numerator[1], b), np.asarray(a)
         # w in units of 2 x rate, pre-warped so that the bilinear transform leaves the resonance where it is.
         w = math.tan(math.pi * self.corner_hz / self.dac_rate_hz)
         boost = max(1.0, self.maximum_boost)
         broad = self.quality / boost
         b, a = scipy.signal.bilinear([boost, boost * w / self.quality, boost * w * w], [1, w / broad, w * w], fs=0.5)
         return np.asarray(b), np.asarray(a)
+
+    @property
+    def low_pass_delay_seconds(self) -> float:
+        """Delay at low frequencies of the low-pass in `inverse`; 0 for a resonance, which has none.
+
+        sqrt(2) / (2 tan(pi f / rate)) samples: that of the Butterworth prototype 1 / (s^2 + sqrt(2) s + 1), bilinear.
+        """
+        if self.quality is not None:
+            return 0.0
+        return math.sqrt(0.5) / math.tan(math.pi * self._low_pass_hz / self.dac_rate_hz) / self.dac_rate_hz
+
+    @property
+    def _low_pass_hz(self) -> float:
+        """The corner of the low-pass in `inverse`, below half the rate of the slowest DAC."""
+        return min(COMPENSATED_HZ, 0.4 * self.dac_rate_hz)
 
     def displacement_um(self, codes: Codes, oversampling: int = 1) -> Samples:
         """Return the displacement at the skin, um from rest, for DAC codes (n, channels) that begin at rest.

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import codec
-from codec import CodecError, Decoder
+from codec import Decoder
 from device_protocol import frames, messages
 from device_protocol.coded_stream import IMAGE_HASH_BYTES, StreamError, StreamHeader
 from device_protocol.frames import FrameReader, write_frame
@@ -42,7 +42,6 @@ from device_protocol.messages import (
 )
 from simulated_device.actuator import PIEZO_STACK, Actuator, Codes
 from simulated_device.flash import FlashMemory, ImageStore
-from simulated_device.output import recording_end
 from simulated_device.playback import Playback
 from simulated_device.refusal import Refusal
 
@@ -97,6 +96,7 @@ class Controller:
         self._outgoing = bytearray()
         self._origin_us: int | None = None
         self._time_us = 0
+        self._dac_free_us = 0
         self._boot()
 
     def _boot(self) -> None:
@@ -104,7 +104,6 @@ class Controller:
         self._store = ImageStore(self._flash, self.settings.hardware, identifiers)
         self._playback: Playback | None = None
         self._state_without_stream = State.IDLE
-        self._dac_free_us = 0
         self._opened_by: int | None = None
         self._last_sequence = 0
         self._last_answer = b""
@@ -178,19 +177,21 @@ class Controller:
                 answer = _refuse(ErrorCode.FLASH_FAILED, error)
             self._answer(sequence, answer)
             if isinstance(message, FlashActivate) and not isinstance(answer, Error):
+                self._stop()
                 self._boot()
 
     def _greet(self, sequence: int, hello: Hello) -> None:
-        """Open a session; send the answer again to a copy of the last request; ignore a late copy of this session's."""
-        if self._opened_by is not None and sequence == self._last_sequence:
-            self._send_again()
+        """Open a session; to copies of the Hello that opened this one, answer again until another request has come."""
+        if sequence == self._opened_by:
+            if sequence == self._last_sequence:
+                self._send_again()
         elif hello.major != PROTOCOL_MAJOR:
             text = (
                 f"this controller speaks protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}, the host "
                 f"{hello.major}.{hello.minor}: update the older one"
             )
             self._send(sequence, Error(ErrorCode.UNSUPPORTED_VERSION, text))
-        elif sequence != self._opened_by:
+        else:
             self._opened_by = sequence
             self._answer(sequence, self._describe())
 
@@ -245,7 +246,8 @@ class Controller:
             case Configure():
                 return self._configure(message)
             case Start():
-                self._stream_in(State.BUFFERING).start(message.device_time_us, self._time_us)
+                start_us = max(message.device_time_us, self._dac_free_us)
+                self._stream_in(State.BUFFERING).start(start_us, self._time_us)
             case Pause():
                 self._stream_in(State.PLAYING).pause()
             case Resume():
@@ -253,10 +255,7 @@ class Controller:
             case Stop():
                 return self._stop()
             case Loop():
-                playback = self._stream_in(State.BUFFERING, *_ACTIVE)
-                if playback.live and message.loops != 1:
-                    raise Refusal(ErrorCode.BAD_VALUE, "a live stream cannot loop")
-                playback.set_loops(message.loops)
+                self._stream_in(State.BUFFERING, *_ACTIVE).set_loops(message.loops)
             case Gain():
                 self._stream_in(State.BUFFERING, *_ACTIVE).set_gain(message.gain)
             case EndStream():
@@ -320,8 +319,6 @@ class Controller:
             raise Refusal(ErrorCode.BAD_VALUE, f"the stream header cannot be read: {error}") from error
         if used_bytes != len(configure.header):
             raise Refusal(ErrorCode.BAD_VALUE, "there are bytes after the stream header")
-        if configure.packets == 0 and configure.loops != 1:
-            raise Refusal(ErrorCode.BAD_VALUE, "a live stream cannot loop")
         if configure.packets and configure.first_packet >= configure.packets:
             raise Refusal(
                 ErrorCode.BAD_VALUE, f"packet {configure.first_packet} of {configure.packets} cannot be the first"
@@ -333,35 +330,16 @@ class Controller:
                 ErrorCode.BEYOND_LIMITS,
                 f"a rate of {header.rate_hz} Hz is outside {MINIMUM_RATE_HZ} to {MAXIMUM_RATE_HZ} Hz: resample first",
             )
-        make_decoder = self._pick_decoder(header)
-        try:
-            decoder = make_decoder()
-        except CodecError as error:
-            raise Refusal(ErrorCode.UNKNOWN_CODEC, str(error)) from error
-        packet_samples = decoder.packet_samples
-        recorded = recording_end(header, decoder.delay_samples)
-        if recorded is not None and configure.packets * packet_samples >= recorded + 2 * packet_samples:
-            raise Refusal(
-                ErrorCode.BAD_VALUE,
-                f"{configure.packets} packets of {packet_samples} samples are too many for the {header.samples} "
-                "samples that the stream header announces",
-            )
-        if max(packet_samples, configure.prebuffer_samples) > settings.buffer_samples:
-            raise Refusal(
-                ErrorCode.BEYOND_LIMITS,
-                f"a prebuffer of {configure.prebuffer_samples} samples in packets of {packet_samples}; the buffer "
-                f"holds {settings.buffer_samples}",
-            )
-        self._stop()
-        self._playback = Playback(
+        playback = Playback(
             configure,
             header,
-            make_decoder,
+            self._pick_decoder(header),
             settings.actuator,
             settings.buffer_samples,
             settings.capture_samples,
-            self._dac_free_us,
         )
+        self._stop()
+        self._playback = playback
         return self._status()
 
     def _pick_decoder(self, header: StreamHeader) -> Callable[[], Decoder]:
@@ -399,10 +377,8 @@ class Controller:
         self._state_without_stream = State.STOPPED
         if self._playback is not None:
             self._playback.stop(State.STOPPED)
-            ramp = self._playback.flush()
-            self._put_out(ramp)
-            ramp_us = len(ramp) * 1_000_000 // self.settings.actuator.dac_rate_hz
-            self._dac_free_us = max(self._dac_free_us, self._time_us + ramp_us)
+            self._put_out(self._playback.flush(self._time_us))
+            self._dac_free_us = max(self._dac_free_us, self._playback.free_us)
         return self._status()
 
     def _capture(self, read: CaptureRead) -> CaptureData:

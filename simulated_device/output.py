@@ -6,11 +6,12 @@ however the samples are cut into pieces.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import signal, special
 
 from codec import Decoded
 from device_protocol.coded_stream import StreamHeader
@@ -24,10 +25,12 @@ HIGH_PASS_HZ = 20.0
 FADE_SECONDS = 0.005
 GAIN_RAMP_SECONDS = 0.02
 
-# The power limit looks at the mean over 1 s, in blocks of 1/50 s, and turns the drive down softly below the limit.
+# The power limit weighs the past by exp(-t / 1 s), in blocks of 10 ms, and turns the drive down within two knees below
+# the limit; the knee is this part of the limit, and at most so much.
 _POWER_SECONDS = 1.0
-_POWER_BLOCK_SECONDS = 0.02
-_POWER_KNEE = 0.1
+_POWER_BLOCK_SECONDS = 0.01
+_POWER_KNEE_PART = 0.2
+_POWER_LARGEST_KNEE = 0.05
 
 # Resampler: Kaiser-windowed sinc of 16 taps at the lower of the two rates, stop band 60 dB. Its -6 dB point is .9 of
 # the lower rate's half: at 2800 Hz flat to 940 Hz, and its delay is 8 samples, 2.9 ms.
@@ -36,6 +39,28 @@ _KAISER_BETA = signal.kaiser_beta(60.0)
 _BAND = 0.9
 
 _DECODED_FULL_SCALE = 32768.0
+# In parts of full scale, below any code of a DAC.
+_SMALLEST_STEP = 1e-9
+
+
+@lru_cache(maxsize=8)
+def _resampling_filter(up: int, down: int) -> tuple[Samples, int]:
+    """Return the filter (up, taps) and its delay in input samples, for a rate that becomes up / down of what it was.
+
+    Row p is for a time p / up of a sample after an input sample; each row has a sum of 1.
+    """
+    if up == down:
+        return np.ones((1, 1)), 0
+    delay_samples = math.ceil(_TAPS / 2 * max(1.0, down / up))
+    time = np.arange(2 * delay_samples)[None, :] + np.arange(up)[:, None] / up - delay_samples
+    window = special.i0(_KAISER_BETA * np.sqrt(np.maximum(0.0, 1 - (time / delay_samples) ** 2)))
+    table = np.sinc(_BAND * min(1.0, up / down) * time) * window
+    return table / table.sum(axis=1, keepdims=True), delay_samples
+
+
+def _raised_cosine(samples: int) -> Samples:
+    """Return the way from 0 to 1 in so many steps, both included."""
+    return np.asarray((1 - np.cos(np.pi * np.arange(samples + 1) / samples)) / 2)
 
 
 class Resampler:
@@ -48,25 +73,10 @@ class Resampler:
         divisor = math.gcd(input_rate_hz, output_rate_hz)
         self._up = output_rate_hz // divisor
         self._down = input_rate_hz // divisor
-        self.delay_samples = 0
-        taps = 1
-        if self._up != self._down:
-            self.delay_samples = math.ceil(_TAPS / 2 * max(1.0, input_rate_hz / output_rate_hz))
-            taps = 2 * self.delay_samples
-        self._table = self._phases(taps, min(1.0, output_rate_hz / input_rate_hz))
-        self._history = np.zeros((taps - 1, channels))
+        self._table, self.delay_samples = _resampling_filter(self._up, self._down)
+        self._history = np.zeros((self._table.shape[1] - 1, channels))
         self._inputs = 0
         self._outputs = 0
-
-    def _phases(self, taps: int, rate_ratio: float) -> Samples:
-        """Return the filter (phases, taps), each phase with a sum of 1; row p is for a fraction p / up of a sample."""
-        if taps == 1:
-            return np.ones((1, 1))
-        fraction = np.arange(self._up)[:, None] / self._up
-        time = np.arange(taps)[None, :] + fraction - self.delay_samples
-        window = np.i0(_KAISER_BETA * np.sqrt(np.maximum(0.0, 1 - (time / self.delay_samples) ** 2)))
-        table = np.sinc(_BAND * rate_ratio * time) * window
-        return np.asarray(table / table.sum(axis=1, keepdims=True))
 
     def push(self, samples: Samples) -> Samples:
         """Take samples (n, channels); return those of the output rate that they complete (m, channels)."""
@@ -111,44 +121,98 @@ def displacement_filter(rate_hz: int) -> Filter:
     return b[0] * np.convolve(numerov, [1.0, -2.0, 1.0]), np.asarray(a)
 
 
+class _Joints:
+    """Keeps the output steady where a recording that does not close on itself begins again, and where it ends.
+
+    A next iteration that begins farther from the last value than the largest step within the recording is faded in
+    from that value, held: wholly from twice that step on, less below, so that no step is larger than within. One that
+    closes on itself passes unchanged. The first `unmeasured` samples come before the recording.
+    """
+
+    def __init__(self, rate_hz: int, channels: int, unmeasured: int) -> None:
+        self.last = np.zeros(channels)
+        self._fall = 1 - _raised_cosine(max(1, round(FADE_SECONDS * rate_hz)))[1:, None]
+        self._held = self.last
+        self._held_share = np.zeros((0, channels))  # of the samples to come
+        self._before = self.last
+        self._largest_step = np.zeros(channels)
+        self._unmeasured = unmeasured + 1
+        self._joining = False
+
+    def join(self) -> None:
+        """State that the next sample begins another iteration."""
+        self._joining = True
+
+    def push(self, samples: Samples) -> Samples:
+        """Take samples (n, channels); return as many."""
+        if not len(samples):
+            return samples
+        steps = np.abs(np.diff(samples, axis=0, prepend=self._before[None]))
+        if self._joining:
+            self._joining = False
+            self._unmeasured = 1
+            self._held = self.last
+            jump, largest = np.abs(samples[0] - self.last), self._largest_step
+            self._held_share = self._fall * np.clip((jump - largest) / np.maximum(largest, _SMALLEST_STEP), 0.0, 1.0)
+        measured = steps[self._unmeasured :].max(axis=0, initial=0.0)
+        self._largest_step = np.maximum(self._largest_step, measured)
+        self._unmeasured = max(0, self._unmeasured - len(samples))
+        self._before = samples[-1]
+        share, self._held_share = self._held_share[: len(samples)], self._held_share[len(samples) :]
+        joined = samples.copy()
+        joined[: len(share)] += share * (self._held - samples[: len(share)])
+        self.last = joined[-1]
+        return joined
+
+
 class Drive:
     """Turns decoded int16 samples into the drive at the DAC's rate, in parts of full scale, before gain and limits.
 
     Unit "full scale": full scale drives the actuator fully. "um": displacement from rest. "m/s^2": acceleration, made
     displacement by `displacement_filter`. Then the DAC's rate, and the actuator's inverse if `compensation` is on.
+    `decoder_delay_samples`: decoded samples before the recording begins.
     """
 
-    def __init__(self, header: StreamHeader, actuator: Actuator, compensation: bool) -> None:
+    def __init__(
+        self, header: StreamHeader, actuator: Actuator, compensation: bool, decoder_delay_samples: int = 0
+    ) -> None:
         channels = header.channels
         self._scale = np.array(header.gains) / _DECODED_FULL_SCALE
-        self._filters: list[_StatefulFilter | Resampler] = []
         if header.unit != "full scale":
             self._scale = self._scale / actuator.excursion_um
+        self._integrator = None
         if header.unit == "m/s^2":
-            self._filters.append(_StatefulFilter(displacement_filter(header.rate_hz), channels))
-        resampler = Resampler(header.rate_hz, actuator.dac_rate_hz, channels)
-        self._filters.append(resampler)
-        if compensation:
-            self._filters.append(_StatefulFilter(actuator.inverse(), channels))
-        self._channels = channels
+            self._integrator = _StatefulFilter(displacement_filter(header.rate_hz), channels)
+        self._joints = _Joints(header.rate_hz, channels, decoder_delay_samples)
+        self._resampler = Resampler(header.rate_hz, actuator.dac_rate_hz, channels)
+        self._inverse = _StatefulFilter(actuator.inverse(), channels) if compensation else None
         self._rate_hz, self._dac_rate_hz = header.rate_hz, actuator.dac_rate_hz
-        self._delay_samples = resampler.delay_samples
-        self.delay_seconds = self._delay_samples / header.rate_hz
+        self.delay_seconds = self._resampler.delay_samples / header.rate_hz
+        if compensation:
+            self.delay_seconds += actuator.low_pass_delay_seconds
 
     def push(self, decoded: Decoded) -> Samples:
         """Take int16 (n, channels); return the drive (m, channels) that they complete."""
-        drive = decoded * self._scale
-        for stage in self._filters:
-            drive = stage.push(drive)
-        return drive
+        wanted = decoded * self._scale
+        if self._integrator is not None:
+            wanted = self._integrator.push(wanted)
+        return self._to_drive(self._joints.push(wanted))
+
+    def join(self) -> None:
+        """State that the next sample begins another iteration: a jump to it is smoothed within FADE_SECONDS."""
+        self._joints.join()
 
     def finish(self) -> Samples:
-        """Return what is still in the resampler."""
-        return self.push(np.zeros((self._delay_samples, self._channels), np.int16))
+        """Return what is still in the resampler; the last value is held, so that nothing jumps at the end."""
+        return self._to_drive(np.tile(self._joints.last, (self._resampler.delay_samples, 1)))
+
+    def _to_drive(self, wanted: Samples) -> Samples:
+        drive = self._resampler.push(wanted)
+        return drive if self._inverse is None else self._inverse.push(drive)
 
     def drive_samples(self, decoded_samples: int) -> int:
         """Return the drive samples before the one with which the decoded sample of this number comes out."""
-        return math.ceil((decoded_samples + self._delay_samples) * self._dac_rate_hz / self._rate_hz)
+        return math.ceil((decoded_samples + self._resampler.delay_samples) * self._dac_rate_hz / self._rate_hz)
 
 
 @dataclass
@@ -176,11 +240,20 @@ class Dac:
         self._actuator = actuator
         self._compensation = compensation
         self._code = np.zeros(channels, np.int64)
-        fade_samples = max(1, round(FADE_SECONDS * actuator.dac_rate_hz))
-        self._raised_cosine = (1 - np.cos(np.pi * np.arange(fade_samples + 1) / fade_samples)) / 2
-        self._fade = np.concatenate((np.zeros(hold_samples), self._raised_cosine[1:]))
+        self._rise = _raised_cosine(max(1, round(FADE_SECONDS * actuator.dac_rate_hz)))
+        self._fade = np.concatenate((np.zeros(hold_samples), self._rise[1:]))
         self._gain = np.full(1, gain)
         self._power = _PowerLimit(actuator, channels)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the last code was 0 in all channels."""
+        return not self._code.any()
+
+    @property
+    def recovery_samples(self) -> int:
+        """DAC samples at rest after which another stream may begin as if none had been before."""
+        return self._power.recovery_samples
 
     def set_gain(self, gain: float) -> None:
         """Move to another gain along a ramp of GAIN_RAMP_SECONDS."""
@@ -197,11 +270,11 @@ class Dac:
         return self._limit(drive * factors[:, None])
 
     def ramp_down(self) -> Codes:
-        """Return DAC codes int16 (n, channels) that go from the last one to rest; `play` fades in after them."""
-        self._fade = self._raised_cosine[1:]
-        ramp = np.rint(self._raised_cosine[-2::-1, None] * self._code).astype(np.int64)
-        pieces = [self._step(ramp)]
-        while self._code.any():
+        """Return DAC codes int16 (n, channels) from the last one to rest, none at rest; `play` fades in after them."""
+        self._fade = self._rise[1:]
+        ramp = np.rint(self._rise[-2::-1, None] * self._code).astype(np.int64)
+        pieces = [ramp[:0] if self.at_rest else self._step(ramp)]
+        while not self.at_rest:
             pieces.append(self._step(np.zeros((1, len(self._code)), np.int64)))
         return np.concatenate(pieces).astype(np.int16)
 
@@ -245,23 +318,39 @@ class Dac:
 
 
 class _PowerLimit:
-    """Keeps the running mean of the squared drive of each channel below the actuator's limit.
+    """Keeps the mean squared drive of each channel, over any second, at or below the actuator's limit.
 
-    Once a block, mean += share (block - mean), and the squared factor of the next block is (limit - mean) / knee, at
-    most 1: it reaches 0 before the mean reaches the limit. The factor moves linearly within a block: no click.
+    Once a block, mean += share (block - mean), and the squared factor of the next is (limit - knee - mean) / knee, at
+    least 0 and at most 1: the mean stays below limit - knee. It starts at, and never falls below, its floor
+    limit - 2 knee: from 0 it would let full drive pass for most of the first second. With
+    mean' >= (drive^2 - mean) / 1 s, the mean of drive^2 over any second is at most the rise of `mean` in it, which is
+    at most a knee, plus its height, at most limit - knee. Drive below the floor is left alone. The factor moves
+    linearly within a block: no click.
     """
 
     def __init__(self, actuator: Actuator, channels: int) -> None:
-        self._limit = actuator.power_limit
-        self._knee = min(_POWER_KNEE, self._limit / 2)
+        self._knee = min(_POWER_LARGEST_KNEE, _POWER_KNEE_PART * actuator.power_limit)
+        self._top = actuator.power_limit - self._knee
+        self._floor = self._top - self._knee
         self._block_samples = max(1, round(_POWER_BLOCK_SECONDS * actuator.dac_rate_hz))
         self._share = self._block_samples / (_POWER_SECONDS * actuator.dac_rate_hz)
         self._block_full_power = self._block_samples * actuator.full_scale**2
-        self._mean = np.zeros(channels)
+        self._mean = np.full(channels, self._floor)
         self._from = np.ones(channels)
         self._to = np.ones(channels)
         self._energy = np.zeros(channels, np.int64)
         self._measured = 0
+
+    @property
+    def recovery_samples(self) -> int:
+        """DAC samples at rest after which the mean is at its floor, where every stream begins."""
+        samples, mean = 0, self._mean
+        if self._measured:
+            samples, mean = self._block_samples - self._measured, self._next_mean()
+        while (mean > self._floor).any():
+            samples += self._block_samples
+            mean = mean - self._share * mean
+        return samples
 
     def factors(self, count: int) -> Samples:
         """Return the factors (at most `count`, channels) up to the end of this block at most."""
@@ -277,11 +366,16 @@ class _PowerLimit:
             self._energy += (piece * piece).sum(axis=0)
             self._measured += len(piece)
             if self._measured == self._block_samples:
-                self._mean += self._share * (self._energy / self._block_full_power - self._mean)
+                self._mean = self._next_mean()
                 self._from = self._to
-                self._to = np.sqrt(np.clip((self._limit - self._mean) / self._knee, 0.0, 1.0))
+                self._to = np.sqrt(np.clip((self._top - self._mean) / self._knee, 0.0, 1.0))
                 self._energy = np.zeros_like(self._energy)
                 self._measured = 0
+
+    def _next_mean(self) -> Samples:
+        """Return the mean at the end of this block if it is at rest from now on."""
+        mean = self._mean + self._share * (self._energy / self._block_full_power - self._mean)
+        return np.asarray(np.maximum(mean, self._floor))
 
 
 def recording_end(header: StreamHeader, delay_samples: int) -> int | None:
@@ -307,9 +401,12 @@ def render(
     `decoded`: int16 (samples, channels), every packet of one pass; `delay_samples`: the decoder's. Bit for bit what
     a controller with this actuator puts out and its capture returns.
     """
-    drive = Drive(header, actuator, compensation)
+    drive = Drive(header, actuator, compensation, delay_samples)
     dac = Dac(actuator, header.channels, gain, compensation, drive.drive_samples(delay_samples))
     end = recording_end(header, delay_samples)
-    played = drive.push(np.concatenate([decoded[:end]] + [decoded[delay_samples:end]] * (loops - 1)))
-    codes = [dac.play(played), dac.play(drive.finish()), dac.ramp_down()]
+    codes = [dac.play(drive.push(decoded[:end]))]
+    for _ in range(loops - 1):
+        drive.join()
+        codes.append(dac.play(drive.push(decoded[delay_samples:end])))
+    codes += [dac.play(drive.finish()), dac.ramp_down()]
     return np.concatenate(codes), dac.counts

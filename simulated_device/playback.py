@@ -8,12 +8,16 @@ from numpy.typing import NDArray
 
 from codec import CodecError, Decoded, Decoder
 from device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
-from device_protocol.messages import Configure, State, Status, Tap
+from device_protocol.messages import Configure, ErrorCode, State, Status, Tap
 from simulated_device.actuator import Actuator, Codes
 from simulated_device.output import Dac, Drive, recording_end
+from simulated_device.refusal import Refusal
 
 # Bounds the memory that small packets could take; credit never goes beyond it.
 BUFFER_PACKETS = 1024
+# What bounds the work of a loop, which begins afresh and decodes padding in each iteration.
+SHORTEST_ITERATION_SECONDS = 0.001
+DECODED_PER_PLAYED = 16
 # Playing begins with what is there when data has not come for so long: what is missing of the prebuffer was lost.
 LONGEST_WAIT_US = 1_000_000
 
@@ -32,7 +36,7 @@ class CaptureRing:
         """Append samples int16 (n, channels)."""
         capacity = len(self._samples)
         self.end += len(samples)
-        kept = samples[-capacity:]
+        kept = samples[max(0, len(samples) - capacity) :]
         self._samples[np.arange(self.end - len(kept), self.end) % capacity] = kept
 
     def read(self, offset: int, count: int) -> tuple[int, NDArray[np.int16]]:
@@ -46,7 +50,7 @@ class Playback:
     """A configured stream, from its packets to DAC codes; time comes from outside, on the controller's own clock.
 
     Packets are counted over all iterations. `make_decoder` gives the fresh decoder that each iteration begins with.
-    `not_before_us`: when the DAC is free.
+    Raises Refusal for what cannot be played.
     """
 
     def __init__(
@@ -57,26 +61,30 @@ class Playback:
         actuator: Actuator,
         buffer_samples: int,
         capture_samples: int,
-        not_before_us: int,
     ) -> None:
         self.state = State.BUFFERING
         self.stream = configure.stream
         self.channels = header.channels
         self._header = header
         self._prebuffer_samples = configure.prebuffer_samples
-        self._packets = configure.packets
-        self._loops = configure.loops
         self.live = configure.packets == 0
-        self._end_unknown = self.live
+        # In one iteration; None: a live stream whose end has not been said.
+        self._packets = configure.packets or None
         self._make_decoder = make_decoder
-        self._decoder = make_decoder()
+        try:
+            self._decoder = make_decoder()
+        except CodecError as error:
+            raise Refusal(ErrorCode.UNKNOWN_CODEC, str(error)) from error
         self._packet_samples = self._decoder.packet_samples
-        self._drive = Drive(header, actuator, configure.compensation)
+        self._recording_end = recording_end(header, self._decoder.delay_samples)
+        self._drive = Drive(header, actuator, configure.compensation, self._decoder.delay_samples)
         hold_samples = self._drive.drive_samples(self._decoder.delay_samples)
         self._dac = Dac(actuator, self.channels, configure.gain, configure.compensation, hold_samples)
         self._dac_rate_hz = actuator.dac_rate_hz
         self.captures = {tap: CaptureRing(capture_samples, self.channels) for tap in Tap}
         self._buffer_packets = min(BUFFER_PACKETS, buffer_samples // self._packet_samples)
+        self._refuse_misfits()
+        self.set_loops(configure.loops)
         self._buffer: dict[int, bytes] = {}
         self._first = self._next = configure.first_packet
         self._newest = self._first - 1
@@ -84,14 +92,19 @@ class Playback:
         self._pending = np.zeros((0, self.channels))  # drive made and not yet played
         self._ramp: Codes = np.zeros((0, self.channels), np.int16)  # the way to rest, played before anything else
         self._drained = False  # all drive is made
-        self._ended = False  # all drive is played
-        self._start_us = not_before_us
+        self._start_us = 0
+        self._rest_from_us = 0
         self._waiting_since_us = 0
         self._clock_from_us = 0
         self._clock_samples = 0
         self._starved = False
         self._underruns = 0
         self._lost_packets = 0
+
+    @property
+    def free_us(self) -> int:
+        """When the DAC has come to rest, and recovered as far as its power limit asks, if no more is played."""
+        return self._rest_from_us + math.ceil(self._dac.recovery_samples * 1_000_000 / self._dac_rate_hz)
 
     @property
     def credit_until(self) -> int:
@@ -107,9 +120,9 @@ class Playback:
                 sequence, _ = packet_sequence(packet)
             except StreamError:
                 continue
-            if iteration if self.live else sequence >= self._packets:
+            if iteration if self._packets is None else sequence >= self._packets:
                 continue
-            index = iteration * self._packets + sequence
+            index = iteration * (self._packets or 0) + sequence
             end = self._end()
             if self._next <= index < self._next + self._buffer_packets and (end is None or index < end):
                 self._buffer.setdefault(index, packet)
@@ -119,7 +132,7 @@ class Playback:
     def start(self, start_us: int, time_us: int) -> None:
         """Arm: play from `start_us` on, or as soon as the prebuffer is there if that is later."""
         self.state = State.ARMED
-        self._start_us = max(self._start_us, start_us, time_us)
+        self._start_us = max(start_us, time_us)
         self._waiting_since_us = time_us
 
     def pause(self) -> None:
@@ -140,7 +153,9 @@ class Playback:
         self._pending = self._pending[:0]
 
     def set_loops(self, loops: int) -> None:
-        """Set all iterations, those played counted; 0 = until stopped."""
+        """Set all iterations, those played counted; 0 = until stopped. Raises Refusal where one is too short for it."""
+        if loops != 1:
+            self._refuse_short_iterations()
         self._loops = loops
 
     def set_gain(self, gain: float) -> None:
@@ -150,7 +165,6 @@ class Playback:
     def end_live(self, packets: int) -> None:
         """State how many packets the live stream has; if more have been played, it ends now."""
         self._packets = max(packets, self._next)
-        self._end_unknown = False
 
     def advance(self, time_us: int) -> Codes:
         """Return the DAC codes int16 (n, channels) that are due up to this time and were not returned before."""
@@ -163,8 +177,7 @@ class Playback:
                 piece, self._ramp = self._ramp[:due], self._ramp[due:]
             elif self.state == State.PLAYING and self._has_drive(due):
                 piece, self._pending = self._dac.play(self._pending[:due]), self._pending[due:]
-            elif self.state == State.PLAYING and not self._ended:
-                self._ended = True
+            elif self.state == State.PLAYING and not self._dac.at_rest:
                 self._ramp_down()
                 continue
             else:
@@ -172,17 +185,23 @@ class Playback:
             due -= len(piece)
             self._clock_samples += len(piece)
             pieces.append(piece)
+        codes = np.concatenate(pieces)
+        if len(codes):
+            played_us = math.ceil(self._clock_samples * 1_000_000 / self._dac_rate_hz)
+            self._rest_from_us = self._clock_from_us + played_us
         if due > 0:  # at rest: the time that passes here owes no samples later
             self._clock_from_us, self._clock_samples = time_us, 0
-            if self._ended:
+            if self.state == State.PLAYING:
                 self.state = State.FINISHED
-        codes = np.concatenate(pieces)
+                self._buffer.clear()
         self.captures[Tap.DAC].write(codes)
         return codes
 
-    def flush(self) -> Codes:
-        """Return what is left of the ramp to rest after `stop`."""
+    def flush(self, time_us: int) -> Codes:
+        """Return what is left of the ramp to rest after `stop`; the DAC takes all of it now."""
         codes, self._ramp = self._ramp, self._ramp[:0]
+        if len(codes):
+            self._rest_from_us = time_us + math.ceil(len(codes) * 1_000_000 / self._dac_rate_hz)
         self.captures[Tap.DAC].write(codes)
         return codes
 
@@ -207,9 +226,41 @@ class Playback:
             power_limited=min(_LARGEST_COUNT, counts.power_limited),
         )
 
+    def _refuse_misfits(self) -> None:
+        """Raise Refusal for what the header, or the buffer, has no room for."""
+        packets, packet_samples, end = self._packets or 0, self._packet_samples, self._recording_end
+        if end is not None and packets * packet_samples >= end + 2 * packet_samples:
+            raise Refusal(
+                ErrorCode.BAD_VALUE,
+                f"{packets} packets of {packet_samples} samples are too many for the {self._header.samples} samples "
+                "that the stream header announces",
+            )
+        room = self._buffer_packets * packet_samples
+        if not room or self._prebuffer_samples > room:
+            raise Refusal(
+                ErrorCode.BEYOND_LIMITS,
+                f"a prebuffer of {self._prebuffer_samples} samples in packets of {packet_samples}; the buffer has room "
+                f"for {room} samples in such packets",
+            )
+
+    def _refuse_short_iterations(self) -> None:
+        """Raise Refusal if an iteration plays too little of what it decodes, or too shortly, to be repeated."""
+        if self.live:
+            raise Refusal(ErrorCode.BAD_VALUE, "a live stream cannot loop")
+        decoded = (self._packets or 0) * self._packet_samples
+        end = decoded if self._recording_end is None else min(decoded, self._recording_end)
+        played = end - self._decoder.delay_samples
+        needed = max(SHORTEST_ITERATION_SECONDS * self._header.rate_hz, decoded / DECODED_PER_PLAYED)
+        if played < needed:
+            raise Refusal(
+                ErrorCode.BAD_VALUE,
+                f"an iteration would play {max(0, played)} of the {decoded} samples in its packets, and needs to play "
+                f"{math.ceil(needed)} to be repeated: send a longer one that holds several repeats",
+            )
+
     def _end(self) -> int | None:
         """Return the number of packets in all, None while it is open."""
-        if self._end_unknown or self._loops == 0:
+        if self._packets is None or self._loops == 0:
             return None
         iterations_begun = max(0, self._next - 1) // max(1, self._packets) + 1
         return self._packets * max(self._loops, iterations_begun)
@@ -246,6 +297,7 @@ class Playback:
         iteration, number = divmod(index, self._packets) if self._packets else (0, index)
         if number == 0 and iteration > 0:
             self._decoder = self._make_decoder()
+            self._drive.join()
         packet = self._buffer.pop(index, None)
         starved = packet is None and not self._buffer
         self._underruns += starved and not self._starved
@@ -257,8 +309,8 @@ class Playback:
         self.captures[Tap.DECODED].write(decoded)
         # Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording.
         first = self._decoder.delay_samples if iteration > 0 else 0
-        recorded = recording_end(self._header, self._decoder.delay_samples)
-        last = None if self.live or recorded is None else max(0, recorded - number * self._packet_samples)
+        end = None if self.live else self._recording_end
+        last = None if end is None else max(0, end - number * self._packet_samples)
         return decoded[max(0, first - number * self._packet_samples) : last]
 
     def _decode(self, packet: bytes) -> Decoded | None:

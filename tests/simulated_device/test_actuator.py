@@ -38,11 +38,29 @@ def test_resonant_tactor_peaks_at_its_resonance_by_its_stroke() -> None:
     assert upper_hz - lower_hz == pytest.approx(LRA.corner_hz / 15.0)
 
 
-def test_compensated_piezo_stack_follows_exactly_one_sample_late() -> None:
-    wanted = 0.2 * np.random.default_rng(1).standard_normal((500, 2))
-    drive = signal.lfilter(*PIEZO_STACK.inverse(), wanted, axis=0)
-    got = signal.lfilter(*PIEZO_STACK.response(PIEZO_STACK.dac_rate_hz), drive, axis=0)
-    np.testing.assert_allclose(got[1:], wanted[:-1], atol=1e-12)
+def test_compensated_piezo_stack_follows_up_to_400_hz() -> None:
+    rate_hz = PIEZO_STACK.dac_rate_hz
+    frequencies_hz = np.arange(1.0, 401.0)
+    _, inverse = signal.freqz(*PIEZO_STACK.inverse(), worN=frequencies_hz, fs=rate_hz)
+    _, response = signal.freqz(*PIEZO_STACK.response(rate_hz), worN=frequencies_hz, fs=rate_hz)
+    followed = inverse * response
+    assert np.abs(20 * np.log10(np.abs(followed))).max() < 0.12
+    assert np.abs(followed * np.exp(2j * np.pi * frequencies_hz / rate_hz * 1.7) - 1).max() < 0.02
+    delay_samples = -np.angle(followed[9]) / (2 * np.pi * frequencies_hz[9] / rate_hz)
+    assert delay_samples == pytest.approx(1 + PIEZO_STACK.low_pass_delay_seconds * rate_hz, abs=1e-3)
+
+
+def test_compensation_does_not_boost_what_is_not_felt() -> None:
+    _, inverse = signal.freqz(*PIEZO_STACK.inverse(), worN=np.arange(1.0, 1500.0), fs=PIEZO_STACK.dac_rate_hz)
+    assert np.abs(inverse).max() < 2.14
+    assert np.abs(inverse[1200:]).max() < 1.0
+
+
+@pytest.mark.parametrize("dac_rate_hz", [1, 1000, 1_000_000])
+def test_compensation_is_stable_at_every_rate_of_a_dac(dac_rate_hz: int) -> None:
+    b, a = replace(PIEZO_STACK, dac_rate_hz=dac_rate_hz).inverse()
+    assert np.isfinite(b).all()
+    assert np.abs(np.roots(a)).max() < 1
 
 
 @pytest.mark.parametrize("actuator", [LRA, ACTUATORS["voice-coil"]], ids=lambda actuator: actuator.name)
