@@ -28,7 +28,7 @@ _STALL_S = 5.0
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a playback is; `duration_s` is None for one that loops until stopped."""
+    """Where a playback is, in time that it really plays; `duration_s` is None for one that loops until stopped."""
 
     position_s: float
     duration_s: float | None
