@@ -24,11 +24,12 @@ from device_protocol.messages import (
     Stop,
     StreamData,
 )
-from device_protocol.transports import TransportError
+from device_protocol.transports import TransportError, UsbTransport
 from host.controller import ConnectionLost, Controller, ControllerError
 from host.player import Progress, play
 from simulated_device.controller import Controller as SimulatedController
 from simulated_device.memory_link import MemoryLink
+from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
 
 HEADER = StreamHeader(codec_identifier=1, rate_hz=RATE_HZ, samples=None, unit="um", gains=(1.0,), configuration=b"")
@@ -256,6 +257,28 @@ def test_cable_that_stays_out_is_an_error() -> None:
     with pytest.raises(TransportError, match="unplugged"):
         play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, reconnect_s=5)
     assert scripted.now_s < 10
+
+
+def test_stalled_usb_endpoints_do_not_disturb_the_playback() -> None:
+    coded = codec.encode(np.sin(np.arange(1400) / 3.0)[:, None], 2800, 0.01, live=True)
+    header = StreamHeader(1, 2800, 1400, "um", coded.gains, coded.configuration)
+    stalls: list[float] = []
+    with UsbPort(SimulatedController()) as port, Controller(UsbTransport(VENDOR_ID, PRODUCT_ID, port)) as controller:
+
+        def stall_now_and_then(progress: Progress) -> None:
+            if progress.position_s >= 0.1 * (1 + len(stalls)):
+                stalls.append(progress.position_s)
+                port.stall()
+
+        packet_samples = codec.decoder(1, coded.configuration, 1).packet_samples
+        result = play(
+            controller, header, coded.packets, packet_samples, buffer_s=0.2, capture=True, progress=stall_now_and_then
+        )
+    assert len(stalls) >= 3
+    assert result.state == State.FINISHED
+    assert result.underruns == result.lost_packets == result.reconnects == 0
+    assert result.decoded is not None
+    np.testing.assert_array_equal(result.decoded, codec.decode_integers(coded))
 
 
 def test_controller_that_takes_no_data_is_given_up() -> None:
