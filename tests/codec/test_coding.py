@@ -89,7 +89,7 @@ def test_rate_above_the_finest_step_gives_the_finest_step(bits_per_second: float
 
 
 @given(st.floats(-110, 120), st.floats(-110, 120))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_gain_is_carried(first_exponent: float, second_exponent: float) -> None:
     gains = np.array([2.0**first_exponent, 2.0**second_exponent])
     signal = texture(1000, 2)
@@ -120,7 +120,7 @@ def test_silent_channel_beside_a_loud_one() -> None:
 
 @pytest.mark.parametrize("live", [False, True])
 @given(samples=st.integers(1, 700) | st.sampled_from([4064, 4095, 4096, 4097, 8192]))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_every_length_has_just_the_packets_that_hold_it(live: bool, samples: int) -> None:
     signal = texture(samples)
     coded = codec.encode(signal, RATE_HZ, 0.1, live=live)

@@ -48,7 +48,7 @@ def test_core_agrees_with_the_documented_decoder_at_fine_steps(name: str) -> Non
 
 
 @given(st.integers(0, 3), st.lists(st.integers(1, 400), min_size=1, max_size=8))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_packets_do_not_depend_on_how_samples_arrive(seed: int, lengths: list[int]) -> None:
     signal = texture(sum(lengths), 2, seed)
     whole = coded(signal, 0.1, Framing(96, 4))
@@ -58,7 +58,7 @@ def test_packets_do_not_depend_on_how_samples_arrive(seed: int, lengths: list[in
 
 
 @given(st.sets(st.integers(0, 39), max_size=39))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_a_lost_packet_costs_at_most_one_interval_and_fades(lost: set[int]) -> None:
     signal = texture(40 * 128 - 32)
     framing = Framing(128, 5)
@@ -105,7 +105,7 @@ def test_a_packet_out_of_order_is_not_played() -> None:
     st.sampled_from(mdct.HOPS),
     st.lists(st.binary(max_size=200), max_size=6),
 )
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 def test_any_bytes_decode_safely(head: bytes, channels: int, hop: int, payloads: list[bytes]) -> None:
     decoder = mdct.MdctDecoder(mdct.configuration(hop, 3, [mdct.STEP_CODES - 1] * channels), channels)
     for payload in [b"\x01", b"\x01" + head, *payloads]:
