@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec import CODECS, mdct
-from device_protocol.coded_stream import StreamHeader
+from device_protocol.coded_stream import UNITS, StreamHeader
 from device_protocol.frames import write_frame
 from device_protocol.messages import (
     ALL,
@@ -51,6 +51,11 @@ from simulated_device.output import FADE_SECONDS, render
 from tests.simulated_device.bench import RATE_HZ, Bench, Stream, stream
 
 FADE_CODES = round(FADE_SECONDS * PIEZO_STACK.dac_rate_hz)
+
+
+def configuration(blocks: int, hop: int, channels: int = 1) -> bytes:
+    """A stream's codec configuration with packets of so many blocks, of `hop` samples each."""
+    return mdct.configuration(hop, blocks, [600] * channels)
 
 
 def rendered(played: Stream, gain: float = 1.0, compensation: bool = True, loops: int = 1) -> np.ndarray:
@@ -154,8 +159,10 @@ def test_configure_refuses_what_cannot_be_played() -> None:
     good = stream()
     assert state_of(bench.configure(good)) == State.BUFFERING
     header = good.header
-    configuration = header.configuration
-    three_channels = StreamHeader(1, RATE_HZ, 10, "um", (1.0,) * 3, configuration)
+    coding = header.configuration
+    three_channels = StreamHeader(1, RATE_HZ, 10, "um", (1.0,) * 3, coding)
+    short_packets = replace(header, samples=None, configuration=configuration(1, 16))
+    long_packets = replace(header, samples=None, configuration=configuration(1000, 64))
     refused = [
         (Configure(1, b"VCT", 0), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack() + b"x", 0), ErrorCode.BAD_VALUE),
@@ -163,6 +170,9 @@ def test_configure_refuses_what_cannot_be_played() -> None:
         (Configure(1, header.pack(), 0, packets=5, first_packet=5), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack(), 0, packets=len(good.packets) + 2), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack(), 1 << 20, packets=5), ErrorCode.BEYOND_LIMITS),
+        # 1024 packets is what the buffer holds, of 16 samples each; in longer ones, what fits into its samples.
+        (Configure(1, short_packets.pack(), 16 * 1024 + 1), ErrorCode.BEYOND_LIMITS),
+        (Configure(1, long_packets.pack(), 0), ErrorCode.BEYOND_LIMITS),
         (Configure(1, three_channels.pack(), 0), ErrorCode.BEYOND_LIMITS),
         (Configure(1, replace(header, rate_hz=99).pack(), 0), ErrorCode.BEYOND_LIMITS),
         (Configure(1, replace(header, codec_identifier=15).pack(), 0), ErrorCode.UNKNOWN_CODEC),
@@ -178,6 +188,16 @@ def test_configure_refuses_what_cannot_be_played() -> None:
     # A Configure that is refused changes nothing.
     assert bench.status().stream == 7
     assert bench.status().state == State.BUFFERING
+
+
+def test_number_of_the_last_request_opens_a_session_if_a_new_host_draws_it() -> None:
+    bench = Bench()
+    bench.ask(Hello())
+    bench.ask(StatusRequest())
+    assert isinstance(bench.ask_as(bench.sequence, Hello()), HelloResponse)
+    assert isinstance(bench.ask_as(bench.sequence, Hello()), HelloResponse)
+    bench.status()
+    assert bench.send_payload(pack(Hello(), bench.sequence - 1)) == []
 
 
 # ---- playing ----
@@ -307,6 +327,40 @@ def test_loops_repeat_the_stream_and_can_be_changed() -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played, loops=2))
 
 
+@pytest.mark.parametrize(
+    ("samples", "blocks", "hop", "packets"),
+    [(0, 4, 32, 1), (None, 1, 32, 1), (1, 4, 32, 1), (1, 512, 64, 1), (2, 1, 16, 2)],
+)
+@pytest.mark.parametrize("loops", [0, 2, 65_535])
+def test_iteration_too_short_to_be_repeated_is_refused(
+    samples: int | None, blocks: int, hop: int, packets: int, loops: int
+) -> None:
+    bench = Bench()
+    bench.ask(Hello())
+    header = StreamHeader(1, RATE_HZ, samples, "um", (1.0,), configuration(blocks, hop))
+    assert error_code(bench.ask(Configure(7, header.pack(), 0, packets=packets, loops=loops))) == ErrorCode.BAD_VALUE
+    assert state_of(bench.ask(Configure(7, header.pack(), 0, packets=packets))) == State.BUFFERING
+    assert error_code(bench.ask(Loop(loops))) == ErrorCode.BAD_VALUE
+    bench.ask(Start())
+    assert error_code(bench.ask(Loop(loops))) == ErrorCode.BAD_VALUE
+    bench.run(2000)
+    assert bench.status().state == State.FINISHED
+
+
+def test_ten_samples_loop() -> None:
+    played = stream(10 / RATE_HZ)
+    bench = Bench()
+    bench.configure(played, loops=200, prebuffer_samples=0)
+    for iteration in range(200):
+        bench.send(played, range(len(played.packets)), iteration)
+    bench.ask(Start())
+    bench.run(900)
+    status = bench.status()
+    assert (status.state, status.underruns, status.lost_packets) == (State.FINISHED, 0, 0)
+    np.testing.assert_array_equal(bench.captured(Tap.DECODED), np.tile(played.decoded, (200, 1)))
+    np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played, loops=200))
+
+
 def test_every_iteration_begins_afresh_whatever_was_lost_before() -> None:
     played = stream(0.5)
     bench = Bench()
@@ -331,6 +385,116 @@ def test_loop_count_already_passed_ends_after_this_iteration() -> None:
     bench.run(1000)
     assert bench.status().state == State.FINISHED
     assert len(bench.captured(Tap.DECODED)) == 2 * len(played.decoded)
+
+
+def test_what_is_left_in_the_buffer_goes_with_the_end() -> None:
+    played = stream(0.5)
+    bench = Bench()
+    bench.configure(played, loops=3)
+    for iteration in range(3):
+        bench.send(played, range(len(played.packets)), iteration)
+    bench.ask(Start())
+    bench.run(100)
+    bench.ask(Loop(1))
+    bench.run(600)
+    assert (bench.status().state, bench.status().buffered_samples) == (State.FINISHED, 0)
+
+
+def test_stop_and_pause_in_the_last_ramp_keep_their_state() -> None:
+    played = stream(0.3)
+    whole = rendered(played)
+    in_ramp_ms = (len(whole) - FADE_CODES // 2) // 3
+
+    stopped, paused = Bench(), Bench()
+    for bench, message, state in ((stopped, Stop(), State.STOPPED), (paused, Pause(), State.PAUSED)):
+        bench.start_all(played)
+        bench.run(in_ramp_ms)
+        assert bench.status().state == State.PLAYING
+        assert state_of(bench.ask(message)) == state
+        bench.run(20)
+        assert bench.status().state == state
+        np.testing.assert_array_equal(bench.all_codes(), whole)
+    assert state_of(paused.ask(Resume())) == State.PLAYING
+    paused.run(20)
+    assert paused.status().state == State.FINISHED
+    np.testing.assert_array_equal(paused.all_codes(), whole)
+
+
+def test_watchdog_in_the_last_ramp_stays() -> None:
+    played = stream(0.3)
+    whole = rendered(played)
+    bench = Bench(Settings(watchdog_ms=(len(whole) - FADE_CODES // 2) // 3))
+    bench.start_all(played)
+    bench.run(600, polling=False)
+    assert bench.status().state == State.WATCHDOG
+    np.testing.assert_array_equal(bench.all_codes(), whole)
+
+
+def test_stop_after_the_end_stays_stopped() -> None:
+    bench = Bench()
+    bench.start_all(stream(0.3))
+    bench.run(600)
+    assert bench.status().state == State.FINISHED
+    assert state_of(bench.ask(Stop())) == State.STOPPED
+    bench.run(20)
+    assert bench.status().state == State.STOPPED
+
+
+def test_controller_that_captures_nothing_plays() -> None:
+    bench = Bench(Settings(capture_samples=0))
+    bench.start_all(stream(0.3))
+    bench.run(600)
+    assert bench.status().state == State.FINISHED
+    np.testing.assert_array_equal(bench.all_codes(), rendered(stream(0.3)))
+    answer = bench.ask(CaptureRead(Tap.DAC, 0, 10))
+    assert isinstance(answer, CaptureData)
+    assert (answer.offset, answer.data) == (answer.end, b"")
+
+
+def loud() -> Stream:
+    """A second of full drive."""
+    played = stream(1.0, 1, "full scale")
+    return replace(played, header=replace(played.header, gains=(1024.0,)))
+
+
+@pytest.mark.parametrize("played_ms", [25, 40, 100, 400])
+def test_power_limit_holds_across_streams_and_restarts(played_ms: int) -> None:
+    played, image = loud(), ModelImage(1, "tables", "1", "", mdct.built_in_tables()).pack()
+    bench = Bench()
+    write_image(bench, 0, image)
+    timeline: list[np.ndarray] = []
+    started_us = bench.now_us
+    for stream_number in range(2500 // played_ms):
+        if stream_number == 1:
+            bench.ask(FlashActivate(0))
+        bench.start_all(played, gain=1000.0, compensation=False)
+        for _ in range(played_ms):
+            bench.run(1)
+            # What the DAC is not given it holds, which is at rest.
+            taken = sum(map(len, timeline))
+            timeline += bench.codes
+            bench.codes.clear()
+            missing = 3 * (bench.now_us - started_us) // 1000 - sum(map(len, timeline))
+            timeline.append(np.zeros((max(0, missing), 1), np.int16))
+            assert sum(map(len, timeline)) <= taken + 3 + 2 * FADE_CODES
+    power = np.concatenate(timeline)[:, 0].astype(float) ** 2 / 32768**2
+    assert len(power) > 6000
+    highest = max(np.mean(power[start : start + 3000]) for start in range(0, len(power) - 3000, 30))
+    assert 0.01 < highest <= PIEZO_STACK.power_limit
+
+
+def test_stream_after_a_limited_one_plays_as_computed_offline() -> None:
+    played = loud()
+    expected, counts = render(
+        played.header, played.decoded, played.delay_samples, PIEZO_STACK, gain=1000.0, compensation=False
+    )
+    assert counts.power_limited > 1000
+    bench = Bench()
+    for _ in range(2):
+        bench.start_all(played, gain=1000.0, compensation=False)
+        bench.run(1300)
+        assert bench.status().state == State.FINISHED
+        np.testing.assert_array_equal(bench.captured(Tap.DAC), expected)
 
 
 def test_gain_changes_along_a_ramp() -> None:
@@ -515,7 +679,7 @@ def test_clock_runs_fast_by_its_drift() -> None:
 # ---- model images ----
 
 
-def flash_image(bench: Bench, slot: int, image: bytes) -> None:
+def write_image(bench: Bench, slot: int, image: bytes) -> None:
     bench.ask(Hello())
     begun = bench.ask(FlashBegin(slot, len(image), sha256(image), "simulated"))
     assert isinstance(begun, FlashStatus)
@@ -523,7 +687,24 @@ def flash_image(bench: Bench, slot: int, image: bytes) -> None:
         written = bench.ask(FlashData(slot, offset, image[offset : offset + 1000]))
         assert isinstance(written, FlashStatus)
     assert isinstance(bench.ask(FlashVerify(slot)), FlashStatus)
+
+
+def flash_image(bench: Bench, slot: int, image: bytes) -> None:
+    write_image(bench, slot, image)
     assert isinstance(bench.ask(FlashActivate(slot)), FlashStatus)
+
+
+def test_restart_in_the_middle_of_a_ramp_brings_the_output_to_rest() -> None:
+    bench = Bench(Settings(watchdog_ms=300))
+    write_image(bench, 0, ModelImage(1, "tables", "1", "", mdct.built_in_tables()).pack())
+    bench.start_all(stream(2.0))
+    while bench.controller.transmit() is not None and len(bench.all_codes()) <= 900:
+        bench.now_us += 300
+        bench.controller.advance(bench.now_us)
+    assert bench.all_codes()[-1].any()
+    assert isinstance(bench.ask(FlashActivate(0)), FlashStatus)
+    assert not bench.all_codes()[-1].any()
+    assert len(bench.all_codes()) == 900 + FADE_CODES
 
 
 def test_flashed_image_decodes_the_streams_that_name_it() -> None:
@@ -569,6 +750,28 @@ def test_refusal_that_quotes_the_host_still_fits_a_frame() -> None:
 # ---- hostile bytes ----
 
 
+def any_streams() -> st.SearchStrategy[bytes]:
+    """Configure messages in which samples, packets, their blocks and the loops vary together."""
+
+    def packed(
+        samples: int | None, blocks: int, hop: int, packets: int, loops: int, rate_hz: int, unit: str, channels: int
+    ) -> bytes:
+        header = StreamHeader(1, rate_hz, samples, unit, (1.0,) * channels, configuration(blocks, hop, channels))
+        return pack(Configure(7, header.pack(), 0, packets=packets, loops=loops), 1)
+
+    return st.builds(
+        packed,
+        st.none() | st.integers(0, 40) | st.integers(0, 5000),
+        st.integers(1, 6) | st.integers(1, 512),
+        st.sampled_from(mdct.HOPS),
+        st.integers(0, 5),
+        st.sampled_from([0, 1, 2, 65_535]),
+        st.sampled_from([100, 2800, 48_000]),
+        st.sampled_from(UNITS),
+        st.integers(1, 3),
+    )
+
+
 def hostile_payloads() -> st.SearchStrategy[bytes]:
     types = st.sampled_from([message.TYPE for message in ALL] + [0, 0x3F, 0x7F, 0xFE])
     fuzzed = st.builds(
@@ -610,7 +813,7 @@ def hostile_payloads() -> st.SearchStrategy[bytes]:
         st.integers(0, 60),
         st.integers(0, 255),
     )
-    return valid | altered | fuzzed | st.binary(min_size=1, max_size=80)
+    return valid | altered | fuzzed | any_streams() | st.binary(min_size=1, max_size=80)
 
 
 @settings(max_examples=80, deadline=None)
@@ -641,6 +844,25 @@ def test_hostile_bytes_never_raise_and_never_pass_the_limits(
         b"\0" + write_frame(pack(Hello(), 60_000)) + write_frame(pack(Stop(), 60_001)), now_us + 20_000_000
     )
     assert controller.transmit()
+
+
+@settings(max_examples=60)
+@given(any_streams(), st.lists(st.sampled_from([0, 1, 2, 65_535]), max_size=2), st.booleans())
+def test_no_stream_keeps_the_controller_from_going_on(configured: bytes, loops: list[int], polling: bool) -> None:
+    bench = Bench(Settings(watchdog_ms=300))
+    bench.ask(Hello())
+    bench.sequence += 1
+    bench.send_payload(configured[:1] + bench.sequence.to_bytes(2, "little") + configured[3:])
+    bench.ask(Start())
+    for count in loops:
+        bench.ask(Loop(count))
+    bench.run(400, polling)
+    if not polling:
+        assert bench.status().state not in (State.ARMED, State.PLAYING)
+    assert state_of(bench.ask(Stop())) == State.STOPPED
+    codes = bench.all_codes()
+    assert len(codes) <= 3 * 400 + FADE_CODES
+    assert not codes[-1:].any()
 
 
 def test_host_that_never_reads_fills_no_memory() -> None:
