@@ -115,6 +115,13 @@ def test_stop_works_in_every_state_and_at_once(session: Host) -> None:
     assert session.stop().state == State.STOPPED
 
 
+def test_stop_after_the_end_stays_stopped(session: Host) -> None:
+    header, packets, _, packet_samples = coded_sine(0.1)
+    assert play(session, header, packets, packet_samples).state == State.FINISHED
+    assert session.stop().state == State.STOPPED
+    assert session.request_status().state == State.STOPPED
+
+
 def test_pause_resume_and_gain(session: Host) -> None:
     header, packets, decoded, packet_samples = coded_sine(0.5)
     done: list[State] = []

@@ -96,6 +96,119 @@ def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() 
     assert names == {"old", "new"}
 
 
+def flip_bit(flash: FlashMemory, slot: int) -> None:
+    """Let a bit of the image in a slot go wrong."""
+    address = 2 * 128 + slot * 768 + 61
+    value = flash.read(address, 1)[0]
+    flash.program(address, bytes([value & (value - 1)]))
+    assert flash.read(address, 1)[0] != value
+
+
+def states(store: ImageStore) -> list[SlotState]:
+    return [image.state for image in store.describe()]
+
+
+def test_image_that_breaks_before_its_trial_is_never_confirmed() -> None:
+    flash = blank_flash()
+    store = install(flash, 0, OLD)
+    write_image(store, 1, NEW)
+    flip_bit(flash, 1)
+    store.activate(1)
+    store = boot(flash)
+    assert (running_name(store), states(store)) == ("old", [SlotState.CONFIRMED, SlotState.EMPTY])
+    with pytest.raises(Refusal, match="does not run"):
+        store.confirm(1)
+    assert running_name(boot(flash)) == "old"
+
+
+def test_slot_on_trial_is_confirmed_only_while_it_runs() -> None:
+    flash = blank_flash()
+    store = install(flash, 0, OLD)
+    write_image(store, 1, NEW)
+    store.activate(1)
+    with pytest.raises(Refusal, match="does not run"):
+        store.confirm(1)
+    store = boot(flash)
+    assert store.confirm(1).state == SlotState.CONFIRMED
+    assert store.confirm(1).state == SlotState.CONFIRMED
+
+
+def test_confirmed_image_that_breaks_falls_back_to_the_one_before() -> None:
+    flash = blank_flash()
+    install(flash, 0, OLD)
+    install(flash, 1, NEW)
+    flip_bit(flash, 1)
+    for _ in range(2):
+        store = boot(flash)
+        assert (running_name(store), states(store)) == ("old", [SlotState.CONFIRMED, SlotState.EMPTY])
+    flip_bit(flash, 0)
+    store = boot(flash)
+    assert (store.running, states(store)) == (None, [SlotState.EMPTY, SlotState.EMPTY])
+
+
+def test_first_image_whose_trial_was_not_confirmed_does_not_run() -> None:
+    flash = blank_flash()
+    store = boot(flash)
+    write_image(store, 0, OLD)
+    assert boot(flash).running is None
+    store.activate(0)
+    assert running_name(boot(flash)) == "old"
+    assert boot(flash).running is None
+
+
+class FailingFlash(FlashMemory):
+    """Flash that takes nothing more after so many erasures and writes."""
+
+    def __init__(self, contents: bytes, changes: int) -> None:
+        super().__init__(len(contents), sector_bytes=128)
+        super().program(0, contents)
+        self.changes = changes
+
+    def erase(self, address: int, count: int) -> None:
+        self._count()
+        super().erase(address, count)
+
+    def program(self, address: int, data: bytes) -> None:
+        self._count()
+        super().program(address, data)
+
+    def _count(self) -> None:
+        self.changes -= 1
+        if self.changes < 0:
+            raise OSError("flash takes nothing")
+
+
+@pytest.mark.parametrize("changes", [0, 1])
+def test_flash_that_fails_while_confirming_keeps_the_slot_to_fall_back_to(changes: int) -> None:
+    flash = blank_flash()
+    store = install(flash, 0, OLD)
+    write_image(store, 1, NEW)
+    store.activate(1)
+    failing = FailingFlash(flash.read(0, len(flash)), 2)
+    store = boot(failing)
+    assert running_name(store) == "new"
+    failing.changes = changes
+    with pytest.raises(OSError, match="flash takes nothing"):
+        store.confirm(1)
+    failing.changes = 1 << 30
+    assert states(store) == [SlotState.CONFIRMED, SlotState.TRIAL]
+    with pytest.raises(Refusal, match="fall back"):
+        store.begin(0, len(NEW), sha256(NEW), "")
+    assert running_name(boot(failing)) == "old"
+
+
+@pytest.mark.parametrize("changes", [0, 1])
+def test_flash_that_fails_at_a_boot_runs_what_is_confirmed(changes: int) -> None:
+    flash = blank_flash()
+    store = install(flash, 0, OLD)
+    write_image(store, 1, NEW)
+    store.activate(1)
+    failing = FailingFlash(flash.read(0, len(flash)), changes)
+    assert running_name(boot(failing)) == "old"
+    failing.changes = 1 << 30
+    assert running_name(boot(failing)) == "new"
+
+
 def test_cut_session_goes_on_where_it_was() -> None:
     flash = blank_flash()
     store = boot(flash)

@@ -5,16 +5,19 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import usb.core
 
-from device_protocol.messages import Status
+from device_protocol.messages import State, Status
 from device_protocol.transports import SerialTransport, TransportError, UsbTransport
 from host.controller import Controller as Host
+from host.player import Progress, play
 from simulated_device.controller import Controller
 from simulated_device.memory_link import FaultyLine
 from simulated_device.pty_port import PtyPort
 from simulated_device.usb_backend import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT_ID, VENDOR_ID, UsbPort
+from tests.simulated_device.bench import stream
 
 
 @pytest.fixture
@@ -69,6 +72,49 @@ def test_pty_leaves_nothing_behind() -> None:
     port.close()
 
 
+def test_pty_that_is_closed_or_not_yet_open_does_not_wait_for_ever() -> None:
+    port = PtyPort(Controller())
+    port.unplug()
+    with port:
+        port.plug()
+        assert Path(port.name).exists()
+    port.unplug()
+    port.plug()
+    assert not Path(port.name).exists()
+
+
+class FailingController(Controller):
+    """A controller with a fault that strikes when it is told to."""
+
+    faulty = False
+
+    def advance(self, now_us: int) -> None:
+        if self.faulty:
+            raise RuntimeError("out of order")
+        super().advance(now_us)
+
+
+def test_pty_goes_away_with_a_controller_that_fails_and_says_why() -> None:
+    controller = FailingController()
+    with pytest.raises(TransportError, match="out of order"), PtyPort(controller) as port:
+        host = Host(SerialTransport(port.name))
+        controller.faulty = True
+        with pytest.raises(TransportError, match="broke off"):
+            host.request_status()
+        port.unplug()
+    port.close()
+    assert not Path(port.name).exists()
+
+
+def test_usb_device_goes_away_with_a_controller_that_fails_and_says_why() -> None:
+    controller = FailingController()
+    with pytest.raises(TransportError, match="out of order"), UsbPort(controller) as port:
+        host = Host(UsbTransport(VENDOR_ID, PRODUCT_ID, port))
+        controller.faulty = True
+        with pytest.raises(TransportError, match="broke off"):
+            host.request_status()
+
+
 def test_usb_device_is_found_and_talks(usb_port: UsbPort) -> None:
     device = find(usb_port)
     assert device.idVendor == VENDOR_ID
@@ -100,6 +146,52 @@ def test_usb_errors_are_those_of_libusb(usb_port: UsbPort) -> None:
         device.write(ENDPOINT_OUT, b"x", 10)
     assert gone.value.errno == errno.ENODEV
     assert find(usb_port) is None
+
+
+def test_usb_endpoints_stall_until_cleared(usb_port: UsbPort) -> None:
+    device = find(usb_port)
+    device.set_configuration()
+    for by_reset in (False, True):
+        usb_port.stall()
+        with pytest.raises(usb.core.USBError) as stalled:
+            device.write(ENDPOINT_OUT, b"x", 10)
+        assert stalled.value.errno == errno.EPIPE
+        with pytest.raises(usb.core.USBError) as stalled:
+            device.read(ENDPOINT_IN, 64, 10)
+        assert stalled.value.errno == errno.EPIPE
+        if by_reset:
+            device.reset()
+        else:
+            device.clear_halt(ENDPOINT_OUT)
+        assert device.write(ENDPOINT_OUT, b"x", 10) == 1
+
+
+def test_usb_endpoints_that_are_busy_time_out_and_go_on(usb_port: UsbPort) -> None:
+    device = find(usb_port)
+    device.set_configuration()
+    usb_port.keep_busy(3600.0)
+    with pytest.raises(usb.core.USBTimeoutError):
+        device.write(ENDPOINT_OUT, b"x", 10)
+    with pytest.raises(usb.core.USBTimeoutError):
+        device.read(ENDPOINT_IN, 64, 10)
+    usb_port.keep_busy(0.02)
+    assert device.write(ENDPOINT_OUT, b"x", 10_000) == 1
+
+
+def test_stream_plays_through_stalls_and_busy_endpoints(usb_port: UsbPort) -> None:
+    played = stream(1.0)
+    faults = [usb_port.stall, lambda: usb_port.keep_busy(0.05)]
+
+    def disturb(progress: Progress) -> None:
+        if faults and progress.position_s > 0.2:
+            faults.pop()()
+
+    with Host(UsbTransport(VENDOR_ID, PRODUCT_ID, usb_port)) as host:
+        result = play(host, played.header, played.packets, played.packet_samples, capture=True, progress=disturb)
+    assert not faults
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+    assert result.decoded is not None
+    np.testing.assert_array_equal(result.decoded, played.decoded)
 
 
 def test_usb_handle_from_before_the_pull_stays_dead_and_a_new_one_works(usb_port: UsbPort) -> None:
