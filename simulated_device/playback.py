@@ -16,7 +16,7 @@ from simulated_device.refusal import Refusal
 # Bounds the memory that small packets could take; credit never goes beyond it.
 BUFFER_PACKETS = 1024
 # What bounds the work of a loop, which begins afresh and decodes padding in each iteration.
-SHORTEST_ITERATION_SECONDS = 0.001
+SHORTEST_ITERATION_SECONDS = 0.003
 DECODED_PER_PLAYED = 16
 # Playing begins with what is there when data has not come for so long: what is missing of the prebuffer was lost.
 LONGEST_WAIT_US = 1_000_000

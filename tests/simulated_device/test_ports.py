@@ -2,7 +2,7 @@
 
 import errno
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -160,7 +160,7 @@ def test_usb_endpoints_stall_until_cleared(usb_port: UsbPort) -> None:
             device.read(ENDPOINT_IN, 64, 10)
         assert stalled.value.errno == errno.EPIPE
         if by_reset:
-            device.reset()
+            usb_port.reset_device(usb_port.open_device("controller"))
         else:
             device.clear_halt(ENDPOINT_OUT)
         assert device.write(ENDPOINT_OUT, b"x", 10) == 1
@@ -180,7 +180,7 @@ def test_usb_endpoints_that_are_busy_time_out_and_go_on(usb_port: UsbPort) -> No
 
 def test_stream_plays_through_stalls_and_busy_endpoints(usb_port: UsbPort) -> None:
     played = stream(1.0)
-    faults = [usb_port.stall, lambda: usb_port.keep_busy(0.05)]
+    faults: list[Callable[[], None]] = [usb_port.stall, lambda: usb_port.keep_busy(0.05)]
 
     def disturb(progress: Progress) -> None:
         if faults and progress.position_s > 0.2:
