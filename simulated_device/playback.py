@@ -163,7 +163,7 @@ class Playback:
         self._dac.set_gain(gain)
 
     def end_live(self, packets: int) -> None:
-        """State how many packets the live stream has; if more have been played, it ends now."""
+        """State how many packets the live stream has; if more have been decoded, it ends with those."""
         self._packets = max(packets, self._next)
 
     def advance(self, time_us: int) -> Codes:
