@@ -208,9 +208,9 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
                 finest, above = exponent + 1, found.excess
             else:
                 coarsest, below = exponent - 1, found.excess
-            # Straight lines lead there soon, unless one end stays where it is: then halve.
+            # Straight lines lead there soon, unless one end stays where it is, or the excess jumps: then halve.
             halved = 2 * (coarsest - finest) <= width
-            interpolates = halved and math.isfinite(above - below)
+            interpolates = thrift == _THRIFTS[0] and halved and math.isfinite(above - below)
         if best is not None and (abs(best.excess) <= tolerance or side * best.excess < -tolerance):
             break
     assert best is not None, "there is a step to try"
