@@ -4,6 +4,7 @@ python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a con
 python -m export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
 """
 
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,9 +31,15 @@ _BUILT_IN_SOURCE = Path(__file__).parents[1] / "firmware" / "core" / "builtin_ta
 def recordings(archive: Path, drop_s: float, high_pass_hz: float) -> Iterator[Signal]:
     """Yield each recording of an NPZ archive with a `rate_hz`: its start dropped, high-passed, at 2800 Hz.
 
-    Raises TextureError when the archive has no rate.
+    Raises TextureError when it is no archive of arrays, or has no rate.
     """
-    with np.load(archive, allow_pickle=False) as arrays:
+    try:
+        loaded = np.load(archive, allow_pickle=False)
+    except (ValueError, OSError, zipfile.BadZipFile) as error:
+        raise TextureError(f"{archive} is no NPZ archive that can be read; save one with numpy.savez") from error
+    if not isinstance(loaded, np.lib.npyio.NpzFile):
+        raise TextureError(f"{archive} holds one array; save an archive of recordings with numpy.savez")
+    with loaded as arrays:
         if "rate_hz" not in arrays:
             raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
         rate_hz = float(arrays["rate_hz"])
