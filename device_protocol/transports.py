@@ -3,6 +3,7 @@
 import errno
 import re
 import time
+from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -46,11 +47,12 @@ class Transport(Protocol):
     ) -> None: ...
 
 
-class _Closing:
+class _Closing(ABC):
     """Makes a transport a context manager that closes itself."""
 
+    @abstractmethod
     def close(self) -> None:
-        raise NotImplementedError
+        """Release the port."""
 
     def __enter__(self) -> Self:
         return self

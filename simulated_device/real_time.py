@@ -2,6 +2,7 @@
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
@@ -14,7 +15,7 @@ PERIOD_S = 0.005
 LONGEST_STEP_US = 50_000
 
 
-class RealTimePort:
+class RealTimePort(ABC):
     """A controller that runs against the clock. A port fills `_wait`, and hands bytes over with `_exchange`.
 
     A context manager: the thread runs inside it, and has ended when it is left. A controller that fails takes its port
@@ -55,9 +56,9 @@ class RealTimePort:
         while not self._closing.is_set():
             self._exchange(self._wait())
 
+    @abstractmethod
     def _wait(self) -> bytes:
         """Return what the host sent, waiting for it PERIOD_S at most."""
-        raise NotImplementedError
 
     def _exchange(self, data: bytes) -> None:
         """Give bytes to the controller, let its time pass, and put what it sends into `_pending`."""
