@@ -12,7 +12,6 @@ from rich.progress import track
 from rich.table import Table
 
 import codec
-from device_protocol.coded_stream import StreamHeader
 from evaluation.bd_rate import WINDOW_DB, BdRate, bd_rates, summary
 from evaluation.charts import plot_mean, plot_traces
 from evaluation.points import Point, PointsError, by_codec_and_trace, read_points, write_points
@@ -32,11 +31,9 @@ def measure(path: Path, codec_name: str, step: float) -> Point:
     """
     recording = load(path)
     coded = codec.encode(recording.samples, round(recording.rate_hz), step, codec=codec_name)
-    identifier = codec.CODECS[codec_name].identifier
-    header = StreamHeader(identifier, coded.rate_hz, coded.samples, recording.unit, coded.gains, coded.configuration)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "coded.vct"
-        coding.write(file, coding.Stream(header, coded.packets))
+        coding.write(file, coding.as_stream(coded, recording.unit))
         size_bytes = file.stat().st_size
         decoded = coding.read(file).decode()
     reached_db = codec.snr_db(recording.samples, decoded)

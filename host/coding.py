@@ -190,20 +190,8 @@ def encode(
             raise codec.CodecError(f"the model image {model.name} is not for the codec {codec_name}; give another")
         tables = model.payload
 
-    def as_stream(coded: codec.CodedSignal) -> Stream:
-        header = StreamHeader(
-            identifier,
-            coded.rate_hz,
-            coded.samples,
-            recording.unit,
-            coded.gains,
-            coded.configuration,
-            b"" if image is None else image_hash(image),
-        )
-        return Stream(header, coded.packets, image)
-
     def size_bytes(coded: codec.CodedSignal) -> int:
-        return as_stream(coded).size_bytes
+        return as_stream(coded, recording.unit, image).size_bytes
 
     how: _How = {"codec": codec_name, "live": live, "tables": tables, "progress": progress}
     if rate_bps is not None:
@@ -211,11 +199,28 @@ def encode(
     else:
         snr_db = DEFAULT_SNR_DB if snr_db is None else snr_db
         coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, **how)
-    stream = as_stream(coded)
+    stream = as_stream(coded, recording.unit, image)
     decoded = stream.decode()
     reached_db = _finite(codec.snr_db(samples, decoded))
     each_db = tuple(map(_finite, codec.channel_snrs_db(samples, decoded)))
     return Encoding(stream, resampled, reached_db, each_db, _shortfall(stream, each_db, rate_bps, snr_db))
+
+
+def as_stream(coded: codec.CodedSignal, unit: str, image: bytes | None = None) -> Stream:
+    """Return a coded signal in this unit as a stream; `image`: the packed model image that it was coded for.
+
+    Raises StreamError where the layout cannot hold it.
+    """
+    header = StreamHeader(
+        codec.codec_by_name(coded.codec).identifier,
+        coded.rate_hz,
+        coded.samples,
+        unit,
+        coded.gains,
+        coded.configuration,
+        b"" if image is None else image_hash(image),
+    )
+    return Stream(header, coded.packets, image)
 
 
 def _shortfall(
