@@ -6,6 +6,11 @@ from pathlib import Path
 
 import pytest
 
+import textures
+from codec import mdct
+from device_protocol import coded_stream
+from textures import recording
+
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
     "textures": set[str](),
@@ -33,6 +38,12 @@ def imported_rooms(path: Path) -> set[str]:
 def test_arrows_point_one_way(path: Path) -> None:
     room = path.relative_to(ROOT).parts[0]
     assert imported_rooms(path) <= ALLOWED[room] | {room}
+
+
+def test_rooms_that_may_not_import_each_other_agree() -> None:
+    assert textures.UNITS == coded_stream.UNITS
+    assert recording.MAX_CHANNELS == coded_stream.MAX_CHANNELS == mdct.MAX_CHANNELS
+    assert mdct.MAX_PACKET_BYTES == coded_stream.MAX_PACKET_BYTES
 
 
 def tracked(*patterns: str) -> list[str]:
