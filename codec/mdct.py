@@ -19,7 +19,7 @@ MAX_PACKET_BYTES = 65_535
 MAX_PACKET_BLOCKS = 4095
 STEP_CODES = 21 * 64
 LAMBDA = 96
-"""Weight of a bit against squared error, in 1/256 of a squared step; the best BD-rate on the development recordings."""
+"""Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
 
 _UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""
