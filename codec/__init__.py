@@ -2,7 +2,6 @@
 
 from codec.coding import (
     CODECS,
-    Codec,
     codec_by_identifier,
     codec_by_name,
     decode,
@@ -12,7 +11,19 @@ from codec.coding import (
     gain_for,
     live_framing,
 )
-from codec.interface import CodecError, CodedSignal, Decoded, Decoder, Encoder, Framing, Signal
+from codec.interface import (
+    Codec,
+    CodecError,
+    CodedSignal,
+    Decoded,
+    Decoder,
+    Encoder,
+    Framing,
+    Parameter,
+    Setting,
+    Signal,
+    SignalFormat,
+)
 from codec.rate_control import RATE_TOLERANCE, SNR_TOLERANCE_DB, channel_snrs_db, encode_to_rate, encode_to_snr, snr_db
 
 __all__ = [
@@ -26,7 +37,10 @@ __all__ = [
     "Decoder",
     "Encoder",
     "Framing",
+    "Parameter",
+    "Setting",
     "Signal",
+    "SignalFormat",
     "channel_snrs_db",
     "codec_by_identifier",
     "codec_by_name",

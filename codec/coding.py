@@ -2,13 +2,23 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from codec import mdct
-from codec.interface import CodecError, CodedSignal, Decoded, Decoder, Encoder, Framing, Signal
+from codec.interface import (
+    Codec,
+    CodecError,
+    CodedSignal,
+    Decoded,
+    Decoder,
+    Encoder,
+    Framing,
+    Setting,
+    Signal,
+    SignalFormat,
+)
 
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
@@ -16,32 +26,12 @@ _FILE_PACKET_BLOCKS = 128
 # Every packet fits into one frame of the wire protocol, so that a file can be played as it is.
 _LARGEST_PACKET_BYTES = 4000
 _PART_SAMPLES = 1 << 20
-SMALLEST_STEP = 2.0**-18
-LARGEST_STEP = 2.0**6
 _MAX_GAIN = 2.0**127
 _MIN_GAIN = 2.0**-120
 
 Progress: TypeAlias = Callable[[float], None]
 
-
-@dataclass(frozen=True)
-class Codec:
-    """A codec by its name and by its number in stream headers, with the makers of its encoder and decoder.
-
-    `make_encoder(steps, rate_hz, framing, tables, thrift)`: one quantiser step per channel, relative to full scale;
-    `thrift` from 0 to 1 weighs bits against error in rounding.
-    `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image, None = built in.
-    """
-
-    name: str
-    identifier: int
-    make_encoder: Callable[[tuple[float, ...], int, Framing, bytes | None, float], Encoder]
-    make_decoder: Callable[[bytes, int, bytes | None], Decoder]
-
-
-CODECS: Mapping[str, Codec] = {
-    mdct.NAME: Codec(mdct.NAME, mdct.IDENTIFIER, mdct.MdctEncoder, mdct.MdctDecoder),
-}
+CODECS: Mapping[str, Codec] = {codec.name: codec for codec in (mdct.CODEC,)}
 
 
 def codec_by_name(name: str) -> Codec:
@@ -61,7 +51,9 @@ def codec_by_identifier(identifier: int) -> Codec:
 
 def decoder(identifier: int, configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
     """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit a codec."""
-    return codec_by_identifier(identifier).make_decoder(configuration, channels, tables)
+    codec = codec_by_identifier(identifier)
+    _check_tables(codec, tables)
+    return codec.make_decoder(configuration, channels, tables)
 
 
 def live_framing(rate_hz: int) -> Framing:
@@ -93,23 +85,21 @@ def gain_for(peak: float) -> float:
 def encode(
     samples: Signal,
     rate_hz: int,
-    step: float,
+    setting: Setting,
     *,
     codec: str = mdct.NAME,
+    unit: str = "full scale",
     live: bool = False,
     tables: bytes | None = None,
     progress: Progress | None = None,
 ) -> CodedSignal:
-    """Code samples (n, channels) in any physical unit; `step`: quantiser step relative to each channel's RMS value.
+    """Code samples (n, channels) in a physical unit by a codec's setting; what it leaves out has its default.
 
     `live`: in short packets with regular refreshes, as for streaming; otherwise in the fewest bytes, as for a file.
-    `progress` is called with the part done, from 0 to 1. Raises CodecError on an empty signal, NaN, infinity, or a
-    channel count or level that cannot be coded.
+    `progress` is called with the part done, from 0 to 1. Raises CodecError on an empty signal, NaN, infinity, a
+    setting that the codec does not have, or a channel count, level or unit that cannot be coded.
     """
-    if not (math.isfinite(step) and step > 0):
-        raise CodecError(f"a quantiser step of {step} is not a positive number")
-    source = Source(samples, rate_hz, codec, live, tables, progress)
-    return source.encode([step] * len(source.gains))
+    return Source(samples, rate_hz, codec, unit, live, tables, progress).encode(setting)
 
 
 def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
@@ -117,7 +107,7 @@ def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
 
     Raises CodecError on a malformed packet or configuration.
     """
-    state = codec_by_name(coded.codec).make_decoder(coded.configuration, coded.channels, tables)
+    state = decoder(codec_by_name(coded.codec).identifier, coded.configuration, coded.channels, tables)
     decoded = np.empty((len(coded.packets) * state.packet_samples, coded.channels), dtype=np.int16)
     for index, packet in enumerate(coded.packets):
         decoded[index * state.packet_samples : (index + 1) * state.packet_samples] = state.decode(packet)
@@ -129,7 +119,7 @@ def decode(coded: CodedSignal, tables: bytes | None = None) -> Signal:
 
     Raises CodecError on a malformed packet or configuration, and when packets are missing at the end.
     """
-    state = codec_by_name(coded.codec).make_decoder(coded.configuration, coded.channels, tables)
+    state = decoder(codec_by_name(coded.codec).identifier, coded.configuration, coded.channels, tables)
     end = state.delay_samples + coded.samples
     held = len(coded.packets) * state.packet_samples
     if coded.samples and held < end:
@@ -148,15 +138,26 @@ def peak_of(channel: Signal) -> float:
     return max(float(np.max(channel, initial=0.0)), -float(np.min(channel, initial=0.0)))
 
 
-class Source:
-    """A signal ready to be coded at any step.
+def _check_tables(codec: Codec, tables: bytes | None) -> None:
+    if tables is not None and not codec.takes_tables:
+        raise CodecError(f"the codec {codec.name} takes no model image; leave it out")
 
-    `gains`: the physical value of full scale of each channel. `rms`: its RMS value relative to that, 1 for silence.
-    `silent`: every channel is.
+
+class Source:
+    """A signal ready to be coded at any setting.
+
+    `format`: what the encoder is told of it. `silent`: every channel is.
     """
 
     def __init__(
-        self, samples: Signal, rate_hz: int, codec: str, live: bool, tables: bytes | None, progress: Progress | None
+        self,
+        samples: Signal,
+        rate_hz: int,
+        codec: str,
+        unit: str,
+        live: bool,
+        tables: bytes | None,
+        progress: Progress | None,
     ) -> None:
         if samples.ndim != 2 or samples.shape[1] < 1:
             raise CodecError(f"samples of shape {samples.shape}; (n, channels) is needed")
@@ -164,43 +165,46 @@ class Source:
             raise CodecError("the signal is empty; there is nothing to code")
         if not all(np.all(np.isfinite(samples[part])) for part in parts(len(samples))):
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
-        self.samples = samples
-        self.rate_hz = rate_hz
         self.codec = codec_by_name(codec)
-        self.tables = tables
-        self.progress = progress or (lambda part: None)
-        self.framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
-        self.gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
-        energies = sum(np.sum(np.square(samples[part] / np.array(self.gains)), axis=0) for part in parts(len(samples)))
-        self.rms = [math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies)]
+        _check_tables(self.codec, tables)
+        self.samples = samples
+        self._tables = tables
+        self._progress = progress or (lambda part: None)
+        self._framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
+        gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
+        energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
+        rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
+        self.format = SignalFormat(rate_hz, unit, gains, rms)
         self.silent = not np.any(energies)
         self._trials = 0
 
-    def encode(self, relative_steps: list[float], thrift: float = 1.0) -> CodedSignal:
-        """Code with a step for each channel, relative to its RMS value; in shorter packets where they grow too long."""
-        steps = tuple(
-            min(max(step * rms, SMALLEST_STEP), LARGEST_STEP)
-            for step, rms in zip(relative_steps, self.rms, strict=True)
-        )
-        framing = self.framing
+    def encode(self, setting: Setting) -> CodedSignal:
+        """Code with a setting, in shorter packets where they grow too long. Raises CodecError as `codec.encode`."""
+        setting = self.codec.complete(setting)
+        framing = self._framing
+        tried_samples = 0
         while True:
-            coded = self._encode(steps, framing, thrift)
-            shorter = Framing(framing.packet_samples // 2, 2 * framing.refresh_packets)
-            fits = max(map(len, coded.packets)) <= _LARGEST_PACKET_BYTES
-            if fits or shorter.packet_samples < mdct.hop_samples(self.rate_hz):
-                return coded
-            framing = shorter
+            encoder = self.codec.make_encoder(setting, self.format, framing, self._tables)
+            packets = self._packets(encoder)
+            as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
+            if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or as_short_as_can_be:
+                return CodedSignal(
+                    self.codec.name,
+                    self.format.rate_hz,
+                    len(self.samples),
+                    self.format.gains,
+                    encoder.configuration,
+                    tuple(packets),
+                )
+            tried_samples = encoder.packet_samples
+            framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
 
-    def _encode(self, steps: tuple[float, ...], framing: Framing, thrift: float) -> CodedSignal:
-        encoder = self.codec.make_encoder(steps, self.rate_hz, framing, self.tables, thrift)
+    def _packets(self, encoder: Encoder) -> list[bytes]:
         packets: list[bytes] = []
         for part in parts(len(self.samples)):
-            packets += encoder.encode(self.samples[part] / np.array(self.gains))
+            packets += encoder.encode(self.samples[part] / np.array(self.format.gains))
             # How many trials a search takes is not known before: each is given half of what is left of the bar.
             within = min(part.stop, len(self.samples)) / len(self.samples)
-            self.progress(1 - 0.5**self._trials * (1 - within / 2))
+            self._progress(1 - 0.5**self._trials * (1 - within / 2))
         self._trials += 1
-        packets += encoder.finish()
-        return CodedSignal(
-            self.codec.name, self.rate_hz, len(self.samples), self.gains, encoder.configuration, tuple(packets)
-        )
+        return packets + encoder.finish()

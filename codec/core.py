@@ -24,3 +24,11 @@ def library() -> Any:
         raise RuntimeError("the C core is not compiled; install vibrocast with pip, or run `make install`")
     ffi.cdef((folder / "vibrocast_core.cdef").read_text(), override=True)
     return ffi.dlopen(str(compiled))
+
+
+class Structure:
+    """Memory for a structure of the core, alive as long as this object; `pointer` is what the core's functions take."""
+
+    def __init__(self, size: int, kind: str) -> None:
+        self._memory = ffi.new("int64_t[]", -(-size // 8))
+        self.pointer = ffi.cast(kind, self._memory)

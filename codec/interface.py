@@ -1,17 +1,106 @@
-"""The small interface that every codec fills: an encoder and a decoder of packets, each with its own state."""
+"""The small interface that every codec fills: its setting, an encoder and a decoder of packets with their states."""
 
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 Signal = NDArray[np.float64]
 Decoded = NDArray[np.int16]
+Value: TypeAlias = float | str | tuple[float, ...]
+Setting: TypeAlias = Mapping[str, Value]
+"""A codec's parameters by name. A number that holds for every channel may also be a tuple of one for each."""
 
 
 class CodecError(ValueError):
     """A signal, parameter, configuration or packet that the codec refuses; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a codec: what it means, its default, and what it may be.
+
+    Either one of the words in `choices`, or a number from `low` to `high`, a whole one if `whole`.
+    """
+
+    meaning: str
+    default: float | str
+    low: float = -math.inf
+    high: float = math.inf
+    whole: bool = False
+    choices: tuple[str, ...] = ()
+
+    def checked(self, name: str, value: Value) -> Value:
+        """Return the value, numbers in text read. Raises CodecError where it is none that the parameter may take."""
+        if isinstance(value, tuple):
+            return tuple(self._number(name, part) for part in value)
+        if self.choices:
+            if value not in self.choices:
+                raise CodecError(f"{name} is {value!r}; choose one of {', '.join(self.choices)}")
+            return value
+        return self._number(name, value)
+
+    @property
+    def range(self) -> str:
+        """The values that it may take, in words."""
+        if self.choices:
+            return ", ".join(self.choices)
+        kind = "whole number" if self.whole else "number"
+        limits = [f"from {self.low:g}" * math.isfinite(self.low), f"up to {self.high:g}" * math.isfinite(self.high)]
+        return " ".join([kind, *filter(None, limits)])
+
+    def _number(self, name: str, value: float | str) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (math.isfinite(number) and self.low <= number <= self.high and (number.is_integer() or not self.whole)):
+            raise CodecError(f"{name} is {value}; it must be a {self.range}")
+        return int(number) if self.whole else number
+
+
+def number(setting: Setting, name: str) -> float:
+    """Return a parameter that is one number in a checked setting."""
+    value = setting[name]
+    assert isinstance(value, (float, int)), f"{name} is one number"
+    return value
+
+
+def numbers(setting: Setting, name: str, channels: int) -> tuple[float, ...]:
+    """Return a parameter that is a number for each channel, or one for all of them. Raises CodecError on a misfit."""
+    value = setting[name]
+    if not isinstance(value, tuple):
+        return (number(setting, name),) * channels
+    if len(value) != channels:
+        raise CodecError(f"{name} has {len(value)} values for {channels} channels; give one, or one for each")
+    return value
+
+
+def word(setting: Setting, name: str) -> str:
+    """Return a parameter that is a word in a checked setting."""
+    return str(setting[name])
+
+
+@dataclass(frozen=True)
+class SignalFormat:
+    """What an encoder is told before the samples come.
+
+    `gains`: physical value, in `unit`, of full scale of each channel. `rms`: RMS value of each channel relative to
+    full scale, 1 for silence. `unit`: "full scale", "m/s^2" or "um".
+    """
+
+    rate_hz: int
+    unit: str
+    gains: tuple[float, ...]
+    rms: tuple[float, ...]
+
+    @property
+    def channels(self) -> int:
+        """Channels in the signal."""
+        return len(self.gains)
 
 
 @dataclass(frozen=True)
@@ -75,6 +164,44 @@ class Decoder(Protocol):
 
     def conceal(self) -> Decoded:
         """Stand in for one missing packet: same shape as `decode`, the last sound faded out, then silence."""
+
+
+@dataclass(frozen=True)
+class Codec:
+    """A codec by its name and by its number in stream headers; each codec's module defines its own.
+
+    `ladders`: named curves of settings, the coarsest first, for benchmarks; the first is also what a search for an SNR
+    or a rate tries, unless `searches_steps`: then it searches the parameters `step`, relative to each channel's RMS
+    value, and `thrift`. What a rung leaves out has its default. `takes_tables`: a model image may bring its tables.
+    `make_encoder(setting, format, framing, tables)`: the setting complete and checked.
+    `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image, None = built in.
+    """
+
+    name: str
+    identifier: int
+    summary: str
+    parameters: Mapping[str, Parameter]
+    ladders: Mapping[str, tuple[Setting, ...]]
+    make_encoder: Callable[[Setting, SignalFormat, Framing, bytes | None], Encoder]
+    make_decoder: Callable[[bytes, int, bytes | None], Decoder]
+    takes_tables: bool = False
+    searches_steps: bool = False
+
+    def checked(self, setting: Setting) -> Setting:
+        """Return what is given of a setting, numbers in text read. Raises CodecError for unknown names and values."""
+        if unknown := sorted(set(setting) - set(self.parameters)):
+            raise CodecError(f"{self.name} has no parameter {unknown[0]}; choose from {', '.join(self.parameters)}")
+        return {name: self.parameters[name].checked(name, value) for name, value in setting.items()}
+
+    def leaves_open(self, setting: Setting) -> bool:
+        """Return whether a setting leaves something to search: a parameter that the first ladder varies."""
+        ladder = next(iter(self.ladders.values()))
+        return any(name not in setting for rung in ladder for name in rung)
+
+    def complete(self, setting: Setting) -> Setting:
+        """Return the setting, checked, with the defaults of what it leaves out. Raises CodecError as `checked`."""
+        defaults = {name: parameter.default for name, parameter in self.parameters.items()}
+        return {**defaults, **self.checked(setting)}
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import ffi, library
-from codec.interface import CodecError, Decoded, Framing, Signal
+from codec.core import Structure, ffi, library
+from codec.interface import (
+    Codec,
+    CodecError,
+    Decoded,
+    Framing,
+    Parameter,
+    Setting,
+    Signal,
+    SignalFormat,
+    number,
+    numbers,
+)
 
 NAME = "mdct"
 IDENTIFIER = 1
@@ -25,6 +36,10 @@ _UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""
 _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
+
+
+SMALLEST_STEP = 2.0**-18
+LARGEST_STEP = 2.0**6
 
 
 def hop_samples(rate_hz: float) -> int:
@@ -106,7 +121,7 @@ class MdctEncoder:
         self.configuration = configuration(self._hop, self._packet_blocks, [step_code(step) for step in steps])
         core = library()
         self._tables, table_arguments = _tables_arguments(tables)
-        self._state = _Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
+        self._state = Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
         status = core.vc_mdct_encoder_init(
             self._state.pointer,
             self.configuration,
@@ -197,7 +212,7 @@ class MdctDecoder:
         core = library()
         self.channels = channels
         self._tables, table_arguments = _tables_arguments(tables)
-        self._state = _Structure(core.vc_mdct_decoder_size(), "vc_mdct_decoder *")
+        self._state = Structure(core.vc_mdct_decoder_size(), "vc_mdct_decoder *")
         status = core.vc_mdct_decoder_init(
             self._state.pointer, configuration, len(configuration), channels, *table_arguments
         )
@@ -223,14 +238,6 @@ class MdctDecoder:
         return samples, ffi.cast("int16_t *", samples.ctypes.data)
 
 
-class _Structure:
-    """Memory for a structure of the core, alive as long as this object."""
-
-    def __init__(self, size: int, kind: str) -> None:
-        self._memory = ffi.new("int64_t[]", -(-size // 8))
-        self.pointer = ffi.cast(kind, self._memory)
-
-
 def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
     """Return the memory that must stay alive, and the core's two arguments."""
     if tables is None:
@@ -249,3 +256,30 @@ def _check_made(status: int) -> None:
         raise CodecError(f"tables of the wrong size; mdct needs {library().vc_mdct_tables_size()} bytes")
     if status != library().VC_OK:
         raise CodecError("the codec configuration is damaged or of another version")
+
+
+def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> MdctEncoder:
+    """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
+    relative_steps = numbers(setting, "step", signal_format.channels)
+    steps = [
+        min(max(step * rms, SMALLEST_STEP), LARGEST_STEP)
+        for step, rms in zip(relative_steps, signal_format.rms, strict=True)
+    ]
+    return MdctEncoder(steps, signal_format.rate_hz, framing, tables, number(setting, "thrift"))
+
+
+CODEC = Codec(
+    name=NAME,
+    identifier=IDENTIFIER,
+    summary="low-delay MDCT, trellis-coded quantisation, trained and adaptive context mixing",
+    parameters={
+        "step": Parameter("quantiser step relative to the RMS value", 0.25, low=SMALLEST_STEP),
+        "thrift": Parameter("weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1),
+    },
+    # From some 2 dB of SNR to some 27.
+    ladders={NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -8, -1))},
+    make_encoder=make_encoder,
+    make_decoder=MdctDecoder,
+    takes_tables=True,
+    searches_steps=True,
+)

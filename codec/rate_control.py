@@ -1,4 +1,4 @@
-"""Coding to an asked quality or rate: searches for the quantiser steps that meet an SNR or a bit rate."""
+"""Coding to an asked quality or rate: searches for the setting that meets an SNR or a bit rate."""
 
 import math
 from collections.abc import Callable
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec import mdct
-from codec.coding import LARGEST_STEP, SMALLEST_STEP, Progress, Source, decode, parts, peak_of
-from codec.interface import CodecError, CodedSignal, Signal
+from codec.coding import Progress, Source, decode, parts, peak_of
+from codec.interface import CodecError, CodedSignal, Setting, Signal
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -50,21 +50,22 @@ def encode_to_snr(
     target_db: float,
     *,
     codec: str = mdct.NAME,
+    setting: Setting | None = None,
+    unit: str = "full scale",
     live: bool = False,
     tables: bytes | None = None,
     progress: Progress | None = None,
 ) -> CodedSignal:
-    """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no step comes nearer.
+    """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
 
-    Raises CodecError as `encode`, and when `target_db` is out of reach, with the best that there is. A silent signal
-    meets every target.
+    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as
+    `encode`, and when `target_db` is out of reach, with the best that there is. A silent signal meets every target.
     """
     if not math.isfinite(target_db):
         raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
-    source = Source(samples, rate_hz, codec, live, tables, progress)
-    channels = len(source.gains)
+    source = Source(samples, rate_hz, codec, unit, live, tables, progress)
     if source.silent:
-        return source.encode([1.0] * channels)
+        return source.encode(_rungs(source, setting)[0])
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Excess of each channel over the target; 0 for silent ones, which have none."""
@@ -75,11 +76,28 @@ def encode_to_snr(
         ratio = snr_db(source.samples, decode(coded, tables))
         return math.inf if ratio is None else ratio - target_db
 
-    found = _search(source, mean_excess, SNR_TOLERANCE_DB, side=1)
+    if _searches_steps(source, setting):
+        found = _search(source, mean_excess, SNR_TOLERANCE_DB, side=1)
+        best, least = _balance(source, found, excesses_db)
+    else:
+        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), SNR_TOLERANCE_DB, side=1)
+        least = excesses_db(best)
+    if min(least) < -SNR_TOLERANCE_DB:
+        raise CodecError(
+            f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
+            f"with {source.codec.name} (16-bit samples set the limit)"
+        )
+    return best
+
+
+def _balance(
+    source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]
+) -> tuple[CodedSignal, list[float]]:
+    """Bring every channel to the target by a step of its own; return the coded signal and the excesses left."""
     best, least = found.coded, excesses_db(found.coded)
     balanced = [_ChannelStep(found.step) for _ in least]
     excesses = least
-    for trial in range(_BALANCING_TRIALS if channels > 1 else 0):
+    for trial in range(_BALANCING_TRIALS if len(least) > 1 else 0):
         if _imbalance(least) <= (False, SNR_TOLERANCE_DB / 2):
             break
         for channel, excess in zip(balanced, excesses, strict=True):
@@ -87,16 +105,11 @@ def encode_to_snr(
                 channel.move(excess)
             elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
                 channel.step *= _STEP_BACK
-        coded = source.encode([channel.step for channel in balanced], found.thrift)
+        coded = source.encode({"step": tuple(channel.step for channel in balanced), "thrift": found.thrift})
         excesses = excesses_db(coded)
         if _imbalance(excesses) < _imbalance(least):
             best, least = coded, excesses
-    if min(least) < -SNR_TOLERANCE_DB:
-        raise CodecError(
-            f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
-            "(16-bit samples set the limit)"
-        )
-    return best
+    return best, least
 
 
 def _imbalance(excesses_db: list[float]) -> tuple[bool, float]:
@@ -136,18 +149,21 @@ def encode_to_rate(
     size_bytes: Callable[[CodedSignal], int],
     *,
     codec: str = mdct.NAME,
+    setting: Setting | None = None,
+    unit: str = "full scale",
     live: bool = False,
     tables: bytes | None = None,
     progress: Progress | None = None,
 ) -> CodedSignal:
-    """Code at `bits_per_second`, to within 2 %; below it where no step comes nearer.
+    """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
 
-    `size_bytes` counts a coded signal's bytes. All channels have the same step relative to their RMS values. Raises
-    CodecError as `encode`, and when `bits_per_second` is below the least that the signal takes, with that rate.
+    `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: what of it is given and
+    not searched for. Raises CodecError as `encode`, and when `bits_per_second` is below the least that the signal
+    takes, with that rate.
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
-    source = Source(samples, rate_hz, codec, live, tables, progress)
+    source = Source(samples, rate_hz, codec, unit, live, tables, progress)
 
     def rate(coded: CodedSignal) -> float:
         return size_bytes(coded) * 8 * rate_hz / coded.samples
@@ -155,13 +171,51 @@ def encode_to_rate(
     def excess(coded: CodedSignal) -> float:
         return math.log(rate(coded)) - math.log(bits_per_second)
 
-    found = _search(source, excess, math.log1p(RATE_TOLERANCE), side=-1)
-    if found.excess > math.log1p(RATE_TOLERANCE):
+    tolerance = math.log1p(RATE_TOLERANCE)
+    if _searches_steps(source, setting):
+        best = _search(source, excess, tolerance, side=-1).coded
+    else:
+        best = _choose(source, setting, excess, tolerance, side=-1)
+    if excess(best) > tolerance:
         raise CodecError(
-            f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least "
-            f"{rate(found.coded):.0f} bit/s, most of it headers: ask for more, or code a longer signal"
+            f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
+            f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
         )
-    return found.coded
+    return best
+
+
+def _searches_steps(source: Source, setting: Setting | None) -> bool:
+    return source.codec.searches_steps and not setting
+
+
+def _rungs(source: Source, setting: Setting | None) -> list[Setting]:
+    """Return the settings of the codec's first ladder, what is given of a setting put in place of theirs."""
+    ladder = next(iter(source.codec.ladders.values()))
+    rungs: list[Setting] = []
+    for rung in ({**rung, **source.codec.checked(setting or {})} for rung in ladder):
+        if rung not in rungs:
+            rungs.append(rung)
+    return rungs
+
+
+def _choose(
+    source: Source,
+    setting: Setting | None,
+    excess: Callable[[CodedSignal], float],
+    tolerance: float,
+    side: int,
+) -> CodedSignal:
+    """Code at every rung, as quality may fall on the way up; return the one preferred as in `_search`."""
+    coded = [source.encode(rung) for rung in _rungs(source, setting)]
+    return min(coded, key=lambda each: _preference(excess(each), tolerance, side))
+
+
+def _preference(excess: float, tolerance: float, side: int) -> tuple[bool, float]:
+    """Order by which trials are chosen: none beyond the tolerance on the worse side first, then the nearest to zero.
+
+    `side`: +1 when an excess above the tolerance is better than none, -1 when one below is.
+    """
+    return side * excess < -tolerance, abs(excess)
 
 
 @dataclass(frozen=True)
@@ -177,19 +231,15 @@ class _Found:
 def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: float, side: int) -> _Found:
     """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
 
-    `side`: +1 when an excess above the tolerance is better than none, -1 when one below is. What is found lies beyond
-    the tolerance on the other side only where every step does.
+    What is found, preferred by `_preference`, lies beyond the tolerance on the worse side only where every step does.
     """
     best: _Found | None = None
-
-    def preference(found: _Found) -> tuple[bool, float]:
-        return side * found.excess < -tolerance, abs(found.excess)
 
     # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
     # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
     for thrift in _THRIFTS:
-        finest = round(_STEPS_PER_OCTAVE * math.log2(SMALLEST_STEP))
-        coarsest = round(_STEPS_PER_OCTAVE * math.log2(LARGEST_STEP / min(source.rms)))
+        finest = round(_STEPS_PER_OCTAVE * math.log2(mdct.SMALLEST_STEP))
+        coarsest = round(_STEPS_PER_OCTAVE * math.log2(mdct.LARGEST_STEP / min(source.format.rms)))
         above = below = math.nan  # excess beside the finest and the coarsest step that are left
         interpolates = False
         while finest <= coarsest:
@@ -198,9 +248,9 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
             if interpolates:
                 exponent = finest + round(width * min(max(above / (above - below), 0.0), 1.0))
             step = 2 ** (exponent / _STEPS_PER_OCTAVE)
-            coded = source.encode([step] * len(source.gains), thrift)
+            coded = source.encode({"step": step, "thrift": thrift})
             found = _Found(coded, excess(coded), step, thrift)
-            if best is None or preference(found) < preference(best):
+            if best is None or _preference(found.excess, tolerance, side) < _preference(best.excess, tolerance, side):
                 best = found
             if abs(best.excess) <= tolerance / 2:
                 return best

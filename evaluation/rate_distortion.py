@@ -30,7 +30,7 @@ def measure(path: Path, codec_name: str, step: float) -> Point:
     Raises TextureError or CodecError on a file that cannot be coded.
     """
     recording = load(path)
-    coded = codec.encode(recording.samples, round(recording.rate_hz), step, codec=codec_name)
+    coded = codec.encode(recording.samples, round(recording.rate_hz), {"step": step}, codec=codec_name)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "coded.vct"
         coding.write(file, coding.as_stream(coded, recording.unit))

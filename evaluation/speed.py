@@ -51,7 +51,7 @@ def measure(codec_name: str, repeats: int) -> dict[str, Any]:
     reference_s = reference_seconds(repeats)
     results: list[dict[str, float | None]] = []
     for step in STEPS:
-        encode = partial(codec.encode, samples, RATE_HZ, step, codec=codec_name)
+        encode = partial(codec.encode, samples, RATE_HZ, {"step": step}, codec=codec_name)
         coded = encode()
         encode_s = processor_seconds(encode, repeats)
         decode_s = processor_seconds(partial(codec.decode, coded), repeats)

@@ -28,6 +28,7 @@ class _How(TypedDict):
     """What all encoding functions of the codec take."""
 
     codec: str
+    unit: str
     live: bool
     tables: bytes | None
     progress: Callable[[float], None] | None
@@ -168,13 +169,15 @@ def encode(
     codec_name: str = "mdct",
     rate_bps: float | None = None,
     snr_db: float | None = None,
+    setting: codec.Setting | None = None,
     image: bytes | None = None,
     live: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
-    `rate_bps` counts the bits of the whole .vct file. `image`: packed model image whose tables are used, None = those
+    `rate_bps` counts the bits of the whole .vct file. `setting`: what is given of the codec's setting; one that leaves
+    nothing to search for is used as it is. `image`: packed model image whose tables are used, None = those
     built in. `live` adds refresh packets, for a link that may lose some. `progress` is called with the part of the
     search that is done, from 0 to 1. Raises CodecError (also when the asked rate or SNR cannot be met),
     ModelImageError, StreamError or TextureError, with what to do.
@@ -182,23 +185,29 @@ def encode(
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
     _check_length(samples.size)
-    identifier = codec.codec_by_name(codec_name).identifier
+    chosen = codec.codec_by_name(codec_name)
+    given = chosen.checked(setting or {})
+    open_quality = chosen.leaves_open(given)
+    if not open_quality and (rate_bps is not None or snr_db is not None):
+        raise codec.CodecError("the setting fixes the quality; leave out the rate or SNR, or that part of the setting")
     tables = None
     if image is not None:
         model = ModelImage.unpack(image)
-        if model.codec_identifier != identifier:
+        if model.codec_identifier != chosen.identifier:
             raise codec.CodecError(f"the model image {model.name} is not for the codec {codec_name}; give another")
         tables = model.payload
 
     def size_bytes(coded: codec.CodedSignal) -> int:
         return as_stream(coded, recording.unit, image).size_bytes
 
-    how: _How = {"codec": codec_name, "live": live, "tables": tables, "progress": progress}
-    if rate_bps is not None:
-        coded = codec.encode_to_rate(samples, stream_rate_hz, rate_bps, size_bytes, **how)
+    how: _How = {"codec": codec_name, "unit": recording.unit, "live": live, "tables": tables, "progress": progress}
+    if not open_quality:
+        coded = codec.encode(samples, stream_rate_hz, given, **how)
+    elif rate_bps is not None:
+        coded = codec.encode_to_rate(samples, stream_rate_hz, rate_bps, size_bytes, setting=given, **how)
     else:
         snr_db = DEFAULT_SNR_DB if snr_db is None else snr_db
-        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, **how)
+        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, setting=given, **how)
     stream = as_stream(coded, recording.unit, image)
     decoded = stream.decode()
     reached_db = _finite(codec.snr_db(samples, decoded))
@@ -228,13 +237,15 @@ def _shortfall(
 ) -> str | None:
     """Return why the asked rate, or else SNR, was not met within its tolerance; None when it was."""
     if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - codec.RATE_TOLERANCE):
-        return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no step that was tried comes nearer"
+        return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no setting that was tried comes nearer"
     audible = [(ratio_db, number) for number, ratio_db in enumerate(each_db, 1) if ratio_db is not None]
     if snr_db is not None and audible:
         furthest_db, number = max(audible, key=lambda ratio: abs(ratio[0] - snr_db))
         if abs(furthest_db - snr_db) > codec.SNR_TOLERANCE_DB:
             where = f" in channel {number}" if len(each_db) > 1 else ""
-            return f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no step that was tried comes nearer from above"
+            return (
+                f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting that was tried comes nearer from above"
+            )
     return None
 
 

@@ -165,6 +165,17 @@ class Finite(click.FloatRange):
         return number
 
 
+def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
+    """Return a codec's parameters by name, or raise click.BadParameter."""
+    setting: dict[str, str] = {}
+    for text in values:
+        name, sign, value = text.partition("=")
+        if not (name and sign and value):
+            raise click.BadParameter(f"{text!r} is not of the form NAME=VALUE.", ctx, param)
+        setting[name] = value
+    return setting
+
+
 POSITIVE = Finite(min=0, min_open=True)
 INPUT = click.Path(path_type=Path)
 
@@ -193,6 +204,13 @@ quality_options = options(
         default=coding.DEFAULT_STREAM_RATE_HZ,
         show_default=True,
         help="Sample rate of the coded stream.",
+    ),
+    click.option(
+        "--setting",
+        callback=parsed_setting,
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Parameter of the codec, instead of searching for it; `vibrocast codecs` lists them.",
     ),
     image_option,
 )
@@ -273,6 +291,23 @@ def encode(file: Path, out: Path, **choices: Any) -> None:
     coding.write(out, encoding.stream)
     snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
     click.echo(f"{out}: {encoding.stream.size_bytes} bytes, {encoding.stream.bits_per_second:.0f} bit/s, {snr}")
+
+
+@main.command()
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def codecs(as_json: bool) -> None:
+    """List the codecs and the parameters of their settings."""
+    facts = {
+        known.name: {
+            "summary": known.summary,
+            **{
+                name: f"{parameter.meaning}: {parameter.range}; {parameter.default} if not given"
+                for name, parameter in known.parameters.items()
+            },
+        }
+        for known in codec.CODECS.values()
+    }
+    show(facts, as_json)
 
 
 @main.command()
@@ -397,7 +432,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
 def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:
     """Read a .vct file to play, to which no option of the two groups applies but the image."""
     image_path = choices.pop("image_path")
-    given = [name for name, value in choices.items() if value not in (None, coding.DEFAULT_STREAM_RATE_HZ, "mdct")]
+    given = [name for name, value in choices.items() if value not in (None, {}, coding.DEFAULT_STREAM_RATE_HZ, "mdct")]
     if given:
         raise click.UsageError(f"{file} is coded already: drop --{given[0].replace('_', '-')}.")
     return coding.read(file, packed_image(image_path) if image_path else None)
@@ -405,7 +440,7 @@ def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:
 
 def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
     """Take the options of the quality group out of all choices; return them as `coding.encode` takes them."""
-    quality = {name: choices.pop(name) for name in ("codec_name", "rate_bps", "snr_db", "stream_rate_hz")}
+    quality = {name: choices.pop(name) for name in ("codec_name", "rate_bps", "snr_db", "setting", "stream_rate_hz")}
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
     image_path = choices.pop("image_path")

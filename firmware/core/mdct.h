@@ -2,15 +2,9 @@
 #ifndef VIBROCAST_MDCT_H
 #define VIBROCAST_MDCT_H
 
-#include "range_coder.h"
-#include "vibrocast_core.h"
-
-/* All of libc that the core needs; declared here because a microcontroller's compiler may come without its headers. */
-void *memcpy(void *destination, const void *source, size_t length);
-void *memset(void *destination, int value, size_t length);
+#include "common.h"
 
 #define VC_MAX_HOP 64
-#define VC_MAX_CHANNELS 16
 #define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
 /* Coefficients, in 1/256 of a sample's least significant bit, stay within this: 64 * sqrt(64) times full scale. */
@@ -84,15 +78,6 @@ void vc_update(vc_prediction *prediction, int bit);
 uint32_t vc_silence_predict(const vc_model *model, const vc_history *history);
 void vc_silence_update(vc_model *model, const vc_history *history, int silent);
 
-/* Floor of the logarithm to base 2; value > 0. */
-static inline unsigned vc_floor_log2(uint32_t value)
-{
-    unsigned exponent = 0;
-    while (value >> exponent > 1)
-        exponent++;
-    return exponent;
-}
-
 /* Dependent quantisation: state after an index, the quantiser of a state, and the level (in steps) of an index. */
 static inline unsigned vc_next_state(unsigned state, uint32_t index)
 {
@@ -117,9 +102,6 @@ static inline int32_t vc_reconstruct(uint32_t level, int32_t step)
     int64_t value = (int64_t)level * step;
     return value > VC_MAX_COEFFICIENT ? VC_MAX_COEFFICIENT : (int32_t)value;
 }
-
-/* Packet head: sequence * 2 + refresh, LEB128. Returns the bytes taken, or 0 when there is no valid head. */
-size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);
 
 extern const int32_t vc_cosine[512];   /* cos(2 pi i / 512) in 1/2^24 */
 extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */

@@ -1,7 +1,6 @@
 /* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets miss. */
 #include "mdct.h"
 
-#define MAX_SUFFIX_BITS 24u
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
 
 typedef struct {
@@ -56,21 +55,6 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
     }
     *configuration = read;
     return VC_OK;
-}
-
-size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh)
-{
-    uint64_t head = 0;
-    size_t i;
-    for (i = 0; i < length && i < 5; i++) {
-        head |= (uint64_t)(packet[i] & 0x7Fu) << (7 * i);
-        if (packet[i] < 0x80u) {
-            *refresh = (int)(head & 1u);
-            *sequence = (uint32_t)(head >> 1);
-            return i + 1;
-        }
-    }
-    return 0;
 }
 
 int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
@@ -162,23 +146,12 @@ static int decode_decision(vc_range_coder *coder, vc_model *model, const vc_cont
     return bit;
 }
 
-/* Exponential-Golomb code of what exceeds the unary limit, each bit with even odds. */
-static uint32_t decode_suffix(vc_range_coder *coder)
-{
-    uint32_t bits = 0, value = 1;
-    while (bits < MAX_SUFFIX_BITS && vc_range_decode(coder, 32768))
-        bits++;
-    while (bits-- > 0)
-        value = value << 1 | (uint32_t)vc_range_decode(coder, 32768);
-    return value - 1;
-}
-
 static uint32_t decode_index(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned quantiser)
 {
     uint32_t index = 0;
     while (index < VC_UNARY_LIMIT && decode_decision(coder, model, contexts, index, quantiser))
         index++;
-    return index < VC_UNARY_LIMIT ? index : index + decode_suffix(coder);
+    return index < VC_UNARY_LIMIT ? index : index + vc_golomb_decode(coder);
 }
 
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, channel_state *channel, int32_t step)
@@ -203,7 +176,7 @@ static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, channe
         index = decode_index(coder, model, &contexts, quantiser);
         level = vc_level_of(index, quantiser);
         value = vc_reconstruct(level, step);
-        channel->spectrum[k] = index != 0 && vc_range_decode(coder, 32768) ? -value : value;
+        channel->spectrum[k] = index != 0 && vc_range_decode(coder, VC_EVEN_ODDS) ? -value : value;
         channel->state = vc_next_state(channel->state, index);
         block_sum += vc_history_set(history, k, level);
     }

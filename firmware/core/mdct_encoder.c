@@ -165,16 +165,6 @@ static void encode_decision(vc_range_coder *coder, vc_model *model, const vc_con
     vc_update(&prediction, bit);
 }
 
-static void encode_suffix(vc_range_coder *coder, uint32_t value)
-{
-    unsigned bits = vc_floor_log2(value + 1), i;
-    for (i = 0; i < bits; i++)
-        vc_range_encode(coder, 1, 32768);
-    vc_range_encode(coder, 0, 32768);
-    for (i = bits; i-- > 0;)
-        vc_range_encode(coder, (int)((value + 1) >> i & 1u), 32768);
-}
-
 static void encode_index(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned quantiser,
                          uint32_t index)
 {
@@ -182,7 +172,7 @@ static void encode_index(vc_range_coder *coder, vc_model *model, const vc_contex
     for (decision = 0; decision <= index && decision < VC_UNARY_LIMIT; decision++)
         encode_decision(coder, model, contexts, decision, quantiser, index > decision);
     if (index >= VC_UNARY_LIMIT)
-        encode_suffix(coder, index - VC_UNARY_LIMIT);
+        vc_golomb_encode(coder, index - VC_UNARY_LIMIT);
 }
 
 static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, channel_state *channel,
@@ -205,19 +195,11 @@ static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, channe
         vc_contexts_find(&contexts, history, hop, k, block_sum);
         encode_index(coder, model, &contexts, quantiser, index);
         if (index != 0)
-            vc_range_encode(coder, coefficients[k] < 0, 32768);
+            vc_range_encode(coder, coefficients[k] < 0, VC_EVEN_ODDS);
         channel->state = vc_next_state(channel->state, index);
         block_sum += vc_history_set(history, k, vc_level_of(index, quantiser));
     }
     vc_history_next_block(history, hop);
-}
-
-static uint8_t *write_head(uint8_t *packet, uint64_t head)
-{
-    for (; head >= 0x80u; head >>= 7)
-        *packet++ = (uint8_t)(head | 0x80u);
-    *packet++ = (uint8_t)head;
-    return packet;
 }
 
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, uint8_t *packet, size_t capacity)
@@ -229,9 +211,9 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, ui
     uint8_t *payload;
     uint32_t block;
     unsigned channel;
-    if (capacity < 5)
+    if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
-    payload = write_head(packet, (uint64_t)encoder->sequence * 2 + (unsigned)refresh);
+    payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
     if (refresh)
         vc_model_reset(&encoder->model, encoder->tables);
     for (channel = 0; channel < configuration->channels && refresh; channel++) {

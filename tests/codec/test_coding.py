@@ -100,7 +100,7 @@ def test_gain_is_carried(first_exponent: float, second_exponent: float) -> None:
 @pytest.mark.parametrize("peak", [1e-300, 1e-40, 1e39, 1e300])
 def test_levels_that_cannot_be_stored_are_refused(peak: float) -> None:
     with pytest.raises(CodecError, match="unit"):
-        codec.encode(texture(100) * peak, RATE_HZ, 0.3)
+        codec.encode(texture(100) * peak, RATE_HZ, {"step": 0.3})
 
 
 @given(st.floats(2.0**-119, 2.0**126))
@@ -123,7 +123,7 @@ def test_silent_channel_beside_a_loud_one() -> None:
 @settings(max_examples=60)
 def test_every_length_has_just_the_packets_that_hold_it(live: bool, samples: int) -> None:
     signal = texture(samples)
-    coded = codec.encode(signal, RATE_HZ, 0.1, live=live)
+    coded = codec.encode(signal, RATE_HZ, {"step": 0.1}, live=live)
     decoder = codec.decoder(1, coded.configuration, 1)
     assert len(coded.packets) == -(-(samples + decoder.delay_samples) // decoder.packet_samples)
     ratio = codec.snr_db(signal[-50:], codec.decode(coded)[-50:])
@@ -143,37 +143,37 @@ def test_every_length_has_just_the_packets_that_hold_it(live: bool, samples: int
 )
 def test_signals_that_cannot_be_coded_are_refused(signal: codec.Signal) -> None:
     with pytest.raises(CodecError):
-        codec.encode(signal, RATE_HZ, 0.3)
+        codec.encode(signal, RATE_HZ, {"step": 0.3})
 
 
 @pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
 def test_steps_that_are_no_step_are_refused(step: float) -> None:
     with pytest.raises(CodecError):
-        codec.encode(texture(100), RATE_HZ, step)
+        codec.encode(texture(100), RATE_HZ, {"step": step})
 
 
 def test_unknown_codecs_are_named() -> None:
     with pytest.raises(CodecError, match="mdct"):
-        codec.encode(texture(100), RATE_HZ, 0.3, codec="mp3")
+        codec.encode(texture(100), RATE_HZ, {"step": 0.3}, codec="mp3")
     with pytest.raises(CodecError, match="number 9"):
         codec.decoder(9, b"", 1)
 
 
 def test_missing_packets_at_the_end_are_reported() -> None:
-    coded = codec.encode(texture(40_000), RATE_HZ, 0.3)
+    coded = codec.encode(texture(40_000), RATE_HZ, {"step": 0.3})
     short = CodedSignal(coded.codec, coded.rate_hz, coded.samples, coded.gains, coded.configuration, coded.packets[:-1])
     with pytest.raises(CodecError, match="cut short"):
         codec.decode(short)
 
 
 def test_an_hour_of_silence_takes_few_bytes() -> None:
-    coded = codec.encode(np.zeros((3600 * RATE_HZ, 1)), RATE_HZ, 0.3)
+    coded = codec.encode(np.zeros((3600 * RATE_HZ, 1)), RATE_HZ, {"step": 0.3})
     assert sum(map(len, coded.packets)) < 8 * len(coded.packets)
     assert not np.any(codec.decode_integers(coded))
 
 
 def test_live_streams_refresh_at_least_every_quarter_second() -> None:
-    coded = codec.encode(texture(5600), RATE_HZ, 0.3, live=True)
+    coded = codec.encode(texture(5600), RATE_HZ, {"step": 0.3}, live=True)
     refreshes = [index for index, packet in enumerate(coded.packets) if packet[0] & 1]
     decoder = codec.decoder(1, coded.configuration, 1)
     assert decoder.packet_samples * max(np.diff(refreshes)) <= 0.25 * RATE_HZ

@@ -136,8 +136,8 @@ def test_other_tables_decode_what_they_coded() -> None:
     trainer = mdct.MdctEncoder([0.02], RATE_HZ, Framing(128, 0))
     trainer.encode(signal)
     tables = trainer.adapted_tables()
-    coded_signal = codec.encode(signal, RATE_HZ, 0.3, tables=tables)
-    built_in = codec.encode(signal, RATE_HZ, 0.3)
+    coded_signal = codec.encode(signal, RATE_HZ, {"step": 0.3}, tables=tables)
+    built_in = codec.encode(signal, RATE_HZ, {"step": 0.3})
     assert coded_signal.packets != built_in.packets
     assert not np.array_equal(codec.decode_integers(coded_signal), codec.decode_integers(coded_signal, tables))
     assert codec.snr_db(signal, codec.decode(coded_signal, tables)) == pytest.approx(

@@ -37,7 +37,7 @@ def coded_sine(seconds: float) -> tuple[StreamHeader, tuple[bytes, ...], codec.D
     """Return header, packets, what they decode to, and the samples in a packet."""
     samples = round(seconds * RATE_HZ)
     signal = 10.0 * np.sin(2 * np.pi * 200 * np.arange(samples) / RATE_HZ)[:, None]
-    coded = codec.encode(signal, RATE_HZ, 0.2, live=True)
+    coded = codec.encode(signal, RATE_HZ, {"step": 0.2}, live=True)
     header = StreamHeader(1, RATE_HZ, samples, "um", coded.gains, coded.configuration)
     packet_samples = codec.decoder(1, coded.configuration, 1).packet_samples
     return header, coded.packets, codec.decode_integers(coded), packet_samples

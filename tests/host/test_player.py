@@ -105,7 +105,7 @@ def test_short_streams_and_loops_play_every_iteration(count: int) -> None:
 def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
     samples: int, loops: int, live: bool
 ) -> None:
-    coded = codec.encode(np.sin(np.arange(samples) + 1.0)[:, None], 2800, 0.01, live=live)
+    coded = codec.encode(np.sin(np.arange(samples) + 1.0)[:, None], 2800, {"step": 0.01}, live=live)
     decoder = codec.decoder(1, coded.configuration, 1)
     header = StreamHeader(1, 2800, samples, "um", coded.gains, coded.configuration)
     link = MemoryLink(SimulatedController())
@@ -131,7 +131,7 @@ def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
 
 
 def test_loop_too_short_for_the_controller_is_refused_with_its_reason() -> None:
-    coded = codec.encode(np.ones((1, 1)), 2800, 0.01)
+    coded = codec.encode(np.ones((1, 1)), 2800, {"step": 0.01})
     header = StreamHeader(1, 2800, 1, "um", coded.gains, coded.configuration)
     link = MemoryLink(SimulatedController())
     with pytest.raises(ControllerError, match="refuses: an iteration"):
@@ -260,7 +260,7 @@ def test_cable_that_stays_out_is_an_error() -> None:
 
 
 def test_stalled_usb_endpoints_do_not_disturb_the_playback() -> None:
-    coded = codec.encode(np.sin(np.arange(1400) / 3.0)[:, None], 2800, 0.01, live=True)
+    coded = codec.encode(np.sin(np.arange(1400) / 3.0)[:, None], 2800, {"step": 0.01}, live=True)
     header = StreamHeader(1, 2800, 1400, "um", coded.gains, coded.configuration)
     stalls: list[float] = []
     with UsbPort(SimulatedController()) as port, Controller(UsbTransport(VENDOR_ID, PRODUCT_ID, port)) as controller:

@@ -48,7 +48,7 @@ def stream(seconds: float = 1.0, channels: int = 1, unit: str = "um") -> Stream:
     time_s = np.arange(samples)[:, None] / RATE_HZ
     noise = np.random.default_rng(5).standard_normal((samples, channels))
     signal = 6.0 * np.sin(2 * np.pi * 150 * time_s + np.arange(channels)) + 2.0 * noise
-    coded = codec.encode(signal, RATE_HZ, 0.4, live=True)
+    coded = codec.encode(signal, RATE_HZ, {"step": 0.4}, live=True)
     header = StreamHeader(1, RATE_HZ, samples, unit, coded.gains, coded.configuration)
     decoder = codec.decoder(1, coded.configuration, channels)
     return Stream(header, coded.packets, codec.decode_integers(coded), decoder.packet_samples, decoder.delay_samples)

@@ -1,0 +1,41 @@
+/* What all codecs of the core share: libc's two functions, packet heads, adaptive decisions, codes of whole numbers. */
+#ifndef VIBROCAST_COMMON_H
+#define VIBROCAST_COMMON_H
+
+#include "range_coder.h"
+#include "vibrocast_core.h"
+
+/* All of libc that the core needs; declared here because a microcontroller's compiler may come without its headers. */
+void *memcpy(void *destination, const void *source, size_t length);
+void *memset(void *destination, int value, size_t length);
+
+#define VC_MAX_CHANNELS 16
+#define VC_PACKET_HEAD_BYTES 5
+#define VC_EVEN_ODDS 32768u
+/* Probability, in 1/65536, that an adaptive decision starts with where nothing is known. */
+#define VC_UNTRAINED 32768u
+
+/* Packet head: sequence * 2 + refresh, LEB128. The reader returns the bytes taken, or 0 when there is no valid head;
+ * the writer the bytes written, at most VC_PACKET_HEAD_BYTES. */
+size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);
+size_t vc_packet_head_write(uint8_t *packet, uint32_t sequence, int refresh);
+
+/* One decision whose probability of 1, in 1/65536, adapts by 1/2^shift with what came. */
+void vc_adaptive_encode(vc_range_coder *coder, int bit, uint16_t *probability, unsigned shift);
+int vc_adaptive_decode(vc_range_coder *coder, uint16_t *probability, unsigned shift);
+
+/* A number from 0 on: exponential-Golomb code of order 0, each bit with even odds, at most 24 bits behind the prefix.
+ */
+void vc_golomb_encode(vc_range_coder *coder, uint32_t value);
+uint32_t vc_golomb_decode(vc_range_coder *coder);
+
+/* Floor of the logarithm to base 2; value > 0. */
+static inline unsigned vc_floor_log2(uint32_t value)
+{
+    unsigned exponent = 0;
+    while (value >> exponent > 1)
+        exponent++;
+    return exponent;
+}
+
+#endif
