@@ -50,7 +50,7 @@ def monotone_envelope(points: Sequence[Point]) -> list[Point]:
     Points without a finite SNR are left out.
     """
     envelope: list[Point] = []
-    finite = [point for point in points if math.isfinite(point.snr_db)]
+    finite = [point for point in points if point.snr_db is not None and math.isfinite(point.snr_db)]
     for point in sorted(finite, key=lambda point: (point.bits_per_sample, -point.snr_db)):
         if not envelope or point.snr_db > envelope[-1].snr_db:
             envelope.append(point)

@@ -14,7 +14,7 @@ from rich.table import Table
 import codec
 from evaluation.bd_rate import WINDOW_DB, BdRate, bd_rates, summary
 from evaluation.charts import plot_mean, plot_traces
-from evaluation.points import Point, PointsError, by_codec_and_trace, read_points, write_points
+from evaluation.points import Point, PointsError, by_codec_and_trace, read_points, write_rows
 from host import coding
 from textures import TextureError, load
 
@@ -115,7 +115,7 @@ def main(folder: Path, peers: Path, out: Path, codec_name: str) -> None:
         peer_points = read_points(peers)
         points = measure_all(paths, codec_name)
         out.mkdir(parents=True, exist_ok=True)
-        write_points(out / "rate_distortion_points.csv", points)
+        write_rows(out / "rate_distortion_points.csv", points, Point)
     except (PointsError, TextureError, codec.CodecError, OSError) as error:
         raise click.ClickException(str(error)) from error
     rates = compare(points, peer_points, codec_name)
