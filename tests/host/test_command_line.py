@@ -18,6 +18,7 @@ import pytest
 import soundfile
 from click.testing import CliRunner, Result
 
+import codec
 import textures
 from device_protocol.messages import State
 from host import devices
@@ -189,6 +190,22 @@ def test_encode_to_a_rate_and_at_another_stream_rate(tmp_path: Path) -> None:
     assert json.loads(succeeds("info", out, "--json"))["rate_hz"] == 2000
 
 
+def test_a_setting_is_used_as_it_is(texture: Path, tmp_path: Path) -> None:
+    sizes = []
+    for step in (0.2, 0.8):
+        out = tmp_path / f"{step}.vct"
+        succeeds("encode", texture, out, "--setting", f"step={step}")
+        sizes.append(out.stat().st_size)
+    assert sizes[0] > 1.5 * sizes[1]
+
+
+def test_lists_the_codecs() -> None:
+    listed = succeeds("codecs")
+    assert "mdct" in listed
+    assert "thrift" in listed
+    assert set(json.loads(succeeds("codecs", "--json"))) == set(codec.CODECS)
+
+
 @pytest.mark.parametrize("kind", sorted(textures.GENERATORS))
 def test_generate(kind: str, tmp_path: Path) -> None:
     one, again, other = tmp_path / "one.wav", tmp_path / "again.wav", tmp_path / "other.wav"
@@ -326,6 +343,12 @@ def test_refuses_bad_usage(texture: Path, coded: Path, tmp_path: Path) -> None:
     assert "does not exist" in fails(2, "play", texture, "--report", tmp_path / "none" / "out.json")
     assert ".png" in fails(2, "play", texture, "--plot", tmp_path / "plot.bmp")
     assert ".vct" in fails(2, "encode", texture, tmp_path / "out.wav")
+    out = tmp_path / "out.vct"
+    assert "NAME=VALUE" in fails(2, "encode", texture, out, "--setting", "step")
+    assert "no parameter pace" in fails(2, "encode", texture, out, "--setting", "pace=1")
+    assert "step is coarse" in fails(2, "encode", texture, out, "--setting", "step=coarse")
+    assert "fixes the quality" in fails(2, "encode", texture, out, "--setting", "step=1", "--snr-db", 10)
+    assert "coded already" in fails(2, "play", coded, "--setting", "step=1")
     assert "sim-usb" in fails(2, "play", texture, "--device", "hand")
     assert "serial:PORT" in fails(2, "status", "--device", "serial:")
     assert "hexadecimal" in fails(2, "status", "--device", "usb:nonsense")

@@ -1,0 +1,216 @@
+"""What every codec must do: take any signal, state its packets, survive damage and loss, and play on a controller."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import codec
+import textures
+from codec import CodecError, Decoder, Signal
+from host import coding, end_to_end
+from host.controller import Controller
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.memory_link import MemoryLink
+from tests.codec.signals import RATE_HZ, edge_signals, texture
+
+every_codec = pytest.mark.parametrize("name", list(codec.CODECS))
+LADDERS = {ladder: name for name, known in codec.CODECS.items() for ladder in known.ladders}
+
+
+def middle_setting(name: str) -> codec.Setting:
+    ladder = next(iter(codec.CODECS[name].ladders.values()))
+    return ladder[len(ladder) // 2]
+
+
+def coded(name: str, signal: Signal, live: bool = False, setting: codec.Setting | None = None) -> codec.CodedSignal:
+    return codec.encode(signal, RATE_HZ, setting or middle_setting(name), codec=name, unit="um", live=live)
+
+
+def decoder_of(stream: codec.CodedSignal) -> Decoder:
+    return codec.decoder(codec.codec_by_name(stream.codec).identifier, stream.configuration, stream.channels)
+
+
+def check_decoded(samples: codec.Decoded, decoder: Decoder) -> None:
+    assert samples.shape == (decoder.packet_samples, decoder.channels)
+    assert samples.dtype == np.int16
+
+
+def test_names_and_numbers_are_their_own() -> None:
+    identifiers = [known.identifier for known in codec.CODECS.values()]
+    assert len(set(identifiers)) == len(identifiers)
+    assert all(1 <= identifier <= 15 for identifier in identifiers)
+    assert len(LADDERS) == sum(len(known.ladders) for known in codec.CODECS.values())
+
+
+@pytest.mark.parametrize("ladder", LADDERS)
+def test_the_top_of_a_ladder_is_better_than_its_bottom_and_takes_more(ladder: str) -> None:
+    known = codec.CODECS[LADDERS[ladder]]
+    rungs = known.ladders[ladder]
+    assert all(known.checked(rung) == rung for rung in rungs)
+    signal = 20 * texture(2800)
+    streams = [coded(known.name, signal, setting=rung) for rung in (rungs[0], rungs[-1])]
+    snrs_db = [codec.snr_db(signal, codec.decode(stream)) or 0.0 for stream in streams]
+    sizes = [sum(map(len, stream.packets)) for stream in streams]
+    assert len(rungs) == 1 or (snrs_db[1] > snrs_db[0] and sizes[1] > sizes[0])
+
+
+@every_codec
+@pytest.mark.parametrize("live", [False, True])
+@pytest.mark.parametrize("signal_name", edge_signals())
+def test_edge_inputs_are_decoded(name: str, live: bool, signal_name: str) -> None:
+    signal = edge_signals()[signal_name]
+    stream = coded(name, signal, live)
+    decoder = decoder_of(stream)
+    assert len(stream.packets) == -(-(len(signal) + decoder.delay_samples) // decoder.packet_samples)
+    decoded = codec.decode(stream)
+    assert decoded.shape == signal.shape
+    assert np.all(np.isfinite(decoded))
+    assert np.max(np.abs(decoded)) <= 2 * np.max(np.abs(signal))
+
+
+@every_codec
+def test_channels_are_kept_apart(name: str) -> None:
+    signal = np.hstack([texture(2800), np.zeros((2800, 1)), texture(2800, seed=5)])
+    decoded = codec.decode(coded(name, signal))
+    assert not np.any(np.abs(decoded[:, 1]) > 1e-3)
+    snrs_db = codec.channel_snrs_db(signal, decoded)
+    assert all(snr_db is None or snr_db > 1 for snr_db in snrs_db)
+
+
+@every_codec
+@given(samples=st.integers(1, 900), channels=st.integers(1, 3), seed=st.integers(0, 99), live=st.booleans())
+@settings(max_examples=10)
+def test_any_length_has_just_the_packets_that_hold_it(
+    name: str, samples: int, channels: int, seed: int, live: bool
+) -> None:
+    stream = coded(name, texture(samples, channels, seed), live)
+    decoder = decoder_of(stream)
+    assert len(stream.packets) == -(-(samples + decoder.delay_samples) // decoder.packet_samples)
+    assert codec.decode(stream).shape == (samples, channels)
+
+
+@every_codec
+def test_decoding_is_repeatable(name: str) -> None:
+    stream = coded(name, texture(3000, 2), live=True)
+    np.testing.assert_array_equal(codec.decode_integers(stream), codec.decode_integers(stream))
+
+
+@every_codec
+@given(data=st.data())
+@settings(max_examples=20)
+def test_damaged_packets_decode_safely(name: str, data: st.DataObject) -> None:
+    stream = coded(name, texture(1500), live=True)
+    decoder = decoder_of(stream)
+    for packet in stream.packets:
+        damaged = bytearray(packet)
+        for _ in range(data.draw(st.integers(0, 3))):
+            damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= data.draw(st.integers(1, 255))
+        shortened = bytes(damaged[: data.draw(st.integers(0, len(damaged)))])
+        try:
+            samples = decoder.decode(shortened)
+        except CodecError:
+            samples = decoder.conceal()
+        check_decoded(samples, decoder)
+
+
+@every_codec
+@given(packets=st.lists(st.binary(max_size=200), max_size=6))
+@settings(max_examples=25)
+def test_any_bytes_decode_safely(name: str, packets: list[bytes]) -> None:
+    decoder = decoder_of(coded(name, texture(300), live=True))
+    for packet in [b"\x01", *packets, *(b"\x01" + packet for packet in packets)]:
+        try:
+            check_decoded(decoder.decode(packet), decoder)
+        except CodecError:
+            check_decoded(decoder.conceal(), decoder)
+
+
+@every_codec
+@given(configuration=st.binary(max_size=40), channels=st.integers(-1, 20))
+@settings(max_examples=60)
+def test_any_configuration_is_read_or_refused(name: str, configuration: bytes, channels: int) -> None:
+    try:
+        decoder = codec.decoder(codec.CODECS[name].identifier, configuration, channels)
+    except CodecError:
+        return
+    assert decoder.packet_samples >= 1
+    assert decoder.packet_samples * channels <= 2**24
+    check_decoded(decoder.conceal(), decoder)
+
+
+@every_codec
+def test_a_gap_fades_and_a_refresh_ends_it(name: str) -> None:
+    """Loss is heard as a fade to silence and a rise, never as a step beyond those of the signal."""
+    signal = texture(14_000)
+    stream = coded(name, signal, live=True)
+    clean = codec.decode_integers(stream).astype(int)
+    decoder = decoder_of(stream)
+    count = len(stream.packets)
+    lost = {count // 3, count // 3 + 1}
+    played = np.concatenate(
+        [decoder.conceal() if index in lost else decoder.decode(packet) for index, packet in enumerate(stream.packets)]
+    ).astype(int)
+    start = min(lost) * decoder.packet_samples
+    np.testing.assert_array_equal(played[:start], clean[:start])
+    assert np.max(np.abs(np.diff(played, axis=0))) <= 1.5 * np.max(np.abs(np.diff(clean, axis=0)))
+    silent = played[start + decoder.packet_samples : (max(lost) + 1) * decoder.packet_samples]
+    assert not np.any(silent[len(silent) // 2 :])
+    assert np.any(played[(max(lost) + 1) * decoder.packet_samples :])
+    end = slice(-2000, None)
+    assert (codec.snr_db(clean[end].astype(float), played[end].astype(float)) or math.inf) > 10
+
+
+@every_codec
+def test_the_first_packet_must_be_a_refresh(name: str) -> None:
+    stream = coded(name, texture(3000), live=True)
+    sequences = [packet[0] for packet in stream.packets[:60]]
+    assert sequences[0] == 1
+    assert [sequence >> 1 for sequence in sequences] == list(range(len(sequences)))
+
+
+@every_codec
+def test_bad_signals_and_settings_are_refused(name: str) -> None:
+    for signal in (np.zeros((0, 1)), np.full((100, 1), math.nan), np.full((100, 1), math.inf), np.zeros(100)):
+        with pytest.raises(CodecError):
+            codec.encode(signal, RATE_HZ, middle_setting(name), codec=name)
+    with pytest.raises(CodecError, match="no parameter softness"):
+        codec.encode(texture(100), RATE_HZ, {"softness": 1.0}, codec=name)
+    for parameter, described in codec.CODECS[name].parameters.items():
+        assert described.checked(parameter, described.default) == described.default
+        with pytest.raises(CodecError, match=parameter):
+            codec.encode(texture(100), RATE_HZ, {parameter: "\x00 nothing of the kind"}, codec=name)
+
+
+@every_codec
+def test_tables_are_refused_where_none_are_taken(name: str) -> None:
+    with pytest.raises(CodecError, match=r"image|tables"):
+        codec.encode(texture(100), RATE_HZ, middle_setting(name), codec=name, tables=bytes(10))
+
+
+@every_codec
+def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
+    recording = textures.Recording(20 * texture(2000, 2), 2800.0, "um", "texture")
+    encoding = coding.encode(recording, codec_name=name, setting=middle_setting(name), live=True)
+    link = MemoryLink(SimulatedController())
+    controller = Controller(link, link.clock, link.sleep)
+    report = end_to_end.play(controller, "memory", "texture", encoding.stream, encoding, loops=2).report
+    assert report.codec == name
+    assert report.underruns == report.lost_packets == 0
+    assert report.decoded_equals_offline is True
+    assert report.dac_equals_offline is True
+
+
+@every_codec
+def test_a_quality_is_met_from_above_or_refused(name: str) -> None:
+    recording = textures.Recording(texture(2800), 2800.0, "um", "texture")
+    try:
+        encoding = coding.encode(recording, codec_name=name, snr_db=8.0)
+    except CodecError as error:
+        assert "cannot be met" in str(error)
+        return
+    assert encoding.snr_db is not None
+    assert encoding.snr_db >= 8.0 - codec.SNR_TOLERANCE_DB
+    assert (encoding.note is None) == (abs(encoding.snr_db - 8.0) <= codec.SNR_TOLERANCE_DB)
