@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import click
 
@@ -24,6 +24,7 @@ from host import coding, devices, flasher, player, progress
 from host.controller import ControllerError
 from host.entry import INTERRUPTED
 from host.input_files import InputFileError, read_input
+from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, options, recording_options
 from host.output_files import whole_file
 from host.report import Report
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK
@@ -40,19 +41,11 @@ INPUT_ERRORS = (
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 DEVICE_ERRORS = (ControllerError, TransportError, MessageError)
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
 
 class DeviceFailure(click.ClickException):
     """The device, or this program, failed."""
 
     exit_code = 1
-
-
-class BadInput(click.ClickException):
-    """What was given cannot be used."""
-
-    exit_code = 2
 
 
 class OneLineErrors(click.Group):
@@ -105,23 +98,6 @@ def fail(message: str, exit_code: int) -> NoReturn:
     sys.exit(exit_code)
 
 
-class OutputFile(click.Path):
-    """A file to write: refused before any work is done when it cannot be written."""
-
-    def __init__(self, *suffixes: str) -> None:
-        super().__init__(dir_okay=False, writable=True, path_type=Path)
-        self.suffixes = suffixes
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path, or raise click.BadParameter with what to do."""
-        path = Path(os.fsdecode(super().convert(value, param, ctx)))
-        if not path.parent.is_dir():
-            self.fail(f"{path}: the folder {path.parent} does not exist; make it first", param, ctx)
-        if self.suffixes and path.suffix.lower() not in self.suffixes:
-            self.fail(f"{path}: the name must end in {' or '.join(self.suffixes)}", param, ctx)
-        return path
-
-
 def refuse_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
     """Raise click.UsageError where a file to write is also one to read, or two to write are the same."""
     used = [path for path in inputs if path]
@@ -143,28 +119,6 @@ def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> s
     return value
 
 
-def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """Return one decorator for a group of options."""
-
-    def decorate(command: Command) -> Command:
-        for decorator in reversed(decorators):
-            command = decorator(command)
-        return command
-
-    return decorate
-
-
-class Finite(click.FloatRange):
-    """A number in a range, infinity and NaN refused."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number, or raise click.BadParameter."""
-        number = float(super().convert(value, param, ctx))
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number", param, ctx)
-        return number
-
-
 def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
     """Return a codec's parameters by name, or raise click.BadParameter."""
     setting: dict[str, str] = {}
@@ -176,19 +130,6 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
     return setting
 
 
-POSITIVE = Finite(min=0, min_open=True)
-INPUT = click.Path(path_type=Path)
-
-recording_options = options(
-    click.option("--rate-hz", type=POSITIVE, help="Sample rate, where the file does not state it."),
-    click.option(
-        "--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit, where the file does not state it."
-    ),
-    click.option("--full-scale", type=POSITIVE, help="Value of 1.0 of a WAV file, in --unit."),
-    click.option("--axis", type=click.Choice(textures.AXES), help="Axis of a three-axis trace, or all three reduced."),
-    click.option("--key", help="Which array of an NPZ file."),
-    click.option("--hand-speed-mm-s", type=POSITIVE, help="Speed of the hand over a height profile."),
-)
 image_option = click.option(
     "--image", "image_path", type=INPUT, help="Model image with the codec's tables, instead of those built in."
 )

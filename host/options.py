@@ -1,0 +1,73 @@
+"""What the arguments of several subcommands have in common: their types, groups of options, the error of bad input."""
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+import textures
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class BadInput(click.ClickException):
+    """What was given cannot be used."""
+
+    exit_code = 2
+
+
+class OutputFile(click.Path):
+    """A file to write: refused before any work is done when it cannot be written."""
+
+    def __init__(self, *suffixes: str) -> None:
+        super().__init__(dir_okay=False, writable=True, path_type=Path)
+        self.suffixes = suffixes
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path, or raise click.BadParameter with what to do."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if not path.parent.is_dir():
+            self.fail(f"{path}: the folder {path.parent} does not exist; make it first", param, ctx)
+        if self.suffixes and path.suffix.lower() not in self.suffixes:
+            self.fail(f"{path}: the name must end in {' or '.join(self.suffixes)}", param, ctx)
+        return path
+
+
+class Finite(click.FloatRange):
+    """A number in a range, infinity and NaN refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number, or raise click.BadParameter."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+
+def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """Return one decorator for a group of options."""
+
+    def decorate(command: Command) -> Command:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate
+
+
+POSITIVE = Finite(min=0, min_open=True)
+INPUT = click.Path(path_type=Path)
+
+recording_options = options(
+    click.option("--rate-hz", type=POSITIVE, help="Sample rate, where the file does not state it."),
+    click.option(
+        "--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit, where the file does not state it."
+    ),
+    click.option("--full-scale", type=POSITIVE, help="Value of 1.0 of a WAV file, in --unit."),
+    click.option("--axis", type=click.Choice(textures.AXES), help="Axis of a three-axis trace, or all three reduced."),
+    click.option("--key", help="Which array of an NPZ file."),
+    click.option("--hand-speed-mm-s", type=POSITIVE, help="Speed of the hand over a height profile."),
+)
