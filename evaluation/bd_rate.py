@@ -1,119 +1,184 @@
-"""BD-rate: the mean difference in rate of two codecs at equal SNR, within a fixed window."""
+"""BD-rate: the mean difference in rate of two codecs at equal quality, within a fixed window of each quality."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
+from typing import TypeAlias
 
 import bjontegaard
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
 from evaluation.points import Point
 
-WINDOW_DB = (5.0, 20.0)
 MIN_POINTS = 6
-MIN_OVERLAP_DB = 3.0
+MIN_OVERLAP = 0.2
+"""Least part of a window that two curves must share."""
 METHODS = ("pchip", "akima")  # the first is reported, the second checks it
+RESAMPLES = 2000
+CONFIDENCE = 0.95
+
+Curve: TypeAlias = Sequence[tuple[float, float]]
+"""Bits per sample and quality of each point of one codec on one trace."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A quality that codecs are compared at: its field in Point, its name for people, and the window of BD-rate."""
+
+    field: str
+    label: str
+    low: float
+    high: float
+
+    def curve(self, points: Iterable[Point]) -> list[tuple[float, float]]:
+        """Return the rate and quality of the points that have this quality."""
+        pairs = ((point.bits_per_sample, getattr(point, self.field)) for point in points)
+        return [(bits, quality) for bits, quality in pairs if quality is not None]
+
+
+# SNR from 5 to 20 dB: below, a decoded texture shares little with its original; above, the peers shape noise no more.
+# The other windows span what goes with that SNR on recorded textures, as far as each measure still tells codecs apart.
+# PSNR exceeds SNR by the crest factor of the trace, 10 to 18 dB and 13 in the middle. ST-SIM is about
+# (1 - 10^(-SNR/10))^(1/3): 0.8 at 3 dB, 0.98 at 12.5 dB; the 0.02 above that hold all better qualities, so that a
+# step of 0.001 there is worth more than the differences of codecs. SPQI: 0.1 is near 5 dB, 0.9 near 18 dB.
+SCALES = (
+    Scale("snr_db", "SNR, dB", 5, 20),
+    Scale("psnr_db", "PSNR, dB", 18, 33),
+    Scale("st_sim_2800", "ST-SIM (2800 Hz)", 0.8, 0.98),
+    Scale("st_sim_8000", "ST-SIM (8000 Hz)", 0.8, 0.98),
+    Scale("spqi", "SPQI", 0.1, 0.9),
+)
+SNR, PSNR, ST_SIM_2800, ST_SIM_8000, SPQI = SCALES
 
 
 @dataclass(frozen=True)
 class BdRate:
-    """The rate of a codec relative to another's at equal SNR: -50 is half the bits.
+    """The rate of a codec relative to another's at equal quality: -50 is half the bits.
 
-    `percent` by pchip and `akima_percent` as a check, over the SNR from `low_db` to `high_db`: the part of WINDOW_DB
+    `percent` by pchip and `akima_percent` as a check, over the quality from `low` to `high`: the part of the window
     where both codecs have points.
     """
 
     percent: float
     akima_percent: float
-    low_db: float
-    high_db: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
 class Summary:
-    """BD-rates over several traces, in percent."""
+    """BD-rates over several traces, in percent.
+
+    `interval_low`, `interval_high`: the 95 % interval of the mean by bootstrap over the traces, None for fewer than
+    three. `low`, `high`: all qualities compared; `whole_window_traces` of the traces cover the window whole.
+    """
 
     mean: float
+    interval_low: float | None
+    interval_high: float | None
     median: float
     lowest: float
     highest: float
     akima_mean: float
     traces: int
+    low: float
+    high: float
+    whole_window_traces: int
 
 
-def monotone_envelope(points: Sequence[Point]) -> list[Point]:
-    """Return, by rising rate, the points that no other equals or exceeds in SNR at the same rate or below.
+def monotone_envelope(curve: Curve) -> list[tuple[float, float]]:
+    """Return, by rising rate, the points that no other equals or exceeds in quality at the same rate or below.
 
-    Points without a finite SNR are left out.
+    Points without a finite quality are left out.
     """
-    envelope: list[Point] = []
-    finite = [point for point in points if point.snr_db is not None and math.isfinite(point.snr_db)]
-    for point in sorted(finite, key=lambda point: (point.bits_per_sample, -point.snr_db)):
-        if not envelope or point.snr_db > envelope[-1].snr_db:
-            envelope.append(point)
+    envelope: list[tuple[float, float]] = []
+    for bits, quality in sorted(curve, key=lambda point: (point[0], -point[1])):
+        if math.isfinite(quality) and (not envelope or quality > envelope[-1][1]):
+            envelope.append((bits, quality))
     return envelope
 
 
-def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> BdRate | None:
+def bd_rate(anchor: Curve, test: Curve, scale: Scale) -> BdRate | None:
     """Return the BD-rate of `test` relative to `anchor`, two curves of one trace.
 
-    10^(mean over SNR of log10 rate_test - log10 rate_anchor) - 1: G. Bjontegaard, VCEG-M33 (2001), with the
-    interpolation of C. Herglotz et al., "The Bjontegaard Bible" (2024), on the monotone envelopes. None where either
-    envelope has fewer than MIN_POINTS, or they share less than MIN_OVERLAP_DB of WINDOW_DB.
+    10^(mean over quality of log10 rate_test - log10 rate_anchor) - 1, the mean being the integral over the qualities
+    that both have, divided by their range: equations (4) to (6) of the EVA paper, after G. Bjontegaard, VCEG-M33
+    (2001). Interpolated as in C. Herglotz et al., "The Bjontegaard Bible" (2024), on the monotone envelopes. None where
+    either envelope has fewer than MIN_POINTS, or they share less than MIN_OVERLAP of the scale's window.
     """
     curves = monotone_envelope(anchor), monotone_envelope(test)
     if min(map(len, curves)) < MIN_POINTS:
         return None
-    low_db = max(WINDOW_DB[0], *(curve[0].snr_db for curve in curves))
-    high_db = min(WINDOW_DB[1], *(curve[-1].snr_db for curve in curves))
-    if high_db - low_db < MIN_OVERLAP_DB:
+    low = max(scale.low, *(curve[0][1] for curve in curves))
+    high = min(scale.high, *(curve[-1][1] for curve in curves))
+    if high - low < MIN_OVERLAP * (scale.high - scale.low):
         return None
-    percent, akima_percent = (_percent(*curves, low_db, high_db, method) for method in METHODS)
-    return BdRate(percent, akima_percent, low_db, high_db)
+    percent, akima_percent = (_percent(*curves, low, high, method) for method in METHODS)
+    return BdRate(percent, akima_percent, low, high)
 
 
-def bits_per_sample_at(points: Sequence[Point], snr_db: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return bits per sample at each SNR, by pchip of the log rate; NaN outside the curve or below MIN_POINTS."""
-    envelope = monotone_envelope(points)
-    if len(envelope) < MIN_POINTS:
-        return np.full(len(snr_db), np.nan)
-    log_rate = PchipInterpolator(*_snr_and_log_rate(envelope), extrapolate=False)
-    return np.asarray(10 ** log_rate(snr_db))
+def bits_per_sample_at(curve: Curve, qualities: ArrayLike) -> NDArray[np.float64]:
+    """Return bits per sample at each quality, by pchip of the log rate on the envelope; NaN outside of it."""
+    bits, quality = _columns(monotone_envelope(curve))
+    return np.asarray(np.exp2(_interpolated(quality, np.log2(bits), np.asarray(qualities, np.float64))))
 
 
-def bd_rates(anchor: Mapping[str, Sequence[Point]], test: Mapping[str, Sequence[Point]]) -> dict[str, BdRate]:
+def quality_at(curve: Curve, bits_per_sample: ArrayLike) -> NDArray[np.float64]:
+    """Return the quality at each rate, by pchip over the log rate on the envelope; NaN outside of it."""
+    bits, quality = _columns(monotone_envelope(curve))
+    return _interpolated(np.log2(bits), quality, np.log2(np.asarray(bits_per_sample, np.float64)))
+
+
+def bd_rates(anchor: Mapping[str, Curve], test: Mapping[str, Curve], scale: Scale) -> dict[str, BdRate]:
     """Return the BD-rate of every trace where `test` and `anchor`, curves by trace, can be compared."""
-    compared = {trace: bd_rate(anchor[trace], test[trace]) for trace in test if trace in anchor}
+    compared = {trace: bd_rate(anchor[trace], test[trace], scale) for trace in test if trace in anchor}
     return {trace: rate for trace, rate in compared.items() if rate is not None}
 
 
-def summary(rates: Sequence[BdRate]) -> Summary:
+def summary(rates: Sequence[BdRate], scale: Scale) -> Summary:
     """Return mean, median and spread of at least one BD-rate."""
     percents = [rate.percent for rate in rates]
-    akima_mean = fmean(rate.akima_percent for rate in rates)
-    return Summary(fmean(percents), median(percents), min(percents), max(percents), akima_mean, len(percents))
+    interval_low, interval_high = _interval_of_mean(percents) if len(rates) > 2 else (None, None)
+    return Summary(
+        fmean(percents),
+        interval_low,
+        interval_high,
+        median(percents),
+        min(percents),
+        max(percents),
+        fmean(rate.akima_percent for rate in rates),
+        len(rates),
+        min(rate.low for rate in rates),
+        max(rate.high for rate in rates),
+        sum((rate.low, rate.high) == (scale.low, scale.high) for rate in rates),
+    )
 
 
-def _percent(anchor: list[Point], test: list[Point], low_db: float, high_db: float, method: str) -> float:
-    (anchor_snr_db, anchor_log_rate), (test_snr_db, test_log_rate) = map(_snr_and_log_rate, (anchor, test))
+def _interval_of_mean(values: Sequence[float]) -> tuple[float, float]:
+    """Percentile bootstrap of B. Efron, "Bootstrap methods: another look at the jackknife" (1979)."""
+    means = np.random.default_rng(0).choice(values, (RESAMPLES, len(values))).mean(axis=1)
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)
+
+
+def _percent(anchor: Curve, test: Curve, low: float, high: float, method: str) -> float:
     # The library integrates over the whole overlap; its interpolators serve for the window within.
     _, anchor_curve, test_curve = bjontegaard.bd_rate(
-        10**anchor_log_rate,
-        anchor_snr_db,
-        10**test_log_rate,
-        test_snr_db,
-        method,
-        require_matching_points=False,
-        interpolators=True,
-        min_overlap=0,
+        *_columns(anchor), *_columns(test), method, require_matching_points=False, interpolators=True, min_overlap=0
     )
-    difference = float(test_curve.integrate(low_db, high_db) - anchor_curve.integrate(low_db, high_db))
-    return 100 * (10 ** (difference / (high_db - low_db)) - 1)
+    difference = float(test_curve.integrate(low, high) - anchor_curve.integrate(low, high))
+    return 100 * (10 ** (difference / (high - low)) - 1)
 
 
-def _snr_and_log_rate(envelope: Sequence[Point]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    snr_db = np.array([point.snr_db for point in envelope])
-    return snr_db, np.log10([point.bits_per_sample for point in envelope])
+def _columns(curve: Curve) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    table = np.array(curve, np.float64).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _interpolated(x: NDArray[np.float64], y: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    if len(x) < 2:
+        return np.full(at.shape, np.nan)
+    return np.asarray(PchipInterpolator(x, y, extrapolate=False)(at))

@@ -1,15 +1,17 @@
-"""Measured points - rate and quality, and the time they took - of this project's codecs and its peers, as CSV files."""
+"""Rows that measurements are kept in - rate and quality, times, failures - read from and written to CSV files."""
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, Field, asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, get_type_hints
+
+_MAX_COUNT = 2**63
 
 
 class PointsError(ValueError):
-    """A file of measured points that cannot be used; the message says why."""
+    """A file of measurements that cannot be used; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Point:
     source: str = "measured"
 
     def __post_init__(self) -> None:
-        if self.samples <= 0 or self.bytes_total <= 0:
+        if not (0 < self.samples < _MAX_COUNT and 0 < self.bytes_total < _MAX_COUNT):
             raise PointsError("samples and bytes must be positive")
 
     @property
@@ -59,49 +61,77 @@ class Timing:
     decode_s_per_megasample: float
     source: str = "measured"
 
+    def __post_init__(self) -> None:
+        if not (0 <= self.encode_s_per_megasample < math.inf and 0 <= self.decode_s_per_megasample < math.inf):
+            raise PointsError("times must be finite and not negative")
 
-Row = TypeVar("Row", Point, Timing)
+
+@dataclass(frozen=True)
+class Failure:
+    """One trace at one setting of a codec that gave no point, and why. `codec`, `setting`: empty for a trace itself."""
+
+    trace: str
+    codec: str
+    setting: str
+    reason: str
+
+
+class Record(Protocol):
+    """Any dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+Row = TypeVar("Row", bound=Record)
+
+
+def read_rows(path: Path, kind: type[Row], defaults: Mapping[str, str] | None = None) -> list[Row]:
+    """Read a CSV file into rows of a dataclass whose fields are text, whole numbers or numbers, some of them optional.
+
+    The file has at least a column for each field without a default; others it has are ignored. `defaults`: the text of
+    fields that a row leaves empty. Raises PointsError where it is no such file, OSError where it cannot be read.
+    """
+    kinds = get_type_hints(kind)
+    columns = {field.name: field.default is MISSING for field in fields(kind)}
+    read = []
+    for line, texts in enumerate(_texts(path, [name for name, needed in columns.items() if needed]), 2):
+        filled = {**(defaults or {}), **{name: text for name, text in texts.items() if text}}
+        try:
+            values = {
+                name: _READERS[kinds[name]](filled.get(name, ""))
+                for name, needed in columns.items()
+                if needed or name in filled
+            }
+            read.append(kind(**values))
+        except ValueError as error:
+            raise PointsError(f"{path}, row {line}: {error}") from error
+    return read
 
 
 def read_points(path: Path, source: str = "measured") -> list[Point]:
-    """Read a CSV file with at least the columns of Point that have no default; `source` where it does not say.
-
-    Raises PointsError where it is no such file, OSError where it cannot be read.
-    """
-    return _read(path, Point, lambda row: {"source": source, **row})
-
-
-def read_timings(path: Path) -> list[Timing]:
-    """Read a CSV file of timings. Raises as `read_points`."""
-    return _read(path, Timing, lambda row: row)
+    """Read a CSV file of points; `source` is where it does not say. Raises as `read_rows`."""
+    return read_rows(path, Point, {"source": source})
 
 
 def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
     """Read others' points, and their timings where columns encode_s and decode_s hold the seconds of one trace.
 
-    Raises as `read_points`.
+    Raises as `read_rows`.
     """
-    points = read_points(path, "imported")
-    timed = ("trace", "codec", "setting", "samples", "encode_s", "decode_s")
-    rows = [row for row in _rows(path, ()) if all(row.get(name) for name in timed)]
-    try:
-        return points, [
-            Timing(
-                row["trace"],
-                row["codec"],
-                row["setting"],
-                1e6 * float(row["encode_s"]) / int(row["samples"]),
-                1e6 * float(row["decode_s"]) / int(row["samples"]),
-                "imported",
-            )
-            for row in rows
-        ]
-    except ValueError as error:
-        raise PointsError(f"{path}: encode_s or decode_s: {error}") from error
+    timings = []
+    for line, row in enumerate(_texts(path, ()), 2):
+        if row.get("encode_s") and row.get("decode_s"):
+            try:
+                megasamples = int(row["samples"]) / 1e6
+                times = float(row["encode_s"]) / megasamples, float(row["decode_s"]) / megasamples
+                timings.append(Timing(row["trace"], row["codec"], row["setting"], *times, "imported"))
+            except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+                raise PointsError(f"{path}, row {line}: encode_s or decode_s: {error}") from error
+    return read_points(path, "imported"), timings
 
 
-def write_rows(path: Path, rows: Iterable[Point] | Iterable[Timing], kind: type[Point] | type[Timing]) -> None:
-    """Write points or timings as CSV; points with bits_per_sample behind the other columns. Raises OSError."""
+def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
+    """Write rows of a dataclass as CSV; points with bits_per_sample behind the other columns. Raises OSError."""
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         names = [field.name for field in fields(kind)]
@@ -119,18 +149,7 @@ def by_codec_and_trace(points: Iterable[Point]) -> dict[str, dict[str, list[Poin
     return curves
 
 
-def _read(path: Path, kind: type[Row], prepared: Any) -> list[Row]:
-    needed = [field.name for field in fields(kind) if field.default is MISSING]
-    read = []
-    for line, row in enumerate(_rows(path, needed), 2):
-        try:
-            read.append(kind(**_values(kind, prepared(row))))
-        except (TypeError, ValueError) as error:
-            raise PointsError(f"{path}, row {line}: {error}") from error
-    return read
-
-
-def _rows(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
+def _texts(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
     with path.open(newline="", encoding="utf-8") as file:
         try:
             rows = csv.DictReader(file)
@@ -141,22 +160,17 @@ def _rows(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
             raise PointsError(f"{path}: not a CSV file: {error}") from error
 
 
-def _values(kind: type[Row], row: Mapping[str, str | None]) -> dict[str, Any]:
-    """Return the fields of a row in their types; those left empty are left out, or None where they have no default."""
-    values: dict[str, Any] = {}
-    for field in fields(kind):
-        text = row.get(field.name)
-        if text or field.default is MISSING:
-            values[field.name] = _value(str(field.type), text)
-    return values
-
-
-def _value(kind: str, text: str | None) -> Any:
-    if not text and "None" in kind:
-        return None
-    if "str" in kind:
-        return text or ""
-    number = int(str(text)) if "int" in kind else float(str(text))
+def _number(text: str) -> float:
+    number = float(text)
     if math.isnan(number):
         raise PointsError("NaN; leave the field empty where there is no value")
     return number
+
+
+_READERS: Mapping[Any, Callable[[str], Any]] = {
+    str: str,
+    int: int,
+    float: _number,
+    int | None: lambda text: int(text) if text else None,
+    float | None: lambda text: _number(text) if text else None,
+}

@@ -1,8 +1,8 @@
-"""Tests of BD-rate against curves whose difference is known."""
+"""Tests of BD-rate against its definition, on curves whose difference is known."""
 
 import math
 import random
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import bjontegaard
@@ -10,65 +10,138 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
 
-from evaluation.bd_rate import BdRate, bd_rate, bd_rates, bits_per_sample_at, monotone_envelope, summary
+from evaluation.bd_rate import (
+    SCALES,
+    SNR,
+    ST_SIM_2800,
+    BdRate,
+    Scale,
+    bd_rate,
+    bd_rates,
+    bits_per_sample_at,
+    monotone_envelope,
+    quality_at,
+    summary,
+)
 from evaluation.points import Point
-from tests.evaluation.curves import SAMPLES, curve
 
 COARSE = [2.0, 5.0, 8.0, 11.0, 14.0, 17.0, 20.0, 23.0]
 FINE = [1.0 + 0.5 * index for index in range(50)]
 
 
+def curve(qualities: Sequence[float], rate_factor: float = 1.0, db_per_bit: float = 6.0) -> list[tuple[float, float]]:
+    """Return points of bits per sample = rate_factor * (1 + quality / db_per_bit)."""
+    return [(rate_factor * (1 + quality / db_per_bit), quality) for quality in qualities]
+
+
 @given(factor=st.floats(0.05, 20), snrs_db=st.sampled_from([COARSE, FINE]))
 def test_a_constant_factor_of_rate_is_found(factor: float, snrs_db: list[float]) -> None:
-    result = bd_rate(curve(snrs_db), curve(snrs_db, factor))
+    result = bd_rate(curve(snrs_db), curve(snrs_db, factor), SNR)
     assert result is not None
-    assert result.percent == pytest.approx(100 * (factor - 1), abs=0.01)
-    assert result.akima_percent == pytest.approx(100 * (factor - 1), abs=0.01)
-    assert (result.low_db, result.high_db) == (5, 20)
+    assert result.percent == pytest.approx(100 * (factor - 1))
+    assert result.akima_percent == pytest.approx(100 * (factor - 1))
+    assert (result.low, result.high) == (5, 20)
+
+
+@pytest.mark.parametrize("scale", SCALES, ids=lambda scale: scale.field)
+@given(factor=st.floats(0.05, 20))
+def test_every_quality_is_compared_in_its_window(scale: Scale, factor: float) -> None:
+    qualities = np.linspace(scale.low - 0.05, scale.high + 0.01, 12)
+    anchor = [(2**step, quality) for step, quality in enumerate(qualities)]
+    result = bd_rate(anchor, [(factor * bits, quality) for bits, quality in anchor], scale)
+    assert result == BdRate(pytest.approx(100 * (factor - 1)), pytest.approx(100 * (factor - 1)), scale.low, scale.high)
 
 
 def test_half_the_rate_is_minus_fifty_percent_and_back_again_plus_hundred() -> None:
-    there, back = bd_rate(curve(COARSE), curve(COARSE, 0.5)), bd_rate(curve(COARSE, 0.5), curve(COARSE))
+    there, back = bd_rate(curve(COARSE), curve(COARSE, 0.5), SNR), bd_rate(curve(COARSE, 0.5), curve(COARSE), SNR)
     assert there is not None and back is not None
-    assert there.percent == pytest.approx(-50, abs=0.01)
-    assert back.percent == pytest.approx(100, abs=0.02)
+    assert there.percent == pytest.approx(-50)
+    assert back.percent == pytest.approx(100)
 
 
 def test_only_the_window_counts() -> None:
     anchor = curve(FINE)
-    divisors = [10 if point.snr_db < 4 else 2 if point.snr_db <= 21 else 1 for point in anchor]
-    test = [
-        replace(point, bytes_total=point.bytes_total // divisor)
-        for point, divisor in zip(anchor, divisors, strict=True)
-    ]
-    result = bd_rate(anchor, test)
+    test = [(bits / (10 if snr_db < 4 else 2 if snr_db <= 21 else 1), snr_db) for bits, snr_db in anchor]
+    result = bd_rate(anchor, test, SNR)
     assert result is not None
     assert result.percent == pytest.approx(-50, abs=0.5)
 
 
-def test_curves_of_unequal_steepness_have_the_mean_of_the_log_ratio() -> None:
-    result = bd_rate(curve(FINE, db_per_bit=6), curve(FINE, db_per_bit=4))
-    snr_db = np.linspace(5, 20, 10001)
-    expected = 100 * (math.exp(np.mean(np.log((1 + snr_db / 4) / (1 + snr_db / 6)))) - 1)
+def definition(anchor: Callable[[float], float], test: Callable[[float], float], low: float, high: float) -> float:
+    """BD-rate in percent of two curves, bits per sample over quality, by equations (4) to (6) of the EVA paper."""
+    integral, _ = quad(lambda quality: math.log10(test(quality)) - math.log10(anchor(quality)), low, high)
+    return 100 * (10 ** (integral / (high - low)) - 1)
+
+
+@given(
+    starts=st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
+    slopes=st.tuples(st.floats(0.01, 0.1), st.floats(0.01, 0.1)),
+    ends_db=st.tuples(st.floats(0, 8), st.floats(12, 24)),
+)
+def test_straight_lines_of_log_rate_have_the_difference_in_the_middle(
+    starts: tuple[float, float], slopes: tuple[float, float], ends_db: tuple[float, float]
+) -> None:
+    snrs_db = np.linspace(*ends_db, 9)
+    anchor, test = (
+        [(10 ** (start + slope * snr_db), snr_db) for snr_db in snrs_db]
+        for start, slope in zip(starts, slopes, strict=True)
+    )
+    low, high = max(5.0, ends_db[0]), min(20.0, ends_db[1])
+    middle_db = (low + high) / 2
+    expected = 10 ** (starts[1] - starts[0] + (slopes[1] - slopes[0]) * middle_db)
+    result = bd_rate(anchor, test, SNR)
+    assert result is not None
+    assert result.percent == pytest.approx(100 * (expected - 1))
+    assert result.akima_percent == pytest.approx(100 * (expected - 1))
+    by_definition = definition(
+        lambda snr_db: 10 ** (starts[0] + slopes[0] * snr_db),
+        lambda snr_db: 10 ** (starts[1] + slopes[1] * snr_db),
+        low,
+        high,
+    )
+    assert by_definition == pytest.approx(100 * (expected - 1))
+
+
+def test_curved_lines_have_the_integral_of_the_definition() -> None:
+    result = bd_rate(curve(FINE, db_per_bit=6), curve(FINE, db_per_bit=4), SNR)
+    expected = definition(lambda snr_db: 1 + snr_db / 6, lambda snr_db: 1 + snr_db / 4, 5, 20)
     assert result is not None
     assert result.percent == pytest.approx(expected, abs=0.01)
+
+
+def test_a_saturating_quality_has_the_integral_of_the_definition() -> None:
+    def bits(quality: float) -> float:
+        return -math.log2(1 - quality)
+
+    def bits_of_test(quality: float) -> float:
+        return 0.8 * bits(quality) ** 1.1
+
+    qualities = 1 - np.geomspace(0.5, 0.001, 60)
+    result = bd_rate(
+        [(bits(quality), quality) for quality in qualities],
+        [(bits_of_test(quality), quality) for quality in qualities],
+        ST_SIM_2800,
+    )
+    assert result is not None
+    assert result.percent == pytest.approx(definition(bits, bits_of_test, 0.8, 0.98), abs=0.01)
 
 
 def test_the_library_agrees_where_the_curves_end_at_the_window() -> None:
     snrs_db = [5.0, 8.0, 11.0, 14.0, 17.0, 20.0]
     anchor, test = curve(snrs_db), curve(snrs_db, 0.7, db_per_bit=5)
-    rates = [[point.bits_per_sample for point in points] for points in (anchor, test)]
-    expected = bjontegaard.bd_rate(rates[0], snrs_db, rates[1], snrs_db, "pchip")
-    result = bd_rate(anchor, test)
+    rates = [[bits for bits, _ in points] for points in (anchor, test)]
+    result = bd_rate(anchor, test, SNR)
     assert result is not None
-    assert result.percent == pytest.approx(expected)
+    assert result.percent == pytest.approx(bjontegaard.bd_rate(rates[0], snrs_db, rates[1], snrs_db, "pchip"))
+    assert result.akima_percent == pytest.approx(bjontegaard.bd_rate(rates[0], snrs_db, rates[1], snrs_db, "akima"))
 
 
 def test_comparison_ends_where_a_curve_ends() -> None:
-    result = bd_rate(curve([-1.0, 2.0, 5.0, 8.0, 11.0, 14.0]), curve([7.5, *FINE[20:]], 0.5))
+    result = bd_rate(curve([-1.0, 2.0, 5.0, 8.0, 11.0, 14.0]), curve([7.5, *FINE[20:]], 0.5), SNR)
     assert result is not None
-    assert (result.low_db, result.high_db) == (7.5, 14)
+    assert (result.low, result.high) == (7.5, 14)
     assert result.percent == pytest.approx(-50, abs=0.5)
 
 
@@ -81,53 +154,74 @@ def test_comparison_ends_where_a_curve_ends() -> None:
         [-5.0 + index for index in range(13)],
         [math.nan] * 8,
         [math.inf] * 8,
+        [12.0] * 8,
     ],
-    ids=["nothing", "too few points", "above the window", "too little overlap", "NaN", "lossless"],
+    ids=["nothing", "too few points", "above the window", "too little overlap", "NaN", "lossless", "one quality"],
 )
 def test_curves_that_cannot_be_compared(snrs_db: list[float]) -> None:
-    anchor = curve(COARSE)
-    points = [Point("trace", "peer", "", SAMPLES, 1000 + index, snr_db) for index, snr_db in enumerate(snrs_db)]
-    assert bd_rate(anchor, points) is None
-    assert bd_rate(points, anchor) is None
+    points = [(1 + 0.1 * index, snr_db) for index, snr_db in enumerate(snrs_db)]
+    assert bd_rate(curve(COARSE), points, SNR) is None
+    assert bd_rate(points, curve(COARSE), SNR) is None
 
 
 def test_order_repetition_and_worse_points_do_not_matter() -> None:
     clean = curve(COARSE, 0.6)
-    worse = [replace(point, snr_db=point.snr_db - 1, bytes_total=point.bytes_total + 1) for point in clean]
-    points = [*clean, *clean, *worse]
+    points = [*clean, *clean, *((bits + 0.01, snr_db - 1) for bits, snr_db in clean)]
     random.Random(0).shuffle(points)
     assert monotone_envelope(points) == clean
-    assert bd_rate(curve(COARSE), points) == bd_rate(curve(COARSE), clean)
+    assert bd_rate(curve(COARSE), points, SNR) == bd_rate(curve(COARSE), clean, SNR)
 
 
-@given(st.lists(st.tuples(st.integers(1, 50), st.floats(-10, 40) | st.just(math.nan) | st.just(math.inf))))
-def test_the_envelope_rises_and_covers_every_point(pairs: list[tuple[int, float]]) -> None:
-    points = [Point("trace", "codec", "", 10, size, snr_db) for size, snr_db in pairs]
+@given(st.lists(st.tuples(st.integers(1, 50), st.floats(-10, 40) | st.sampled_from([math.nan, math.inf, -math.inf]))))
+def test_the_envelope_rises_and_covers_every_point(points: list[tuple[float, float]]) -> None:
     envelope = monotone_envelope(points)
     for lower, upper in pairwise(envelope):
-        assert lower.bytes_total < upper.bytes_total and lower.snr_db < upper.snr_db
-    for point in points:
-        if math.isfinite(point.snr_db):
-            assert any(best.bytes_total <= point.bytes_total and best.snr_db >= point.snr_db for best in envelope)
+        assert lower[0] < upper[0] and lower[1] < upper[1]
+    for bits, quality in points:
+        if math.isfinite(quality):
+            assert any(best[0] <= bits and best[1] >= quality for best in envelope)
 
 
-def test_bits_per_sample_between_points() -> None:
-    bits = bits_per_sample_at(curve(COARSE), np.array([1.0, 8.0, 12.0, 24.0]))
-    np.testing.assert_allclose(bits, [np.nan, 1 + 8 / 6, 3, np.nan], rtol=0.01)
-    assert np.isnan(bits_per_sample_at(curve(COARSE[:5]), np.array([8.0]))).all()
+def test_between_points_and_never_outside() -> None:
+    np.testing.assert_allclose(
+        bits_per_sample_at(curve(COARSE), [1.0, 8.0, 12.0, 24.0]), [np.nan, 1 + 8 / 6, 3, np.nan], rtol=0.01
+    )
+    np.testing.assert_allclose(quality_at(curve(COARSE), [1.0, 1 + 8 / 6, 3, 9.0]), [np.nan, 8, 12, np.nan], rtol=0.01)
+    for too_short in ([], curve([8.0])):
+        assert np.isnan(bits_per_sample_at(too_short, [8.0])).all()
+        assert np.isnan(quality_at(too_short, [1 + 8 / 6])).all()
+
+
+def test_points_without_a_quality_are_not_on_its_curve() -> None:
+    points = [Point("a", "b", "", 8, 2, 5.0, spqi=None), Point("a", "b", "", 8, 4, None, spqi=0.5)]
+    assert SNR.curve(points) == [(2.0, 5.0)]
 
 
 def test_traces_are_compared_one_by_one_and_summed_up() -> None:
-    anchor = {name: curve(COARSE, trace=name) for name in ("a", "b", "c", "only here")}
-    test = {name: curve(COARSE, factor, trace=name) for name, factor in (("a", 0.5), ("b", 0.6), ("c", 0.9))}
-    test["d"] = curve(COARSE)
-    rates = bd_rates(anchor, test)
+    anchor = {name: curve(COARSE) for name in ("a", "b", "c", "only here")}
+    test = {name: curve(COARSE, factor) for name, factor in (("a", 0.5), ("b", 0.6), ("c", 0.9), ("only there", 1))}
+    rates = bd_rates(anchor, test, SNR)
     assert {name: round(rate.percent) for name, rate in rates.items()} == {"a": -50, "b": -40, "c": -10}
-    result = summary(list(rates.values()))
-    assert result.mean == pytest.approx(-100 / 3, abs=0.01)
-    assert result.median == pytest.approx(-40, abs=0.01)
+    result = summary(list(rates.values()), SNR)
+    assert result.mean == pytest.approx(-100 / 3)
+    assert result.median == pytest.approx(-40)
     assert (round(result.lowest), round(result.highest), result.traces) == (-50, -10, 3)
+    assert (result.low, result.high, result.whole_window_traces) == (5, 20, 3)
 
 
-def test_a_summary_names_the_check() -> None:
-    assert summary([BdRate(-50, -49, 5, 20), BdRate(-40, -41, 5, 20)]).akima_mean == -45
+def test_a_summary_names_the_check_and_the_window() -> None:
+    result = summary([BdRate(-50, -49, 5, 19), BdRate(-40, -41, 6, 20), BdRate(-42, -42, 5, 20)], SNR)
+    assert result.akima_mean == -44
+    assert (result.low, result.high, result.whole_window_traces) == (5, 20, 1)
+
+
+def test_the_interval_of_the_mean_holds_it_and_shrinks_with_the_traces() -> None:
+    values = np.random.default_rng(1).normal(-40, 10, 400)
+    few, many = (summary([BdRate(value, value, 5, 20) for value in values[:count]], SNR) for count in (10, 400))
+    for result in (few, many):
+        assert result.interval_low is not None and result.interval_high is not None
+        assert result.interval_low < result.mean < result.interval_high
+    # 1.96 standard errors of the mean each way.
+    assert many.interval_high is not None
+    assert many.interval_high - many.mean == pytest.approx(1.96 * np.std(values) / 20, rel=0.1)
+    assert summary([BdRate(-50, -49, 5, 20), BdRate(-40, -41, 5, 20)], SNR).interval_low is None

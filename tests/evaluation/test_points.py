@@ -1,23 +1,50 @@
-"""Tests of the CSV files of rate-distortion points."""
+"""Tests of the CSV files of measurements."""
 
+import math
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluation.points import Point, PointsError, by_codec_and_trace, read_points, write_rows
+from evaluation.points import (
+    Failure,
+    Point,
+    PointsError,
+    Timing,
+    by_codec_and_trace,
+    read_imported,
+    read_points,
+    read_rows,
+    write_rows,
+)
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 HEADER = "trace,codec,setting,samples,bytes_total,snr_db"
+TIMED = f"{HEADER},encode_s,decode_s"
 
 
 def test_points_come_back_from_a_file(tmp_path: Path) -> None:
-    points = [Point("a, b", "mdct", 'step "1"', 100, 50, 12.5), Point("c", "mdct", "", 7, 3, -1.0)]
+    points = [
+        Point("a, b", "mdct", 'step "1"', 100, 50, 12.5, 2800.0, 25.0, 0.99, 1.01, 0.8, 3.0, 22.5),
+        Point("c", "peer", "", 7, 3, -1.0, source="imported"),
+        Point("silent", "mdct", "", 7, 3, None),
+        Point("exact", "flac", "", 7, 3, math.inf),
+    ]
     write_rows(tmp_path / "points.csv", points, Point)
     assert read_points(tmp_path / "points.csv") == points
-    assert (tmp_path / "points.csv").read_text().splitlines()[0].startswith(HEADER)
-    assert points[0].bits_per_sample == 4
+    lines = (tmp_path / "points.csv").read_text().splitlines()
+    assert lines[0].startswith(HEADER) and lines[0].endswith("bits_per_sample")
+    assert lines[1].endswith(",4.0") and points[0].bits_per_sample == 4
+
+
+def test_timings_and_failures_come_back_from_a_file(tmp_path: Path) -> None:
+    timings = [Timing("a", "mdct", "step=1", 0.1, 1e-9), Timing("a", "peer", "", 3.0, 0.0, "imported")]
+    failures = [Failure("a", "", "", 'no WAV file\n"a"')]
+    write_rows(tmp_path / "timings.csv", timings, Timing)
+    write_rows(tmp_path / "failures.csv", failures, Failure)
+    assert read_rows(tmp_path / "timings.csv", Timing) == timings
+    assert read_rows(tmp_path / "failures.csv", Failure) == failures
 
 
 def test_points_are_sorted_by_codec_and_trace() -> None:
@@ -34,6 +61,8 @@ def test_points_are_sorted_by_codec_and_trace() -> None:
         ("trace,codec\na,b\n", "no column setting, samples"),
         (f"{HEADER}\na,b,c,many,1,1\n", "row 2: invalid literal"),
         (f"{HEADER}\na,b,c,0,1,1\n", "row 2: samples and bytes must be positive"),
+        (f"{HEADER}\na,b,c,1,{10**400},1\n", "row 2: samples and bytes must be positive"),
+        (f"{HEADER}\na,b,c,1,1,nan\n", "row 2: NaN"),
         (f"{HEADER}\na,b,c,1\n", "row 2"),
     ],
 )
@@ -43,17 +72,33 @@ def test_refused_with_the_place(tmp_path: Path, text: str, message: str) -> None
         read_points(tmp_path / "points.csv")
 
 
+def test_imported_seconds_of_a_trace_become_seconds_per_million_samples(tmp_path: Path) -> None:
+    (tmp_path / "peers.csv").write_text(f"{TIMED}\na,peer,-b 1,2000,10,5,0.004,0.002\na,peer,-b 2,2000,20,6,,\n")
+    points, timings = read_imported(tmp_path / "peers.csv")
+    assert [point.source for point in points] == ["imported", "imported"]
+    assert timings == [Timing("a", "peer", "-b 1", 2.0, 1.0, "imported")]
+
+
+@pytest.mark.parametrize("times", ["soon,1", "1,nan", "inf,1", "-1,1"])
+def test_imported_times_that_are_none_are_refused(tmp_path: Path, times: str) -> None:
+    (tmp_path / "peers.csv").write_text(f"{TIMED}\na,peer,,2000,10,5,{times}\n")
+    with pytest.raises(PointsError, match="row 2: encode_s or decode_s"):
+        read_imported(tmp_path / "peers.csv")
+
+
 @given(data=st.binary(max_size=200), headed=st.booleans())
 def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data: bytes, headed: bool) -> None:
     path = tmp_path_factory.getbasetemp() / "any.csv"
-    path.write_bytes((f"{HEADER}\n".encode() if headed else b"") + data)
+    path.write_bytes((f"{TIMED}\n".encode() if headed else b"") + data)
     try:
-        assert all(point.samples > 0 for point in read_points(path))
+        assert all(point.samples > 0 for point in read_imported(path)[0])
     except PointsError as error:
         assert str(error)
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the peers' points are not here")
 def test_the_peers_are_read() -> None:
-    curves = by_codec_and_trace(read_points(SHARED / "peers" / "dev_2800.csv"))
+    points, timings = read_imported(SHARED / "peers" / "dev_2800.csv")
+    curves = by_codec_and_trace(points)
     assert {len(curves[name]) for name in ("vcpwq", "speex_nb@relabel")} == {11}
+    assert len(timings) == len(points) and {timing.source for timing in timings} == {"imported"}
