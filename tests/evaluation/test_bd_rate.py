@@ -51,7 +51,10 @@ def test_every_quality_is_compared_in_its_window(scale: Scale, factor: float) ->
     qualities = np.linspace(scale.low - 0.05, scale.high + 0.01, 12)
     anchor = [(2**step, quality) for step, quality in enumerate(qualities)]
     result = bd_rate(anchor, [(factor * bits, quality) for bits, quality in anchor], scale)
-    assert result == BdRate(pytest.approx(100 * (factor - 1)), pytest.approx(100 * (factor - 1)), scale.low, scale.high)
+    assert result is not None
+    assert result.percent == pytest.approx(100 * (factor - 1))
+    assert result.akima_percent == pytest.approx(100 * (factor - 1))
+    assert (result.low, result.high) == (scale.low, scale.high)
 
 
 def test_half_the_rate_is_minus_fifty_percent_and_back_again_plus_hundred() -> None:
@@ -116,7 +119,7 @@ def test_a_saturating_quality_has_the_integral_of_the_definition() -> None:
         return -math.log2(1 - quality)
 
     def bits_of_test(quality: float) -> float:
-        return 0.8 * bits(quality) ** 1.1
+        return 0.8 * math.pow(bits(quality), 1.1)
 
     qualities = 1 - np.geomspace(0.5, 0.001, 60)
     result = bd_rate(
