@@ -102,3 +102,10 @@ def test_the_peers_are_read() -> None:
     curves = by_codec_and_trace(points)
     assert {len(curves[name]) for name in ("vcpwq", "speex_nb@relabel")} == {11}
     assert len(timings) == len(points) and {timing.source for timing in timings} == {"imported"}
+
+
+def test_figures_of_a_point() -> None:
+    point = Point("a", "mdct", "", samples=2800, bytes_total=700, snr_db=None, rate_hz=2800.0)
+    assert (point.bits_per_sample, point.bits_per_second, point.compression_ratio) == (2, 5600, 8)
+    assert Point("a", "mdct", "", 1, 1, None).bits_per_second is None
+    assert Timing("a", "mdct", "", 20.0, 5.0).real_time_factor(8000) == pytest.approx(0.2)

@@ -1,0 +1,159 @@
+"""Quality of a decoded signal against its reference, by six measures; docs/metrics.md has their rules side by side."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from vibromaf.metrics.spqi import SPQI
+from vibromaf.metrics.stsim import STSIM
+from vibromaf.signal.perception import PerceptualThreshold
+from vibromaf.signal.transform import PerceptualSpectrumBuilder
+
+import codec
+from codec import Signal
+
+BLOCK_SAMPLES = 512
+"""Block of ST-SIM and SPQI at every rate: vibromaf's own."""
+SILENCE = 1e-6
+"""Below this part of the channel's peak, as RMS, the reference is silent: no block of 16-bit samples that are not all
+equal is, as one of 512 that differs by one step is 1.3e-6 of full scale."""
+TACTILE_BAND_HZ = (40.0, 800.0)
+"""The Pacinian channel, of S. J. Bolanowski et al., "Four channels mediate the mechanical aspects of touch", 1988."""
+FRAME_S = 0.1
+FLOOR = 1e-6
+"""Floor of power spectra relative to the reference's mean power in the tactile band, -60 dB."""
+LARGEST_MAGNITUDE, SMALLEST_PEAK = 2.0**127, 2.0**-120
+"""What the codecs take: between them, no square of a ratio overflows."""
+
+
+class _StSim2800(STSIM):  # type: ignore[misc, unused-ignore]  # vibromaf is not typed
+    """ST-SIM with the axis of its thresholds at 2800 Hz."""
+
+    perceptual_spectrum_builder = PerceptualSpectrumBuilder(perceptual_threshold=PerceptualThreshold(2800))
+
+
+_ST_SIM_2800 = _StSim2800(eta=2 / 3)
+_ST_SIM_8000 = STSIM(eta=2 / 3)
+_SPQI = SPQI(eta=0.3, threshold=-2.0)
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How near a decoded signal is to its reference; None where a measure has no value.
+
+    `snr_db`: of codec.snr_db, 10 log10(sum x^2 / sum (x - y)^2), infinity for an exact copy.
+    `psnr_db`: 10 log10(peak^2 / mean (x - y)^2); the peak is the largest magnitude of the reference channel.
+    `st_sim_2800`, `st_sim_8000`: ST-SIM with its thresholds on an axis of 2800 Hz and of 8000 Hz, 1 for an exact copy.
+    `spqi`: SPQI, 0 to 1, 1 for an exact copy. `log_spectral_distance_db`: in the tactile band, 0 for an exact copy.
+    """
+
+    snr_db: float | None
+    psnr_db: float | None
+    st_sim_2800: float | None
+    st_sim_8000: float | None
+    spqi: float | None
+    log_spectral_distance_db: float | None
+
+
+def measure(reference: Signal, decoded: Signal, rate_hz: float) -> Quality:
+    """Measure float64 arrays (n, channels) in the physical unit, the codec's delay removed.
+
+    Every measure is the mean over the channels that have a value; one whose reference is silent has none. Raises
+    ValueError on arrays of another or of differing shape, NaN, infinity, magnitudes that no codec takes, or a rate that
+    is not a positive number.
+    """
+    _check(reference, decoded, rate_hz)
+    channels = [
+        _measure_channel(x, y, rate_hz, ratio)
+        for x, y, ratio in zip(reference.T, decoded.T, codec.channel_snrs_db(reference, decoded), strict=True)
+        if ratio is not None
+    ]
+    return Quality(
+        **{each.name: _mean(getattr(channel, each.name) for channel in channels) for each in fields(Quality)}
+    )
+
+
+def _check(reference: Signal, decoded: Signal, rate_hz: float) -> None:
+    if reference.ndim != 2 or reference.shape != decoded.shape:
+        raise ValueError(
+            f"a reference of shape {reference.shape}, decoded {decoded.shape}; both must be (n, channels) and equal: "
+            "remove the codec's delay and what follows the end"
+        )
+    if not (math.isfinite(rate_hz) and rate_hz > 0):
+        raise ValueError(f"a rate of {rate_hz} Hz; give the samples' rate, a positive number")
+    for name, signal in (("reference", reference), ("decoded signal", decoded)):
+        if not np.all(np.abs(signal) <= LARGEST_MAGNITUDE):
+            raise ValueError(f"the {name} holds NaN, infinity or values above 2^127; repair it first")
+    peaks = np.max(np.abs(reference), axis=0, initial=0.0)
+    if np.any((peaks > 0) & (peaks < SMALLEST_PEAK)):
+        raise ValueError("the reference's peak is below 2^-120; use another unit")
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
+def _measure_channel(reference: Signal, decoded: Signal, rate_hz: float, snr_db: float) -> Quality:
+    """Measure one channel (n,) that is not all zero."""
+    peak = np.max(np.abs(reference))
+    x, y = _blocks_with_signal(reference, decoded, peak)
+    return Quality(
+        snr_db=snr_db,
+        psnr_db=snr_db - 10 * math.log10(np.mean(np.square(reference / peak))),
+        st_sim_2800=_similarity(_ST_SIM_2800, x, y),
+        st_sim_8000=_similarity(_ST_SIM_8000, x, y),
+        spqi=_similarity(_SPQI, x, y),
+        log_spectral_distance_db=_log_spectral_distance_db(reference / peak, decoded / peak, rate_hz),
+    )
+
+
+def _blocks_with_signal(reference: Signal, decoded: Signal, peak: float) -> tuple[Signal, Signal]:
+    """Return both without the blocks in which the reference is silent, and without what follows the last whole block.
+
+    A silent block has neither correlation nor spectrum, and counts 0 in vibromaf's ST-SIM however well it is decoded.
+    Where it is below SILENCE of the unit, the 2.2e-16 that vibromaf adds to divisors would decide the scores.
+    """
+    whole = len(reference) // BLOCK_SAMPLES * BLOCK_SAMPLES
+    x, y = (signal[:whole].reshape(-1, BLOCK_SAMPLES) for signal in (reference, decoded))
+    kept = np.std(x, axis=1) >= SILENCE * max(peak, 1.0)
+    return x[kept].ravel(), y[kept].ravel()
+
+
+def _similarity(metric: STSIM | SPQI, reference: Signal, decoded: Signal) -> float | None:
+    """Return vibromaf's score of whole blocks, None for none; 0 for ST-SIM where the blocks correlate negatively."""
+    if len(reference) == 0:
+        return None
+    with np.errstate(divide="ignore"):  # the logarithm of a spectrum's zeros; what is made of it is 0 again
+        score = metric.calculate(decoded, reference)
+    # A negative mean correlation to the power 2/3 is a complex number.
+    return 0.0 if isinstance(score, complex) else float(score)
+
+
+def _log_spectral_distance_db(reference: Signal, decoded: Signal, rate_hz: float) -> float | None:
+    """Return the mean over frames of the RMS difference of log power spectra in the tactile band; peak of reference 1.
+
+    A. H. Gray and J. D. Markel, "Distance measures for speech processing", IEEE Trans. ASSP 24 (1976), the measure d_2;
+    L. Rabiner and B.-H. Juang, "Fundamentals of Speech Recognition" (1993), section 4.5.1. Hann windows of 0.1 s that
+    overlap by half. None for signals shorter than one, where no bin lies in the band, and where the reference is silent
+    in it.
+    """
+    frame = round(FRAME_S * rate_hz)
+    frequencies = np.fft.rfftfreq(max(frame, 1), 1 / rate_hz)
+    band = (TACTILE_BAND_HZ[0] <= frequencies) & (frequencies <= TACTILE_BAND_HZ[1])
+    if len(reference) < frame or not np.any(band):
+        return None
+    x, y = (_power_spectra(signal, frame)[:, band] for signal in (reference, decoded))
+    if np.mean(np.sum(x, axis=1)) < SILENCE**2:
+        return None
+    floor = FLOOR * np.mean(x)
+    differences_db = 10 * np.log10(np.maximum(x, floor) / np.maximum(y, floor))
+    return float(np.mean(np.sqrt(np.mean(np.square(differences_db), axis=1))))
+
+
+def _power_spectra(signal: Signal, frame: int) -> Signal:
+    """Return (frames, bins): mean square of the signal in each bin, of Hann-windowed frames that overlap by half."""
+    window = np.hanning(frame + 1)[:-1]
+    frames = np.lib.stride_tricks.sliding_window_view(signal, frame)[:: frame // 2]
+    return 2 / (frame * np.sum(window**2)) * np.abs(np.fft.rfft(frames * window)) ** 2
