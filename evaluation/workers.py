@@ -1,0 +1,184 @@
+"""Runs many pieces of work on all cores or on a Dask cluster; a piece that fails, or crashes, costs only itself."""
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from itertools import islice
+from typing import Any, TypeAlias, TypeVar
+
+Key = TypeVar("Key")
+Result = TypeVar("Result")
+Piece: TypeAlias = tuple[Key, Callable[[], Result]]
+"""A piece of work: what it is known by, and a function that can be pickled."""
+
+CONNECT_S = 10.0
+PATIENCE_S = 20.0
+CHECK_S = 2.0
+_THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+class WorkersError(RuntimeError):
+    """There is nobody to do the work; the message says why and what to do."""
+
+
+class WorkerDiedError(RuntimeError):
+    """The process that did a piece of work ended before the work was done."""
+
+    def __init__(self) -> None:
+        super().__init__("the process that ran it crashed, or was killed for want of memory")
+
+
+def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Iterator[tuple[Key, Result | Exception]]:
+    """Yield the key of every piece with the result of its work, or the exception that ended it, as they are finished.
+
+    The work runs in so many processes, each on one core. Pieces are taken as they are needed.
+    """
+    lost = yield from _in_a_pool(pieces, processes)
+    while lost:
+        # One of them has killed its process, and with it the pool. Which one is seen where each runs alone.
+        for piece in lost:
+            if (yield from _in_a_pool(iter([piece]), 1)):
+                yield piece[0], WorkerDiedError()
+        lost = yield from _in_a_pool(pieces, processes)
+
+
+def on_cluster(
+    pieces: Iterator[Piece[Key, Result]], address: str, version: Callable[[], str]
+) -> Iterator[tuple[Key, Result | Exception]]:
+    """Do as `on_cores` on the workers of the Dask scheduler at an address, such as "tcp://host:8786".
+
+    `version` must return the same here and there. Raises WorkersError without scheduler or workers, and for workers
+    of another version.
+    """
+    import distributed
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is raised
+    try:
+        client: Any = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise WorkersError(
+            f"no Dask scheduler answers at {address} ({error}); start one, or check --scheduler"
+        ) from error
+    with client:
+        checked: set[str] = set()
+
+        def room() -> int:
+            """Return how many pieces may wait at the workers, new ones checked."""
+            threads = _threads(client, address)
+            if new := sorted(set(threads) - checked):
+                _check_versions(client, new, version)
+                checked.update(new)
+            return 2 * sum(threads.values())
+
+        for (key, _), outcome in _outcomes(client.get_executor(pure=False), pieces, room):
+            yield key, WorkerDiedError() if isinstance(outcome, distributed.KilledWorker) else outcome
+
+
+def _threads(client: Any, address: str) -> dict[str, int]:
+    """Return the threads of each worker of a cluster. Raises WorkersError where scheduler or workers are gone."""
+    try:
+        # Where the only worker crashes, another takes its place within seconds.
+        client.wait_for_workers(1, PATIENCE_S)
+        threads: dict[str, int] = client.nthreads()
+        return threads
+    except TimeoutError as error:
+        raise WorkersError(f"the scheduler at {address} has no workers; start some: dask worker {address}") from error
+    except (OSError, RuntimeError) as error:
+        raise WorkersError(f"the Dask scheduler at {address} is gone; start it, and this command, again") from error
+
+
+def _check_versions(client: Any, workers: list[str], version: Callable[[], str]) -> None:
+    answers = client.run(version, workers=workers, on_error="return")
+    for worker, answer in answers.items():
+        if answer != version():
+            raise WorkersError(
+                f"the Dask worker {worker} has another version of vibrocast ({answer}); install this one"
+            )
+
+
+def _in_a_pool(
+    pieces: Iterator[Piece[Key, Result]], processes: int
+) -> Generator[tuple[Key, Result | Exception], None, list[Piece[Key, Result]]]:
+    """Do as `on_cores` until a process dies; return the pieces then under way."""
+    lost: list[Piece[Key, Result]] = []
+
+    def until_one_is_lost() -> Iterator[Piece[Key, Result]]:
+        for piece in pieces:
+            yield piece
+            if lost:
+                return
+
+    with _pool(processes) as pool:
+        for piece, outcome in _outcomes(pool, until_one_is_lost(), lambda: 2 * processes):
+            if isinstance(outcome, BrokenProcessPool):
+                lost.append(piece)
+            else:
+                yield piece[0], outcome
+    return lost
+
+
+@contextmanager
+def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes, which are ended without delay where the block is left by an exception."""
+    others = set(multiprocessing.active_children())
+    # A forked process would share the locks of threads that it does not have.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, context, _prepare_process) as pool:
+        try:
+            yield pool
+        except BaseException:
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
+
+
+def _prepare_process() -> None:
+    """Keep a process to one core, leave Ctrl-C to the process that started it, and end with that."""
+    os.environ.update(dict.fromkeys(_THREADS_OF_LIBRARIES, "1"))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "a process of a pool was started by another"
+    parent.join()
+    os._exit(1)
+
+
+def _outcomes(
+    executor: Executor, pieces: Iterator[Piece[Key, Result]], room: Callable[[], int]
+) -> Iterator[tuple[Piece[Key, Result], Result | Exception]]:
+    """Yield pieces with their outcomes; no more of them than `room` returns are under way at once."""
+    running: dict[Future[Result], Piece[Key, Result]] = {}
+    while True:
+        for piece in islice(pieces, max(0, room() - len(running))):
+            running[_submitted(executor, piece[1])] = piece
+        if not running:
+            return
+        done, _ = wait(running, CHECK_S, FIRST_COMPLETED)
+        for future in done:
+            piece = running.pop(future)
+            try:
+                yield piece, future.result()
+            except CancelledError as error:
+                raise WorkersError(
+                    "the Dask cluster has dropped the work; start it, and this command, again"
+                ) from error
+            except Exception as error:
+                yield piece, error
+
+
+def _submitted(executor: Executor, work: Callable[[], Result]) -> Future[Result]:
+    try:
+        return executor.submit(work)
+    except BrokenProcessPool as error:
+        broken: Future[Result] = Future()
+        broken.set_exception(error)
+        return broken

@@ -1,0 +1,115 @@
+"""Tests of the workers: a piece of work that raises or kills its process costs only itself."""
+
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NoReturn
+
+import pytest
+
+from evaluation import workers
+from evaluation.workers import WorkerDiedError, WorkersError, on_cluster, on_cores
+
+Work = Callable[[], int]
+Pieces = Iterator[tuple[int, Work]]
+
+
+class NotPicklableError(Exception):
+    def __init__(self, one: int, other: int) -> None:
+        super().__init__(f"{one} {other}")
+
+
+def double(number: int) -> int:
+    return 2 * number
+
+
+def refuse() -> NoReturn:
+    raise ValueError("refused")
+
+
+def refuse_oddly() -> NoReturn:
+    raise NotPicklableError(1, 2)
+
+
+def die() -> NoReturn:
+    os._exit(1)
+
+
+def version() -> str:
+    return "1"
+
+
+def version_by_process() -> str:
+    return str(os.getpid())
+
+
+def pieces() -> Pieces:
+    bad: dict[int, Work] = {1: refuse, 4: die}
+    return ((number, bad.get(number, partial(double, number))) for number in range(6))
+
+
+def check(outcomes: dict[int, int | Exception]) -> None:
+    assert sorted(outcomes) == list(range(6))
+    refused, died = outcomes.pop(1), outcomes.pop(4)
+    assert isinstance(refused, ValueError) and str(refused) == "refused"
+    assert isinstance(died, WorkerDiedError)
+    assert outcomes == {number: 2 * number for number in (0, 2, 3, 5)}
+
+
+def test_on_cores_a_bad_piece_costs_only_itself() -> None:
+    check(dict(on_cores(pieces(), 2)))
+
+
+def test_an_error_that_cannot_be_carried_back_costs_only_itself() -> None:
+    works: list[tuple[int, Work]] = [(0, refuse_oddly), (1, partial(double, 1))]
+    outcomes = dict(on_cores(iter(works), 1))
+    assert isinstance(outcomes.pop(0), Exception)
+    assert outcomes == {1: 2}
+
+
+def test_pieces_are_taken_as_they_are_needed() -> None:
+    taken: list[int] = []
+
+    def endless() -> Pieces:
+        while True:
+            taken.append(len(taken))
+            yield len(taken), partial(double, len(taken))
+
+    outcomes = on_cores(endless(), 1)
+    assert next(outcomes)[1] in (2, 4)
+    outcomes.close()  # type: ignore[attr-defined]
+    assert len(taken) <= 3
+
+
+def cluster(workers: int) -> Any:
+    import distributed  # loaded here only: the processes of `on_cores` load this module too
+
+    return distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0")  # type: ignore[no-untyped-call]
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    with cluster(workers=2) as running:
+        yield running.scheduler_address
+
+
+def test_on_a_cluster_a_bad_piece_costs_only_itself(scheduler: str) -> None:
+    check(dict(on_cluster(pieces(), scheduler, version)))
+
+
+def test_workers_of_another_version_are_refused(scheduler: str) -> None:
+    with pytest.raises(WorkersError, match="another version"):
+        list(on_cluster(pieces(), scheduler, version_by_process))
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "http://127.0.0.1:80"])
+def test_an_address_without_a_scheduler_is_refused(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "CONNECT_S", 0.2)
+    with pytest.raises(WorkersError, match="no Dask scheduler answers"):
+        list(on_cluster(pieces(), address, version))
+
+
+def test_a_scheduler_without_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "PATIENCE_S", 0.2)
+    with cluster(workers=0) as running, pytest.raises(WorkersError, match="has no workers"):
+        list(on_cluster(pieces(), running.scheduler_address, version))
