@@ -1,0 +1,161 @@
+"""What codecs cost: times by a clock of the test's own, delay as streamed, memory, and decoders counted and shipped."""
+
+import json
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import codec
+from codec import Framing, SignalFormat
+from evaluation import cost
+
+CORE = Path(__file__).parents[2] / "firmware" / "core"
+needs_ziglang = pytest.mark.skipif(
+    find_spec("ziglang") is None or not CORE.is_dir(), reason="no compiler, or no sources of the core"
+)
+
+
+class Clock:
+    """A clock that stands still but for the work that is done, and is read in steps of 1 ms."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        return round(self.now_s, 3)
+
+    def work(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    fake = Clock()
+    monkeypatch.setattr("time.process_time", fake)
+    return fake
+
+
+def test_times_are_of_a_million_samples(clock: Clock) -> None:
+    def decode(coded: float) -> None:
+        clock.work(coded)
+
+    def encode() -> float:
+        clock.work(3.0)
+        return 0.5
+
+    assert cost.time_coding(encode, decode, samples=2_000_000, repeats=3) == (1.5, 0.25)
+
+
+def test_work_shorter_than_the_clock_can_tell(clock: Clock) -> None:
+    encode_s, decode_s = cost.time_coding(lambda: clock.work(2e-5), lambda _: clock.work(4e-4), 1_000_000, 3)
+    assert encode_s == pytest.approx(2e-5, rel=0.1)
+    assert decode_s == pytest.approx(4e-4, rel=0.1)
+
+
+def test_the_first_run_is_not_counted_and_the_median_is_taken(clock: Clock) -> None:
+    seconds = iter([9.0, 1.0, 7.0, 2.0])
+    encode_s, _ = cost.time_coding(lambda: clock.work(next(seconds)), lambda _: clock.work(1.0), 1_000_000, 3)
+    assert (encode_s, list(seconds)) == (2.0, [])
+
+
+def test_delay_of_mdct_is_its_window() -> None:
+    assert cost.delay_ms("mdct", {}, 2800) == pytest.approx(1e3 * 64 / 2800)
+    assert cost.delay_ms("mdct", {"step": 1.0}, 8000, channels=2) == pytest.approx(1e3 * 128 / 8000)
+    with pytest.raises(codec.CodecError, match="no codec"):
+        cost.delay_ms("none", {}, 2800)
+
+
+@pytest.mark.parametrize("name", codec.CODECS)
+def test_delay_is_the_longest_that_a_sample_waits(name: str) -> None:
+    """Fed one sample at a time: what has come in by the time that a sample can be played."""
+    rate_hz = 2800
+    plug_in = codec.CODECS[name]
+    signal_format = SignalFormat(rate_hz, "full scale", (1.0,), (0.3,))
+    encoder = plug_in.make_encoder(plug_in.complete({}), signal_format, Framing(1, 1), None)
+    packets = longest = 0
+    for fed, value in enumerate(np.random.default_rng(0).normal(0, 0.3, 6 * encoder.packet_samples), 1):
+        longest = max(longest, fed - packets * encoder.packet_samples + encoder.delay_samples)
+        packets += len(encoder.encode(np.array([[value]])))
+    assert 1e3 * longest / rate_hz == pytest.approx(cost.delay_ms(name, {}, rate_hz))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not tell")
+def test_memory_is_that_of_coding_alone() -> None:
+    """Not that of the process which asks: 160 MB more in this one would hide what a child adds, were it inherited."""
+    ballast = np.ones(20_000_000)
+    added = cost.peak_memory_bytes("mdct")
+    decoded_bytes = 8 * cost.MEMORY_SECONDS * cost.MEMORY_RATE_HZ
+    assert added is not None and decoded_bytes <= added < ballast.nbytes
+
+
+def test_costs_of_a_codec_that_fails_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def peak_memory_bytes(name: str) -> int:
+        if name == "broken":
+            raise codec.CodecError("no such library")
+        return 7
+
+    monkeypatch.setattr(cost, "peak_memory_bytes", peak_memory_bytes)
+    broken, mdct = cost.measure_costs(["broken", "mdct"])
+    assert (broken.decoder_bytes, broken.peak_memory_bytes) == (None, None)
+    assert broken.note == "decoder not counted; memory not measured: no such library"
+    assert (mdct.codec, mdct.decoder_bytes, mdct.peak_memory_bytes) == ("mdct", cost.decoder_bytes("mdct"), 7)
+    assert "Cortex-M4" in mdct.note
+
+
+@needs_ziglang
+def test_the_shipped_size_is_what_the_core_compiles_to() -> None:
+    """To a twentieth, as compilers differ."""
+    for name in codec.CODECS:
+        if cost._decoder_functions(name):
+            assert cost.decoder_bytes(name) == pytest.approx(cost.count_decoder_size(name).bytes, rel=0.05)
+
+
+@needs_ziglang
+def test_an_image_holds_what_the_functions_need_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "toy.h").write_text("int vc_toy_decode(int x); int vc_toy_conceal(void); int vc_toy_encode(int x);")
+    (tmp_path / "one.c").write_text(
+        '#include "toy.h"\n'
+        "extern const unsigned char used[1000];\n"
+        "int vc_toy_decode(int x) { return used[x]; }\n"
+        "int vc_toy_conceal(void) { return 0; }\n"
+    )
+    (tmp_path / "two.c").write_text(
+        '#include "toy.h"\n'
+        "const unsigned char used[1000] = {1};\n"
+        "const unsigned char unused[100000] = {1};\n"
+        "int vc_toy_encode(int x) { return unused[x]; }\n"
+    )
+    monkeypatch.setattr(cost, "_CORE", tmp_path)
+    assert cost._decoder_functions("toy") == ["vc_toy_conceal", "vc_toy_decode"]
+    size = cost.count_decoder_size("toy").bytes
+    assert size is not None and 1000 < size < 1100
+    (tmp_path / "two.c").write_text("int vc_toy_encode(int x) { return }\n")
+    with pytest.raises(click.ClickException, match="cannot be compiled"):
+        cost.count_decoder_size("toy")
+
+
+def test_codecs_outside_the_core() -> None:
+    opus = cost.count_decoder_size("opus")
+    assert opus.bytes is not None and opus.bytes > 100_000
+    assert "libopus" in opus.note and "encoder included" in opus.note
+    assert cost.count_decoder_size("flac").bytes is None
+    assert cost.count_decoder_size("speex").bytes is None
+
+
+@needs_ziglang
+def test_the_command_writes_the_file_or_says_why_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done = CliRunner().invoke(cost.main, ["--out", str(tmp_path / "sizes.json")])
+    assert done.exit_code == 0, done.output
+    assert set(json.loads((tmp_path / "sizes.json").read_text())) == set(codec.CODECS)
+    done = CliRunner().invoke(cost.main, ["--out", str(tmp_path / "missing" / "sizes.json")])
+    assert done.exit_code == 1 and "cannot be written" in done.output
+    monkeypatch.setattr(cost, "_CORE", tmp_path / "missing")
+    done = CliRunner().invoke(cost.main, [])
+    assert done.exit_code == 1 and "checkout" in done.output
