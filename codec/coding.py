@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from codec import mdct
+from codec import libav, mdct
 from codec.interface import (
     Codec,
     CodecError,
@@ -31,7 +31,7 @@ _MIN_GAIN = 2.0**-120
 
 Progress: TypeAlias = Callable[[float], None]
 
-CODECS: Mapping[str, Codec] = {codec.name: codec for codec in (mdct.CODEC,)}
+CODECS: Mapping[str, Codec] = {codec.name: codec for codec in (mdct.CODEC, *libav.CODECS)}
 
 
 def codec_by_name(name: str) -> Codec:
