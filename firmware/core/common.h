@@ -29,6 +29,8 @@ int vc_adaptive_decode(vc_range_coder *coder, uint16_t *probability, unsigned sh
 void vc_golomb_encode(vc_range_coder *coder, uint32_t value);
 uint32_t vc_golomb_decode(vc_range_coder *coder);
 
+extern const int32_t vc_cosine[512]; /* cos(2 pi i / 512) in 1/2^24 */
+
 /* Floor of the logarithm to base 2; value > 0. */
 static inline unsigned vc_floor_log2(uint32_t value)
 {

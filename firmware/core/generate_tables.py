@@ -4,11 +4,25 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+
+def detection_threshold_db(frequency_hz: float) -> float:
+    """Return the detection threshold of acceleration, in dB above its least value, at 250 Hz; 30 at most.
+
+    The formula is that of vibromaf (signal/perception.py), by which ST-SIM and SPQI weigh spectra.
+    """
+    return min(30.0, 62 * (math.log10(frequency_hz / 550 + 300 / 550) / math.log10(300 / 550)) ** 2)
+
+
 TABLES: dict[str, tuple[str, Sequence[float]]] = {
     "vc_cosine": ("int32_t", [2**24 * math.cos(2 * math.pi * i / 512) for i in range(512)]),
     "vc_stretch": ("int16_t", [256 * math.log((i + 0.5) / (2047.5 - i)) for i in range(2048)]),
     "vc_squash": ("uint16_t", [65536 / (1 + math.exp(-(4 * i - 2046) / 256)) for i in range(1024)]),
     "vc_cost": ("uint16_t", [-256 * math.log2((i + 0.5) / 2048) for i in range(2048)]),
+    # In 1/256 octave of amplitude, at eighths of an octave from 16 Hz to 2048 Hz.
+    "vc_slp_threshold": (
+        "uint16_t",
+        [256 * detection_threshold_db(2 ** (4 + i / 8)) / (20 * math.log10(2)) for i in range(57)],
+    ),
 }
 
 
@@ -21,5 +35,5 @@ def table_source(name: str, kind: str, values: Sequence[float]) -> str:
 
 if __name__ == "__main__":
     definitions = "\n".join(table_source(name, kind, values) for name, (kind, values) in TABLES.items())
-    head = '/* Mathematical tables; written by generate_tables.py. */\n#include "mdct.h"\n\n'
+    head = '/* Mathematical tables; written by generate_tables.py. */\n#include "mdct.h"\n#include "slp_frame.h"\n\n'
     Path(__file__).with_name("constant_tables.c").write_text(head + definitions)

@@ -103,7 +103,6 @@ static inline int32_t vc_reconstruct(uint32_t level, int32_t step)
     return value > VC_MAX_COEFFICIENT ? VC_MAX_COEFFICIENT : (int32_t)value;
 }
 
-extern const int32_t vc_cosine[512];   /* cos(2 pi i / 512) in 1/2^24 */
 extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
 extern const uint16_t vc_squash[1024]; /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
 extern const uint16_t vc_cost[2048];   /* -log2((i + 1/2) / 2048) in 1/256 bit */

@@ -1,0 +1,307 @@
+"""The codec `slp`: sparse linear prediction, closed loop, its residual coded as a DCT; layout in docs/bitstream.md.
+
+Written from public descriptions of PVC-SLP (Hassen, Guelecyuez and Steinbach, "PVC-SLP: Perceptual
+Vibrotactile-Signal Compression Based-on Sparse Linear Prediction", IEEE Trans. Multimedia, 2021); it is not the codec
+of the standard, and reads none of its streams.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.core import Structure, ffi, library
+from codec.interface import (
+    Codec,
+    CodecError,
+    Decoded,
+    Framing,
+    Parameter,
+    Setting,
+    Signal,
+    SignalFormat,
+    number,
+)
+
+NAME = "slp"
+IDENTIFIER = 3
+FRAMES = (32, 64, 128)
+MAX_ORDER = 16
+MAX_CHANNELS = 16
+MAX_PACKET_BYTES = 65_535
+MAX_PACKET_FRAMES = 4095
+MAX_REFLECTION_CODE = 15
+STEP_CODES = 21 * 8
+LEVELS = 28
+"""Levels of `quality`, the coarsest 0."""
+
+_UNIT = 32_768 * 256
+"""Full scale in the core's unit, 1/256 of a sample's least significant bit."""
+_ANALYSIS_SAMPLES = 512
+"""Samples that a predictor is fitted to: those up to the end of its frame."""
+_ITERATIONS = 5
+_SPARSITY = 0.5
+_CHUNK_SAMPLES = 16_384
+
+
+def relative_step(quality: float) -> float:
+    """Return the step of a level of `quality`, relative to the RMS value: five levels for each factor of two."""
+    return math.exp2(1.6 - quality / 5)
+
+
+def step_code(step: float) -> int:
+    """Return the code of the step nearest `step` (relative to full scale), in 1/8 octaves."""
+    return min(max(round(8 * math.log2(max(step, 1e-30) * _UNIT / 8)), 0), STEP_CODES - 1)
+
+
+def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
+    """Fit predictors a by min ||x - X a||_1 + gamma ||a||_1; rows X (frames, n, order), targets x (frames, n).
+
+    The problem is that of Giacobello, Christensen, Murthi, Jensen and Moonen, "Sparse Linear Prediction and Its
+    Applications to Speech Processing", IEEE Trans. Audio, Speech and Language Processing 20 (5), 2012, solved by
+    iteratively reweighted least squares: weights 1 / |residual| and gamma / |a|, of the solution before, turn both
+    norms into squares (Daubechies, DeVore, Fornasier and Guentuerk, 2010). Returns (frames, order).
+    """
+    frames, _, order = rows.shape
+    scale: Signal = np.sqrt(np.mean(np.square(targets), axis=1)) + 1e-9
+    predictors: Signal = np.zeros((frames, order))
+    weights = np.ones_like(targets)
+    penalty = np.zeros((frames, order))
+    diagonal = np.arange(order)
+    for _ in range(_ITERATIONS):
+        weighted = np.swapaxes(rows * weights[:, :, None], 1, 2)
+        normal: Signal = weighted @ rows
+        floor = 1e-4 * np.trace(normal, axis1=1, axis2=2)[:, None] / order + 1e-12
+        normal[:, diagonal, diagonal] += floor + penalty
+        predictors = np.asarray(np.linalg.solve(normal, weighted @ targets[:, :, None])[:, :, 0], dtype=np.float64)
+        residual = targets - (rows @ predictors[:, :, None])[:, :, 0]
+        weights = 1 / np.maximum(np.abs(residual) / scale[:, None], 0.01)
+        penalty = _SPARSITY * scale[:, None] ** 2 / (np.abs(predictors) + 0.01)
+    return predictors
+
+
+def reflections(predictors: Signal) -> tuple[Signal, NDArray[np.bool_]]:
+    """Return the reflection coefficients of predictors (frames, order), and which of these are not stable.
+
+    The step-down recursion (Markel and Gray, "Linear Prediction of Speech", 1976): the synthesis filter is stable if
+    and only if all are below 1 in magnitude. Where they are not, those returned are limited.
+    """
+    order = predictors.shape[1]
+    errors = np.concatenate([np.ones((len(predictors), 1)), -predictors], axis=1)
+    found = np.zeros_like(predictors)
+    unstable = np.zeros(len(predictors), dtype=bool)
+    for m in range(order, 0, -1):
+        last = errors[:, m]
+        unstable |= ~(np.abs(last) < 1)
+        limited = np.clip(last, -0.9999, 0.9999)
+        found[:, m - 1] = limited
+        errors = ((errors - limited[:, None] * errors[:, ::-1]) / (1 - limited**2)[:, None])[:, :m]
+    return found, unstable
+
+
+def stabilised(predictors: Signal) -> Signal:
+    """Return the reflection coefficients of predictors (frames, order), poles outside the unit circle mirrored into it.
+
+    A mirrored pole, 1 / conj(p), leaves the magnitude response as it was but for its gain. The 1-norm fit may be
+    unstable, unlike the autocorrelation method.
+    """
+    found, unstable = reflections(predictors)
+    for index in np.flatnonzero(unstable):
+        poles = np.roots(np.concatenate([[1.0], -predictors[index]]))
+        outside = np.abs(poles) >= 1
+        poles[outside] = 1 / np.conj(poles[outside])
+        mirrored = -np.real(np.poly(poles))[1:]
+        found[index] = reflections(mirrored[None, :])[0][0]
+    return found
+
+
+def reflection_codes(coefficients: Signal) -> NDArray[np.int8]:
+    """Quantise reflection coefficients: code pi / 32 is the arcsine, codes are within +-15, so none reaches 1.
+
+    Steps equal in the arcsine are finer where the spectrum is more sensitive, near 1 (Gray and Markel, "Quantization
+    and bit allocation in speech processing", 1976).
+    """
+    codes = np.rint(np.arcsin(coefficients) * 32 / np.pi)
+    return np.clip(codes, -MAX_REFLECTION_CODE, MAX_REFLECTION_CODE).astype(np.int8)
+
+
+class SlpEncoder:
+    """Encoder of `slp`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
+
+    delay_samples = 0
+
+    def __init__(
+        self, step: float, frame: int, order: int, shaping: float, signal_format: SignalFormat, framing: Framing
+    ) -> None:
+        """Make an encoder with a quantiser step relative to each channel's RMS value.
+
+        `frame`: samples per frame. `order`: of the predictor. `shaping`: weight of the detection threshold in the
+        steps, 0 to 1. Raises CodecError on what the codec does not have.
+        """
+        if frame not in FRAMES:
+            raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
+        self._frame, self._order, self._channels = frame, order, signal_format.channels
+        _check_channels(self._channels)
+        self._packet_frames = -(-framing.packet_samples // frame)
+        if not 1 <= self._packet_frames <= MAX_PACKET_FRAMES:
+            raise CodecError(
+                f"packets of {framing.packet_samples} samples; 1 to {MAX_PACKET_FRAMES * frame} are allowed"
+            )
+        self.configuration = bytes(
+            (
+                FRAMES.index(frame) << 5 | order,
+                self._packet_frames & 255,
+                self._packet_frames >> 8,
+                min(round(256 * shaping), 255),
+                round(8 * math.log2(signal_format.rate_hz)),
+                *(step_code(step * rms) for rms in signal_format.rms),
+            )
+        )
+        core = library()
+        self._state = Structure(core.vc_slp_encoder_size(), "vc_slp_encoder *")
+        _check_made(
+            core.vc_slp_encoder_init(
+                self._state.pointer,
+                self.configuration,
+                len(self.configuration),
+                self._channels,
+                framing.refresh_packets,
+            )
+        )
+        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        self._before: Signal = np.zeros((_ANALYSIS_SAMPLES + order, self._channels))
+        self._pending: Signal = np.zeros((0, self._channels))
+
+    @property
+    def packet_samples(self) -> int:
+        """Samples per channel in every packet."""
+        return self._packet_frames * self._frame
+
+    def encode(self, samples: Signal) -> list[bytes]:
+        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
+        if samples.ndim != 2 or samples.shape[1] != self._channels:
+            raise CodecError(f"samples of shape {samples.shape}; (n, {self._channels}) is needed")
+        packets: list[bytes] = []
+        for start in range(0, len(samples), _CHUNK_SAMPLES):
+            part = np.asarray(samples[start : start + _CHUNK_SAMPLES], dtype=np.float64)
+            if not np.all(np.isfinite(part)):
+                raise CodecError("the signal holds NaN or infinity; repair the recording first")
+            self._pending = np.concatenate([self._pending, np.clip(part, -1.0, 1.0)])
+            packets += self._complete_packets()
+        return packets
+
+    def finish(self) -> list[bytes]:
+        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
+        missing = -len(self._pending) % self.packet_samples
+        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
+        return self._complete_packets()
+
+    def _complete_packets(self) -> list[bytes]:
+        count = len(self._pending) // self.packet_samples
+        if count == 0:
+            return []
+        end = count * self.packet_samples
+        frames = end // self._frame
+        signal = self._pending[:end]
+        codes = np.stack([self._analysed(channel) for channel in np.concatenate([self._before, signal]).T], axis=1)
+        units = np.rint(signal * _UNIT).astype(np.int32).reshape(frames, self._frame, self._channels).swapaxes(1, 2)
+        packets = [self._code(*parts) for parts in zip(np.split(units, count), np.split(codes, count), strict=True)]
+        self._before = np.concatenate([self._before, signal])[-len(self._before) :]
+        self._pending = self._pending[end:]
+        return packets
+
+    def _analysed(self, signal: Signal) -> NDArray[np.int8]:
+        """Return the reflection codes (frames, order) of one channel; `signal`: what came before, then the frames."""
+        windows = np.lib.stride_tricks.sliding_window_view(signal, _ANALYSIS_SAMPLES + self._order)
+        windows = windows[self._frame :: self._frame]
+        if self._order == 0:
+            return np.zeros((len(windows), 0), dtype=np.int8)
+        rows = np.stack([windows[:, self._order - lag : -lag] for lag in range(1, self._order + 1)], axis=2)
+        return reflection_codes(stabilised(sparse_predictors(rows, windows[:, self._order :])))
+
+    def _code(self, samples: NDArray[np.int32], codes: NDArray[np.int8]) -> bytes:
+        samples, codes = np.ascontiguousarray(samples), np.ascontiguousarray(codes)
+        length = library().vc_slp_encode(
+            self._state.pointer,
+            ffi.cast("const int32_t *", samples.ctypes.data),
+            ffi.cast("const int8_t *", codes.ctypes.data),
+            self._packet,
+            MAX_PACKET_BYTES,
+        )
+        if length < 0:
+            raise CodecError(
+                f"a packet of {self.packet_samples} samples does not fit {MAX_PACKET_BYTES} bytes; "
+                "ask for shorter packets or a coarser quality"
+            )
+        return bytes(ffi.buffer(self._packet, length))
+
+
+class SlpDecoder:
+    """Decoder of `slp`; see codec.interface.Decoder."""
+
+    delay_samples = 0
+
+    def __init__(self, configuration: bytes, channels: int) -> None:
+        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
+        _check_channels(channels)
+        core = library()
+        self.channels = channels
+        self._state = Structure(core.vc_slp_decoder_size(), "vc_slp_decoder *")
+        _check_made(core.vc_slp_decoder_init(self._state.pointer, configuration, len(configuration), channels))
+        self.packet_samples: int = core.vc_slp_decoder_packet_samples(self._state.pointer)
+
+    def decode(self, packet: bytes) -> Decoded:
+        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it has no sequence."""
+        samples, pointer = self._output()
+        if library().vc_slp_decode(self._state.pointer, packet, len(packet), pointer) < 0:
+            raise CodecError("a packet without a sequence number; it was not made by this codec")
+        return samples
+
+    def conceal(self) -> Decoded:
+        """Stand in for one missing packet: the last sound faded out, then silence."""
+        samples, pointer = self._output()
+        library().vc_slp_conceal(self._state.pointer, pointer)
+        return samples
+
+    def _output(self) -> tuple[Decoded, Any]:
+        samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
+        return samples, ffi.cast("int16_t *", samples.ctypes.data)
+
+
+def _check_channels(channels: int) -> None:
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise CodecError(f"{channels} channels; slp codes 1 to {MAX_CHANNELS} in one stream")
+
+
+def _check_made(status: int) -> None:
+    if status != library().VC_OK:
+        raise CodecError("the codec configuration is damaged or of another version")
+
+
+def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> SlpEncoder:
+    """Make an encoder of a complete, checked setting; it takes no tables. Raises CodecError as `SlpEncoder`."""
+    return SlpEncoder(
+        relative_step(number(setting, "quality")),
+        int(str(setting["frame"])),
+        int(number(setting, "order")),
+        number(setting, "shaping"),
+        signal_format,
+        framing,
+    )
+
+
+CODEC = Codec(
+    name=NAME,
+    identifier=IDENTIFIER,
+    summary="sparse linear prediction in closed loop, perceptual steps for the residual's DCT, range coding",
+    parameters={
+        "quality": Parameter("level, the coarsest 0", 14, low=0, high=LEVELS - 1, whole=True),
+        "frame": Parameter("samples per frame", "64", choices=tuple(map(str, FRAMES))),
+        "order": Parameter("of the predictor, 0 = none", 4, low=0, high=MAX_ORDER, whole=True),
+        "shaping": Parameter("weight of the detection threshold in the steps, 0 = white noise", 0.2, low=0, high=1),
+    },
+    ladders={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
+    make_encoder=make_encoder,
+    make_decoder=lambda configuration, channels, tables: SlpDecoder(configuration, channels),
+)

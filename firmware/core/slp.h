@@ -1,0 +1,47 @@
+/* The codec `slp`: sparse linear prediction, closed loop, its residual quantised in the DCT domain.
+ *
+ * Decoder, and the encoder's integer half that mirrors it; the predictors are found in codec/slp.py. The layout of
+ * streams is in docs/bitstream.md. Statuses are those of vibrocast_core.h. */
+#ifndef VIBROCAST_SLP_H
+#define VIBROCAST_SLP_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* cffi: begin */
+typedef struct vc_slp_decoder vc_slp_decoder;
+typedef struct vc_slp_encoder vc_slp_encoder;
+
+/* Bytes of memory, aligned for int64_t, that the caller provides for each structure. */
+size_t vc_slp_decoder_size(void);
+size_t vc_slp_encoder_size(void);
+
+/* Prepares a decoder. `configuration`: the codec's bytes from the stream header. Returns VC_OK or
+ * VC_BAD_CONFIGURATION. The first packet must be a refresh packet. */
+int vc_slp_decoder_init(vc_slp_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
+                        unsigned channels);
+
+/* Samples per channel in every packet of the stream. The output does not lag the input. */
+uint32_t vc_slp_decoder_packet_samples(const vc_slp_decoder *decoder);
+
+/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
+ * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written).
+ * Any bytes are safe: the synthesis filter is stable for each of them, and its state is at most full scale. */
+int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
+
+/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
+ * packet (or its first 256 samples), then silence for as long as no packet can be decoded. */
+void vc_slp_conceal(vc_slp_decoder *decoder, int16_t *samples);
+
+/* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one. */
+int vc_slp_encoder_init(vc_slp_encoder *encoder, const uint8_t *configuration, size_t configuration_length,
+                        unsigned channels, uint32_t refresh_packets);
+
+/* Codes one packet. `samples`: frames x channels x frame length, in 1/256 of a 16-bit sample's least significant bit,
+ * within full scale. `reflections`: frames x channels x order, the codes of the predictor that suits each frame; the
+ * encoder keeps the one before where that is cheaper. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE. */
+int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections, uint8_t *packet,
+                      size_t capacity);
+/* cffi: end */
+
+#endif

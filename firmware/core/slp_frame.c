@@ -1,0 +1,363 @@
+/* Configuration, syntax of a frame, transform, lattice filter and steps of `slp`; see slp_frame.h. */
+#include "slp_frame.h"
+
+#define ADAPTATION 5u
+#define LOWEST_OCTAVE 4 /* of the threshold table: 16 Hz */
+
+int vc_slp_configuration_read(vc_slp_configuration *configuration, const uint8_t *bytes, size_t length,
+                              unsigned channels)
+{
+    vc_slp_configuration read;
+    unsigned channel;
+    if (channels < 1 || channels > VC_MAX_CHANNELS || length != 5 + (size_t)channels)
+        return VC_BAD_CONFIGURATION;
+    memset(&read, 0, sizeof read);
+    read.frame = 32u << (bytes[0] >> 5);
+    read.order = bytes[0] & 31u;
+    read.packet_frames = bytes[1] | (uint32_t)bytes[2] << 8;
+    read.shaping = bytes[3];
+    read.rate_code = bytes[4];
+    read.channels = channels;
+    if (read.frame > VC_SLP_MAX_FRAME || read.order > VC_SLP_MAX_ORDER || read.packet_frames < 1 ||
+        read.packet_frames > VC_SLP_MAX_PACKET_FRAMES || read.rate_code >= VC_SLP_RATE_CODES)
+        return VC_BAD_CONFIGURATION;
+    for (channel = 0; channel < channels; channel++) {
+        if (bytes[5 + channel] >= VC_SLP_STEP_CODES)
+            return VC_BAD_CONFIGURATION;
+        read.log_step[channel] = 3 * 256 + 32 * bytes[5 + channel];
+    }
+    *configuration = read;
+    return VC_OK;
+}
+
+/* Class of a number on a logarithmic scale, four to the octave. */
+static uint32_t scale_class(uint32_t x)
+{
+    unsigned exponent;
+    if (x < 4)
+        return x;
+    exponent = vc_floor_log2(x);
+    return 4 * (exponent - 1) + ((x >> (exponent - 2)) & 3u);
+}
+
+/* Smallest number of a class. */
+static uint32_t class_start(uint32_t number)
+{
+    return number < 4 ? number : (4 + (number & 3u)) << (number / 4 - 1);
+}
+
+void vc_slp_model_reset(vc_slp_model *model)
+{
+    unsigned context, decision, i;
+    /* As if magnitudes were geometrically distributed about the mean that the context expects (in 1/32). */
+    for (context = 0; context < VC_SLP_CONTEXTS; context++)
+        for (decision = 0; decision < VC_SLP_DECISIONS; decision++) {
+            uint32_t expected = class_start(context) + class_start(context + 1);
+            model->level[decision][context] = (uint16_t)(65535u * (uint64_t)expected / (expected + 64));
+        }
+    for (i = 0; i < 4; i++)
+        model->silent[i] = i == 3 ? VC_UNTRAINED : VC_UNTRAINED / 8;
+    model->changed[0] = model->changed[1] = VC_UNTRAINED / 4;
+    for (i = 0; i < VC_SLP_MAX_ORDER; i++)
+        model->reflection_differs[i] = model->reflection_sign[i] = VC_UNTRAINED;
+    for (i = 0; i < VC_SLP_MAX_REFLECTION; i++)
+        model->reflection_above[i] = VC_UNTRAINED;
+}
+
+void vc_slp_channel_reset(vc_slp_channel *channel, const vc_slp_configuration *configuration, unsigned number)
+{
+    memset(channel, 0, sizeof *channel);
+    vc_slp_steps(configuration, number, channel->reflections, channel->steps);
+}
+
+/* One adaptive decision, either way. */
+static int coded(vc_range_coder *coder, int encoding, int bit, uint16_t *probability)
+{
+    if (!encoding)
+        return vc_adaptive_decode(coder, probability, ADAPTATION);
+    vc_adaptive_encode(coder, bit, probability, ADAPTATION);
+    return bit;
+}
+
+/* Codes a predictor as differences, modulo the number of codes, to the channel's last one. */
+static void code_reflections(vc_range_coder *coder, int encoding, vc_slp_model *model, const int8_t *last,
+                             int8_t *reflections, unsigned order)
+{
+    const int codes = 2 * VC_SLP_MAX_REFLECTION + 1;
+    unsigned i;
+    for (i = 0; i < order; i++) {
+        int difference = encoding ? reflections[i] - last[i] : 0, magnitude = 0, negative;
+        if (difference > VC_SLP_MAX_REFLECTION)
+            difference -= codes;
+        if (difference < -VC_SLP_MAX_REFLECTION)
+            difference += codes;
+        if (coded(coder, encoding, difference != 0, &model->reflection_differs[i])) {
+            negative = coded(coder, encoding, difference < 0, &model->reflection_sign[i]);
+            magnitude = 1;
+            while (magnitude < VC_SLP_MAX_REFLECTION &&
+                   coded(coder, encoding, (negative ? -difference : difference) > magnitude,
+                         &model->reflection_above[magnitude]))
+                magnitude++;
+            difference = negative ? -magnitude : magnitude;
+        }
+        difference += last[i];
+        reflections[i] = (int8_t)(difference > VC_SLP_MAX_REFLECTION    ? difference - codes
+                                  : difference < -VC_SLP_MAX_REFLECTION ? difference + codes
+                                                                        : difference);
+    }
+}
+
+/* Context of bin k: the class of the magnitude, in 1/32, that its neighbours in this and the last frame, and its
+ * average over time, let expect. */
+static unsigned level_context(const vc_slp_channel *channel, uint32_t k)
+{
+    const uint8_t *now = channel->now + k + 2, *last = channel->last + k + 2;
+    uint32_t expected = 24u * now[-1] + 10u * now[-2] + 10u * last[-1] + 22u * last[0] + 14u * last[1] + 4u * last[2] +
+                        (44u * channel->average[k] >> 8);
+    return scale_class(expected >> 2);
+}
+
+static int32_t code_level(vc_range_coder *coder, int encoding, vc_slp_model *model, unsigned context, int32_t level)
+{
+    const uint32_t wanted = (uint32_t)(level < 0 ? -level : level);
+    uint32_t magnitude = 0;
+    int negative;
+    while (magnitude < VC_SLP_UNARY_LIMIT) {
+        unsigned decision = magnitude < VC_SLP_DECISIONS ? magnitude : VC_SLP_DECISIONS - 1;
+        if (!coded(coder, encoding, wanted > magnitude, &model->level[decision][context]))
+            break;
+        magnitude++;
+    }
+    if (magnitude == VC_SLP_UNARY_LIMIT) {
+        if (encoding)
+            vc_golomb_encode(coder, wanted - VC_SLP_UNARY_LIMIT);
+        else
+            magnitude += vc_golomb_decode(coder);
+    }
+    if (encoding)
+        magnitude = wanted;
+    if (magnitude == 0)
+        return 0;
+    negative = level < 0;
+    if (encoding)
+        vc_range_encode(coder, negative, VC_EVEN_ODDS);
+    else
+        negative = vc_range_decode(coder, VC_EVEN_ODDS);
+    return negative ? -(int32_t)magnitude : (int32_t)magnitude;
+}
+
+void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model, vc_slp_channel *channel,
+                       const vc_slp_configuration *configuration, unsigned number, vc_slp_frame *frame)
+{
+    uint32_t k;
+    frame->silent = coded(coder, encoding, frame->silent, &model->silent[channel->silent_history]);
+    channel->silent_history = (uint8_t)((channel->silent_history << 1 | frame->silent) & 3);
+    if (frame->silent)
+        memset(frame->levels, 0, sizeof frame->levels);
+    if (!frame->silent && configuration->order > 0) {
+        int changed = 0;
+        for (k = 0; k < configuration->order; k++)
+            changed |= frame->reflections[k] != channel->reflections[k];
+        changed = coded(coder, encoding, changed, &model->changed[channel->changed]);
+        channel->changed = (uint8_t)changed;
+        if (changed) {
+            code_reflections(coder, encoding, model, channel->reflections, frame->reflections, configuration->order);
+            memcpy(channel->reflections, frame->reflections, sizeof channel->reflections);
+            vc_slp_steps(configuration, number, channel->reflections, channel->steps);
+        }
+    }
+    for (k = 0; k < configuration->frame; k++) {
+        uint32_t magnitude;
+        if (!frame->silent)
+            frame->levels[k] = code_level(coder, encoding, model, level_context(channel, k), frame->levels[k]);
+        magnitude = (uint32_t)(frame->levels[k] < 0 ? -frame->levels[k] : frame->levels[k]);
+        channel->now[k + 2] = (uint8_t)(magnitude < 126 ? magnitude : 126);
+        channel->average[k] = (uint16_t)(channel->average[k] - (channel->average[k] >> 3) + 32u * channel->now[k + 2]);
+    }
+    memcpy(channel->last, channel->now, sizeof channel->last);
+    memset(channel->now, 0, sizeof channel->now);
+}
+
+int32_t vc_slp_log2(uint64_t value)
+{
+    unsigned exponent = 0;
+    if (value == 0)
+        return 0;
+    while (value >> exponent > 1)
+        exponent++;
+    return (int32_t)(256 * exponent + ((exponent > 8 ? value >> (exponent - 8) : value << (8 - exponent)) & 255u));
+}
+
+/* 2^(x / 256), straight lines between powers of two; 1 to 2^26. */
+static int32_t power_of_two(int32_t x)
+{
+    uint32_t exponent, mantissa;
+    if (x <= 0)
+        return 1;
+    if (x >= 26 * 256)
+        return 1 << 26;
+    exponent = (uint32_t)x >> 8;
+    mantissa = 256 + ((uint32_t)x & 255u);
+    return (int32_t)(exponent > 8 ? mantissa << (exponent - 8) : mantissa >> (8 - exponent));
+}
+
+/* sin(code pi / 32) in 1/2^24: the cosine table has 128 steps in a quarter turn. */
+static int32_t reflection_value(int code)
+{
+    return vc_cosine[(unsigned)(128 - 8 * code) & 511u];
+}
+
+static int64_t scaled(int64_t value, unsigned bits)
+{
+    return value / ((int64_t)1 << bits);
+}
+
+static int32_t limited(int64_t value)
+{
+    return (int32_t)(value > VC_SLP_MAX_VALUE    ? VC_SLP_MAX_VALUE
+                     : value < -VC_SLP_MAX_VALUE ? -VC_SLP_MAX_VALUE
+                                                 : value);
+}
+
+/* Threshold above its least at the centre of bin k, in 1/256 octave. */
+static int32_t threshold(const vc_slp_configuration *configuration, uint32_t k)
+{
+    int32_t frequency =
+        vc_slp_log2(2 * k + 1) + 32 * (int32_t)configuration->rate_code - 256 * 2 - vc_slp_log2(configuration->frame);
+    int32_t index = (frequency - 256 * LOWEST_OCTAVE + 16) / 32;
+    return vc_slp_threshold[index < 0 ? 0 : index > 56 ? 56 : index];
+}
+
+void vc_slp_steps(const vc_slp_configuration *configuration, unsigned number, const int8_t *reflections, int32_t *steps)
+{
+    int64_t direct[VC_SLP_MAX_ORDER + 1] = {1 << 16}; /* A(z) in 1/2^16, by the step-up recursion */
+    const unsigned order = configuration->order;
+    const uint32_t frame = configuration->frame;
+    unsigned i, m;
+    uint32_t k;
+    for (m = 1; m <= order; m++) {
+        const int64_t reflection = reflection_value(reflections[m - 1]);
+        for (i = 0; i <= m / 2; i++) {
+            int64_t low = direct[i], high = direct[m - i];
+            direct[i] = low + scaled(reflection * high, 24);
+            direct[m - i] = high + scaled(reflection * low, 24);
+        }
+    }
+    for (k = 0; k < frame; k++) {
+        int64_t real = 0, imaginary = 0;
+        int32_t log_gain;
+        for (i = 0; i <= order; i++) {
+            uint32_t angle = i * (2 * k + 1) * (VC_SLP_MAX_FRAME / frame);
+            real += direct[i] * vc_cosine[angle & 511u];
+            imaginary += direct[i] * vc_cosine[(angle + 128) & 511u];
+        }
+        real = scaled(real, 28); /* now in 1/2^12 */
+        imaginary = scaled(imaginary, 28);
+        log_gain = vc_slp_log2((uint64_t)(real * real + imaginary * imaginary)) / 2 - 12 * 256;
+        steps[k] = power_of_two(configuration->log_step[number] + log_gain +
+                                (int32_t)(configuration->shaping * (uint32_t)threshold(configuration, k) / 256));
+    }
+}
+
+int32_t vc_slp_reconstruct(int32_t level, int32_t step)
+{
+    return limited((int64_t)level * step);
+}
+
+/* Factor of bin k that makes the transform orthonormal, in 1/2^24: sqrt(2 / N), for bin 0 sqrt(1 / N). */
+static int32_t norm(uint32_t frame, uint32_t k)
+{
+    const uint32_t doubled = frame * (k == 0 ? 2 : 1);
+    return doubled == 32 ? 4194304 : doubled == 64 ? 2965821 : doubled == 128 ? 2097152 : 1482910;
+}
+
+/* cos(pi (2 n + 1) k / (2 N)) in 1/2^24. */
+static int32_t basis(uint32_t frame, uint32_t n, uint32_t k)
+{
+    return vc_cosine[((2 * n + 1) * k * (VC_SLP_MAX_FRAME / frame)) & 511u];
+}
+
+void vc_slp_dct(const int32_t *values, uint32_t frame, int32_t *spectrum)
+{
+    uint32_t n, k;
+    for (k = 0; k < frame; k++) {
+        int64_t sum = 0;
+        for (n = 0; n < frame; n++)
+            sum += (int64_t)values[n] * basis(frame, n, k);
+        spectrum[k] = limited(scaled(scaled(sum, 24) * norm(frame, k), 24));
+    }
+}
+
+void vc_slp_inverse_dct(const int32_t *spectrum, uint32_t frame, int32_t *values)
+{
+    int64_t sums[VC_SLP_MAX_FRAME];
+    uint32_t n, k;
+    memset(sums, 0, sizeof sums);
+    for (k = 0; k < frame; k++) {
+        const int64_t weighted = scaled((int64_t)spectrum[k] * norm(frame, k), 20); /* in 1/16 */
+        for (n = 0; n < frame && weighted != 0; n++)
+            sums[n] += weighted * basis(frame, n, k);
+    }
+    for (n = 0; n < frame; n++)
+        values[n] = limited(scaled(sums[n] + (sums[n] < 0 ? -(1 << 27) : 1 << 27), 28));
+}
+
+/* Product of a value and a reflection coefficient, towards zero, so that the filter's ringing dies out. */
+static int64_t reflected(int32_t reflection, int32_t value)
+{
+    return scaled((int64_t)reflection * value, 24);
+}
+
+int32_t vc_slp_analyse(vc_slp_lattice *lattice, int32_t sample)
+{
+    int32_t forward = sample, backward = sample;
+    unsigned i;
+    for (i = 0; i < lattice->order; i++) {
+        const int32_t delayed = lattice->backward[i],
+                      next = limited(delayed + reflected(lattice->reflection[i], forward));
+        forward = limited(forward + reflected(lattice->reflection[i], delayed));
+        lattice->backward[i] = backward;
+        backward = next;
+    }
+    return forward;
+}
+
+int32_t vc_slp_synthesise(vc_slp_lattice *lattice, int32_t residual)
+{
+    int64_t forward = residual;
+    unsigned i;
+    for (i = lattice->order; i-- > 0;) {
+        forward = limited(forward - reflected(lattice->reflection[i], lattice->backward[i]));
+        lattice->backward[i + 1] = limited(lattice->backward[i] + reflected(lattice->reflection[i], (int32_t)forward));
+    }
+    forward = forward > VC_SLP_FULL_SCALE    ? VC_SLP_FULL_SCALE
+              : forward < -VC_SLP_FULL_SCALE ? -VC_SLP_FULL_SCALE
+                                             : forward;
+    lattice->backward[0] = (int32_t)forward;
+    return (int32_t)forward;
+}
+
+void vc_slp_lattice_start(vc_slp_lattice *lattice, const int8_t *reflections, unsigned order, const int32_t *past)
+{
+    unsigned i;
+    memset(lattice, 0, sizeof *lattice);
+    lattice->order = order;
+    for (i = 0; i < order; i++)
+        lattice->reflection[i] = reflection_value(reflections[i]);
+    for (i = 0; i < order; i++)
+        vc_slp_analyse(lattice, past[i]);
+}
+
+void vc_slp_play(vc_slp_channel *channel, const vc_slp_configuration *configuration, const int32_t *spectrum,
+                 int32_t *output)
+{
+    const unsigned order = configuration->order;
+    const uint32_t frame = configuration->frame;
+    vc_slp_lattice lattice;
+    uint32_t n;
+    vc_slp_inverse_dct(spectrum, frame, output);
+    vc_slp_lattice_start(&lattice, channel->reflections, order, channel->past);
+    for (n = 0; n < frame; n++)
+        output[n] = vc_slp_synthesise(&lattice, output[n]);
+    memcpy(channel->past, output + frame - order, order * sizeof *output);
+}
