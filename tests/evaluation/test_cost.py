@@ -108,6 +108,12 @@ def test_costs_of_a_codec_that_fails_say_so(monkeypatch: pytest.MonkeyPatch) -> 
     assert "Cortex-M4" in mdct.note
 
 
+def test_every_codec_has_its_line_in_the_shipped_sizes() -> None:
+    shipped = json.loads(cost.DECODER_SIZES.read_text(encoding="utf-8"))
+    assert list(shipped) == list(codec.CODECS), "run python -m evaluation.cost"
+    assert all(size["note"] for size in shipped.values())
+
+
 @needs_ziglang
 def test_the_shipped_size_is_what_the_core_compiles_to() -> None:
     """To a twentieth, as compilers differ."""
