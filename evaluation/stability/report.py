@@ -1,0 +1,31 @@
+"""All maps, tried and written by one call."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from evaluation.stability import page
+from evaluation.stability.actuators import RESONANCE, VOLTAGE
+from evaluation.stability.hand_speed import HAND_SPEED
+from evaluation.stability.ladders import LADDERS
+from evaluation.stability.maps import Map, Scope
+from evaluation.stability.signals import ONSETS, SIGNALS
+from evaluation.stability.transport import DRIFT, FLIPS, JITTER, LOSS
+from evaluation.stability.trials import Cell, run
+
+MAPS = (SIGNALS, ONSETS, LADDERS, LOSS, FLIPS, DRIFT, JITTER, HAND_SPEED, RESONANCE, VOLTAGE)
+
+
+def make(
+    out: Path,
+    scope: Scope,
+    progress: Callable[[float, str], None] = lambda part, details: None,
+    maps: Sequence[Map] = MAPS,
+) -> list[Cell]:
+    """Try every map, write them and the page into the folder `out`, return all cells. Raises OSError.
+
+    `progress` is called with the part that is done, from 0 to 1, and what was tried last.
+    """
+    cells = run([trial for each in maps for trial in each.trials(scope)], progress=progress)
+    judged = [cell for each in maps for cell in each.judged([cell for cell in cells if cell.map == each.name])]
+    page.write(out, maps, judged)
+    return judged
