@@ -27,6 +27,7 @@ from host.input_files import InputFileError, read_input
 from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, options, recording_options
 from host.output_files import whole_file
 from host.report import Report
+from host.stability_command import stability
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK
 
 INPUT_ERRORS = (
@@ -368,6 +369,9 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
         click.echo(f"serial:{port.name}")
         sys.stdout.flush()
         threading.Event().wait()
+
+
+main.add_command(stability)
 
 
 def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:

@@ -12,7 +12,7 @@ import codec
 from codec.interface import Setting
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope, three_settings
-from evaluation.stability.signals import RATE_HZ, decoded
+from evaluation.stability.signals import RATE_HZ, Signal, decoded
 from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
 from textures.generate import rough, wood_surface
 
@@ -25,7 +25,7 @@ LOST_DB = 3.0
 GENERATED = {"wood": wood_surface, "sandpaper": rough}
 
 
-def band(spatial: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.bool_]:
+def band(spatial: Signal, speed_mm_s: float) -> NDArray[np.bool_]:
     """Return which of spatial frequencies, in 1/mm, a hand of this speed turns into BAND_HZ."""
     return (spatial * speed_mm_s >= BAND_HZ[0]) & (spatial * speed_mm_s <= BAND_HZ[1])
 
@@ -39,7 +39,7 @@ def measure(codec_name: str, setting: Setting, surface: str, speed_mm_s: float) 
     samples = GENERATED[surface](0, SECONDS, CODED_MM_S, RATE_HZ).samples
     samples = samples - samples.mean()
     heard, _ = decoded(samples, RATE_HZ, codec_name, setting)
-    spatial = np.fft.rfftfreq(len(samples), CODED_MM_S / RATE_HZ)
+    spatial = np.asarray(np.fft.rfftfreq(len(samples), CODED_MM_S / RATE_HZ), np.float64)
     wanted, error, played = (
         np.abs(np.fft.rfft(each[:, 0] * np.hanning(len(samples)))) ** 2 for each in (samples, heard - samples, heard)
     )
@@ -101,16 +101,19 @@ def _draw(path: Path, cells: Sequence[Cell]) -> None:
                         [cell.outcome is Outcome.FAILS for cell in own],
                     )
                 )
-            panels.append(pictures.Panel(f"{surface}: {title}", "speed of the hand, mm/s", "", curves, log_x=True))
+            panels.append(
+                pictures.Panel(f"{surface}: {title}", "speed of the hand, mm/s", "", curves, log_x=True, least_span=10)
+            )
     pictures.curves(path, panels)
 
 
 HAND_SPEED = Map(
     "hand_speed",
     "Speed of the hand",
-    f"A generated surface, coded at each codec's finest setting as swept over at {CODED_MM_S:g} mm/s, played at other "
-    f"speeds; SNR from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz at that speed, and the level of the upper octave of that band. "
-    f"Holds where neither loses more than {LOST_DB:g} dB; fails where the SNR is below 0 dB or the octave 20 dB down.",
+    f"A generated surface, coded at each codec's finest setting as swept over at {CODED_MM_S:g} mm/s, played at "
+    f"other speeds; SNR from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz at that speed, and the level of the upper octave "
+    f"of that band. Holds where neither loses more than {LOST_DB:g} dB; fails where the SNR is below 0 dB or the "
+    "octave 20 dB down.",
     "mm/s",
     _trials,
     _draw,

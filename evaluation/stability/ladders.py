@@ -2,16 +2,19 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 import codec
 from codec.interface import Setting
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope
-from evaluation.stability.signals import RATE_HZ, decoded, texture
+from evaluation.stability.signals import RATE_HZ, Signal, decoded, texture
 from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from textures import Recording
 from textures.generate import rough, stick_slip, wood_surface
 
 SECONDS = 1.0
@@ -19,16 +22,16 @@ HAND_SPEED_MM_S = 50.0
 FALL_DB = 0.1
 """A fall of the SNR from one rung to the next that counts."""
 
-SURFACES = {"wood": wood_surface, "sandpaper": rough, "leather": stick_slip}
+SURFACES: dict[str, Callable[..., Recording]] = {"wood": wood_surface, "sandpaper": rough, "leather": stick_slip}
 TEXTURES = (*SURFACES, "acceleration")
 
 
-def samples_of(name: str) -> "codec.Signal":
+def samples_of(name: str) -> Signal:
     """Return a texture by its name: heights in um without their mean, or the acceleration of a stylus on wood."""
     if name == "acceleration":
         return texture(seconds=SECONDS)
     samples = SURFACES[name](0, SECONDS, HAND_SPEED_MM_S, RATE_HZ).samples
-    return samples - samples.mean()
+    return np.asarray(samples - samples.mean())
 
 
 def measure(codec_name: str, setting: Setting, name: str) -> Measured:
@@ -95,8 +98,9 @@ def _draw(path: Path, cells: Sequence[Cell]) -> None:
 LADDERS = Map(
     "ladders",
     "Settings from coarse to fine",
-    f"Every rung of every ladder on {SECONDS:g} s of generated surfaces (heights at {HAND_SPEED_MM_S:g} mm/s; leather by "
-    f"stick and slip) and an acceleration. D: the SNR is more than {FALL_DB:g} dB below that of a coarser rung; F: below 0 dB.",
+    f"Every rung of every ladder on {SECONDS:g} s of generated surfaces (heights at {HAND_SPEED_MM_S:g} mm/s; leather "
+    f"by stick and slip) and an acceleration. D: the SNR is more than {FALL_DB:g} dB below that of a coarser rung; F: "
+    "below 0 dB.",
     "rung",
     _trials,
     _draw,

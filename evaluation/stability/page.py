@@ -1,4 +1,4 @@
-"""Writes what the trials showed: a CSV file and a picture for each map, one JSON file, and the page that names the bounds."""
+"""Writes what the trials showed: data and a picture for each map, and the page that names the boundaries."""
 
 import csv
 import json
@@ -19,7 +19,10 @@ _LONGEST_EFFECT = 160
 
 
 def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
-    """Write OUT/stability.md and, into OUT/stability, every map's CSV and PNG files and stability.json. Raises OSError."""
+    """Write stability.md into `out` and, into a folder there, each map's CSV and PNG files and stability.json.
+
+    Raises OSError.
+    """
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     drawn = [(each, [cell for cell in cells if cell.map == each.name]) for each in maps]
@@ -60,7 +63,7 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> str:
     ]
     for each, cells in maps:
         lines += ["", f"## {each.title}", "", each.about, "", f"![{each.title}]({FOLDER}/{each.name}.png)", ""]
-        held = [method for method, own in by_method(cells).items() if all(_holds(cell) for cell in own)]
+        held = [method for method, own in by_method(cells).items() if all(cell.sound for cell in own)]
         if held:
             lines += [f"Holds everywhere: {', '.join(held)}.", ""]
         if rows := _map_rows(each, cells):
@@ -105,15 +108,11 @@ def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
     return ", ".join(f"{run[0]:g}" if len(run) == 1 else f"{run[0]:g} to {run[-1]:g}" for run in runs)
 
 
-def _holds(cell: Cell) -> bool:
-    return cell.outcome is Outcome.HOLDS
-
-
 def _summary_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
     """Return a row for each set of methods with the same boundary."""
     rows: dict[tuple[str, ...], list[str]] = {}
     for method, own in by_method(cells).items():
-        bad = [cell for cell in own if not _holds(cell) and not _rightly_refused(cell)]
+        bad = [cell for cell in own if not cell.sound]
         held = f"{len(own) - len(bad)} of {len(own)}"
         worst = min(bad, key=_worst_first, default=None)
         boundary = "; ".join(
@@ -133,7 +132,7 @@ def _map_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
     for method, own in by_method(cells).items():
         groups: dict[tuple[Outcome, str, str], list[Cell]] = {}
         for cell in own:
-            if not _holds(cell):
+            if cell.outcome is not Outcome.HOLDS:
                 groups.setdefault((cell.outcome, *explanation(cell)), []).append(cell)
         for (outcome, cause, remedy), some in sorted(groups.items(), key=lambda group: _BAD_FIRST.index(group[0][0])):
             effect = _short(min(some, key=_worst_first).effect)
@@ -144,10 +143,6 @@ def _map_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
 def _worst_first(cell: Cell) -> tuple[int, float]:
     snr_db = cell.figure("snr_db")
     return _BAD_FIRST.index(cell.outcome), math.inf if math.isnan(snr_db) else snr_db
-
-
-def _rightly_refused(cell: Cell) -> bool:
-    return cell.outcome is Outcome.REFUSED
 
 
 def _short(effect: str) -> str:

@@ -1,4 +1,4 @@
-"""Maps and curves that can be read in grey: letters in shaded cells, lines told apart by dashes and named at their ends."""
+"""Maps and curves that can be read in grey: letters in shaded cells, dashed lines named at their ends."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,8 @@ SHADES = {
 }
 """Grey of a cell and of its letter."""
 DASHES: tuple[tuple[str, str], ...] = (
-    ("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"), ("-", "v"), ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
+    ("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"), ("-", "v"),
+    ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
 )  # fmt: skip
 _LABEL_DISTANCE = 0.045  # of an axis' height
 _DPI = 110
@@ -40,7 +41,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes with curves. `lines`: levels drawn across, with what they mean."""
+    """Axes with curves. `lines`: levels drawn across, with what they mean. `least_span`: of the vertical axis."""
 
     title: str
     x_label: str
@@ -48,6 +49,7 @@ class Panel:
     curves: Sequence[Curve]
     log_x: bool = False
     lines: Mapping[float, str] = field(default_factory=dict)
+    least_span: float = 0.0
 
 
 def outcome_map(
@@ -63,7 +65,7 @@ def outcome_map(
     columns = len(outcomes[0])
     each = columns // len(groups)
     height = 0.24 * len(rows)
-    figure = Figure(figsize=(max(7.0, 3.2 + 0.3 * columns), height + 1.9), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(max(7.0, 3.2 + 0.3 * columns), height + 2.2), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     for y, row in enumerate(outcomes):
@@ -73,12 +75,15 @@ def outcome_map(
             axes.text(x + 0.5, y + 0.52, outcome.letter, color=ink, ha="center", va="center", fontsize=9)
     for x in range(columns + 1):
         boundary = x % each == 0
-        axes.axvline(x, color="black" if boundary and each > 1 else "0.8", linewidth=1 if boundary and each > 1 else 0.5)
+        axes.axvline(
+            x, color="black" if boundary and each > 1 else "0.8", linewidth=1 if boundary and each > 1 else 0.5
+        )
     for y in range(len(rows) + 1):
         axes.axhline(y, color="0.8", linewidth=0.5)
     axes.set(xlim=(0, columns), ylim=(len(rows), 0), xlabel=group_label, ylabel=row_label)
     axes.set_yticks(np.arange(len(rows)) + 0.5, rows, fontsize=9)
-    axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, fontsize=9)
+    upright = sum(map(len, groups)) > 3 * columns  # they would run into each other
+    axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, fontsize=9, rotation=90 if upright else 0)
     axes.xaxis.tick_top()
     axes.xaxis.set_label_position("top")
     axes.tick_params(length=0)
@@ -103,10 +108,8 @@ def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
         figure.savefig(partial)
 
 
-def dots(
-    path: Path, names: Sequence[str], values: Mapping[str, Sequence[float]], label: str, line: float
-) -> None:
-    """Draw named values, each series with a marker of its own, and one line that they should not pass. Raises OSError."""
+def dots(path: Path, names: Sequence[str], values: Mapping[str, Sequence[float]], label: str, line: float) -> None:
+    """Draw named values, each series with a marker of its own, and a line that they should not pass. Raises OSError."""
     figure = Figure(figsize=(7.5, 1.4 + 0.24 * len(names)), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
@@ -133,15 +136,26 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if math.isfinite(y)]
         if points:
             ends.append((*points[-1], curve.name))
-        ringed = [(x, y) for x, y, mark in zip(curve.x, curve.y, curve.marked, strict=False) if mark and math.isfinite(y)]
+        ringed = [
+            (x, y) for x, y, mark in zip(curve.x, curve.y, curve.marked, strict=False) if mark and math.isfinite(y)
+        ]
         if ringed:
-            axes.plot(*zip(*ringed, strict=True), "o", markersize=11, markerfacecolor="none", color="black", linewidth=0)
+            axes.plot(
+                *zip(*ringed, strict=True), "o", markersize=11, markerfacecolor="none", color="black", linewidth=0
+            )
     for level, meaning in panel.lines.items():
         axes.axhline(level, color="0.6", linestyle=(0, (1, 2)), linewidth=1)
         axes.text(0.01, level, meaning, transform=axes.get_yaxis_transform(), fontsize=8, va="bottom", color="0.3")
     axes.set_title(panel.title, fontsize=10, loc="left")
     axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
     axes.grid(color="0.92")
+    low, high = axes.get_ylim()
+    missing = max(0.0, panel.least_span - (high - low))
+    axes.set_ylim(low - missing / 2, high + missing / 2)
+    if panel.log_x:
+        ticks = sorted({x for curve in panel.curves for x in curve.x})
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
     _name_ends(axes, ends)
 
 

@@ -25,7 +25,7 @@ SECONDS = 2.0
 PEAK = 0.8
 
 SNR_MARGIN_DB = 6.0
-ENOUGH_SNR_DB = 40.0
+LEAST_SNR_DB, ENOUGH_SNR_DB = 1.0, 40.0
 LOUDER_DB, FAR_LOUDER_DB = 3.0, 6.0
 SILENT, NEARLY_SILENT = 1e-4, 1e-2  # of full scale: -80 and -40 dB
 PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB = -30.0, -6.0
@@ -151,16 +151,16 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
         return Measured(Outcome.FAILS, {}, "not finite")
     if not reference.any():
         peak = float(np.abs(heard).max())
-        outcome = (
-            Outcome.HOLDS if peak <= SILENT else Outcome.DEGRADED if peak <= NEARLY_SILENT else Outcome.FAILS
-        )
+        outcome = Outcome.HOLDS if peak <= SILENT else Outcome.DEGRADED if peak <= NEARLY_SILENT else Outcome.FAILS
         return Measured(outcome, {"peak": peak}, "" if outcome is Outcome.HOLDS else f"noise of peak {peak:.2g}")
     snr_db, louder = codec.snr_db(reference, heard), louder_db(reference, heard)
     assert snr_db is not None, "a signal that is not silent has an SNR"
-    wanted_db = min(texture_snr_db - SNR_MARGIN_DB, ENOUGH_SNR_DB)
+    wanted_db = max(LEAST_SNR_DB, min(texture_snr_db - SNR_MARGIN_DB, ENOUGH_SNR_DB))
     figures = {"snr_db": snr_db, "texture_snr_db": texture_snr_db, "louder_db": louder}
     if snr_db < 0 or louder > FAR_LOUDER_DB:
         return Measured(Outcome.FAILS, figures, f"SNR {snr_db:.1f} dB, {louder:+.1f} dB louder")
+    if snr_db < LEAST_SNR_DB:
+        return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB: nothing of the signal is left")
     if snr_db < wanted_db:
         return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB instead of {texture_snr_db:.1f}")
     if louder > LOUDER_DB:
@@ -173,8 +173,6 @@ def measure(codec_name: str, setting: Setting, name: str) -> Measured:
     condition = CONDITIONS[name]
     samples = condition.make()
     heard, stream = decoded(samples, condition.rate_hz, codec_name, setting)
-    if condition.refused:
-        return Measured(Outcome.FAILS, {}, "accepted, though it must be refused")
     texture_snr_db = _texture_snr_db(codec_name, tuple(setting.items()))
     measured = judge(samples[condition.judged_from :], heard[condition.judged_from :], texture_snr_db)
     bits = 8 * stream.size_bytes / samples.size
@@ -216,6 +214,8 @@ def measure_onset(codec_name: str, setting: Setting) -> Measured:
             ratio_db = 10 * math.log10(max(float(np.mean(error[part] ** 2) / level), 1e-12))
             figures[name] = max(figures.get(name, -math.inf), ratio_db)
     before_db = figures["pre_echo_5ms_db"]
+    if figures["noise_after_db"] > -LEAST_SNR_DB:
+        return Measured(Outcome.DEGRADED, figures, "nothing of the onset is left")
     effect = f"{before_db:.0f} dB in the 5 ms before the onset"
     if before_db <= PRE_ECHO_HELD_DB:
         return Measured(Outcome.HOLDS, figures, effect)
@@ -233,7 +233,15 @@ def _trials(scope: Scope) -> list[Trial]:
         for level, setting in three_settings(codec.CODECS[codec_name]).items():
             text = f"{level}: {setting_text(setting)}"
             trials += [
-                Trial(SIGNALS.name, codec_name, name, text, None, partial(measure, codec_name, setting, name))
+                Trial(
+                    SIGNALS.name,
+                    codec_name,
+                    name,
+                    text,
+                    None,
+                    partial(measure, codec_name, setting, name),
+                    CONDITIONS[name].refused,
+                )
                 for name in names
             ]
     return trials
@@ -269,7 +277,11 @@ def _draw(path: Path, cells: Sequence[Cell]) -> None:
 
 def _draw_onsets(path: Path, cells: Sequence[Cell]) -> None:
     bars = [
-        (f"{cell.method}, {cell.setting.partition(':')[0]}", cell.figure("pre_echo_5ms_db"), cell.figure("pre_echo_20ms_db"))
+        (
+            f"{cell.method}, {cell.setting.partition(':')[0]}",
+            cell.figure("pre_echo_5ms_db"),
+            cell.figure("pre_echo_20ms_db"),
+        )
         for cell in cells
         if cell.figures
     ]
@@ -285,12 +297,13 @@ def _draw_onsets(path: Path, cells: Sequence[Cell]) -> None:
 SIGNALS = Map(
     "signals",
     "Signals",
-    f"{SECONDS:g} s at {RATE_HZ} Hz unless said otherwise, coded into a whole stream and decoded. H: the SNR is at most "
-    f"{SNR_MARGIN_DB:g} dB below that of a generated texture at the same setting, or above {ENOUGH_SNR_DB:g} dB, and the "
-    f"result at most {LOUDER_DB:g} dB louder than the signal (peak or RMS value). D: degraded, less than that. F: fails, "
-    f"the SNR is below 0 dB (silence would be nearer), the result more than {FAR_LOUDER_DB:g} dB louder or not finite, "
-    "or the program crashes or hangs. R: refused with an error that says what to do. Silence holds where the result "
-    f"stays below {SILENT:g} of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged.",
+    f"{SECONDS:g} s at {RATE_HZ} Hz unless said otherwise, coded into a whole stream and decoded. H: the SNR is at "
+    f"most {SNR_MARGIN_DB:g} dB below that of a generated texture at the same setting, or above {ENOUGH_SNR_DB:g} "
+    f"dB, but not below {LEAST_SNR_DB:g} dB, and the result at most {LOUDER_DB:g} dB louder than the signal (peak "
+    "or RMS value). D: degraded, less than that. F: fails, the SNR is below 0 dB (silence would be nearer), the "
+    f"result more than {FAR_LOUDER_DB:g} dB louder or not finite, or the program crashes or hangs. R: refused with "
+    f"an error that says what to do. Silence holds where the result stays below {SILENT:g} of full scale and fails "
+    f"from {NEARLY_SILENT:g}. The last minute of the hour is judged.",
     "",
     _trials,
     _draw,
@@ -298,9 +311,9 @@ SIGNALS = Map(
 ONSETS = Map(
     "pre_echo",
     "Onset after silence",
-    f"A sine of {_ONSET_HZ:g} Hz sets in at once, at {len(_ONSET_SHIFTS)} places within a block, the worst of which counts: "
-    "mean power of what is decoded before it, in the last 5 and 20 ms, relative to that of its first 20 ms. Holds up to "
-    f"{PRE_ECHO_HELD_DB:g} dB in the last 5 ms, fails from {PRE_ECHO_FAILED_DB:g} dB.",
+    f"A sine of {_ONSET_HZ:g} Hz sets in at once, at {len(_ONSET_SHIFTS)} places within a block, the worst of which "
+    "counts: mean power of what is decoded before it, in the last 5 and 20 ms, relative to that of its first 20 "
+    f"ms. Holds up to {PRE_ECHO_HELD_DB:g} dB in the last 5 ms, fails from {PRE_ECHO_FAILED_DB:g} dB.",
     "",
     _onset_trials,
     _draw_onsets,

@@ -3,18 +3,17 @@
 import faulthandler
 import math
 import os
-import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 from codec import CodecError
 from codec.interface import Setting
 from device_protocol.coded_stream import StreamError
 from device_protocol.messages import MessageError
 from device_protocol.transports import TransportError
+from evaluation.workers import on_cores
 from host.controller import ControllerError
 from textures import TextureError
 
@@ -52,7 +51,8 @@ class Measured:
 class Trial:
     """One condition to try: of which map, method and case, at which value of what the map varies, and the measurement.
 
-    `measure`: a function of a module, or a partial of one, so that another process can be given it.
+    `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_refused`:
+    that it must end with an error that a person can act on.
     """
 
     map: str
@@ -61,6 +61,7 @@ class Trial:
     setting: str
     value: float | None
     measure: Callable[[], Measured]
+    to_be_refused: bool = False
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,12 @@ class Cell:
     outcome: Outcome
     figures: Mapping[str, float | None]
     effect: str
+    to_be_refused: bool = False
+
+    @property
+    def sound(self) -> bool:
+        """Whether it is as it should be: it holds, or is refused where it must be."""
+        return self.outcome is (Outcome.REFUSED if self.to_be_refused else Outcome.HOLDS)
 
     def figure(self, name: str) -> float:
         """Return a figure, NaN where it has no value."""
@@ -84,13 +91,17 @@ class Cell:
 
 def setting_text(setting: Setting) -> str:
     """Return a codec's setting as text of names and values."""
-    return " ".join(f"{name}={value:.4g}" if isinstance(value, float) else f"{name}={value}" for name, value in setting.items())
+    return " ".join(
+        f"{name}={value:.4g}" if isinstance(value, float) else f"{name}={value}" for name, value in setting.items()
+    )
 
 
 def attempt(trial: Trial) -> Cell:
     """Run a trial in this process. An error that a person can act on is a refusal, any other a crash."""
     try:
         measured = trial.measure()
+        if trial.to_be_refused:
+            measured = Measured(Outcome.FAILS, {}, "accepted, though it must be refused")
     except CLEAR_ERRORS as error:
         measured = Measured(Outcome.REFUSED, {}, " ".join(str(error).split()))
     except Exception as error:
@@ -100,60 +111,26 @@ def attempt(trial: Trial) -> Cell:
 
 def run(
     trials: Sequence[Trial],
-    workers: int | None = None,
     limit_s: float = LIMIT_S,
     progress: Callable[[float, str], None] = lambda part, details: None,
 ) -> list[Cell]:
-    """Return the cells of all trials, in their order, tried in `workers` processes (None: one for each core).
+    """Return the cells of all trials, in their order, tried on all cores.
 
     A process that a trial kills, or that is ended because the trial takes longer than `limit_s`, costs that cell only.
     `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
     """
-    workers = workers or os.cpu_count() or 1
     cells: dict[int, Cell] = {}
-    left = list(range(len(trials)))[::-1]
-    while left:
-        suspects = _run_until_broken(trials, left, cells, workers, limit_s, progress)
-        for index in suspects:
-            cells[index] = _alone(trials[index], limit_s)
-    return [cells[index] for index in range(len(trials))]
+    pieces = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
+    for number, outcome in on_cores(pieces, os.cpu_count() or 1):
+        cells[number] = outcome if isinstance(outcome, Cell) else _lost(trials[number], outcome, limit_s)
+        progress(len(cells) / len(trials), f"{cells[number].map}: {cells[number].method}, {cells[number].case}")
+    return [cells[number] for number in range(len(trials))]
 
 
-def _run_until_broken(
-    trials: Sequence[Trial],
-    left: list[int],
-    cells: dict[int, Cell],
-    workers: int,
-    limit_s: float,
-    progress: Callable[[float, str], None],
-) -> list[int]:
-    """Take trials from the end of `left` until it is empty, or until a process dies: return those under way then."""
-    under_way: dict[Future[Cell], int] = {}
-    with ProcessPoolExecutor(workers) as pool:
-        while left or under_way:
-            try:
-                while left and len(under_way) <= workers:
-                    under_way[pool.submit(_attempt_within, trials[left[-1]], limit_s)] = left[-1]
-                    left.pop()
-                for done in wait(under_way, return_when=FIRST_COMPLETED).done:
-                    cell = done.result()
-                    cells[under_way.pop(done)] = cell
-                    progress(len(cells) / len(trials), f"{cell.map}: {cell.method}, {cell.case}")
-            except BrokenProcessPool:
-                return list(under_way.values())
-    return []
-
-
-def _alone(trial: Trial, limit_s: float) -> Cell:
-    """Run a trial in a process of its own, which it may kill."""
-    started_s = time.monotonic()
-    with ProcessPoolExecutor(1) as pool:
-        try:
-            return pool.submit(_attempt_within, trial, limit_s).result()
-        except BrokenProcessPool:
-            hangs = time.monotonic() - started_s >= limit_s
-            effect = f"HANGS: no end within {limit_s:g} s" if hangs else "CRASH: the process died"
-            return _cell(trial, Measured(Outcome.FAILS, {}, effect))
+def _lost(trial: Trial, error: Exception, limit_s: float) -> Cell:
+    """Return the cell of a trial whose process gave no answer."""
+    effect = f"CRASH: {error}, or took longer than {limit_s:g} s"
+    return _cell(trial, Measured(Outcome.FAILS, {}, effect))
 
 
 def _attempt_within(trial: Trial, limit_s: float) -> Cell:
@@ -169,5 +146,13 @@ def _attempt_within(trial: Trial, limit_s: float) -> Cell:
 def _cell(trial: Trial, measured: Measured) -> Cell:
     figures = {name: None if value is None else round(float(value), 4) for name, value in measured.figures.items()}
     return Cell(
-        trial.map, trial.method, trial.case, trial.setting, trial.value, measured.outcome, figures, measured.effect
+        trial.map,
+        trial.method,
+        trial.case,
+        trial.setting,
+        trial.value,
+        measured.outcome,
+        figures,
+        measured.effect,
+        trial.to_be_refused,
     )
