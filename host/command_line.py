@@ -21,6 +21,7 @@ from device_protocol.model_image import MAGIC as IMAGE_MAGIC
 from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImageError
 from device_protocol.transports import TransportError
 from host import coding, devices, flasher, player, progress
+from host.bench_command import bench
 from host.controller import ControllerError
 from host.entry import INTERRUPTED
 from host.input_files import InputFileError, read_input
@@ -174,6 +175,9 @@ def main(ctx: click.Context, debug: bool) -> None:
     """Record, compress, stream and replay the feel of a surface."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
+
+
+main.add_command(bench)
 
 
 @main.command()
