@@ -1,0 +1,344 @@
+"""Charts of the tables of evaluation.comparison, to be read in grey print: every line and mark named beside it."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import isotonic_regression
+
+from evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
+from evaluation.comparison import IMPORTED, MEAN, TIMES, Excess, Mark, MeanPoint, RatioPoint
+from evaluation.points import Record
+
+WIDTH_IN, DPI = 8.0, 150
+FONT_POINTS = 8.5
+LABEL_IN, CHARACTER_IN = 0.16, 0.07
+"""Height of a line of labels, and width of a character."""
+MIN_PANEL_IN = 3.6
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.7, 0.3, 0.3, 0.5
+LEADER_IN = 0.25
+LONGEST_NAME = 32
+
+LOWEST_RATE, HIGHEST_RATE = 0.25, 4.0
+TIME_FLOOR_S = 1e-6  # a time axis is logarithmic and has no zero
+SATURATING = {ST_SIM_2800.field, ST_SIM_8000.field, SPQI.field}
+SATURATING_LIMITS = (0.1, 0.999)
+SATURATING_TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998)
+BELOW_WINDOW_DB, ABOVE_WINDOW_DB = 5, 15
+
+DASHES: Sequence[Any] = ("-", (0, (5, 2)), (0, (1, 1.3)), (0, (6, 2, 1, 2)), (0, (2.5, 1)), (0, (6, 2, 1, 2, 1, 2)))
+MARKERS = ("o", "x", "^")
+GREYS = ("black", "0.4", "0.6")
+MARK_AREAS = (12.0, 400.0)
+LARGEST_EXCESS_PERCENT = 300.0
+MAX_NUMBERED_ROWS = 80
+COST_LABELS = {
+    "encode_s_per_megasample": "encoding, s per million samples",
+    "decode_s_per_megasample": "decoding, s per million samples",
+    "delay_ms": "algorithmic delay, ms",
+}
+
+
+class OfCodec(Record, Protocol):
+    """A row of a table that is of one codec."""
+
+    @property
+    def codec(self) -> str: ...
+
+    @property
+    def source(self) -> str: ...
+
+
+CodecRow = TypeVar("CodecRow", bound=OfCodec)
+
+
+@dataclass(frozen=True)
+class _Label:
+    """Text in the right margin, led to from the point (x, y) of a panel."""
+
+    x: float
+    y: float
+    row: OfCodec
+    text: str
+    heavy: bool = False
+
+
+def plot_quality_against_rate(path: Path, rows: Sequence[MeanPoint], scale: Scale, main: Sequence[str]) -> None:
+    """Draw mean curves, the main ones with their spread, the first of them heavy. Raises OSError."""
+    curves = by_codec(rows)
+    texts = {codec: _name_and_rate(curve[0]) for codec, curve in curves.items()}
+    figure = _figure([max(MIN_PANEL_IN, LABEL_IN * len(curves))], texts.values())
+    axes = figure.subplots()
+    _set_rate_axis(axes, "bits per sample, all bytes counted")
+    axes.set_xlim(LOWEST_RATE, HIGHEST_RATE)
+    _set_quality_axis(axes, scale)
+    labels = []
+    for index, (codec, curve) in enumerate(curves.items()):
+        imported, heavy = curve[0].source == IMPORTED, codec in main[:1]
+        bits, mean, low, high = np.transpose([(row.bits_per_sample, row.mean, row.low, row.high) for row in curve])
+        if codec in main:
+            axes.fill_between(bits, _within(axes, low), _within(axes, high), color="black", alpha=0.08, linewidth=0)
+        x, y = _draw_line(
+            axes,
+            bits,
+            mean,
+            color="0.5" if imported else "black",
+            linewidth=2.8 if heavy else 0.9 if imported else 1.4,
+            linestyle="-" if heavy else DASHES[index % len(DASHES)],
+        )
+        labels.append(_Label(x, y, curve[0], texts[codec], heavy))
+    _write_labels(axes, labels)
+    figure.savefig(path)
+
+
+def plot_quality_against_ratio(path: Path, rows: Sequence[RatioPoint], scales: Sequence[Scale]) -> None:
+    """Draw every trace's points and the mean curves, a panel for each quality. Raises OSError."""
+    codecs = list(by_codec(rows))
+    figure = _figure([MIN_PANEL_IN] * len(scales), [name(row) for row in rows])
+    panels = figure.subplots(len(scales), squeeze=False, sharex=True).ravel()
+    _set_rate_axis(panels[-1], "compression ratio against 16 bits per sample")
+    for axes, scale in zip(panels, scales, strict=True):
+        _set_quality_axis(axes, scale)
+        labels = []
+        for codec, points in by_codec(row for row in rows if row.quality == scale.field).items():
+            grey, marker, dashes = (cycle[codecs.index(codec) % len(cycle)] for cycle in (GREYS, MARKERS, DASHES))
+            ratios, values = np.transpose([(row.compression_ratio, row.value) for row in points if row.trace != MEAN])
+            axes.scatter(ratios, _within(axes, values), s=9, marker=marker, color=grey, linewidth=0.6, alpha=0.7)
+            means = sorted((row.compression_ratio, row.value) for row in points if row.trace == MEAN)
+            if means:
+                end = _draw_line(axes, *np.transpose(means), color=grey, linewidth=2.5, linestyle=dashes)
+                labels.append(_Label(*end, points[0], name(points[0])))
+        _write_labels(axes, labels)
+    figure.savefig(path)
+
+
+def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
+    """Draw quality over each cost, a row of panels for each rate, with their Pareto fronts. Raises OSError.
+
+    A mark's area is proportional to the bytes of the decoder; it is hollow where they are not known, and a diamond
+    where the figures are imported.
+    """
+    rates, costs = sorted({row.bits_per_sample for row in rows}), list(dict.fromkeys(row.cost for row in rows))
+    of_rates = [[row for row in rows if row.bits_per_sample == rate] for rate in rates]
+    heights = [max(MIN_PANEL_IN / 2, LABEL_IN * len(by_codec(of_rate))) for of_rate in of_rates]
+    largest_bytes = max((row.decoder_bytes or 0 for row in rows), default=0) or 1
+    figure = _figure(heights, [_name_and_bytes(row) for row in rows])
+    panels = figure.subplots(len(rates), len(costs), squeeze=False, sharex="col", sharey="row", height_ratios=heights)
+    for of_rate, panels_of_rate in zip(of_rates, panels, strict=True):
+        _set_quality_axis(panels_of_rate[0], scale, [row.quality for row in of_rate])
+        for cost, axes in zip(costs, panels_of_rate, strict=True):
+            axes.set_xscale("log" if cost in TIMES else "linear")
+            axes.grid(False, axis="y")
+            shown = sorted((row for row in of_rate if row.cost == cost), key=lambda row: -(row.decoder_bytes or 0))
+            for row in shown:
+                axes.axhline(_within(axes, row.quality), color="0.85", linewidth=0.6, zorder=0)
+                axes.scatter(_cost(row), _within(axes, row.quality), zorder=2, **_mark_style(row, largest_bytes))
+            front = sorted((_cost(row), row.quality) for row in shown if row.on_front)
+            axes.plot(*np.transpose(front or [(math.nan, math.nan)]), color="black", linewidth=1, zorder=1)
+    for cost, axes in zip(costs, panels[-1], strict=True):
+        axes.set_xlabel(COST_LABELS[cost])
+    for rate, of_rate, (first, *_, last) in zip(rates, of_rates, np.repeat(panels, 2, axis=1), strict=True):
+        first.set_title(f"at {rate:g} bit/sample", fontsize=FONT_POINTS, loc="left")
+        right = last.get_xlim()[1]
+        marks = [of_codec[0] for of_codec in by_codec(of_rate).values()]
+        _write_labels(last, [_Label(right, row.quality, row, _name_and_bytes(row)) for row in marks])
+    figure.savefig(path)
+
+
+def plot_excesses(path: Path, rows: Sequence[Excess]) -> None:
+    """Draw a map, traces by codecs, of the excess bits; darker is more. Raises OSError."""
+    codecs = dict(sorted(by_codec(rows).items(), key=lambda group: median(row.excess_percent for row in group[1])))
+    traces = sorted({row.trace for row in rows})
+    cells = np.full((len(traces), len(codecs)), np.nan)
+    for column, of_codec in enumerate(codecs.values()):
+        for row in of_codec:
+            cells[traces.index(row.trace), column] = row.excess_percent
+    numbered = len(traces) <= MAX_NUMBERED_ROWS
+    codecs_named = [name(of_codec[0]) for of_codec in codecs.values()]
+    traces_named = [_short(trace) for trace in traces] if numbered else []
+    height_in = LABEL_IN * min(len(traces), MAX_NUMBERED_ROWS) * 1.25
+    figure = _figure([height_in], (), left=traces_named, top=codecs_named)
+    axes = figure.subplots()
+    axes.imshow(np.sqrt(cells), cmap="Greys", vmin=0, vmax=math.sqrt(LARGEST_EXCESS_PERCENT), aspect="auto")
+    axes.set_facecolor("white")
+    axes.set_xticks(range(len(codecs)), codecs_named, rotation=90)
+    axes.xaxis.tick_top()
+    axes.set_yticks(range(len(traces_named)), traces_named)
+    axes.tick_params(length=0)
+    if numbered:
+        for (row_number, column), excess in np.ndenumerate(cells):
+            if math.isfinite(excess):
+                color = "white" if excess > LARGEST_EXCESS_PERCENT / 4 else "black"
+                text = f"{excess:.0f}"
+                axes.text(column, row_number, text, ha="center", va="center", color=color, fontsize=FONT_POINTS)
+    figure.savefig(path)
+
+
+def by_codec(rows: Iterable[CodecRow]) -> dict[str, list[CodecRow]]:
+    """Return rows by their codec, in their order."""
+    groups: dict[str, list[CodecRow]] = {}
+    for row in rows:
+        groups.setdefault(row.codec, []).append(row)
+    return groups
+
+
+def name(row: OfCodec) -> str:
+    """Return the name of a row's codec, and whether its figures are imported."""
+    return f"{_short(row.codec)}, imported" if row.source == IMPORTED else _short(row.codec)
+
+
+def _name_and_rate(row: MeanPoint) -> str:
+    return name(row) if row.bits_per_sample <= HIGHEST_RATE else f"{name(row)}: {row.bits_per_sample:.1f} bit/sample"
+
+
+def _name_and_bytes(row: Mark) -> str:
+    return name(row) if row.decoder_bytes is None else f"{name(row)}, {size(row.decoder_bytes)}"
+
+
+def size(count: int | None) -> str:
+    """Return a count of bytes in words; empty where it is None."""
+    if count is None:
+        return ""
+    return f"{count} B" if count < 1000 else f"{count / 1000:.3g} kB" if count < 1_000_000 else f"{count / 1e6:.3g} MB"
+
+
+def _cost(row: Mark) -> float:
+    return max(row.value, TIME_FLOOR_S) if row.cost in TIMES else row.value
+
+
+def _mark_style(row: Mark, largest_bytes: int) -> dict[str, Any]:
+    imported = row.source == IMPORTED
+    least, largest = MARK_AREAS
+    return {
+        "s": max(least, largest * (row.decoder_bytes or 0) / largest_bytes),
+        "marker": "D" if imported else "o",
+        "facecolor": "white" if row.decoder_bytes is None else "0.7",
+        "edgecolor": "0.5" if imported else "black",
+        "linewidth": 0.8,
+    }
+
+
+def _short(text: str) -> str:
+    """Return a name of at most LONGEST_NAME characters, that matplotlib takes for nothing but text."""
+    short = text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 3]}..."
+    return short.replace("$", r"\$")
+
+
+def _figure(
+    heights_in: Sequence[float], right: Iterable[str], left: Iterable[str] = (), top: Iterable[str] = ()
+) -> Figure:
+    """Return a figure for panels of these heights, one above the other, with margins for these labels."""
+    right_in, left_in, top_in = (
+        margin_in + CHARACTER_IN * max(map(len, texts), default=0)
+        for margin_in, texts in ((RIGHT_IN, right), (LEFT_IN, left), (TOP_IN, top))
+    )
+    panels_in = sum(heights_in) + TOP_IN * (len(heights_in) - 1)
+    height_in = top_in + panels_in + BOTTOM_IN
+    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI)
+    FigureCanvasAgg(figure)
+    figure.subplots_adjust(
+        left_in / WIDTH_IN,
+        BOTTOM_IN / height_in,
+        1 - right_in / WIDTH_IN,
+        1 - top_in / height_in,
+        wspace=0.05,
+        hspace=TOP_IN * len(heights_in) / sum(heights_in),
+    )
+    return figure
+
+
+def _set_rate_axis(axes: Axes, label: str) -> None:
+    axes.set_xscale("log", base=2)
+    axes.set_xlabel(label)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _set_quality_axis(axes: Axes, scale: Scale, values: Sequence[float] | None = None) -> None:
+    """Show the values given, or what a decoded texture may reach; saturating qualities spread towards 1."""
+    axes.set_ylabel(scale.label)
+    axes.set_axisbelow(True)
+    axes.grid(color="0.92")
+    if scale.field in SATURATING:
+        low, high = SATURATING_LIMITS
+        if values:
+            low, high = max(0.01, 0.8 * min(values)), min(high, 1 - 0.7 * (1 - max(values)))
+        axes.set_yscale("logit")
+        axes.yaxis.set_major_locator(FixedLocator(SATURATING_TICKS))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    elif values:
+        low, high = min(values) - 1, max(values) + 1
+    else:
+        low, high = scale.low - BELOW_WINDOW_DB, scale.high + ABOVE_WINDOW_DB
+        axes.axhspan(scale.low, scale.high, color="0.96", zorder=0)
+    axes.set_ylim(low, high)
+
+
+def _within(axes: Axes, quality: ArrayLike) -> NDArray[np.float64]:
+    return np.clip(np.asarray(quality, np.float64), *axes.get_ylim())
+
+
+def _draw_line(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], **style: Any) -> tuple[float, float]:
+    """Draw a line; return where it ends within the panel.
+
+    What is one point, infinite or outside of the panel altogether, is a mark, at the nearest place on the edge.
+    """
+    finite = np.isfinite(y)
+    axes.plot(x[finite], y[finite], **style)
+    left, right = axes.get_xlim()
+    low, high = axes.get_ylim()
+    visible = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high))
+    for index in np.flatnonzero(~finite) if len(visible) > 1 else range(len(x) - 1, len(x)):
+        place = np.clip(x[index], left, right), np.clip(y[index], low, high)
+        axes.plot(*place, marker="o", markersize=4, color=style["color"], clip_on=False)
+    end = visible[-1] if len(visible) else len(x) - 1
+    return float(np.clip(x[end], left, right)), float(np.clip(y[end], low, high))
+
+
+def _write_labels(axes: Axes, labels: Sequence[_Label]) -> None:
+    """Write labels down the right margin, as near to the height of their points as they fit without overlap."""
+    if not labels:
+        return
+    width, height = axes.get_window_extent().size
+    step = min(LABEL_IN * DPI / height, 1 / len(labels))
+    to_axes = axes.transData + axes.transAxes.inverted()
+    placed = sorted(((float(to_axes.transform((label.x, label.y))[1]), label) for label in labels), key=_by_height)
+    # Heights that fall by at least a step, nearest in squares to the wanted ones, within 0 to 1.
+    steps = step * np.arange(len(placed))
+    wanted = np.array([height for height, _ in placed]) + steps
+    heights = np.clip(isotonic_regression(wanted, increasing=False).x, steps[-1], 1) - steps
+    for label_height, (_, label) in zip(heights, placed, strict=True):
+        axes.annotate(
+            label.text,
+            (label.x, label.y),
+            (1 + LEADER_IN * DPI / width, label_height),
+            textcoords="axes fraction",
+            va="center",
+            annotation_clip=False,
+            color="0.35" if label.row.source == IMPORTED else "black",
+            fontstyle="italic" if label.row.source == IMPORTED else "normal",
+            fontweight="bold" if label.heavy else "normal",
+            fontsize=FONT_POINTS,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": "0.7",
+                "linewidth": 0.5,
+                "relpos": (0, 0.5),
+                "shrinkA": 1,
+                "shrinkB": 0,
+            },
+        )
+
+
+def _by_height(placed: tuple[float, _Label]) -> tuple[float, float]:
+    height, label = placed
+    return -height, label.x

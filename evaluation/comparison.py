@@ -1,0 +1,500 @@
+"""Tables that compare codecs over all traces, one for each chart, computed from measured rows alone."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from statistics import fmean, median
+
+import numpy as np
+
+import codec as codecs
+from evaluation.bd_rate import (
+    SCALES,
+    SNR,
+    SPQI,
+    ST_SIM_2800,
+    BdRate,
+    Curve,
+    Scale,
+    bd_rates,
+    bits_per_sample_at,
+    monotone_envelope,
+    quality_at,
+    summary,
+)
+from evaluation.cost import CodecCost
+from evaluation.points import Failure, Point, Timing, by_codec_and_trace
+
+IMPORTED = "imported"
+MEAN = "(mean)"
+ANCHORS = ("mdct", "slp", "vcpwq")
+"""What others are compared with: the project's own codec, the baseline of the EVA paper, and IEEE 1918.1.1's codec."""
+RATES = (1.0, 2.0)
+"""Bits per sample at which time and delay are set against quality: most codecs have points on both sides of them."""
+EQUAL_SNR_DB = 12.0
+NEEDED_SNR_DB = 10.0
+NEAR_FEWEST = (1.1, 2.5)
+COPY_SNR_DB = 60.0
+"""SNR of a copy; rounding to 16 bits leaves some 80 dB."""
+SPREAD_PERCENT = (10.0, 90.0)
+TIMES = ("encode_s_per_megasample", "decode_s_per_megasample")
+_RATE_GRID = tuple(2 ** (eighth / 8) for eighth in range(-40, 41))
+
+
+@dataclass(frozen=True)
+class MeanPoint:
+    """Quality at a rate: mean over the traces, with the 10 and 90 % points of their spread.
+
+    Of a codec with one point for each trace, the rate is a mean as well.
+    """
+
+    codec: str
+    source: str
+    bits_per_sample: float
+    mean: float
+    low: float
+    high: float
+    traces: int
+
+
+@dataclass(frozen=True)
+class RatioPoint:
+    """Quality at a compression ratio against 16 bits per sample: a trace's point, or of trace MEAN the mean curve."""
+
+    quality: str
+    codec: str
+    source: str
+    trace: str
+    compression_ratio: float
+    value: float
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A codec at a fixed rate: its mean quality, what that costs, and whether no other measured one beats it in both.
+
+    `cost`: encode_s_per_megasample, decode_s_per_megasample or delay_ms: the median over the traces.
+    """
+
+    bits_per_sample: float
+    codec: str
+    source: str
+    quality: float
+    cost: str
+    value: float
+    decoder_bytes: int | None
+    on_front: bool
+
+
+@dataclass(frozen=True)
+class Excess:
+    """Bits per sample of a trace at EQUAL_SNR_DB, and their excess over those of the codec that needs the fewest."""
+
+    trace: str
+    codec: str
+    source: str
+    bits_per_sample: float
+    excess_percent: float
+
+
+@dataclass(frozen=True)
+class TraceBdRate:
+    """The BD-rate of a codec relative to an anchor on one trace, as evaluation.bd_rate.BdRate."""
+
+    quality: str
+    anchor: str
+    codec: str
+    source: str
+    trace: str
+    percent: float
+    akima_percent: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MeanBdRate:
+    """The BD-rate of a codec relative to an anchor over the traces, as evaluation.bd_rate.Summary."""
+
+    quality: str
+    anchor: str
+    codec: str
+    source: str
+    mean: float
+    interval_low: float | None
+    interval_high: float | None
+    median: float
+    lowest: float
+    highest: float
+    akima_mean: float
+    traces: int
+    low: float
+    high: float
+    whole_window_traces: int
+
+
+@dataclass(frozen=True)
+class CurveCost:
+    """What a curve's codec costs: medians over the traces, timed at the settings nearest to a rate.
+
+    `real_time_factor`: seconds of encoding and decoding for each second of one channel. None where not measured.
+    """
+
+    codec: str
+    source: str
+    settings: int
+    bits_per_sample: float
+    encode_s_per_megasample: float | None
+    decode_s_per_megasample: float | None
+    real_time_factor: float | None
+    delay_ms: float | None
+    decoder_bytes: int | None
+    peak_memory_bytes: int | None
+    note: str
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Which measured codec to take for a need, and what it costs."""
+
+    need: str
+    codec: str
+    bits_per_sample: float
+    encode_s_per_megasample: float | None
+    decode_s_per_megasample: float | None
+    delay_ms: float | None
+    decoder_bytes: int | None
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """All that was measured or imported: points, times, costs of codecs, failures."""
+
+    points: Sequence[Point]
+    timings: Sequence[Timing]
+    costs: Sequence[CodecCost]
+    failures: Sequence[Failure]
+
+    @cached_property
+    def curves(self) -> dict[str, dict[str, list[Point]]]:
+        """The points by codec and trace. Imported ones only of codecs not measured here, and of traces that are."""
+        measured = [point for point in self.points if point.source != IMPORTED]
+        traces, names = {point.trace for point in measured}, {point.codec for point in measured}
+        imported = [
+            point
+            for point in self.points
+            if point.source == IMPORTED and point.codec not in names and (point.trace in traces or not measured)
+        ]
+        return by_codec_and_trace([*measured, *imported])
+
+    @cached_property
+    def traces(self) -> list[str]:
+        """The names of all traces."""
+        return sorted({trace for by_trace in self.curves.values() for trace in by_trace})
+
+    def source(self, codec: str) -> str:
+        """Return whether a codec's points were "measured" or "imported"."""
+        return next(iter(self.curves[codec].values()))[0].source
+
+    @cached_property
+    def anchors(self) -> list[str]:
+        """Those of ANCHORS that have points; without any, the first codec that has."""
+        return [name for name in ANCHORS if name in self.curves] or list(self.curves)[:1]
+
+    def of(self, codec: str, scale: Scale) -> dict[str, Curve]:
+        """Return a codec's rate and quality by trace, of the traces on which it has that quality."""
+        curves = {trace: scale.curve(points) for trace, points in self.curves[codec].items()}
+        return {trace: curve for trace, curve in curves.items() if curve}
+
+    def everywhere(self, codec: str, scale: Scale) -> list[Curve] | None:
+        """Return a codec's curves of all traces on which any has that quality; None where it lacks one."""
+        curves = self.of(codec, scale)
+        return list(curves.values()) if curves and set(curves) == self._traces_with[scale] else None
+
+    @cached_property
+    def _traces_with(self) -> dict[Scale, set[str]]:
+        return {scale: {trace for codec in self.curves for trace in self.of(codec, scale)} for scale in SCALES}
+
+    def cost(self, codec: str) -> CodecCost | None:
+        """Return the cost of the codec that a curve belongs to: the one of that name, or the one with that ladder."""
+        by_name = {cost.codec: cost for cost in self.costs}
+        owners = (name for name, known in codecs.CODECS.items() if codec in known.ladders)
+        return by_name.get(codec) or by_name.get(next(owners, ""))
+
+    def delay_ms(self, codec: str) -> float | None:
+        """Return the median delay of a codec's points; None where none says."""
+        return _median(point.delay_ms for points in self.curves[codec].values() for point in points)
+
+    def timings_near(self, codec: str, bits_per_sample: float) -> dict[str, Timing]:
+        """Return for each timed trace of a codec the timing at the rate nearest to this one."""
+        bits = {
+            (point.trace, point.setting): point.bits_per_sample
+            for points in self.curves[codec].values()
+            for point in points
+        }
+        nearest: dict[str, tuple[float, Timing]] = {}
+        for timing in self._timings.get((codec, self.source(codec)), []):
+            if (timing.trace, timing.setting) in bits:
+                distance = abs(math.log2(bits[timing.trace, timing.setting] / bits_per_sample))
+                if timing.trace not in nearest or distance < nearest[timing.trace][0]:
+                    nearest[timing.trace] = distance, timing
+        return {trace: timing for trace, (_, timing) in nearest.items()}
+
+    @cached_property
+    def _timings(self) -> dict[tuple[str, str], list[Timing]]:
+        timings: dict[tuple[str, str], list[Timing]] = {}
+        for timing in self.timings:
+            timings.setdefault((timing.codec, timing.source), []).append(timing)
+        return timings
+
+
+def mean_curves(measurements: Measurements, scale: Scale) -> list[MeanPoint]:
+    """Return the mean curve of each codec over the rates at which it has a value for every trace.
+
+    A codec that reaches an exact copy of every trace has a last point there, of infinite SNR.
+    """
+    rows = []
+    for codec in measurements.curves:
+        curves = measurements.everywhere(codec, scale)
+        if curves is not None:
+            source = measurements.source(codec)
+            rows += [MeanPoint(codec, source, *row, len(curves)) for row in _mean_curve(curves)]
+    return rows
+
+
+def _mean_curve(curves: Sequence[Curve]) -> list[tuple[float, float, float, float]]:
+    """Return rates with mean, low and high quality."""
+    envelopes = [monotone_envelope(curve) for curve in curves]
+    rows = []
+    if all(len(envelope) == 1 for envelope in envelopes):
+        rates, values = zip(*(envelope[0] for envelope in envelopes), strict=True)
+        rows.append((fmean(rates), *_mean_and_spread(values)))
+    elif all(envelopes):
+        lowest, highest = max(envelope[0][0] for envelope in envelopes), min(envelope[-1][0] for envelope in envelopes)
+        grid = sorted({lowest, highest, *(rate for rate in _RATE_GRID if lowest < rate < highest)})
+        columns = np.transpose([quality_at(curve, grid) for curve in curves])
+        rows += [
+            (rate, *_mean_and_spread(values))
+            for rate, values in zip(grid, columns, strict=True)
+            if np.all(np.isfinite(values))
+        ]
+    copies = [[bits for bits, quality in curve if quality == math.inf] for curve in curves]
+    if all(copies):
+        rows.append((fmean(map(min, copies)), math.inf, math.inf, math.inf))
+    return rows
+
+
+def _mean_and_spread(values: Sequence[float]) -> tuple[float, float, float]:
+    low, high = np.percentile(values, SPREAD_PERCENT)
+    return float(np.mean(values)), float(low), float(high)
+
+
+def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> list[RatioPoint]:
+    """Return the qualities of the anchors over the compression ratio: of every trace, and in the mean."""
+    rows = []
+    for scale in scales:
+        means = mean_curves(measurements, scale)
+        for codec in measurements.anchors:
+            source = measurements.source(codec)
+            pairs = [
+                *((trace, *pair) for trace, curve in measurements.of(codec, scale).items() for pair in curve),
+                *((MEAN, row.bits_per_sample, row.mean) for row in means if row.codec == codec),
+            ]
+            rows += [
+                RatioPoint(scale.field, codec, source, trace, 16 / bits, value)
+                for trace, bits, value in pairs
+                if math.isfinite(value)
+            ]
+    return rows
+
+
+def time_marks(measurements: Measurements, scale: Scale) -> list[Mark]:
+    """Return each codec's mean quality at each of RATES with its times at the nearest rate that was timed."""
+
+    def times(codec: str, rate: float) -> dict[str, float | None]:
+        timings = measurements.timings_near(codec, rate).values()
+        return {name: _median(getattr(timing, name) for timing in timings) for name in TIMES}
+
+    return _marks(measurements, scale, times)
+
+
+def delay_marks(measurements: Measurements, scale: Scale) -> list[Mark]:
+    """Return each codec's mean quality at each of RATES with its algorithmic delay."""
+    return _marks(measurements, scale, lambda codec, rate: {"delay_ms": measurements.delay_ms(codec)})
+
+
+def _marks(
+    measurements: Measurements, scale: Scale, costs: Callable[[str, float], Mapping[str, float | None]]
+) -> list[Mark]:
+    rows = []
+    for rate in RATES:
+        marks = []
+        for codec, quality in _means_at(measurements, scale, rate).items():
+            cost = measurements.cost(codec)
+            decoder_bytes = None if cost is None else cost.decoder_bytes
+            marks += [
+                Mark(rate, codec, measurements.source(codec), quality, name, value, decoder_bytes, False)
+                for name, value in costs(codec, rate).items()
+                if value is not None
+            ]
+        rows += [replace(mark, on_front=_on_front(mark, marks)) for mark in marks]
+    return rows
+
+
+def _means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str, float]:
+    """Return the mean quality of the codecs that have one for every trace at this rate."""
+    means = {}
+    for codec in measurements.curves:
+        values = [float(quality_at(curve, rate)) for curve in measurements.everywhere(codec, scale) or [()]]
+        if all(map(math.isfinite, values)):
+            means[codec] = fmean(values)
+    return means
+
+
+def _on_front(mark: Mark, marks: Sequence[Mark]) -> bool:
+    rivals = (other for other in marks if other.cost == mark.cost and other.source != IMPORTED)
+    return mark.source != IMPORTED and not any(
+        other.value <= mark.value
+        and other.quality >= mark.quality
+        and (other.value, other.quality) != (mark.value, mark.quality)
+        for other in rivals
+    )
+
+
+def excesses(measurements: Measurements) -> list[Excess]:
+    """Return what each codec needs on each trace at EQUAL_SNR_DB, compared with the trace's best codec."""
+    rows = []
+    for trace in measurements.traces:
+        bits = {
+            codec: float(bits_per_sample_at(SNR.curve(by_trace.get(trace, [])), EQUAL_SNR_DB))
+            for codec, by_trace in measurements.curves.items()
+        }
+        bits = {codec: value for codec, value in bits.items() if math.isfinite(value)}
+        rows += [
+            Excess(trace, codec, measurements.source(codec), value, 100 * (value / min(bits.values()) - 1))
+            for codec, value in bits.items()
+        ]
+    return rows
+
+
+def trace_bd_rates(measurements: Measurements) -> list[TraceBdRate]:
+    """Return the BD-rate of every codec relative to each anchor on every trace at every quality."""
+    return [
+        TraceBdRate(scale.field, anchor, codec, measurements.source(codec), trace, **asdict(rate))
+        for anchor in measurements.anchors
+        for scale in SCALES
+        for codec in measurements.curves
+        if codec != anchor
+        for trace, rate in bd_rates(measurements.of(anchor, scale), measurements.of(codec, scale), scale).items()
+    ]
+
+
+def mean_bd_rates(rows: Iterable[TraceBdRate]) -> list[MeanBdRate]:
+    """Sum up BD-rates over the traces, fewest bits first for each anchor and quality."""
+    groups: dict[tuple[str, str, str, str], list[BdRate]] = {}
+    for row in rows:
+        rate = BdRate(row.percent, row.akima_percent, row.low, row.high)
+        groups.setdefault((row.quality, row.anchor, row.codec, row.source), []).append(rate)
+    scales = {scale.field: scale for scale in SCALES}
+    means = [MeanBdRate(*key, **asdict(summary(rates, scales[key[0]]))) for key, rates in groups.items()]
+    order = {(row.anchor, row.quality): index for index, row in reversed(list(enumerate(means)))}
+    return sorted(means, key=lambda row: (order[row.anchor, row.quality], row.mean))
+
+
+def curve_costs(measurements: Measurements) -> list[CurveCost]:
+    """Return what each curve's codec costs, timed near the last of RATES."""
+    return [_curve_cost(measurements, codec, RATES[-1]) for codec in measurements.curves]
+
+
+def _curve_cost(measurements: Measurements, codec: str, rate: float) -> CurveCost:
+    points = [point for points in measurements.curves[codec].values() for point in points]
+    timings = measurements.timings_near(codec, rate)
+    cost = measurements.cost(codec)
+    encode_s, decode_s = (_median(getattr(timing, name) for timing in timings.values()) for name in TIMES)
+    return CurveCost(
+        codec,
+        measurements.source(codec),
+        len({point.setting for point in points}),
+        rate,
+        encode_s,
+        decode_s,
+        _median(
+            timings[point.trace].real_time_factor(point.rate_hz)
+            for point in points
+            if point.trace in timings and point.rate_hz is not None
+        ),
+        measurements.delay_ms(codec),
+        cost.decoder_bytes if cost else None,
+        cost.peak_memory_bytes if cost else None,
+        cost.note if cost else "",
+    )
+
+
+def advice(measurements: Measurements) -> list[Advice]:
+    """Return the measured codec that serves each need best; among equals the one with fewer bits."""
+    measured = [codec for codec in measurements.curves if measurements.source(codec) != IMPORTED]
+    bits = {codec: _mean_bits(measurements, codec, _bits_at_needed_snr) for codec in measured}
+    copies = {codec: _mean_bits(measurements, codec, _bits_of_copy) for codec in measured}
+    costs = {codec: _curve_cost(measurements, codec, rate) for codec, rate in bits.items() if rate is not None}
+    fewest = min((rate for rate in bits.values() if rate is not None), default=0.0)
+    decode_s = {codec: cost.decode_s_per_megasample for codec, cost in costs.items()}
+    encode_s = {codec: cost.encode_s_per_megasample for codec, cost in costs.items()}
+    delay_ms = {codec: cost.delay_ms for codec, cost in costs.items()}
+    decoder_bytes = {codec: cost.decoder_bytes for codec, cost in costs.items()}
+    snr = f"SNR {NEEDED_SNR_DB:g} dB"
+    needs: list[tuple[str, Mapping[str, float | None], Mapping[str, float | None]]] = [
+        (f"the fewest bits at {snr}", bits, bits)
+    ]
+    for factor in NEAR_FEWEST:
+        near = {codec: rate for codec, rate in bits.items() if rate is not None and rate <= factor * fewest}
+        needs += [
+            (f"the fastest decoder at {snr} with at most {factor:g} times the fewest bits", near, decode_s),
+            (f"the fastest encoder at {snr} with at most {factor:g} times the fewest bits", near, encode_s),
+        ]
+    needs += [(f"the shortest delay at {snr}", bits, delay_ms), (f"the smallest decoder at {snr}", bits, decoder_bytes)]
+    for scale in (SPQI, ST_SIM_2800):
+        means = _means_at(measurements, scale, RATES[0])
+        at_rate = {codec: RATES[0] for codec in measured if codec in means}
+        lacking = {codec: -means[codec] for codec in at_rate}
+        needs.append((f"the best {scale.label} at {RATES[0]:g} bit/sample", at_rate, lacking))
+    needs.append((f"a copy, of SNR {COPY_SNR_DB:g} dB or more, in the fewest bits", copies, copies))
+    return [chosen for need, rates, least in needs if (chosen := _least(measurements, need, rates, least)) is not None]
+
+
+def _least(
+    measurements: Measurements, need: str, rates: Mapping[str, float | None], least: Mapping[str, float | None]
+) -> Advice | None:
+    """Return the codec of the least value, at its rate; None where none has both."""
+    ranked = [
+        (value, rate, codec)
+        for codec, rate in rates.items()
+        if rate is not None and (value := least.get(codec)) is not None
+    ]
+    if not ranked:
+        return None
+    _, rate, codec = min(ranked)
+    cost = _curve_cost(measurements, codec, rate)
+    times = cost.encode_s_per_megasample, cost.decode_s_per_megasample
+    return Advice(need, codec, rate, *times, cost.delay_ms, cost.decoder_bytes)
+
+
+def _mean_bits(measurements: Measurements, codec: str, bits_of: Callable[[Curve], float | None]) -> float | None:
+    """Return the mean rate that a codec needs, None where it lacks one for a trace."""
+    bits = [bits_of(curve) for curve in measurements.everywhere(codec, SNR) or [()]]
+    known = [value for value in bits if value is not None]
+    return fmean(known) if len(known) == len(bits) else None
+
+
+def _bits_at_needed_snr(curve: Curve) -> float | None:
+    bits = float(bits_per_sample_at(curve, NEEDED_SNR_DB))
+    return bits if math.isfinite(bits) else None
+
+
+def _bits_of_copy(curve: Curve) -> float | None:
+    return min((bits for bits, quality in curve if quality >= COPY_SNR_DB), default=None)
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return median(known) if known else None

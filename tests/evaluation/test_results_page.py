@@ -1,0 +1,307 @@
+"""Tests of the page of results, its charts and the tables beside them."""
+
+import csv
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from evaluation import results_page
+from evaluation.bd_rate import SNR
+from evaluation.comparison import (
+    Excess,
+    Mark,
+    MeanBdRate,
+    MeanPoint,
+    Measurements,
+    TraceBdRate,
+    advice,
+    curve_costs,
+    excesses,
+    mean_bd_rates,
+    mean_curves,
+    time_marks,
+    trace_bd_rates,
+)
+from evaluation.cost import CodecCost
+from evaluation.points import Failure, Point, Timing, read_rows, write_rows
+from evaluation.results_page import Description, write_results
+
+SAMPLES = 1_000_000
+SNRS_DB = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
+DESCRIPTION = Description("recordings", "one core", "vibrocast bench recordings --out docs")
+
+
+def curve(
+    codec: str, trace: str = "a", rate_factor: float = 1.0, snrs_db: Sequence[float] = SNRS_DB, source: str = "measured"
+) -> list[Point]:
+    """Return points of bits per sample = rate_factor * 2^(SNR / 12) / 2, all other qualities rising with the SNR."""
+    return [
+        Point(
+            trace,
+            codec,
+            f"{snr_db} dB",
+            SAMPLES,
+            round(SAMPLES * rate_factor * 2 ** (snr_db / 12) / 16),
+            snr_db,
+            2800.0,
+            snr_db + 13,
+            *(1 - 10 ** (-(snr_db + 1) / 10),) * 3,
+            3.0,
+            20.0 * rate_factor,
+            source,
+        )
+        for snr_db in snrs_db
+    ]
+
+
+def timed(points: Sequence[Point], encode_s: float, decode_s: float) -> list[Timing]:
+    return [Timing(point.trace, point.codec, point.setting, encode_s, decode_s, point.source) for point in points]
+
+
+def measured() -> tuple[list[Point], list[Timing], list[CodecCost]]:
+    """Return three codecs on two traces: slp needs twice the bits of mdct and half the time, vcpwq four times."""
+    mdct = curve("mdct") + curve("mdct", "b", 1.1)
+    slp = curve("slp", rate_factor=2) + curve("slp", "b", 2.2)
+    peer = curve("vcpwq", rate_factor=4, source="imported") + curve("vcpwq", "b", 4.4, source="imported")
+    timings = timed(mdct, 2.0, 1.0) + timed(slp, 1.0, 0.5) + timed(peer, 0.1, 0.1)
+    return mdct + slp + peer, timings, [CodecCost("mdct", 9000, 5_000_000, "core"), CodecCost("slp", None, None, "")]
+
+
+def write(
+    out: Path,
+    points: Sequence[Point],
+    timings: Sequence[Timing] = (),
+    costs: Sequence[CodecCost] = (),
+    failures: Sequence[Failure] = (),
+) -> str:
+    """Write the rows as a benchmark does, and the page; return the page."""
+    results = out / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    write_rows(results / "points.csv", points, Point)
+    write_rows(results / "timings.csv", timings, Timing)
+    write_rows(results / "costs.csv", costs, CodecCost)
+    write_rows(results / "failures.csv", failures, Failure)
+    write_results(out, points, timings, costs, failures, DESCRIPTION)
+    return (out / "results.md").read_text()
+
+
+def test_a_mean_curve_spans_the_rates_of_every_trace() -> None:
+    points, timings, costs = measured()
+    rows = [row for row in mean_curves(Measurements(points, timings, costs, []), SNR) if row.codec == "mdct"]
+    assert rows[0].bits_per_sample == pytest.approx(0.55)
+    assert rows[-1].bits_per_sample == pytest.approx(2.0)
+    for row in rows:
+        first, second = (12 * math.log2(2 * row.bits_per_sample / factor) for factor in (1, 1.1))
+        assert row.mean == pytest.approx((first + second) / 2, abs=0.01)
+        assert second <= row.low <= row.mean <= row.high <= first
+        assert row.traces == 2
+
+
+def test_a_codec_that_lacks_a_trace_has_no_mean() -> None:
+    points = curve("mdct") + curve("mdct", "b") + curve("slp")
+    measurements = Measurements(points, timed(points, 1, 1), [], [])
+    assert {row.codec for row in mean_curves(measurements, SNR)} == {"mdct"}
+    assert {row.codec for row in time_marks(measurements, SNR)} == {"mdct"}
+    assert {row.codec for row in excesses(measurements)} == {"mdct", "slp"}
+
+
+def test_imported_points_stand_aside() -> None:
+    """Where the codec was measured, and on traces that were not."""
+    points = curve("mdct") + curve("mdct", rate_factor=9, source="imported") + curve("peer", "c", source="imported")
+    assert Measurements(points, [], [], []).curves == {"mdct": {"a": curve("mdct")}}
+    only_imported = curve("peer", "c", source="imported")
+    assert Measurements(only_imported, [], [], []).curves == {"peer": {"c": only_imported}}
+
+
+def test_times_are_those_of_the_nearest_rate_and_the_front_is_of_measured_codecs() -> None:
+    points, _, costs = measured()
+    timings = [
+        Timing(point.trace, point.codec, point.setting, point.bits_per_sample, 1.0, point.source) for point in points
+    ]
+    marks = time_marks(Measurements(points, timings, costs, []), SNR)
+    encoding = {(mark.bits_per_sample, mark.codec): mark for mark in marks if mark.cost == "encode_s_per_megasample"}
+    assert encoding[2.0, "mdct"].value == pytest.approx((2.0 + 2.2) / 2)
+    assert encoding[2.0, "mdct"].quality == pytest.approx(24 - 6 * math.log2(1.1), abs=0.01)
+    assert encoding[2.0, "mdct"].decoder_bytes == 9000
+    assert (1.0, "vcpwq") not in encoding and (2.0, "vcpwq") not in encoding
+    decoding = [mark for mark in marks if mark.cost == "decode_s_per_megasample" and mark.bits_per_sample == 2]
+    assert {mark.codec: mark.on_front for mark in decoding} == {"mdct": True, "slp": False}
+
+
+def test_excess_bits_are_counted_from_the_best_of_each_trace() -> None:
+    points, _, _ = measured()
+    rows = {(row.trace, row.codec): row for row in excesses(Measurements(points, [], [], []))}
+    assert rows["a", "mdct"].bits_per_sample == pytest.approx(1.0, abs=0.001)
+    assert {key: round(row.excess_percent) for key, row in rows.items()} == {
+        ("a", "mdct"): 0,
+        ("a", "slp"): 100,
+        ("a", "vcpwq"): 300,
+        ("b", "mdct"): 0,
+        ("b", "slp"): 100,
+        ("b", "vcpwq"): 300,
+    }
+
+
+def test_bd_rates_are_relative_to_every_anchor_at_every_quality() -> None:
+    points, _, _ = measured()
+    rows = mean_bd_rates(trace_bd_rates(Measurements(points, [], [], [])))
+    snr = {(row.anchor, row.codec): round(row.mean) for row in rows if row.quality == "snr_db"}
+    assert snr == {
+        ("mdct", "slp"): 100,
+        ("mdct", "vcpwq"): 300,
+        ("slp", "mdct"): -50,
+        ("slp", "vcpwq"): 100,
+        ("vcpwq", "mdct"): -75,
+        ("vcpwq", "slp"): -50,
+    }
+    assert {row.quality for row in rows} == {"snr_db", "psnr_db", "st_sim_2800", "st_sim_8000", "spqi"}
+    assert {row.traces for row in rows} == {2}
+
+
+def test_costs_are_of_the_codec_that_a_ladder_belongs_to() -> None:
+    points, timings, costs = measured()
+    rows = {row.codec: row for row in curve_costs(Measurements(points, timings, costs, []))}
+    assert rows["mdct"].real_time_factor == pytest.approx(3.0 * 2800 / 1e6)
+    assert (rows["mdct"].peak_memory_bytes, rows["mdct"].settings, rows["mdct"].delay_ms) == (5_000_000, 7, 21)
+    assert (rows["vcpwq"].decoder_bytes, rows["vcpwq"].source) == (None, "imported")
+    opus = Measurements(curve("opus-audio"), [], [CodecCost("opus", 7, None, "")], [])
+    assert curve_costs(opus)[0].decoder_bytes == 7
+
+
+def test_advice_follows_its_rules_and_never_names_an_imported_codec() -> None:
+    points, timings, costs = measured()
+    chosen = {row.need: row for row in advice(Measurements(points, timings, costs, []))}
+    assert chosen["the fewest bits at SNR 10 dB"].codec == "mdct"
+    assert chosen["the fewest bits at SNR 10 dB"].bits_per_sample == pytest.approx(1.05 * 2 ** (10 / 12) / 2, rel=0.01)
+    assert chosen["the fastest decoder at SNR 10 dB with at most 1.1 times the fewest bits"].codec == "mdct"
+    assert chosen["the fastest decoder at SNR 10 dB with at most 2.5 times the fewest bits"].codec == "slp"
+    assert chosen["the smallest decoder at SNR 10 dB"].decoder_bytes == 9000
+    assert not any("copy" in need for need in chosen)
+    exact = [replace(point, codec="exact", snr_db=math.inf) for point in curve("x", snrs_db=[24.0])]
+    exact += [replace(point, trace="b") for point in exact]
+    chosen = {row.need: row for row in advice(Measurements(points + exact, timings, costs, []))}
+    assert [row.codec for need, row in chosen.items() if "copy" in need] == ["exact"]
+
+
+def test_every_chart_has_its_data_beside_it(tmp_path: Path) -> None:
+    points, timings, costs = measured()
+    page = write(tmp_path, points, timings, costs)
+    images = sorted((tmp_path / "results").glob("*.png"))
+    assert len(images) == 10
+    for image in images:
+        assert image.read_bytes().startswith(b"\x89PNG") and image.stat().st_size > 5000
+        assert f"(results/{image.name})" in page and f"(results/{image.stem}.csv)" in page
+        with image.with_suffix(".csv").open(newline="") as file:
+            assert {row["codec"] for row in csv.DictReader(file)} >= {"mdct"}
+    measurements = Measurements(points, timings, costs, [])
+    drawn = tmp_path / "results"
+    assert read_rows(drawn / "quality_against_rate_snr_db.csv", MeanPoint) == mean_curves(measurements, SNR)
+    assert read_rows(drawn / "excess_bits.csv", Excess) == excesses(measurements)
+    assert read_rows(drawn / "bd_rate_traces.csv", TraceBdRate) == trace_bd_rates(measurements)
+    assert read_rows(drawn / "bd_rate.csv", MeanBdRate) == mean_bd_rates(trace_bd_rates(measurements))
+
+
+def test_the_page_says_what_it_is_of(tmp_path: Path) -> None:
+    points, timings, costs = measured()
+    failures = [Failure("a", "slp", f"step={number}", "a | b\n<c>") for number in range(25)]
+    page = write(tmp_path, points, timings, costs, failures)
+    for words in (
+        "`recordings`, 2 traces, 2000000 samples at 2800 Hz",
+        "Times: one core",
+        "    vibrocast bench recordings --out docs",
+        "Imported: figures that other programs reached on the same traces, taken from a table: `vcpwq`",
+        "**25 failures**",
+        r"| a | slp | step=19 | a \| b &lt;c> |",
+        "### Relative to `vcpwq`",
+        "-50.0 %",
+    ):
+        assert words in page
+    assert "step=20" not in page
+    assert str(tmp_path) not in page
+
+
+def test_the_page_is_drawn_again_from_its_files(tmp_path: Path) -> None:
+    page = write(tmp_path, *measured())
+    before = {path.name: path.read_bytes() for path in (tmp_path / "results").iterdir()}
+    (tmp_path / "results.md").unlink()
+    for path in (tmp_path / "results").glob("*.png"):
+        path.unlink()
+    result = CliRunner().invoke(results_page.main, [str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "results.md").read_text() == page
+    assert {path.name: path.read_bytes() for path in (tmp_path / "results").iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda results: shutil.rmtree(results), "No such file or directory; give the --out of a benchmark"),
+        (lambda results: (results / "points.csv").write_text("a,b\n"), "points.csv: no column trace"),
+        (lambda results: (results / "description.csv").write_text("data\nx\n"), "description.csv: no column machine"),
+        (lambda results: (results / "description.csv").write_text("data,machine,command\n"), "description.csv: 0 rows"),
+    ],
+)
+def test_files_that_cannot_be_drawn_are_named(tmp_path: Path, spoil: Callable[[Path], object], message: str) -> None:
+    write(tmp_path, curve("mdct"))
+    spoil(tmp_path / "results")
+    result = CliRunner().invoke(results_page.main, [str(tmp_path)])
+    assert result.exit_code == 1
+    assert message in result.output and "Traceback" not in result.output
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [],
+        curve("mdct"),
+        curve("mdct", snrs_db=[12.0]),
+        curve("other") + curve("mdct", snrs_db=[12.0]),
+        [replace(point, snr_db=None, psnr_db=None, st_sim_2800=None, spqi=None) for point in curve("mdct")],
+        [replace(point, snr_db=math.inf, psnr_db=math.inf, st_sim_2800=1.0, spqi=1.0) for point in curve("flac")],
+        [*curve("mdct"), replace(curve("mdct", snrs_db=[30.0])[0], snr_db=math.inf)],
+        [replace(point, snr_db=-math.inf, st_sim_2800=-0.1, spqi=0.0) for point in curve("mdct")],
+        [replace(point, snr_db=3.0, psnr_db=20.0, st_sim_2800=1.2, spqi=0.5) for point in curve("mdct")],
+        curve("mdct", "only this | `trace` <b> $x_1$ \\") + curve("a | `codec` $x", "b"),
+        curve("peer", source="imported"),
+    ],
+    ids=[
+        "nothing",
+        "one codec and trace",
+        "one point",
+        "a curve and a point",
+        "silence",
+        "lossless",
+        "lossless at the end",
+        "worthless",
+        "one quality",
+        "odd names",
+        "imported only",
+    ],
+)
+def test_a_page_of_whatever_there_is(tmp_path: Path, points: list[Point]) -> None:
+    page = write(tmp_path, points, timed(points, 0.0, 1.0))
+    assert page.startswith("# Results\n") and page.endswith("\n")
+    assert "nan" not in page
+    shown = {name for name in page.split("(results/") if name.split(")")[0].endswith(".png")}
+    assert len(shown) == len(list((tmp_path / "results").glob("*.png")))
+    assert read_rows(tmp_path / "results" / "description.csv", Description) == [DESCRIPTION]
+
+
+def test_many_traces_still_fit(tmp_path: Path) -> None:
+    points = [point for number in range(100) for point in curve("mdct", f"trace {number}", 1 + number / 100)]
+    page = write(tmp_path, points)
+    assert "100 traces" in page
+    assert (tmp_path / "results" / "excess_bits.png").stat().st_size > 5000
+
+
+def test_charts_of_what_is_gone_are_removed(tmp_path: Path) -> None:
+    write(tmp_path, *measured())
+    page = write(tmp_path, [])
+    assert list((tmp_path / "results").glob("*.png")) == []
+    assert "no codec has the values" in page
+    assert read_rows(tmp_path / "results" / "quality_against_time_snr_db.csv", Mark) == []
