@@ -23,7 +23,8 @@ class CodecError(ValueError):
 class Parameter:
     """One parameter of a codec: what it means, its default, and what it may be.
 
-    Either one of the words in `choices`, or a number from `low` to `high`, a whole one if `whole`.
+    Either one of the words in `choices`, or any text if `text`, or a number from `low` to `high`, a whole one if
+    `whole`.
     """
 
     meaning: str
@@ -32,9 +33,12 @@ class Parameter:
     high: float = math.inf
     whole: bool = False
     choices: tuple[str, ...] = ()
+    text: bool = False
 
     def checked(self, name: str, value: Value) -> Value:
         """Return the value, numbers in text read. Raises CodecError where it is none that the parameter may take."""
+        if self.text:
+            return str(value)
         if isinstance(value, tuple):
             return tuple(self._number(name, part) for part in value)
         if self.choices:
@@ -48,6 +52,8 @@ class Parameter:
         """The values that it may take, in words."""
         if self.choices:
             return ", ".join(self.choices)
+        if self.text:
+            return "text"
         kind = "whole number" if self.whole else "number"
         limits = [f"from {self.low:g}" * math.isfinite(self.low), f"up to {self.high:g}" * math.isfinite(self.high)]
         return " ".join([kind, *filter(None, limits)])

@@ -3,6 +3,7 @@
 import json
 import math
 import multiprocessing
+import platform
 import re
 import subprocess
 import sys
@@ -175,7 +176,9 @@ def count_decoder_size(codec_name: str) -> DecoderSize:
         return DecoderSize(None, "decoder not counted: one of many in libavcodec")
     files = [file for file in metadata.files("av") or () if file.name.startswith(library)]
     size = sum(Path(str(file.locate())).stat().st_size for file in files)
-    return DecoderSize(size or None, f"{library} of PyAV {metadata.version('av')} for this computer, encoder included")
+    return DecoderSize(
+        size or None, f"{library} of PyAV {metadata.version('av')}, {platform.machine()}, encoder included"
+    )
 
 
 def _decoder_functions(codec_name: str) -> list[str]:
@@ -218,7 +221,7 @@ def main(out: Path) -> None:
     except OSError as error:
         raise click.ClickException(f"{out}: cannot be written: {error.strerror}") from error
     for name, size in sizes.items():
-        click.echo(f"{name}: {size['bytes']} bytes ({size['note']})")
+        click.echo(f"{name}: {size['bytes'] or 'no'} bytes ({size['note']})")
 
 
 if __name__ == "__main__":

@@ -136,8 +136,8 @@ def _log_spectral_distance_db(reference: Signal, decoded: Signal, rate_hz: float
 
     A. H. Gray and J. D. Markel, "Distance measures for speech processing", IEEE Trans. ASSP 24 (1976), the measure d_2;
     L. Rabiner and B.-H. Juang, "Fundamentals of Speech Recognition" (1993), section 4.5.1. Hann windows of 0.1 s that
-    overlap by half. None for signals shorter than one, where no bin lies in the band, and where the reference is silent
-    in it.
+    overlap by half, without those in which the reference is silent in the band. None where none is left, where the
+    signal is shorter than one, and where no bin lies in the band.
     """
     frame = round(FRAME_S * rate_hz)
     frequencies = np.fft.rfftfreq(max(frame, 1), 1 / rate_hz)
@@ -145,8 +145,10 @@ def _log_spectral_distance_db(reference: Signal, decoded: Signal, rate_hz: float
     if len(reference) < frame or not np.any(band):
         return None
     x, y = (_power_spectra(signal, frame)[:, band] for signal in (reference, decoded))
-    if np.mean(np.sum(x, axis=1)) < SILENCE**2:
+    kept = np.sum(x, axis=1) >= SILENCE**2
+    if not np.any(kept):
         return None
+    x, y = x[kept], y[kept]
     floor = FLOOR * np.mean(x)
     differences_db = 10 * np.log10(np.maximum(x, floor) / np.maximum(y, floor))
     return float(np.mean(np.sqrt(np.mean(np.square(differences_db), axis=1))))

@@ -34,6 +34,11 @@ class WorkerDiedError(RuntimeError):
         super().__init__("the process that ran it crashed, or was killed for want of memory")
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Iterator[tuple[Key, Result | Exception]]:
     """Yield the key of every piece with the result of its work, or the exception that ended it, as they are finished.
 

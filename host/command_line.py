@@ -21,12 +21,14 @@ from device_protocol.model_image import MAGIC as IMAGE_MAGIC
 from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImageError
 from device_protocol.transports import TransportError
 from host import coding, devices, flasher, player, progress
+from host.bench_command import bench
 from host.controller import ControllerError
 from host.entry import INTERRUPTED
 from host.input_files import InputFileError, read_input
 from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, options, recording_options
 from host.output_files import whole_file
 from host.report import Report
+from host.stability_command import stability
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK
 
 INPUT_ERRORS = (
@@ -173,6 +175,9 @@ def main(ctx: click.Context, debug: bool) -> None:
     """Record, compress, stream and replay the feel of a surface."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
+
+
+main.add_command(bench)
 
 
 @main.command()
@@ -368,6 +373,9 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
         click.echo(f"serial:{port.name}")
         sys.stdout.flush()
         threading.Event().wait()
+
+
+main.add_command(stability)
 
 
 def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:

@@ -1,6 +1,5 @@
 """Draws what was recorded, what was decoded and what the skin gets, over time and against the detection threshold."""
 
-import csv
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
+from codec.threshold import read_threshold
 from host.output_files import whole_file
 
-DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
 CHANNELS_SHOWN = 4
 ZOOM_S = 0.06
 # Pixels across one time axis: a longer trace is drawn as the band between its extremes in each pixel.
@@ -60,7 +59,7 @@ def draw(path: Path, title: str, caption: str, traces: Sequence[Trace]) -> None:
     figure.suptitle(title, fontweight="bold", parse_math=False)
     figure.supxlabel(caption, fontsize="small", parse_math=False)
     blocks = np.atleast_1d(np.asarray(figure.subfigures(shown, 1), dtype=object))
-    threshold = detection_threshold()
+    threshold = read_threshold()
     for channel, block in enumerate(blocks):
         if channels > 1:
             block.suptitle(f"channel {channel + 1}", x=0.02, horizontalalignment="left")
@@ -69,13 +68,6 @@ def draw(path: Path, title: str, caption: str, traces: Sequence[Trace]) -> None:
         # Boxes stand for the letters of a file's name that the font lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing")
         figure.savefig(partial)
-
-
-def detection_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
-    """Return rows of frequency in Hz and smallest felt displacement in dB re 1 um peak; the file names its source."""
-    with path.open(newline="") as file:
-        rows = list(csv.reader(line for line in file if not line.startswith("#")))
-    return np.array(rows[1:], dtype=np.float64)
 
 
 def third_octave_levels(values: NDArray[np.float64], rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

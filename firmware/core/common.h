@@ -1,4 +1,5 @@
-/* What all codecs of the core share: libc's two functions, packet heads, adaptive decisions, codes of whole numbers. */
+/* What all codecs of the core share: libc's two functions, packet heads, adaptive decisions, codes of whole numbers,
+ * rounding. */
 #ifndef VIBROCAST_COMMON_H
 #define VIBROCAST_COMMON_H
 
@@ -30,6 +31,27 @@ void vc_golomb_encode(vc_range_coder *coder, uint32_t value);
 uint32_t vc_golomb_decode(vc_range_coder *coder);
 
 extern const int32_t vc_cosine[512]; /* cos(2 pi i / 512) in 1/2^24 */
+
+/* Largest signal value, in 1/256 of a sample's least significant bit; only hostile streams come near. */
+#define VC_MAX_VALUE (1 << 30)
+
+static inline int32_t vc_limited(int64_t value)
+{
+    return (int32_t)(value > VC_MAX_VALUE ? VC_MAX_VALUE : value < -VC_MAX_VALUE ? -VC_MAX_VALUE : value);
+}
+
+/* value / 2^24, rounded, within +-VC_MAX_VALUE. */
+static inline int32_t vc_scaled_down(int64_t value)
+{
+    return vc_limited((value + (value < 0 ? -(1 << 23) : (1 << 23))) / (1 << 24));
+}
+
+/* The sample of a signal value in 1/256 of its least significant bit. */
+static inline int16_t vc_rounded_sample(int64_t value)
+{
+    int64_t sample = (value + (value < 0 ? -128 : 128)) / 256;
+    return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
+}
 
 /* Floor of the logarithm to base 2; value > 0. */
 static inline unsigned vc_floor_log2(uint32_t value)

@@ -80,22 +80,6 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop;
 }
 
-/* Largest signal value, in 1/256 of a least significant bit; only hostile streams come near. */
-#define MAX_VALUE (1 << 30)
-
-/* value / 2^24, rounded, within +-MAX_VALUE. */
-static int32_t scaled_down(int64_t value)
-{
-    int64_t scaled = (value + (value < 0 ? -(1 << 23) : (1 << 23))) / (1 << 24);
-    return (int32_t)(scaled > MAX_VALUE ? MAX_VALUE : scaled < -MAX_VALUE ? -MAX_VALUE : scaled);
-}
-
-static int16_t rounded_sample(int64_t value)
-{
-    int64_t sample = (value + (value < 0 ? -128 : 128)) / 256;
-    return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
-}
-
 /* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are in 1/512 of a turn: N divides 64. */
 static int32_t inverse_mdct(const int32_t *spectrum, uint32_t hop, uint32_t n)
 {
@@ -105,7 +89,7 @@ static int32_t inverse_mdct(const int32_t *spectrum, uint32_t hop, uint32_t n)
     uint32_t k;
     for (k = 0; k < hop; k++)
         sum += (int64_t)spectrum[k] * vc_cosine[(angle * (2 * k + 1)) & 511u];
-    return scaled_down((int64_t)scaled_down(sum) * root);
+    return vc_scaled_down((int64_t)vc_scaled_down(sum) * root);
 }
 
 /* sin(pi (n + 1/2) / (2 N)) in 1/2^24, 0 <= n < N: the rising half of the sine window. */
@@ -116,7 +100,7 @@ static int32_t window(uint32_t hop, uint32_t n)
 
 static int32_t windowed(int32_t value, int32_t weight)
 {
-    return scaled_down((int64_t)value * weight);
+    return vc_scaled_down((int64_t)value * weight);
 }
 
 /* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum, windowed and overlap-added
@@ -130,8 +114,8 @@ static void synthesise(channel_state *channel, uint32_t hop, int16_t *samples, u
         int32_t rising = window(hop, n), falling = window(hop, mirror);
         int32_t first = inverse_mdct(channel->spectrum, hop, n);
         int32_t second = inverse_mdct(channel->spectrum, hop, hop + n);
-        samples[n * stride] = rounded_sample((int64_t)channel->overlap[n] + windowed(first, rising));
-        samples[mirror * stride] = rounded_sample((int64_t)channel->overlap[mirror] - windowed(first, falling));
+        samples[n * stride] = vc_rounded_sample((int64_t)channel->overlap[n] + windowed(first, rising));
+        samples[mirror * stride] = vc_rounded_sample((int64_t)channel->overlap[mirror] - windowed(first, falling));
         channel->overlap[n] = windowed(second, falling);
         channel->overlap[mirror] = windowed(second, rising);
     }

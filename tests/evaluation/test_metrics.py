@@ -114,6 +114,12 @@ def test_silent_blocks_of_the_reference_are_left_out() -> None:
     assert padded.snr_db < good.snr_db - 10
 
 
+def test_silent_frames_of_the_reference_are_left_out_of_the_spectral_distance() -> None:
+    """All but the frames that the sound reaches into, where both differ by its gain again."""
+    x = np.concatenate([np.zeros((2800, 1)), noise(2800), np.zeros((2800, 1))])
+    assert measure(x, 2 * x, RATE_HZ).log_spectral_distance_db == pytest.approx(20 * math.log10(2))
+
+
 def test_what_follows_the_last_whole_block_counts_in_no_similarity() -> None:
     x = noise(1100)
     y = np.concatenate([x[:1024], 9 * x[1024:]])

@@ -7,7 +7,8 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from host.picture import Trace, detection_threshold, draw, third_octave_levels
+from codec.threshold import read_threshold
+from host.picture import Trace, draw, third_octave_levels
 
 RATE_HZ = 2800
 
@@ -70,6 +71,6 @@ def test_mean_is_not_felt() -> None:
 
 
 def test_threshold_is_most_sensitive_near_250_hz() -> None:
-    threshold = detection_threshold()
+    threshold = read_threshold()
     assert (np.diff(threshold[:, 0]) > 0).all()
     assert threshold[np.argmin(threshold[:, 1]), 0] == 250

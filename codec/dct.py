@@ -1,0 +1,354 @@
+"""The codec `dct`: blockwise DCT, quantised linearly or logarithmically, after a paper on material-like textures.
+
+A block of N samples x[n] becomes the orthonormal DCT-II C[k] = s_k sum x[n] cos(pi (2n + 1) k / (2N)), s_0 = sqrt(1/N),
+s_k = sqrt(2/N). Its index k stands for the frequency F = k rate / (2N); for a hand that sweeps at the speed v over the
+length D of the block that is v k / (2D), half the spacing v / D of a discrete Fourier transform. The paper's |C_k| is
+an amplitude of displacement: here it is |C[k]| sqrt(2/N), that of a cosine which fits the block. Blocks do not
+overlap. Layout in docs/bitstream.md, choices in docs/codecs.md.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.core import Structure, ffi, library
+from codec.huffman import canonical_codes, code_lengths, pack_bits
+from codec.interface import (
+    Codec,
+    CodecError,
+    Decoded,
+    Framing,
+    Parameter,
+    Setting,
+    Signal,
+    SignalFormat,
+    number,
+    word,
+)
+from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
+
+NAME = "dct"
+IDENTIFIER = 2
+BLOCKS = (64, 128, 256, 512, 1024)
+MAX_CHANNELS = 16
+MAX_PACKET_BYTES = 65_535
+MAX_PACKET_BLOCKS = 4095
+MAX_PACKET_SAMPLES = 2**18
+FINE_LEVELS = 65_535
+HEIGHT_LIMIT_HZ = 400.0
+"""The source paper drops what is above it: its display has no more, and fingers feel little of it."""
+SMALLEST_HEIGHT_UM = 0.05
+"""S of the source paper."""
+SMALLEST_OF_RMS = 0.05
+"""S of other units, relative to the RMS value of a coefficient: a tenth gains 1 dB at 14 levels, but stops at 25 dB."""
+
+_UNIT = 32_768 * 256
+"""Full scale in the core's unit, 1/256 of a sample's least significant bit."""
+_RANGE_CODES_PER_OCTAVE = 2048
+_FIRST_CLASS = 16
+_CHUNK_SAMPLES = 1 << 18
+
+
+def range_code(magnitude: float) -> int:
+    """Return the code of the power of 2^(1/2048) next above a magnitude in the core's unit; 0 for less than half."""
+    if magnitude < 0.5:
+        return 0
+    return min(max(math.ceil(_RANGE_CODES_PER_OCTAVE * math.log2(magnitude)), 1), 65_535)
+
+
+def symbols_of(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the symbol of each coded value, and how many of the value's low bits follow its code.
+
+    Below 16 each value has its own symbol; above, a symbol is one of eight classes an octave.
+    """
+    octaves = np.frexp(np.maximum(values, 1))[1].astype(np.int64) - 1
+    low_bits = np.where(values < _FIRST_CLASS, 0, octaves - 3)
+    classes = 8 * (octaves - 2) + (values >> low_bits & 7)
+    return np.where(values < _FIRST_CLASS, values, classes), low_bits
+
+
+class DctEncoder:
+    """Encoder of `dct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
+
+    def __init__(self, setting: Setting, signal_format: SignalFormat, framing: Framing) -> None:
+        """Make an encoder; the setting is complete and checked.
+
+        Raises CodecError on a channel count, packet length, frequency limit or threshold that the codec does not have.
+        """
+        _check_channels(signal_format.channels)
+        self._channels = signal_format.channels
+        self._block = int(word(setting, "block"))
+        self._packet_blocks = -(-framing.packet_samples // self._block)
+        longest = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
+        if not 1 <= self._packet_blocks <= longest:
+            raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {longest * self._block} are allowed")
+        self._fine = word(setting, "quantiser") == "fine"
+        self._logarithmic = word(setting, "quantiser") == "log"
+        self._range_coded = word(setting, "entropy") == "range"
+        self._levels = FINE_LEVELS if self._fine else int(number(setting, "levels"))
+        self._bins = _kept_bins(setting, signal_format, self._block)
+        self._cuts = _cuts(setting, signal_format, self._block)[:, self._bins]
+        self._smallest = [range_code(value) for value in _smallest(setting, signal_format, self._block)]
+        self.configuration = b"".join(
+            (
+                bytes((BLOCKS.index(self._block) | self._logarithmic << 3 | self._range_coded << 4,)),
+                self._packet_blocks.to_bytes(2, "little"),
+                self._levels.to_bytes(2, "little"),
+                self._bins.start.to_bytes(2, "little"),
+                self._bins.stop.to_bytes(2, "little"),
+                *(code.to_bytes(2, "little") for code in self._smallest if self._logarithmic),
+            )
+        )
+        self._sequence = 0
+        self._pending: Signal = np.zeros((0, self._channels))
+
+    @property
+    def packet_samples(self) -> int:
+        """Samples per channel in every packet."""
+        return self._packet_blocks * self._block
+
+    @property
+    def delay_samples(self) -> int:
+        """Samples per channel by which decoded signal lags the input: none, as blocks do not overlap."""
+        return 0
+
+    def encode(self, samples: Signal) -> list[bytes]:
+        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
+        if samples.ndim != 2 or samples.shape[1] != self._channels:
+            raise CodecError(f"samples of shape {samples.shape}; (n, {self._channels}) is needed")
+        packets: list[bytes] = []
+        for start in range(0, len(samples), _CHUNK_SAMPLES):
+            part = np.asarray(samples[start : start + _CHUNK_SAMPLES], dtype=np.float64)
+            if not np.all(np.isfinite(part)):
+                raise CodecError("the signal holds NaN or infinity; repair the recording first")
+            self._pending = np.concatenate([self._pending, np.clip(part, -1.0, 1.0)])
+            packets += self._complete_packets()
+        return packets
+
+    def finish(self) -> list[bytes]:
+        """Pad with zeros and return the packet that remains, if samples do."""
+        missing = -len(self._pending) % self.packet_samples
+        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
+        return self._complete_packets()
+
+    def _complete_packets(self) -> list[bytes]:
+        from scipy.fft import dct
+
+        count = len(self._pending) // self.packet_samples
+        complete, self._pending = np.split(self._pending, [count * self.packet_samples])
+        blocks = complete.reshape(count, self._packet_blocks, self._block, self._channels)
+        coefficients = dct(blocks, axis=2, norm="ortho")[:, :, self._bins] * _UNIT
+        kept = np.rint(coefficients)
+        kept[np.abs(coefficients) < self._cuts.T] = 0
+        return [self._code(packet.transpose(2, 0, 1)) for packet in kept]
+
+    def _code(self, coefficients: Signal) -> bytes:
+        """Return one packet of coefficients (channels, blocks, bins) in the core's unit."""
+        ranges = [self._ranges(channel) for channel in coefficients]
+        sounding = [channel for channel, both in enumerate(ranges) if any(both)]
+        zeros = not self._fine and bool(np.any(coefficients[sounding] == 0))
+        values = [
+            self._quantised(coefficients[channel], self._smallest[channel], *ranges[channel], zeros)
+            for channel in sounding
+        ]
+        head = 2 * self._sequence + 1
+        packet = bytearray()
+        while head >= 0x80:
+            packet.append(head & 0x7F | 0x80)
+            head >>= 7
+        packet.append(head)
+        packet += b"".join(code.to_bytes(2, "little") for both in ranges for code in both)
+        if values:
+            coder = self._range_code if self._range_coded else _huffman_code
+            packet += coder(np.array(values), zeros)
+        if len(packet) > MAX_PACKET_BYTES:
+            raise _does_not_fit(self.packet_samples)
+        self._sequence += 1
+        return bytes(packet)
+
+    def _ranges(self, coefficients: Signal) -> tuple[int, int]:
+        """Return the codes of the greatest magnitudes below and above zero; `fine` has the same for both."""
+        below, above = range_code(-float(np.min(coefficients))), range_code(float(np.max(coefficients)))
+        return (max(below, above),) * 2 if self._fine else (below, above)
+
+    def _quantised(self, coefficients: Signal, smallest: int, below: int, above: int, zeros: bool) -> NDArray[np.int64]:
+        """Return the coded value of each coefficient: that of the nearest level, or 0 for zero where that is one."""
+        memory = np.empty(self._levels + zeros, dtype=np.int32)
+        pointer = ffi.cast("int32_t *", memory.ctypes.data)
+        library().vc_dct_levels(self._logarithmic, self._levels, smallest, below, above, zeros, pointer)
+        levels = memory[zeros:]
+        rising = np.argsort(levels, kind="stable")
+        edges = (levels[rising][1:] + levels[rising][:-1].astype(np.float64)) / 2
+        values = rising[np.searchsorted(edges, coefficients)] + zeros
+        return np.where(coefficients == 0, 0, values) if zeros else values
+
+    def _range_code(self, values: NDArray[np.int64], zeros: bool) -> bytes:
+        flat = np.ascontiguousarray(values, dtype=np.uint32)
+        output = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        pointer = ffi.cast("const uint32_t *", flat.ctypes.data)
+        length = library().vc_dct_range_encode(pointer, *flat.shape, self._logarithmic, zeros, output, MAX_PACKET_BYTES)
+        if length < 0:
+            raise _does_not_fit(self.packet_samples)
+        return bytes(ffi.buffer(output, length))
+
+
+class DctDecoder:
+    """Decoder of `dct`; see codec.interface.Decoder."""
+
+    delay_samples = 0
+
+    def __init__(self, configuration: bytes, channels: int) -> None:
+        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
+        _check_channels(channels)
+        core = library()
+        self.channels = channels
+        self._state = Structure(core.vc_dct_decoder_size(), "vc_dct_decoder *")
+        if core.vc_dct_decoder_init(self._state.pointer, configuration, len(configuration), channels) != core.VC_OK:
+            raise CodecError("the codec configuration is damaged or of another version")
+        self.packet_samples: int = core.vc_dct_decoder_packet_samples(self._state.pointer)
+
+    def decode(self, packet: bytes) -> Decoded:
+        """Decode a packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""
+        samples, pointer = self._output()
+        if library().vc_dct_decode(self._state.pointer, packet, len(packet), pointer) < 0:
+            raise CodecError("a packet that is damaged, or was not made by this codec")
+        return samples
+
+    def conceal(self) -> Decoded:
+        """Stand in for one missing packet: the last sound faded out, then silence."""
+        samples, pointer = self._output()
+        library().vc_dct_conceal(self._state.pointer, pointer)
+        return samples
+
+    def _output(self) -> tuple[Decoded, Any]:
+        samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
+        return samples, ffi.cast("int16_t *", samples.ctypes.data)
+
+
+def _check_channels(channels: int) -> None:
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise CodecError(f"{channels} channels; dct codes 1 to {MAX_CHANNELS} in one stream")
+
+
+def _does_not_fit(packet_samples: int) -> CodecError:
+    return CodecError(
+        f"a packet of {packet_samples} samples does not fit {MAX_PACKET_BYTES} bytes; "
+        "ask for shorter packets or fewer levels"
+    )
+
+
+def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> slice:
+    """Return the coefficients that are coded. Raises CodecError when none is."""
+    heights = signal_format.unit == "um"
+    dc = word(setting, "dc")
+    first = int(heights if dc == "by-unit" else dc == "drop")
+    limit_hz = number(setting, "limit_hz") or (HEIGHT_LIMIT_HZ if heights else math.inf)
+    end = min(limit_hz * 2 * block / signal_format.rate_hz + 1, block)
+    if end < first + 1:
+        raise CodecError(
+            f"a limit of {limit_hz:g} Hz leaves nothing; with limit_hz from "
+            f"{first * signal_format.rate_hz / (2 * block):.3g} on there is a component below it"
+        )
+    return slice(first, int(end))
+
+
+def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
+    """Return the magnitude below which each coefficient is cut, in the core's unit: float64 (channels, block)."""
+    name = word(setting, "threshold")
+    if name == "off":
+        return np.zeros((signal_format.channels, block))
+    rows = read_threshold(DETECTION_THRESHOLD if name == "on" else Path(name))
+    frequency_hz = np.arange(block) * signal_format.rate_hz / (2 * block)
+    amplitude = threshold_amplitude(rows, frequency_hz, signal_format.unit) * 10 ** (number(setting, "b0_db") / 20)
+    return np.array([amplitude * _coefficients_of(gain, block) for gain in signal_format.gains])
+
+
+def _smallest(setting: Setting, signal_format: SignalFormat, block: int) -> list[float]:
+    """Return S of the logarithmic quantiser for each channel, in the core's unit."""
+    smallest = number(setting, "smallest")
+    if smallest == 0 and signal_format.unit != "um":
+        return [SMALLEST_OF_RMS * rms * _UNIT for rms in signal_format.rms]
+    return [(smallest or SMALLEST_HEIGHT_UM) * _coefficients_of(gain, block) for gain in signal_format.gains]
+
+
+def _coefficients_of(gain: float, block: int) -> float:
+    """Return the coefficient, in the core's unit, of an amplitude of 1 in the signal's unit."""
+    return math.sqrt(block / 2) * _UNIT / gain
+
+
+def _huffman_code(values: NDArray[np.int64], zeros: bool) -> bytes:
+    flat = values.reshape(-1)
+    symbols, low_bits = symbols_of(flat)
+    # The code is complete, so two symbols have one even where all values are equal.
+    lengths = code_lengths(np.bincount(symbols, minlength=2).tolist())
+    codes = np.array(canonical_codes(lengths))[symbols] << low_bits | flat & ((1 << low_bits) - 1)
+    table = [(int(zeros), 1), (len(lengths) - 1, 7), *((length, 4) for length in lengths)]
+    words, sizes = (np.array(part, dtype=np.int64) for part in zip(*table, strict=True))
+    return pack_bits(np.concatenate([words, codes]), np.concatenate([sizes, np.array(lengths)[symbols] + low_bits]))
+
+
+def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> DctEncoder:
+    """Make an encoder. Raises CodecError as `DctEncoder`."""
+    assert tables is None, "takes_tables is not set"
+    return DctEncoder(setting, signal_format, framing)
+
+
+def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> DctDecoder:
+    """Make a decoder. Raises CodecError as `DctDecoder`."""
+    assert tables is None, "takes_tables is not set"
+    return DctDecoder(configuration, channels)
+
+
+LADDER_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
+"""The paper's seven, then on to some 25 dB of SNR and beyond."""
+LADDER_B0_DB = (24, 18, 12, 8, 4, 0, -4, -8, -12, -18, -24)
+
+
+def _level_ladder(**fixed: str) -> tuple[Setting, ...]:
+    return tuple({**fixed, "levels": levels} for levels in LADDER_LEVELS)
+
+
+CODEC = Codec(
+    name=NAME,
+    identifier=IDENTIFIER,
+    summary="blockwise DCT at few levels, Huffman or range coded, after a paper on material-like textures",
+    parameters={
+        "quantiser": Parameter(
+            "linear, log, or fine: 16 bits a coefficient", "linear", choices=("linear", "log", "fine")
+        ),
+        "levels": Parameter("levels L of linear and log", 14, low=4, high=FINE_LEVELS, whole=True),
+        "smallest": Parameter(
+            "least magnitude S of log, in the signal's unit; 0: .05 um, or in other units .05 of the RMS value",
+            0.0,
+            low=0,
+        ),
+        "threshold": Parameter(
+            "whether what is below the detection threshold is cut: off, on, or the name of another threshold's file",
+            "off",
+            text=True,
+        ),
+        "b0_db": Parameter("where the cut is, relative to the detection threshold", -8.0, low=-200, high=200),
+        "entropy": Parameter("entropy coder", "huffman", choices=("huffman", "range")),
+        "block": Parameter("samples in a block", "512", choices=tuple(map(str, BLOCKS))),
+        "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um, none in other units", 0.0, low=0),
+        "dc": Parameter(
+            "the mean of each block; by-unit: dropped for um, kept in others",
+            "by-unit",
+            choices=("by-unit", "keep", "drop"),
+        ),
+    },
+    ladders={
+        "dct-linear": _level_ladder(),
+        "dct-log": _level_ladder(quantiser="log"),
+        "dct-linear-range": _level_ladder(entropy="range"),
+        "dct-log-range": _level_ladder(quantiser="log", entropy="range"),
+        "dct-threshold": tuple({"quantiser": "fine", "threshold": "on", "b0_db": float(b0)} for b0 in LADDER_B0_DB),
+        "dct-linear-threshold": _level_ladder(threshold="on"),
+        "dct-log-threshold": _level_ladder(quantiser="log", threshold="on"),
+    },
+    make_encoder=make_encoder,
+    make_decoder=make_decoder,
+)

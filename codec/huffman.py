@@ -1,0 +1,52 @@
+"""Canonical Huffman codes: lengths from counts, codes from lengths, and words of bits packed into bytes."""
+
+import heapq
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+LONGEST_CODE = 15
+
+
+def code_lengths(counts: Sequence[int]) -> list[int]:
+    """Return the length, in bits, of each symbol's code, 0 for those that do not occur; none is above LONGEST_CODE.
+
+    D. Huffman, "A method for the construction of minimum-redundancy codes", Proc. IRE 40 (1952). The code is complete:
+    where only one symbol occurs, another has a code too. Where one gets too long, the counts are halved, as in bzip2.
+    """
+    shared = list(counts)
+    while sum(count > 0 for count in shared) < 2:
+        shared[shared.index(0)] = 1
+    while True:
+        lengths = [0] * len(shared)
+        heap: list[tuple[int, tuple[int, ...]]] = [
+            (count, (symbol,)) for symbol, count in enumerate(shared) if count > 0
+        ]
+        heapq.heapify(heap)
+        while len(heap) > 1:
+            (first, left), (second, right) = heapq.heappop(heap), heapq.heappop(heap)
+            for symbol in left + right:
+                lengths[symbol] += 1
+            heapq.heappush(heap, (first + second, left + right))
+        if max(lengths) <= LONGEST_CODE:
+            return lengths
+        shared = [(count + 1) // 2 for count in shared]
+
+
+def canonical_codes(lengths: Sequence[int]) -> list[int]:
+    """Return the code of each symbol: numbers in order of length, then of symbol; 0 where there is none."""
+    codes = [0] * len(lengths)
+    code = previous = 0
+    for length, symbol in sorted((length, symbol) for symbol, length in enumerate(lengths) if length):
+        code <<= length - previous
+        codes[symbol] = code
+        code, previous = code + 1, length
+    return codes
+
+
+def pack_bits(words: NDArray[np.int64], lengths: NDArray[np.int64]) -> bytes:
+    """Return words of so many bits one behind the other, each from its highest bit on, filled up with 0 to bytes."""
+    ends = np.cumsum(lengths)
+    shifts = np.repeat(ends, lengths) - 1 - np.arange(ends[-1] if len(ends) else 0)
+    return np.packbits((np.repeat(words, lengths) >> shifts & 1).astype(np.uint8)).tobytes()

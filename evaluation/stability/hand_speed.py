@@ -1,0 +1,120 @@
+"""A surface coded at one hand speed and played at others: what is left of the band that is felt and rendered."""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import codec
+from codec.interface import Setting
+from evaluation.stability import pictures
+from evaluation.stability.maps import Map, Scope, three_settings
+from evaluation.stability.signals import RATE_HZ, Signal, decoded
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from textures.generate import rough, wood_surface
+
+CODED_MM_S = 50.0
+SPEEDS_MM_S = (25.0, 30.0, 40.0, 50.0, 65.0, 80.0, 100.0, 140.0, 200.0)
+BAND_HZ = (10.0, 400.0)
+"""What the DCT paper codes and its actuator follows; textures are felt in it."""
+SECONDS = 4.0
+LOST_DB = 3.0
+GENERATED = {"wood": wood_surface, "sandpaper": rough}
+
+
+def band(spatial: Signal, speed_mm_s: float) -> NDArray[np.bool_]:
+    """Return which of spatial frequencies, in 1/mm, a hand of this speed turns into BAND_HZ."""
+    return (spatial * speed_mm_s >= BAND_HZ[0]) & (spatial * speed_mm_s <= BAND_HZ[1])
+
+
+def measure(codec_name: str, setting: Setting, surface: str, speed_mm_s: float) -> Measured:
+    """Code a surface as swept over at CODED_MM_S, play it faster or slower; judge the band at that speed.
+
+    A height z(x) at the place x is played at the time x / speed: its spatial frequency k becomes speed * k. So SNR
+    within the band at any speed is a sum over a part of the same spectra. Raises CodecError.
+    """
+    samples = GENERATED[surface](0, SECONDS, CODED_MM_S, RATE_HZ).samples
+    samples = samples - samples.mean()
+    heard, _ = decoded(samples, RATE_HZ, codec_name, setting)
+    spatial = np.asarray(np.fft.rfftfreq(len(samples), CODED_MM_S / RATE_HZ), np.float64)
+    wanted, error, played = (
+        np.abs(np.fft.rfft(each[:, 0] * np.hanning(len(samples)))) ** 2 for each in (samples, heard - samples, heard)
+    )
+
+    def snr_db(inside: NDArray[np.bool_]) -> float:
+        return 10 * math.log10(max(float(wanted[inside].sum()), 1e-30) / max(float(error[inside].sum()), 1e-30))
+
+    felt = band(spatial, speed_mm_s)
+    within_db, coded_db = snr_db(felt), snr_db(band(spatial, CODED_MM_S))
+    # From the upper half of the band, which is what the next octave of speed brings or takes.
+    upper = felt & (spatial * speed_mm_s >= BAND_HZ[1] / 2)
+    level_db = 10 * math.log10(max(float(played[upper].sum()), 1e-30) / max(float(wanted[upper].sum()), 1e-30))
+    above = spatial * speed_mm_s > BAND_HZ[1]
+    figures = {
+        "snr_db": within_db,
+        "snr_at_coded_speed_db": coded_db,
+        "upper_octave_level_db": level_db,
+        "share_above_band": float(played[above].sum() / max(float(played.sum()), 1e-30)),
+    }
+    effect = f"SNR {within_db:.1f} dB ({coded_db:.1f} dB at {CODED_MM_S:g} mm/s), upper octave {level_db:+.1f} dB"
+    if within_db < 0 or level_db < -20:
+        return Measured(Outcome.FAILS, figures, effect)
+    holds = within_db >= coded_db - LOST_DB and abs(level_db) <= LOST_DB
+    return Measured(Outcome.HOLDS if holds else Outcome.DEGRADED, figures, effect)
+
+
+def _trials(scope: Scope) -> list[Trial]:
+    speeds = SPEEDS_MM_S[::4] if scope.quick else SPEEDS_MM_S
+    trials = []
+    for codec_name in scope.codecs:
+        setting = three_settings(codec.CODECS[codec_name])["high"]
+        trials += [
+            Trial(
+                HAND_SPEED.name,
+                codec_name,
+                surface,
+                setting_text(setting),
+                speed_mm_s,
+                partial(measure, codec_name, setting, surface, speed_mm_s),
+            )
+            for surface in GENERATED
+            for speed_mm_s in speeds
+        ]
+    return trials
+
+
+def _draw(path: Path, cells: Sequence[Cell]) -> None:
+    panels = []
+    for figure, title in (("snr_db", "SNR in the band, dB"), ("upper_octave_level_db", "level of 200-400 Hz, dB")):
+        for surface in GENERATED:
+            curves = []
+            for method in dict.fromkeys(cell.method for cell in cells):
+                own = [cell for cell in cells if (cell.method, cell.case) == (method, surface)]
+                curves.append(
+                    pictures.Curve(
+                        method,
+                        [cell.value or 0.0 for cell in own],
+                        [cell.figure(figure) for cell in own],
+                        [cell.outcome is Outcome.FAILS for cell in own],
+                    )
+                )
+            panels.append(
+                pictures.Panel(f"{surface}: {title}", "speed of the hand, mm/s", "", curves, log_x=True, least_span=10)
+            )
+    pictures.curves(path, panels)
+
+
+HAND_SPEED = Map(
+    "hand_speed",
+    "Speed of the hand",
+    f"A generated surface, coded at each codec's finest setting as swept over at {CODED_MM_S:g} mm/s, played at "
+    f"other speeds; SNR from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz at that speed, and the level of the upper octave "
+    f"of that band. Holds where neither loses more than {LOST_DB:g} dB; fails where the SNR is below 0 dB or the "
+    "octave 20 dB down.",
+    "mm/s",
+    _trials,
+    _draw,
+)

@@ -1,0 +1,45 @@
+"""What a map of trials is made of: its trials, its picture, and the words that explain it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from codec import CODECS, Codec
+from codec.interface import Setting
+from evaluation.stability.trials import Cell, Trial
+
+
+@dataclass(frozen=True)
+class Scope:
+    """How much to try. `codecs`: their names; `quick`: a grid of few conditions."""
+
+    codecs: tuple[str, ...]
+    quick: bool
+
+
+@dataclass(frozen=True)
+class Map:
+    """One map. `name`: of its files. `varied`: what a cell's value is, with its unit; "" where cases are not numbers.
+
+    `about`: what is tried and by which rules an outcome follows. `judged`: what makes of the cells those of the map,
+    where an outcome depends on others. `draw`: writes the picture.
+    """
+
+    name: str
+    title: str
+    about: str
+    varied: str
+    trials: Callable[[Scope], list[Trial]]
+    draw: Callable[[Path, Sequence[Cell]], None]
+    judged: Callable[[list[Cell]], list[Cell]] = lambda cells: cells
+
+
+def three_settings(codec: Codec) -> dict[str, Setting]:
+    """Return the coarsest, the middle and the finest setting of a codec's first ladder."""
+    ladder = next(iter(codec.ladders.values()))
+    return {"low": ladder[0], "middle": ladder[len(ladder) // 2], "high": ladder[-1]}
+
+
+def middle_setting(codec_name: str) -> Setting:
+    """Return the middle setting of a codec's first ladder."""
+    return three_settings(CODECS[codec_name])["middle"]

@@ -1,0 +1,104 @@
+"""Imports what other codecs do with hard signals, as others measured it."""
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from evaluation.stability import pictures
+from evaluation.stability.maps import Map
+from evaluation.stability.signals import NEARLY_SILENT, SILENT
+from evaluation.stability.trials import Cell, Measured, Outcome
+
+HELD_SNR_DB, FALL_DB = 3.0, 6.0
+_COLUMNS = ("input", "codec", "setting", "status", "SNR_dB", "maxabs_out", "finite")
+_EXIT_CODE = re.compile(r"rc=(-?\d+)")
+_PATH = re.compile(r"\s?\S*/\S*")
+
+
+class PeersError(ValueError):
+    """A file of measured peers that cannot be used; the message says why."""
+
+
+def read_peers(path: Path) -> list[Cell]:
+    """Read a CSV file with at least the columns of _COLUMNS, each codec's settings from coarse to fine.
+
+    Raises PeersError where it is no such file, OSError where it cannot be read.
+    """
+    with path.open(newline="", encoding="utf-8") as file:
+        try:
+            rows = list(csv.DictReader(file))
+            if not rows or any(row.get(name) is None for row in rows for name in _COLUMNS):
+                raise PeersError(f"{path}: every row must have {', '.join(_COLUMNS)}; give such a file")
+            return _cells(rows)
+        except (csv.Error, ValueError) as error:
+            raise PeersError(f"{path}: no table of hard signals: {error}") from error
+
+
+def _cells(rows: list[dict[str, str]]) -> list[Cell]:
+    best_db: dict[tuple[str, str], float] = {}
+    cells = []
+    for row in rows:
+        curve = (row["codec"], row["input"])
+        measured = _measured(row, best_db.get(curve, -math.inf))
+        best_db[curve] = max(best_db.get(curve, -math.inf), measured.figures.get("snr_db") or -math.inf)
+        case = row["input"].replace("_", " ")
+        cells.append(
+            Cell(
+                PEERS.name,
+                row["codec"],
+                case,
+                row["setting"],
+                None,
+                measured.outcome,
+                measured.figures,
+                measured.effect,
+            )
+        )
+    return cells
+
+
+def _measured(row: dict[str, str], coarser_db: float) -> Measured:
+    """Return the outcome of a row by the rules that PEERS.about states. `coarser_db`: SNR at a coarser setting."""
+    if row["status"] != "ok":
+        died = _EXIT_CODE.search(row["status"])
+        if died and int(died[1]) < 0:
+            return Measured(Outcome.FAILS, {}, f"CRASH: the program died of signal {-int(died[1])}")
+        return Measured(Outcome.REFUSED, {}, " ".join(_PATH.sub("", row["status"]).split()))
+    largest = float(row["maxabs_out"] or "nan")
+    snr_db = float(row["SNR_dB"] or "nan")
+    figures = {"snr_db": None if math.isnan(snr_db) else snr_db, "peak": None if math.isnan(largest) else largest}
+    if row["finite"] == "False":
+        return Measured(Outcome.FAILS, figures, "not finite")
+    if figures["snr_db"] is None:
+        if largest > NEARLY_SILENT:
+            return Measured(Outcome.FAILS, figures, f"noise of peak {largest:.2g}")
+        return Measured(Outcome.DEGRADED if largest > SILENT else Outcome.HOLDS, figures)
+    if snr_db < 0:
+        return Measured(Outcome.FAILS, figures, f"SNR {snr_db:.1f} dB")
+    if snr_db < coarser_db - FALL_DB:
+        return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB, {coarser_db:.1f} dB at a coarser setting")
+    return Measured(Outcome.HOLDS if snr_db >= HELD_SNR_DB else Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB")
+
+
+def _draw(path: Path, cells: Sequence[Cell]) -> None:
+    """Signals downwards, codecs and their settings across."""
+    rows = list(dict.fromkeys(cell.case for cell in cells))
+    columns = list(dict.fromkeys((cell.method, cell.setting) for cell in cells))
+    outcomes = {(cell.case, cell.method, cell.setting): cell.outcome for cell in cells}
+    table = [[outcomes.get((row, *column), Outcome.NOT_TRIED) for column in columns] for row in rows]
+    names = [" ".join(column) for column in columns]
+    pictures.outcome_map(path, rows, names, table, "other codecs, as imported")
+
+
+PEERS = Map(
+    "peers",
+    "Other codecs, imported",
+    "As others measured them, each codec's settings from coarse to fine. D: the SNR is below "
+    f"{HELD_SNR_DB:g} dB, or more than {FALL_DB:g} dB below that of a coarser setting. F: below 0 dB, not finite, or "
+    f"the program died. Silence as above. R: the program ends with an error.",
+    "",
+    lambda scope: [],
+    _draw,
+)

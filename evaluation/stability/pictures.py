@@ -1,0 +1,186 @@
+"""Maps and curves that can be read in grey: letters in shaded cells, dashed lines named at their ends."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from evaluation.stability.trials import Outcome
+from host.output_files import whole_file
+
+SHADES = {
+    Outcome.HOLDS: ("white", "0.55"),
+    Outcome.NOT_TRIED: ("white", "0.55"),
+    Outcome.REFUSED: ("0.87", "0.2"),
+    Outcome.DEGRADED: ("0.65", "black"),
+    Outcome.FAILS: ("0.1", "white"),
+}
+"""Grey of a cell and of its letter."""
+DASHES: tuple[tuple[str, str], ...] = (
+    ("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"), ("-", "v"),
+    ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
+)  # fmt: skip
+_LABEL_DISTANCE = 0.045  # of an axis' height
+_DPI = 110
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A named curve; NaN where it has no value. `marked`: the points at which quality falls, or that fail."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    marked: Sequence[bool] = ()
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes with curves. `lines`: levels drawn across, with what they mean. `least_span`: of the vertical axis."""
+
+    title: str
+    x_label: str
+    y_label: str
+    curves: Sequence[Curve]
+    log_x: bool = False
+    lines: Mapping[float, str] = field(default_factory=dict)
+    least_span: float = 0.0
+
+
+def outcome_map(
+    path: Path,
+    rows: Sequence[str],
+    groups: Sequence[str],
+    outcomes: Sequence[Sequence[Outcome]],
+    caption: str,
+    row_label: str = "",
+    group_label: str = "",
+) -> None:
+    """Draw letters in cells; every group has as many columns of `outcomes` (rows, columns). Raises OSError."""
+    columns = len(outcomes[0])
+    each = columns // len(groups)
+    height = 0.24 * len(rows)
+    figure = Figure(figsize=(max(7.0, 3.2 + 0.3 * columns), height + 2.2), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for y, row in enumerate(outcomes):
+        for x, outcome in enumerate(row):
+            shade, ink = SHADES[outcome]
+            axes.fill_between([x, x + 1], y, y + 1, color=shade, linewidth=0)
+            axes.text(x + 0.5, y + 0.52, outcome.letter, color=ink, ha="center", va="center", fontsize=9)
+    for x in range(columns + 1):
+        boundary = x % each == 0
+        axes.axvline(
+            x, color="black" if boundary and each > 1 else "0.8", linewidth=1 if boundary and each > 1 else 0.5
+        )
+    for y in range(len(rows) + 1):
+        axes.axhline(y, color="0.8", linewidth=0.5)
+    axes.set(xlim=(0, columns), ylim=(len(rows), 0), xlabel=group_label, ylabel=row_label)
+    axes.set_yticks(np.arange(len(rows)) + 0.5, rows, fontsize=9)
+    upright = sum(map(len, groups)) > 3 * columns  # they would run into each other
+    axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, fontsize=9, rotation=90 if upright else 0)
+    axes.xaxis.tick_top()
+    axes.xaxis.set_label_position("top")
+    axes.tick_params(length=0)
+    axes.set_title("H holds   D degraded   F fails   R refused   - not tried", fontsize=10, loc="left", pad=12)
+    figure.supxlabel(caption, fontsize=9)
+    with whole_file(path) as partial:
+        figure.savefig(partial)
+
+
+def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
+    """Draw panels of curves, `across` beside each other; marked points are ringed. Raises OSError."""
+    across = min(across, len(panels))
+    down = -(-len(panels) // across)
+    figure = Figure(figsize=(6.4 * across, 4.4 * down), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    places = figure.subplots(down, across, squeeze=False).ravel()
+    for panel, axes in zip(panels, places, strict=False):
+        _draw_panel(axes, panel)
+    for axes in places[len(panels) :]:
+        axes.set_visible(False)
+    with whole_file(path) as partial:
+        figure.savefig(partial)
+
+
+def dots(path: Path, names: Sequence[str], values: Mapping[str, Sequence[float]], label: str, line: float) -> None:
+    """Draw named values, each series with a marker of its own, and a line that they should not pass. Raises OSError."""
+    figure = Figure(figsize=(7.5, 1.4 + 0.24 * len(names)), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    rows = np.arange(len(names))
+    for (series, numbers), (_, marker), shade in zip(values.items(), DASHES, ("black", "0.5"), strict=False):
+        axes.plot(numbers, rows, marker, color=shade, markerfacecolor=shade, label=series)
+    axes.axvline(line, color="0.4", linestyle="--", linewidth=1)
+    axes.set_yticks(rows, names, fontsize=9)
+    axes.set(ylim=(len(names) - 0.5, -0.5), xlabel=label)
+    axes.grid(axis="y", color="0.9")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(values), frameon=False, fontsize=9)
+    with whole_file(path) as partial:
+        figure.savefig(partial)
+
+
+def _draw_panel(axes: Axes, panel: Panel) -> None:
+    if panel.log_x:
+        axes.set_xscale("log")
+    ends: list[tuple[float, float, str]] = []
+    for index, curve in enumerate(panel.curves):
+        style, marker = DASHES[index % len(DASHES)]
+        shade = ("black", "0.45")[index % 2]
+        axes.plot(curve.x, curve.y, linestyle=style, marker=marker, markersize=4, color=shade, linewidth=1.3)
+        points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if math.isfinite(y)]
+        if points:
+            ends.append((*points[-1], curve.name))
+        ringed = [
+            (x, y) for x, y, mark in zip(curve.x, curve.y, curve.marked, strict=False) if mark and math.isfinite(y)
+        ]
+        if ringed:
+            axes.plot(
+                *zip(*ringed, strict=True), "o", markersize=11, markerfacecolor="none", color="black", linewidth=0
+            )
+    for level, meaning in panel.lines.items():
+        axes.axhline(level, color="0.6", linestyle=(0, (1, 2)), linewidth=1)
+        axes.text(0.01, level, meaning, transform=axes.get_yaxis_transform(), fontsize=8, va="bottom", color="0.3")
+    axes.set_title(panel.title, fontsize=10, loc="left")
+    axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
+    axes.grid(color="0.92")
+    low, high = axes.get_ylim()
+    missing = max(0.0, panel.least_span - (high - low))
+    axes.set_ylim(low - missing / 2, high + missing / 2)
+    if panel.log_x:
+        ticks = sorted({x for curve in panel.curves for x in curve.x})
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+    _name_ends(axes, ends)
+
+
+def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]]) -> None:
+    """Name curves right of the axes, at the heights of their last points, moved apart where they would collide."""
+    low, high = axes.get_ylim()
+    heights = {name: (y - low) / (high - low) for _, y, name in ends}
+    order = sorted(ends, key=lambda end: end[1])
+    distance = min(_LABEL_DISTANCE, 1 / max(1, len(order)))
+    # Upwards each at least so far above the one below, then downwards from the top.
+    placed = [0.0] * len(order)
+    for index, (_, _, name) in enumerate(order):
+        placed[index] = max(heights[name], placed[index - 1] + distance if index else 0.0)
+    ceiling = 1.0
+    for index in reversed(range(len(order))):
+        placed[index] = min(placed[index], ceiling)
+        ceiling = placed[index] - distance
+    for (x, y, name), height in zip(order, placed, strict=True):
+        axes.annotate(
+            name,
+            (x, y),
+            (1.03, height),
+            textcoords="axes fraction",
+            va="center",
+            fontsize=8.5,
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": "0.75", "linewidth": 0.6, "relpos": (0, 0.5)},
+        )

@@ -1,0 +1,33 @@
+"""All maps, tried and written by one call."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from evaluation.stability import page
+from evaluation.stability.actuators import RESONANCE, VOLTAGE
+from evaluation.stability.hand_speed import HAND_SPEED
+from evaluation.stability.ladders import LADDERS
+from evaluation.stability.maps import Scope
+from evaluation.stability.peers import PEERS
+from evaluation.stability.signals import ONSETS, SIGNALS
+from evaluation.stability.transport import DRIFT, FLIPS, JITTER, LOSS
+from evaluation.stability.trials import Cell, run
+
+MAPS = (SIGNALS, ONSETS, LADDERS, LOSS, FLIPS, DRIFT, JITTER, HAND_SPEED, RESONANCE, VOLTAGE)
+
+
+def make(
+    out: Path,
+    scope: Scope,
+    imported: Sequence[Cell] = (),
+    progress: Callable[[float, str], None] = lambda part, details: None,
+) -> list[Cell]:
+    """Try every map, write them and the page into the folder `out`, return what was tried. Raises OSError.
+
+    `imported`: cells that were measured elsewhere, which join the page. `progress` is called with the part that is
+    done, from 0 to 1, and what was tried last.
+    """
+    cells = run([trial for each in MAPS for trial in each.trials(scope)], progress=progress)
+    judged = [cell for each in MAPS for cell in each.judged([cell for cell in cells if cell.map == each.name])]
+    page.write(out, [*MAPS, PEERS], [*judged, *imported])
+    return judged

@@ -1,0 +1,320 @@
+"""Signals that are hard to code: every codec at three of its settings, through whole coded streams and back."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import codec
+from codec.interface import Setting
+from evaluation.stability import pictures
+from evaluation.stability.maps import Map, Scope, middle_setting, three_settings
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from host import coding
+from textures.generate import wood
+
+Signal = NDArray[np.float64]
+
+RATE_HZ = 2800
+SECONDS = 2.0
+PEAK = 0.8
+
+SNR_MARGIN_DB = 6.0
+LEAST_SNR_DB, ENOUGH_SNR_DB = 1.0, 40.0
+LOUDER_DB, FAR_LOUDER_DB = 3.0, 6.0
+SILENT, NEARLY_SILENT = 1e-4, 1e-2  # of full scale: -80 and -40 dB
+PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB = -30.0, -6.0
+
+HOUR_S = 3600
+LONGEST_CODING_S = 60.0
+_TIMED_S = 4.0
+_ONSET_HZ = 250.0
+_ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls anywhere in a block
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A hard signal. `judged_from`: the first of its samples that counts. `refused`: that it must be refused."""
+
+    make: Callable[[], Signal]
+    rate_hz: int = RATE_HZ
+    judged_from: int = 0
+    refused: bool = False
+
+
+def texture(rate_hz: int = RATE_HZ, seconds: float = SECONDS, channels: int = 1) -> Signal:
+    """Return generated wood, of another piece in each channel, with a peak of PEAK: float64 (n, channels)."""
+    samples = np.concatenate([wood(seed, seconds, 50.0, rate_hz).samples for seed in range(channels)], axis=1)
+    return np.asarray(PEAK * samples / np.abs(samples).max(axis=0))
+
+
+def _time_s() -> Signal:
+    return np.arange(round(SECONDS * RATE_HZ)).reshape(-1, 1) / RATE_HZ
+
+
+def _impulse() -> Signal:
+    samples = np.zeros_like(_time_s())
+    samples[len(samples) // 2] = -1.0
+    return samples
+
+
+def _click_above() -> Signal:
+    """The texture 60 dB below a click of two samples in its first tenth."""
+    samples = 0.001 / PEAK * texture()
+    samples[len(samples) // 20 : len(samples) // 20 + 2, 0] = 1.0, -1.0
+    return samples
+
+
+def _sweep() -> Signal:
+    """A sine from 10 Hz to half the sample rate."""
+    phase = 2 * np.pi * np.cumsum(np.linspace(10, RATE_HZ / 2, len(_time_s()))) / RATE_HZ
+    return PEAK * np.sin(phase).reshape(-1, 1)
+
+
+def _noise() -> Signal:
+    return np.random.default_rng(0).uniform(-1, 1, _time_s().shape)
+
+
+def _of_bits(bits: int) -> Signal:
+    scale = 2 ** (bits - 1)
+    return np.asarray(np.rint(texture() * scale) / scale)
+
+
+def _with(value: float) -> Signal:
+    samples = texture()
+    samples[100] = value
+    return samples
+
+
+CONDITIONS: dict[str, Condition] = {
+    "texture": Condition(texture),
+    "silence": Condition(lambda: 0 * _time_s()),
+    "constant 0.5": Condition(lambda: 0 * _time_s() + 0.5),
+    "one impulse": Condition(_impulse),
+    "square, full scale, 50 Hz": Condition(lambda: np.where(_time_s() * 50 % 1 < 0.5, 1.0, -1.0)),
+    "square, full scale, 1400 Hz": Condition(lambda: np.where(np.arange(len(_time_s())) % 2 == 0, 1.0, -1.0)[:, None]),
+    "sine, full scale, 5 Hz": Condition(lambda: np.sin(2 * np.pi * 5 * _time_s())),
+    "sine, full scale, 250 Hz": Condition(lambda: np.sin(2 * np.pi * 250 * _time_s())),
+    "sweep, 10 to 1400 Hz": Condition(_sweep),
+    "white noise, full scale": Condition(_noise),
+    "texture, clipped at a third": Condition(lambda: np.clip(texture(), -PEAK / 3, PEAK / 3)),
+    "texture, +60 dB": Condition(lambda: 1000 * texture()),
+    "texture, -60 dB": Condition(lambda: 0.001 * texture()),
+    "texture 60 dB below a click": Condition(_click_above, judged_from=round(0.1 * SECONDS * RATE_HZ)),
+    "texture of 8 bits": Condition(partial(_of_bits, 8)),
+    "texture of 4 bits": Condition(partial(_of_bits, 4)),
+    "texture, 16 channels": Condition(partial(texture, channels=16)),
+    **{f"texture at {rate_hz} Hz": Condition(partial(texture, rate_hz), rate_hz) for rate_hz in (1000, 1560, 4000)},
+    **{f"texture at {rate_hz} Hz": Condition(partial(texture, rate_hz), rate_hz) for rate_hz in (5600, 8000, 10_000)},
+    "1 sample": Condition(lambda: texture()[100:101]),
+    "2 samples": Condition(lambda: texture()[100:102]),
+    "31 samples": Condition(lambda: texture()[100:131]),
+    "513 samples": Condition(lambda: texture()[100:613]),
+    "no sample": Condition(lambda: texture()[:0], refused=True),
+    "a NaN": Condition(partial(_with, math.nan), refused=True),
+    "an infinity": Condition(partial(_with, math.inf), refused=True),
+    "17 channels": Condition(partial(texture, channels=17), refused=True),
+    "peak of 1e-40": Condition(lambda: 1e-40 * texture(), refused=True),
+}
+LONG_CASE = "texture of 1 hour"
+QUICK_CONDITIONS = ("texture", "silence", "one impulse", "1 sample", "a NaN")
+
+
+def decoded(samples: Signal, rate_hz: int, codec_name: str, setting: Setting) -> tuple[Signal, coding.Stream]:
+    """Code a signal into a whole stream; return what that decodes to and the stream. Raises as codec.encode."""
+    stream = coding.as_stream(codec.encode(samples, rate_hz, setting, codec=codec_name), "full scale")
+    return stream.decode(), stream
+
+
+@lru_cache
+def _texture_snr_db(codec_name: str, setting: tuple[tuple[str, float | str | tuple[float, ...]], ...]) -> float:
+    """Return the SNR of the texture at a setting: what other signals are measured by."""
+    samples = texture()
+    return codec.snr_db(samples, decoded(samples, RATE_HZ, codec_name, dict(setting))[0]) or 0.0
+
+
+def louder_db(reference: Signal, heard: Signal) -> float:
+    """Return by how many dB a signal's peak, or its RMS value if that is more, exceeds the reference's."""
+    peaks = np.abs(heard).max() / np.abs(reference).max()
+    powers = np.sqrt(np.mean(heard**2) / np.mean(reference**2))
+    return 20 * math.log10(max(peaks, powers, 1e-10))
+
+
+def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
+    """Return the outcome for a signal and what was decoded of it, by the rules that SIGNALS.about states."""
+    if not np.isfinite(heard).all():
+        return Measured(Outcome.FAILS, {}, "not finite")
+    if not reference.any():
+        peak = float(np.abs(heard).max())
+        outcome = Outcome.HOLDS if peak <= SILENT else Outcome.DEGRADED if peak <= NEARLY_SILENT else Outcome.FAILS
+        return Measured(outcome, {"peak": peak}, "" if outcome is Outcome.HOLDS else f"noise of peak {peak:.2g}")
+    snr_db, louder = codec.snr_db(reference, heard), louder_db(reference, heard)
+    assert snr_db is not None, "a signal that is not silent has an SNR"
+    wanted_db = max(LEAST_SNR_DB, min(texture_snr_db - SNR_MARGIN_DB, ENOUGH_SNR_DB))
+    figures = {"snr_db": snr_db, "texture_snr_db": texture_snr_db, "louder_db": louder}
+    if snr_db < 0 or louder > FAR_LOUDER_DB:
+        return Measured(Outcome.FAILS, figures, f"SNR {snr_db:.1f} dB, {louder:+.1f} dB louder")
+    if snr_db < LEAST_SNR_DB:
+        return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB: nothing of the signal is left")
+    if snr_db < wanted_db:
+        return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB instead of {texture_snr_db:.1f}")
+    if louder > LOUDER_DB:
+        return Measured(Outcome.DEGRADED, figures, f"{louder:+.1f} dB louder")
+    return Measured(Outcome.HOLDS, figures)
+
+
+def measure(codec_name: str, setting: Setting, name: str) -> Measured:
+    """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec refuses."""
+    condition = CONDITIONS[name]
+    samples = condition.make()
+    heard, stream = decoded(samples, condition.rate_hz, codec_name, setting)
+    texture_snr_db = _texture_snr_db(codec_name, tuple(setting.items()))
+    measured = judge(samples[condition.judged_from :], heard[condition.judged_from :], texture_snr_db)
+    bits = 8 * stream.size_bytes / samples.size
+    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+
+
+def measure_hour(codec_name: str, setting: Setting) -> Measured:
+    """Code and decode an hour, unless it would take longer than LONGEST_CODING_S; judge its last minute."""
+    minute = texture(seconds=60)
+    timed = minute[: round(_TIMED_S * RATE_HZ)]
+    decoded(timed, RATE_HZ, codec_name, setting)  # the first time takes longer
+    started_s = time.monotonic()
+    decoded(timed, RATE_HZ, codec_name, setting)
+    expected_s = (time.monotonic() - started_s) * HOUR_S / _TIMED_S
+    if expected_s > LONGEST_CODING_S:
+        return Measured(Outcome.NOT_TRIED, {}, f"would take more than {LONGEST_CODING_S:g} s")
+    heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, codec_name, setting)
+    measured = judge(minute, heard[-len(minute) :], _texture_snr_db(codec_name, tuple(setting.items())))
+    bits = 8 * stream.size_bytes / len(heard)
+    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+
+
+def measure_onset(codec_name: str, setting: Setting) -> Measured:
+    """Code a sine that sets in after silence; judge by the worst of several places within a block."""
+    figures: dict[str, float] = {}
+    for shift in _ONSET_SHIFTS:
+        onset = RATE_HZ // 2 + shift
+        samples = np.zeros((RATE_HZ + shift, 1))
+        samples[onset:, 0] = PEAK * np.cos(2 * np.pi * _ONSET_HZ * np.arange(RATE_HZ // 2 + RATE_HZ % 2) / RATE_HZ)
+        heard, _ = decoded(samples, RATE_HZ, codec_name, setting)
+        error = heard - samples
+        first = slice(onset, onset + RATE_HZ // 50)
+        level = np.mean(samples[first] ** 2)
+        for name, part in (
+            ("pre_echo_5ms_db", slice(onset - RATE_HZ // 200, onset)),
+            ("pre_echo_20ms_db", slice(onset - RATE_HZ // 50, onset)),
+            ("noise_after_db", first),
+        ):
+            ratio_db = 10 * math.log10(max(float(np.mean(error[part] ** 2) / level), 1e-12))
+            figures[name] = max(figures.get(name, -math.inf), ratio_db)
+    before_db = figures["pre_echo_5ms_db"]
+    if figures["noise_after_db"] > -LEAST_SNR_DB:
+        return Measured(Outcome.DEGRADED, figures, "nothing of the onset is left")
+    effect = f"{before_db:.0f} dB in the 5 ms before the onset"
+    if before_db <= PRE_ECHO_HELD_DB:
+        return Measured(Outcome.HOLDS, figures, effect)
+    return Measured(Outcome.DEGRADED if before_db <= PRE_ECHO_FAILED_DB else Outcome.FAILS, figures, effect)
+
+
+def _trials(scope: Scope) -> list[Trial]:
+    names = QUICK_CONDITIONS if scope.quick else tuple(CONDITIONS)
+    trials = []
+    for codec_name in scope.codecs:
+        if not scope.quick:
+            setting = middle_setting(codec_name)
+            hour = partial(measure_hour, codec_name, setting)
+            trials.append(Trial(SIGNALS.name, codec_name, LONG_CASE, "middle: " + setting_text(setting), None, hour))
+        for level, setting in three_settings(codec.CODECS[codec_name]).items():
+            text = f"{level}: {setting_text(setting)}"
+            trials += [
+                Trial(
+                    SIGNALS.name,
+                    codec_name,
+                    name,
+                    text,
+                    None,
+                    partial(measure, codec_name, setting, name),
+                    CONDITIONS[name].refused,
+                )
+                for name in names
+            ]
+    return trials
+
+
+def _onset_trials(scope: Scope) -> list[Trial]:
+    return [
+        Trial(
+            ONSETS.name,
+            codec_name,
+            "onset after silence",
+            f"{level}: {setting_text(setting)}",
+            None,
+            partial(measure_onset, codec_name, setting),
+        )
+        for codec_name in scope.codecs
+        for level, setting in three_settings(codec.CODECS[codec_name]).items()
+    ]
+
+
+def _draw(path: Path, cells: Sequence[Cell]) -> None:
+    """Signals downwards, codecs across, each at its three settings."""
+    levels = ("low", "middle", "high")
+    rows = [name for name in (*CONDITIONS, LONG_CASE) if any(cell.case == name for cell in cells)]
+    methods = list(dict.fromkeys(cell.method for cell in cells))
+    columns = [(method, level) for method in methods for level in levels]
+    outcomes = {(cell.case, cell.method, cell.setting.partition(":")[0]): cell.outcome for cell in cells}
+    table = [[outcomes.get((row, *column), Outcome.NOT_TRIED) for column in columns] for row in rows]
+    pictures.outcome_map(
+        path, rows, methods, table, "each codec at the coarsest, middle and finest setting of its ladder"
+    )
+
+
+def _draw_onsets(path: Path, cells: Sequence[Cell]) -> None:
+    bars = [
+        (
+            f"{cell.method}, {cell.setting.partition(':')[0]}",
+            cell.figure("pre_echo_5ms_db"),
+            cell.figure("pre_echo_20ms_db"),
+        )
+        for cell in cells
+        if cell.figures
+    ]
+    pictures.dots(
+        path,
+        [name for name, *_ in bars],
+        {"last 5 ms": [short for _, short, _ in bars], "last 20 ms": [long for *_, long in bars]},
+        "energy before the onset, dB relative to the onset",
+        PRE_ECHO_HELD_DB,
+    )
+
+
+SIGNALS = Map(
+    "signals",
+    "Signals",
+    f"{SECONDS:g} s at {RATE_HZ} Hz unless said otherwise, coded into a whole stream and decoded. H: the SNR is at "
+    f"most {SNR_MARGIN_DB:g} dB below that of a generated texture at the same setting, or above {ENOUGH_SNR_DB:g} "
+    f"dB, but not below {LEAST_SNR_DB:g} dB, and the result at most {LOUDER_DB:g} dB louder than the signal (peak "
+    "or RMS value). D: degraded, less than that. F: fails, the SNR is below 0 dB (silence would be nearer), the "
+    f"result more than {FAR_LOUDER_DB:g} dB louder or not finite, or the program crashes or hangs. R: refused with "
+    f"an error that says what to do. Silence holds where the result stays below {SILENT:g} of full scale and fails "
+    f"from {NEARLY_SILENT:g}. The last minute of the hour is judged.",
+    "",
+    _trials,
+    _draw,
+)
+ONSETS = Map(
+    "pre_echo",
+    "Onset after silence",
+    f"A sine of {_ONSET_HZ:g} Hz sets in at once, at {len(_ONSET_SHIFTS)} places within a block, the worst of which "
+    "counts: mean power of what is decoded before it, in the last 5 and 20 ms, relative to that of its first 20 "
+    f"ms. Holds up to {PRE_ECHO_HELD_DB:g} dB in the last 5 ms, fails from {PRE_ECHO_FAILED_DB:g} dB.",
+    "",
+    _onset_trials,
+    _draw_onsets,
+)

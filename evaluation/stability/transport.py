@@ -1,0 +1,205 @@
+"""Bad lines: whole playbacks by the host's player on the simulated controller, in simulated time."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from random import Random
+
+import numpy as np
+from numpy.typing import NDArray
+
+import codec
+from evaluation.stability import pictures
+from evaluation.stability.maps import Map, Scope, middle_setting
+from evaluation.stability.signals import RATE_HZ, texture
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from host import coding
+from host.controller import Controller as Host
+from host.player import BUFFER_S, play
+from simulated_device.actuator import PIEZO_STACK
+from simulated_device.controller import Controller, Settings
+from simulated_device.memory_link import FaultyLine, MemoryLink
+from simulated_device.output import render
+
+SECONDS = 5.0
+LOOPS = 4
+OFF_PART = 0.01
+"""A sample is off where it differs from the faultless one by more than this part of the peak."""
+HELD_SHARE, FAILED_SHARE = 0.05, 0.5
+LARGEST_STEP_RATIO = 1.5
+STALLS_EVERY_S = 0.7
+
+LOSSES = (0.0, 0.0001, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2)
+DAMAGES = (0.0, 0.01, 0.1, 0.2)
+DRIFTS_PPM = (-10_000, -200, 200, 10_000)
+STALLS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+BUFFERS_S = (BUFFER_S, 0.1, 1.0)
+
+
+@dataclass(frozen=True)
+class Line:
+    """What is wrong between host and controller. `lost`, `flipped`: chance of each frame, in both directions.
+
+    `stall_s`: how long nothing goes through, about every STALLS_EVERY_S. `drift_ppm`: of the controller's clock.
+    """
+
+    lost: float = 0.0
+    flipped: float = 0.0
+    stall_s: float = 0.0
+    drift_ppm: int = 0
+
+
+class StallingLink(MemoryLink):
+    """A link on which, now and then, a write takes long: a busy computer, or a bus that others use."""
+
+    def __init__(self, controller: Controller, stall_s: float) -> None:
+        super().__init__(controller)
+        self._stall_s = stall_s
+        self._random = Random(0)
+        self._next_s = STALLS_EVERY_S
+
+    def write(self, data: bytes) -> None:
+        """Send bytes, late where a stall is due."""
+        if self.clock() >= self._next_s:
+            self.sleep(self._stall_s)
+            self._next_s = self.clock() + STALLS_EVERY_S * self._random.uniform(0.5, 1.5)
+        super().write(data)
+
+
+@lru_cache(maxsize=1)
+def _stream(codec_name: str) -> tuple[coding.Stream, NDArray[np.int16]]:
+    """Return a live stream of the texture at a codec's middle setting, and all DAC codes of its faultless playback."""
+    setting = middle_setting(codec_name)
+    coded = codec.encode(0.5 * texture(seconds=SECONDS), RATE_HZ, setting, codec=codec_name, live=True)
+    stream = coding.as_stream(coded, "full scale")
+    delay_samples = stream.decoder().delay_samples
+    codes, _ = render(stream.header, stream.decode_integers(), delay_samples, PIEZO_STACK, loops=LOOPS)
+    return stream, codes
+
+
+def measure(codec_name: str, line: Line, buffer_s: float = BUFFER_S) -> Measured:
+    """Play the texture LOOPS times over a line; judge what came to the DAC. Raises ControllerError and the like."""
+    stream, wanted = _stream(codec_name)
+    played: list[NDArray[np.int16]] = []
+    controller = Controller(Settings(drift_ppm=line.drift_ppm), on_dac=played.append)
+    link: MemoryLink
+    if line.stall_s:
+        link = StallingLink(controller, line.stall_s)
+    else:
+        link = MemoryLink(controller, *(FaultyLine(seed, line.lost, line.flipped) for seed in (1, 2)))
+    packet_samples = stream.decoder().packet_samples
+    host = Host(link, link.clock, link.sleep)
+    result = play(host, stream.header, stream.packets, packet_samples, loops=LOOPS, buffer_s=buffer_s)
+    codes = np.concatenate(played).astype(np.float64)
+    return judge(wanted.astype(np.float64), codes, result.underruns, result.lost_packets, result.reconnects)
+
+
+def judge(
+    wanted: NDArray[np.float64], codes: NDArray[np.float64], underruns: int, lost_packets: int, reconnects: int
+) -> Measured:
+    """Return the outcome of a playback from the codes (n, 1) that the DAC should have had and those that it had."""
+    length = max(len(wanted), len(codes))
+    error = np.zeros((length, 1))
+    error[: len(wanted)] = wanted
+    error[: len(codes)] -= codes
+    share = float(np.mean(np.abs(error) > OFF_PART * np.abs(wanted).max()))
+    noise = float(np.sum(error**2))
+    steps = [np.abs(np.diff(each, axis=0, prepend=0)).max() for each in (codes, wanted)]
+    figures = {
+        "off_share": share,
+        "snr_db": 10 * math.log10(float(np.sum(wanted**2)) / noise) if noise else math.inf,
+        "underruns": underruns,
+        "lost_packets": lost_packets,
+        "reconnects": reconnects,
+        "largest_step_ratio": float(steps[0] / steps[1]),
+    }
+    effect = f"{100 * share:.1f} % of the signal off, {underruns} underruns" if share else ""
+    if share > FAILED_SHARE or figures["largest_step_ratio"] > LARGEST_STEP_RATIO:
+        click = figures["largest_step_ratio"]
+        return Measured(Outcome.FAILS, figures, f"{effect}, largest step {click:.1f} times that of the signal")
+    return Measured(Outcome.HOLDS if share <= HELD_SHARE else Outcome.DEGRADED, figures, effect)
+
+
+def _trials(
+    name: str, values: Sequence[float], line: Callable[[float], Line], buffers_s: Sequence[float], scope: Scope
+) -> list[Trial]:
+    chosen = (values[0], values[-1]) if scope.quick else values
+    return [
+        Trial(
+            name,
+            codec_name,
+            f"buffer of {buffer_s:g} s",
+            setting_text(middle_setting(codec_name)),
+            float(value),
+            partial(measure, codec_name, line(value), buffer_s),
+        )
+        for codec_name in scope.codecs
+        for buffer_s in (buffers_s if codec_name == scope.codecs[0] else buffers_s[:1])
+        for value in chosen
+    ]
+
+
+def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Cell]) -> None:
+    """Three panels over what is varied: the share that is off, the SNR, the largest step; a curve for each codec."""
+    cases = list(dict.fromkeys(cell.case for cell in cells))
+    panels = []
+    for figure, title, least_span in (
+        ("off_share", "share of the signal that is off", 0.1),
+        ("snr_db", "SNR of what is played, dB", 10.0),
+        ("largest_step_ratio", "largest step at the DAC, relative to the signal's own", 1.0),
+    ):
+        curves = []
+        for method in dict.fromkeys(cell.method for cell in cells):
+            for case in cases:
+                own = [cell for cell in cells if (cell.method, cell.case) == (method, case)]
+                x = [cell.value or 0.0 for cell in own]
+                y = [cell.figure(figure) for cell in own]
+                y = [value if math.isfinite(value) else math.nan for value in y]
+                name = method if len(cases) == 1 else f"{method}, {case}"
+                curves.append(pictures.Curve(name, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
+        panels.append(pictures.Panel(title, x_label, "", curves, log_x, least_span=least_span))
+    pictures.curves(path, panels, across=3)
+
+
+_RULES = (
+    f"A texture of {SECONDS:g} s at each codec's middle setting, refreshed as for streaming, played {LOOPS} times "
+    "by the host's player on the simulated controller. A sample is off where the DAC's code differs from that of a "
+    f"faultless line by more than {100 * OFF_PART:g} % of the peak. Holds up to {100 * HELD_SHARE:g} % off; fails "
+    f"beyond {100 * FAILED_SHARE:g} %, or where a step (a click) is more than {LARGEST_STEP_RATIO:g} times the "
+    "signal's largest."
+)
+LOSS = Map(
+    "loss",
+    "Lost frames",
+    f"Frames are lost by chance, in both directions. {_RULES}",
+    "chance of a frame to be lost",
+    partial(_trials, "loss", LOSSES, lambda chance: Line(lost=chance), (BUFFER_S,)),
+    partial(_draw, "chance of a frame to be lost", False),
+)
+FLIPS = Map(
+    "bit_flips",
+    "Damaged frames",
+    f"One byte of a frame is changed by chance, in both directions; its CRC tells. {_RULES}",
+    "chance of a frame to be damaged",
+    partial(_trials, "bit_flips", DAMAGES, lambda chance: Line(flipped=chance), (BUFFER_S,)),
+    partial(_draw, "chance of a frame to be damaged", False),
+)
+DRIFT = Map(
+    "drift",
+    "Clock drift",
+    f"The controller's clock runs faster or slower than the host's. {_RULES}",
+    "ppm",
+    partial(_trials, "drift", DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,)),
+    partial(_draw, "drift of the controller's clock, ppm", False),
+)
+JITTER = Map(
+    "buffer",
+    "Buffer against stalls",
+    f"Every {STALLS_EVERY_S:g} s or so nothing goes through for a while; other buffers than the usual one with the "
+    f"first codec only. {_RULES}",
+    "s of stall",
+    partial(_trials, "buffer", STALLS_S, lambda stall_s: Line(stall_s=stall_s), BUFFERS_S),
+    partial(_draw, "length of a stall, s", True),
+)

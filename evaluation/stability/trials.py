@@ -1,0 +1,158 @@
+"""Trials of a method in one hard condition each, run on all cores: whatever happens in one is its outcome."""
+
+import faulthandler
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+
+from codec import CodecError
+from codec.interface import Setting
+from device_protocol.coded_stream import StreamError
+from device_protocol.messages import MessageError
+from device_protocol.transports import TransportError
+from evaluation.workers import on_cores
+from host.controller import ControllerError
+from textures import TextureError
+
+LIMIT_S = 120.0
+"""A trial that takes longer hangs. Those that run take a few seconds at most, coding of an hour excepted."""
+CLEAR_ERRORS = (CodecError, ControllerError, MessageError, StreamError, TextureError, TransportError)
+"""Errors that tell a person what to do; any other that comes out of a trial is a crash."""
+
+
+class Outcome(StrEnum):
+    """What came of a trial, the best first."""
+
+    HOLDS = "holds"
+    NOT_TRIED = "not tried"
+    REFUSED = "refused"
+    DEGRADED = "degraded"
+    FAILS = "fails"
+
+    @property
+    def letter(self) -> str:
+        """The letter of the maps."""
+        return "-" if self is Outcome.NOT_TRIED else self.value[0].upper()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a trial measured: its outcome, named figures (None: no value), and in words what a person gets."""
+
+    outcome: Outcome
+    figures: Mapping[str, float | None]
+    effect: str = ""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One condition to try: of which map, method and case, at which value of what the map varies, and the measurement.
+
+    `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_refused`:
+    that it must end with an error that a person can act on.
+    """
+
+    map: str
+    method: str
+    case: str
+    setting: str
+    value: float | None
+    measure: Callable[[], Measured]
+    to_be_refused: bool = False
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The outcome of a trial; fields as in Trial and Measured."""
+
+    map: str
+    method: str
+    case: str
+    setting: str
+    value: float | None
+    outcome: Outcome
+    figures: Mapping[str, float | None]
+    effect: str
+    to_be_refused: bool = False
+
+    @property
+    def sound(self) -> bool:
+        """Whether it is as it should be: it holds, or is refused where it must be."""
+        return self.outcome is (Outcome.REFUSED if self.to_be_refused else Outcome.HOLDS)
+
+    def figure(self, name: str) -> float:
+        """Return a figure, NaN where it has no value."""
+        value = self.figures.get(name)
+        return math.nan if value is None else value
+
+
+def setting_text(setting: Setting) -> str:
+    """Return a codec's setting as text of names and values."""
+    return " ".join(
+        f"{name}={value:.4g}" if isinstance(value, float) else f"{name}={value}" for name, value in setting.items()
+    )
+
+
+def attempt(trial: Trial) -> Cell:
+    """Run a trial in this process. An error that a person can act on is a refusal, any other a crash."""
+    try:
+        measured = trial.measure()
+        if trial.to_be_refused:
+            measured = Measured(Outcome.FAILS, {}, "accepted, though it must be refused")
+    except CLEAR_ERRORS as error:
+        measured = Measured(Outcome.REFUSED, {}, " ".join(str(error).split()))
+    except Exception as error:
+        measured = Measured(Outcome.FAILS, {}, f"CRASH: {type(error).__name__}: {' '.join(str(error).split())}")
+    return _cell(trial, measured)
+
+
+def run(
+    trials: Sequence[Trial],
+    limit_s: float = LIMIT_S,
+    progress: Callable[[float, str], None] = lambda part, details: None,
+) -> list[Cell]:
+    """Return the cells of all trials, in their order, tried on all cores.
+
+    A process that a trial kills, or that is ended because the trial takes longer than `limit_s`, costs that cell only.
+    `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
+    """
+    cells: dict[int, Cell] = {}
+    pieces = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
+    for number, outcome in on_cores(pieces, os.cpu_count() or 1):
+        cells[number] = outcome if isinstance(outcome, Cell) else _lost(trials[number], outcome, limit_s)
+        progress(len(cells) / len(trials), f"{cells[number].map}: {cells[number].method}, {cells[number].case}")
+    return [cells[number] for number in range(len(trials))]
+
+
+def _lost(trial: Trial, error: Exception, limit_s: float) -> Cell:
+    """Return the cell of a trial whose process gave no answer."""
+    effect = f"CRASH: {error}, or took longer than {limit_s:g} s"
+    return _cell(trial, Measured(Outcome.FAILS, {}, effect))
+
+
+def _attempt_within(trial: Trial, limit_s: float) -> Cell:
+    """Run a trial; end this process, also out of a loop in C, if it takes longer."""
+    with open(os.devnull, "w") as nowhere:
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=nowhere)
+        try:
+            return attempt(trial)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+
+def _cell(trial: Trial, measured: Measured) -> Cell:
+    figures = {name: None if value is None else round(float(value), 4) for name, value in measured.figures.items()}
+    return Cell(
+        trial.map,
+        trial.method,
+        trial.case,
+        trial.setting,
+        trial.value,
+        measured.outcome,
+        figures,
+        measured.effect,
+        trial.to_be_refused,
+    )

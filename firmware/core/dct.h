@@ -1,0 +1,49 @@
+/* The codec `dct`: blockwise DCT-II, quantised to a few levels, Huffman or range coded; layout in docs/bitstream.md.
+ *
+ * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structure
+ * that the caller owns. Packets are independent of each other, so there is no state that a lost one could break.
+ */
+#ifndef VIBROCAST_DCT_H
+#define VIBROCAST_DCT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* cffi: begin */
+typedef struct vc_dct_decoder vc_dct_decoder;
+
+/* Bytes of memory, aligned for int64_t, that the caller provides for a decoder. */
+size_t vc_dct_decoder_size(void);
+
+/* Prepares a decoder. `configuration`: the codec's bytes from the stream header, for 1 to 16 channels. Returns VC_OK or
+ * VC_BAD_CONFIGURATION. */
+int vc_dct_decoder_init(vc_dct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
+                        unsigned channels);
+
+/* Samples per channel in every packet of the stream. The output does not lag the input: a block is coded when its last
+ * sample is there, and decoded as a whole. */
+uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder);
+
+/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK, or
+ * VC_BAD_PACKET (nothing written) for a packet without a head that says refresh, without its ranges, or with a code
+ * that is none. The caller orders packets and drops those that come late. Any bytes are safe. */
+int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
+
+/* Stands in for one missing packet: writes packet_samples x channels samples, the last ones backwards and faded to
+ * zero, then silence. The first samples of the packet decoded next rise from zero. */
+void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples);
+
+/* Writes the reconstruction levels of one channel of a packet, levels + zeros numbers in the order of the coded values,
+ * in 1/256 of a sample's least significant bit. `logarithmic`: 0 = linear; `levels`: 4 to 65535; `smallest`, `below`,
+ * `above`: range codes of the least magnitude and of the greatest on both sides of zero, not both 0; `zeros`: 1 when
+ * zero is a value of its own. For encoders. */
+void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above, int zeros,
+                   int32_t *output);
+
+/* Range codes the values of one packet: `rows` channels that are not silent, of `blocks` blocks of `bins` values.
+ * Returns the bytes written, or VC_PACKET_TOO_LARGE. For encoders. */
+int32_t vc_dct_range_encode(const uint32_t *values, uint32_t rows, uint32_t blocks, uint32_t bins, int logarithmic,
+                            int zeros, uint8_t *output, size_t capacity);
+/* cffi: end */
+
+#endif

@@ -1,0 +1,304 @@
+/* Decoder of `dct`: packets to coded values, values to levels, levels to samples by a fixed-point inverse DCT. */
+#include "dct_model.h"
+
+#define MAX_PACKET_BLOCKS 4095u
+#define MAX_PACKET_SAMPLES (1u << 18)
+#define FADE_SAMPLES 64u /* of a fade where a packet misses, and of the rise behind it; no block is shorter */
+#define SYMBOLS 120u
+#define FIRST_CLASS 16u /* symbols from here on stand for classes of values, eight an octave */
+#define LONGEST_CODE 15u
+#define ONE (1 << 24)
+#define ROOT_OF_HALF 11863283 /* sqrt(1 / 2) in 1/2^24 */
+
+struct vc_dct_decoder {
+    unsigned channels;
+    uint32_t block, packet_blocks; /* samples in a block, blocks in a packet */
+    uint32_t first, end;           /* coefficients that are coded; the others are 0 */
+    int logarithmic, range_coded;
+    uint32_t levels;
+    uint32_t smallest[VC_MAX_CHANNELS]; /* range code of the least magnitude */
+    int rises;                          /* a packet was missing before the next one */
+    int16_t last[VC_MAX_CHANNELS][FADE_SAMPLES];
+    vc_dct_model model;
+    int32_t real[VC_DCT_MAX_BLOCK], imaginary[VC_DCT_MAX_BLOCK], spectrum[VC_DCT_MAX_BLOCK];
+};
+
+size_t vc_dct_decoder_size(void)
+{
+    return sizeof(vc_dct_decoder);
+}
+
+static uint32_t number_at(const uint8_t *bytes)
+{
+    return bytes[0] | (uint32_t)bytes[1] << 8;
+}
+
+int vc_dct_decoder_init(vc_dct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
+                        unsigned channels)
+{
+    unsigned channel;
+    memset(decoder, 0, sizeof *decoder);
+    if (channels < 1 || channels > VC_MAX_CHANNELS || configuration_length < 9 || configuration[0] > 31 ||
+        (configuration[0] & 7u) > 4)
+        return VC_BAD_CONFIGURATION;
+    decoder->channels = channels;
+    decoder->block = 64u << (configuration[0] & 7u);
+    decoder->logarithmic = configuration[0] >> 3 & 1;
+    decoder->range_coded = configuration[0] >> 4 & 1;
+    decoder->packet_blocks = number_at(configuration + 1);
+    decoder->levels = number_at(configuration + 3);
+    decoder->first = number_at(configuration + 5);
+    decoder->end = number_at(configuration + 7);
+    if (decoder->packet_blocks < 1 || decoder->packet_blocks > MAX_PACKET_BLOCKS ||
+        decoder->packet_blocks * decoder->block > MAX_PACKET_SAMPLES || decoder->levels < VC_DCT_MIN_LEVELS ||
+        decoder->first >= decoder->end || decoder->end > decoder->block ||
+        configuration_length != 9u + (decoder->logarithmic ? 2 * channels : 0))
+        return VC_BAD_CONFIGURATION;
+    for (channel = 0; channel < channels && decoder->logarithmic; channel++)
+        decoder->smallest[channel] = number_at(configuration + 9 + 2 * channel);
+    return VC_OK;
+}
+
+uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder)
+{
+    return decoder->packet_blocks * decoder->block;
+}
+
+/* cos(2 pi angle / (4 VC_DCT_MAX_BLOCK)) in 1/2^24 from a quarter of a turn. */
+static int32_t cosine(uint32_t angle)
+{
+    angle &= 4 * VC_DCT_MAX_BLOCK - 1;
+    if (angle > 2 * VC_DCT_MAX_BLOCK)
+        angle = 4 * VC_DCT_MAX_BLOCK - angle;
+    return angle > VC_DCT_MAX_BLOCK ? -vc_dct_cosine[2 * VC_DCT_MAX_BLOCK - angle] : vc_dct_cosine[angle];
+}
+
+static int32_t sine(uint32_t angle)
+{
+    return cosine(angle + 3 * VC_DCT_MAX_BLOCK);
+}
+
+static uint32_t reversed(uint32_t index, uint32_t count)
+{
+    uint32_t result = 0;
+    for (; count > 1; count >>= 1, index >>= 1)
+        result = result << 1 | (index & 1u);
+    return result;
+}
+
+/* Writes one block of samples, `stride` apart: the inverse of the orthonormal DCT-II, by a complex Fourier transform of
+ * as many points (Makhoul, "A fast cosine transform in one and two dimensions", 1980). */
+static void inverse_dct(vc_dct_decoder *decoder, int16_t *samples, unsigned stride)
+{
+    const uint32_t count = decoder->block, unit = VC_DCT_MAX_BLOCK / count;
+    const unsigned octaves = vc_floor_log2(count);
+    /* sqrt(1 / count) and sqrt(1 / (2 count)) in 1/2^24: what X[0] and the others weigh. */
+    const int64_t first_weight = (octaves & 1u ? ROOT_OF_HALF : ONE) >> octaves / 2;
+    const int64_t weight = (octaves & 1u ? ONE / 2 : ROOT_OF_HALF) >> octaves / 2;
+    int32_t *real = decoder->real, *imaginary = decoder->imaginary;
+    uint32_t k, half, start, n;
+    for (k = 0; k < count; k++) {
+        /* (X[k] - i X[count - k]) exp(i pi k / (2 count)), X[count] = 0. */
+        const int64_t even = decoder->spectrum[k], odd = k > 0 ? decoder->spectrum[count - k] : 0;
+        const int64_t turn_real = cosine(k * unit), turn_imaginary = sine(k * unit);
+        const uint32_t place = reversed(k, count);
+        real[place] =
+            vc_scaled_down((k > 0 ? weight : first_weight) * vc_scaled_down(even * turn_real + odd * turn_imaginary));
+        imaginary[place] = vc_scaled_down(weight * vc_scaled_down(even * turn_imaginary - odd * turn_real));
+    }
+    for (half = 1; half < count; half *= 2)
+        for (n = 0; n < half; n++) {
+            const int64_t turn_real = cosine(n * (2 * VC_DCT_MAX_BLOCK / half));
+            const int64_t turn_imaginary = sine(n * (2 * VC_DCT_MAX_BLOCK / half));
+            for (start = n; start < count; start += 2 * half) {
+                int32_t *a = real + start, *b = imaginary + start;
+                const int64_t c = vc_scaled_down(turn_real * a[half] - turn_imaginary * b[half]);
+                const int64_t d = vc_scaled_down(turn_real * b[half] + turn_imaginary * a[half]);
+                a[half] = vc_limited(*a - c);
+                b[half] = vc_limited(*b - d);
+                *a = vc_limited(*a + c);
+                *b = vc_limited(*b + d);
+            }
+        }
+    for (n = 0; n < count; n++)
+        samples[n * stride] = vc_rounded_sample(real[n & 1u ? count - 1 - n / 2 : n / 2]);
+}
+
+/* Bits from the highest of each byte on; those past the end are 0. */
+typedef struct {
+    const uint8_t *bytes;
+    size_t length, position; /* in bytes, in bits */
+} bit_reader;
+
+static uint32_t read_bits(bit_reader *reader, unsigned count)
+{
+    uint32_t bits = 0;
+    while (count-- > 0) {
+        const size_t byte = reader->position / 8;
+        const unsigned shift = 7 - reader->position % 8;
+        bits = bits << 1 | (byte < reader->length ? reader->bytes[byte] >> shift & 1u : 0u);
+        reader->position++;
+    }
+    return bits;
+}
+
+/* A canonical Huffman code: how many symbols have each length, and the symbols by length, then by number. */
+typedef struct {
+    uint8_t lengths[LONGEST_CODE + 1];
+    uint8_t symbols[SYMBOLS];
+} huffman_code;
+
+/* Returns 0 unless every sequence of bits has a meaning. */
+static int huffman_read(huffman_code *code, bit_reader *reader)
+{
+    uint8_t length_of[SYMBOLS];
+    uint32_t count = read_bits(reader, 7) + 1, symbol, used = 0, filled = 0;
+    unsigned length;
+    if (count > SYMBOLS)
+        return 0;
+    for (symbol = 0; symbol < count; symbol++)
+        length_of[symbol] = (uint8_t)read_bits(reader, 4);
+    memset(code, 0, sizeof *code);
+    for (length = 1; length <= LONGEST_CODE; length++)
+        for (symbol = 0; symbol < count; symbol++)
+            if (length_of[symbol] == length) {
+                code->lengths[length]++;
+                code->symbols[used++] = (uint8_t)symbol;
+                filled += 1u << (LONGEST_CODE - length);
+            }
+    return filled == 1u << LONGEST_CODE;
+}
+
+static uint32_t huffman_value(const huffman_code *code, bit_reader *reader)
+{
+    uint32_t bits = 0, first = 0, index = 0, symbol;
+    unsigned length, octave;
+    for (length = 1; length <= LONGEST_CODE; length++) {
+        bits = bits << 1 | read_bits(reader, 1);
+        first <<= 1;
+        if (bits - first < code->lengths[length])
+            break;
+        first += code->lengths[length];
+        index += code->lengths[length];
+    }
+    symbol = code->symbols[index + bits - first];
+    if (symbol < FIRST_CLASS)
+        return symbol;
+    octave = symbol / 8 + 2;
+    return (8 + symbol % 8) << (octave - 3) | read_bits(reader, octave - 3);
+}
+
+static uint32_t range_value(vc_range_coder *coder, vc_dct_context context, uint32_t first_pair)
+{
+    uint32_t quotient = 0, rank;
+    unsigned bit;
+    while (quotient < VC_DCT_UNARY_LIMIT && vc_adaptive_decode(coder, &context.above[quotient], VC_DCT_ADAPTATION))
+        quotient++;
+    if (quotient == VC_DCT_UNARY_LIMIT)
+        quotient += vc_golomb_decode(coder);
+    if (quotient > VC_DCT_MAX_LEVELS >> context.low_bits)
+        quotient = VC_DCT_MAX_LEVELS >> context.low_bits;
+    rank = quotient;
+    for (bit = 0; bit < context.low_bits; bit++)
+        rank = rank << 1 | (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS);
+    return rank < first_pair ? rank : 2 * rank - first_pair + (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS);
+}
+
+/* What the values of a packet are read from. */
+typedef struct {
+    vc_range_coder range;
+    bit_reader bits;
+    huffman_code huffman;
+    unsigned zeros;
+} value_reader;
+
+static void decode_block(vc_dct_decoder *decoder, value_reader *reader, const vc_dct_quantiser *quantiser,
+                         uint32_t block)
+{
+    const uint32_t bins = decoder->end - decoder->first;
+    const uint32_t first_pair = vc_dct_first_pair(decoder->logarithmic, reader->zeros);
+    uint32_t bin, before = 0;
+    for (bin = 0; bin < bins; bin++) {
+        uint32_t value, rank;
+        if (decoder->range_coded) {
+            value = range_value(&reader->range, vc_dct_context_find(&decoder->model, bin, block, before), first_pair);
+            rank = value < first_pair ? value : (value + first_pair) / 2;
+            before = decoder->model.ranks[bin];
+            decoder->model.ranks[bin] = (uint16_t)rank;
+        } else {
+            value = huffman_value(&reader->huffman, &reader->bits);
+        }
+        decoder->spectrum[decoder->first + bin] = vc_dct_level(quantiser, value);
+    }
+}
+
+/* Rises from zero behind a gap, and keeps what a gap that follows fades. */
+static void finish_channel(vc_dct_decoder *decoder, unsigned channel, int16_t *samples)
+{
+    const uint32_t packet_samples = vc_dct_decoder_packet_samples(decoder);
+    uint32_t n;
+    for (n = 0; n < FADE_SAMPLES && decoder->rises; n++)
+        samples[n * decoder->channels] =
+            (int16_t)(samples[n * decoder->channels] * (int32_t)(n + 1) / (int32_t)FADE_SAMPLES);
+    for (n = 0; n < FADE_SAMPLES; n++)
+        decoder->last[channel][n] = samples[(packet_samples - FADE_SAMPLES + n) * decoder->channels];
+}
+
+int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    const unsigned channels = decoder->channels;
+    value_reader reader;
+    uint32_t sequence, block;
+    int refresh, sounds = 0;
+    unsigned channel;
+    size_t i;
+    const size_t head = vc_packet_head_read(packet, length, &sequence, &refresh), start = head + 4 * (size_t)channels;
+    if (head == 0 || !refresh || length < start)
+        return VC_BAD_PACKET;
+    for (i = head; i < start; i++)
+        sounds |= packet[i];
+    memset(&reader, 0, sizeof reader);
+    reader.bits.bytes = packet + start;
+    reader.bits.length = length - start;
+    vc_range_decoder_init(&reader.range, packet + start, length - start);
+    reader.zeros =
+        decoder->range_coded ? (unsigned)vc_range_decode(&reader.range, VC_EVEN_ODDS) : read_bits(&reader.bits, 1);
+    if (sounds && !decoder->range_coded && !huffman_read(&reader.huffman, &reader.bits))
+        return VC_BAD_PACKET;
+    vc_dct_model_reset(&decoder->model);
+    for (channel = 0; channel < channels; channel++) {
+        const uint8_t *ranges = packet + head + 4 * (size_t)channel;
+        const uint32_t below = number_at(ranges), above = number_at(ranges + 2);
+        const int silent = below == 0 && above == 0;
+        vc_dct_quantiser quantiser;
+        memset(decoder->spectrum, 0, sizeof decoder->spectrum);
+        vc_dct_model_next_channel(&decoder->model);
+        if (!silent)
+            vc_dct_quantiser_init(&quantiser, decoder->logarithmic, decoder->levels, reader.zeros,
+                                  decoder->smallest[channel], below, above);
+        for (block = 0; block < decoder->packet_blocks; block++) {
+            if (!silent)
+                decode_block(decoder, &reader, &quantiser, block);
+            inverse_dct(decoder, samples + (size_t)block * decoder->block * channels + channel, channels);
+        }
+        finish_channel(decoder, channel, samples + channel);
+    }
+    decoder->rises = 0;
+    return VC_OK;
+}
+
+void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples)
+{
+    const size_t values = (size_t)vc_dct_decoder_packet_samples(decoder) * decoder->channels;
+    uint32_t n;
+    unsigned channel;
+    memset(samples, 0, values * sizeof *samples);
+    /* A DCT-II goes on behind its block as its mirror image: backwards there is no step. */
+    for (n = 0; n < FADE_SAMPLES; n++)
+        for (channel = 0; channel < decoder->channels; channel++)
+            samples[n * decoder->channels + channel] =
+                (int16_t)(decoder->last[channel][FADE_SAMPLES - 1 - n] * (int32_t)(FADE_SAMPLES - 1 - n) /
+                          (int32_t)FADE_SAMPLES);
+    memset(decoder->last, 0, sizeof decoder->last);
+    decoder->rises = 1;
+}

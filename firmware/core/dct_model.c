@@ -1,0 +1,137 @@
+/* Reconstruction levels of `dct`, and the adaptive model of its range coding; see dct_model.h. */
+#include "dct_model.h"
+
+#define MAX_COEFFICIENT (1 << 28)
+#define OCTAVE_BITS 20
+#define RANGE_CODE_BITS 11 /* of an octave's fraction in a range code */
+
+/* 2^(exponent / 2^20), rounded, within MAX_COEFFICIENT: table of 256 steps an octave, straight between them. */
+static int32_t power_of_two(uint32_t exponent)
+{
+    const uint32_t octave = exponent >> OCTAVE_BITS;
+    const uint32_t step = (exponent >> (OCTAVE_BITS - 8)) & 255u, rest = exponent & 4095u;
+    const uint32_t from = vc_dct_exponential[step], to = vc_dct_exponential[step + 1];
+    const uint32_t mantissa = from + (uint32_t)(((uint64_t)(to - from) * rest) >> 12);
+    if (octave >= 28)
+        return MAX_COEFFICIENT;
+    return (int32_t)((mantissa + (1u << (29 - octave))) >> (30 - octave));
+}
+
+static uint32_t exponent_of(uint32_t range_code)
+{
+    return range_code << (OCTAVE_BITS - RANGE_CODE_BITS);
+}
+
+static int64_t magnitude_of(uint32_t range_code)
+{
+    return range_code == 0 ? 0 : power_of_two(exponent_of(range_code));
+}
+
+static uint32_t larger(uint32_t first, uint32_t second)
+{
+    return first > second ? first : second;
+}
+
+void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_t levels, unsigned zeros,
+                           uint32_t smallest, uint32_t below, uint32_t above)
+{
+    quantiser->logarithmic = logarithmic;
+    quantiser->levels = levels;
+    quantiser->zeros = zeros;
+    quantiser->below = magnitude_of(below);
+    quantiser->above = magnitude_of(above);
+    quantiser->bottom = exponent_of(smallest);
+    quantiser->left = larger(quantiser->bottom, exponent_of(below));
+    quantiser->right = larger(quantiser->bottom, exponent_of(above));
+    if (logarithmic) {
+        quantiser->centre = levels / 2;
+    } else {
+        /* The level nearest zero. */
+        int64_t width = quantiser->below + quantiser->above;
+        quantiser->centre = (uint32_t)((quantiser->below * (levels - 1) + width / 2) / width);
+    }
+}
+
+/* Magnitude of the logarithmic level `rank` of `count` on one side. */
+static int32_t logarithmic_level(uint32_t bottom, uint32_t top, uint32_t rank, uint32_t count)
+{
+    return power_of_two(bottom + (uint32_t)((uint64_t)(top - bottom) * rank / (count - 1)));
+}
+
+int32_t vc_dct_level(const vc_dct_quantiser *quantiser, uint32_t value)
+{
+    const uint32_t last = quantiser->levels - 1, centre = quantiser->centre;
+    const uint32_t shorter_side = centre < last - centre ? centre : last - centre;
+    uint32_t level;
+    if (value < quantiser->zeros)
+        return 0;
+    value -= quantiser->zeros;
+    if (value > last)
+        value = last;
+    /* Outwards from the centre, the two sides in turn, then the rest of the longer one. */
+    if (value <= 2 * shorter_side)
+        level = value & 1u ? centre - (value + 1) / 2 : centre + value / 2;
+    else
+        level = centre < last - centre ? value : last - value;
+    if (!quantiser->logarithmic) {
+        int64_t width = quantiser->below + quantiser->above;
+        return (int32_t)((width * level + last / 2) / last - quantiser->below);
+    }
+    if (level < centre)
+        return -logarithmic_level(quantiser->bottom, quantiser->left, centre - 1 - level, centre);
+    return logarithmic_level(quantiser->bottom, quantiser->right, level - centre, last + 1 - centre);
+}
+
+void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above, int zeros,
+                   int32_t *output)
+{
+    vc_dct_quantiser quantiser;
+    uint32_t value;
+    vc_dct_quantiser_init(&quantiser, logarithmic, levels, zeros != 0, smallest, below, above);
+    for (value = 0; value < levels + quantiser.zeros; value++)
+        output[value] = vc_dct_level(&quantiser, value);
+}
+
+/* Context of an expected rank, in 1/8: two an octave. */
+static unsigned context_of(uint32_t expected)
+{
+    unsigned octave = vc_floor_log2(expected + 1);
+    return 2 * octave + ((octave > 0 ? (expected + 1) >> (octave - 1) : 0) & 1u);
+}
+
+/* Low bits that are left to even odds, so that about eight decisions remain. */
+static unsigned low_bits_of(unsigned context)
+{
+    return context / 2 > 5 ? context / 2 - 5 : 0;
+}
+
+void vc_dct_model_reset(vc_dct_model *model)
+{
+    unsigned context, decision;
+    for (context = 0; context < VC_DCT_CONTEXTS; context++) {
+        /* As if ranks fell off geometrically: with mean m, a rank is above n with probability m / (m + 1). */
+        uint64_t expected = (2u + (context & 1u)) << (context / 2);
+        uint64_t unit = 16u << low_bits_of(context);
+        uint16_t probability = (uint16_t)(65536 * expected / (expected + unit));
+        for (decision = 0; decision < VC_DCT_UNARY_LIMIT; decision++)
+            model->above[context][decision] = probability;
+    }
+}
+
+void vc_dct_model_next_channel(vc_dct_model *model)
+{
+    memset(model->ranks, 0, sizeof model->ranks);
+}
+
+vc_dct_context vc_dct_context_find(vc_dct_model *model, uint32_t bin, uint32_t block, uint32_t before)
+{
+    const uint16_t *rank = model->ranks + bin;
+    const uint32_t first = bin > 0 ? rank[-1] : 0, second = bin > 1 ? rank[-2] : first;
+    const uint32_t expected =
+        block == 0 ? 5 * first + 3 * second : 3 * first + second + before + 2u * rank[0] + rank[1];
+    vc_dct_context context;
+    unsigned index = context_of(expected);
+    context.above = model->above[index];
+    context.low_bits = low_bits_of(index);
+    return context;
+}

@@ -1,0 +1,59 @@
+/* What the encoder and the decoder of `dct` share: reconstruction levels, and the adaptive model of range coding. */
+#ifndef VIBROCAST_DCT_MODEL_H
+#define VIBROCAST_DCT_MODEL_H
+
+#include "common.h"
+#include "dct.h"
+
+#define VC_DCT_MAX_BLOCK 1024
+#define VC_DCT_MIN_LEVELS 4u
+#define VC_DCT_MAX_LEVELS 65535u
+#define VC_DCT_CONTEXTS 40
+#define VC_DCT_UNARY_LIMIT 16u
+#define VC_DCT_ADAPTATION 4u /* a decision moves its probability by 1/2^4 of the way */
+
+/* The quantiser of one channel of a packet; magnitudes in 1/256 of a sample's least significant bit. */
+typedef struct {
+    int logarithmic;
+    uint32_t levels;              /* without the zero that is a value of its own */
+    unsigned zeros;               /* 1 when it is one */
+    uint32_t centre;              /* levels below this one count downwards */
+    int64_t below, above;         /* linear: greatest magnitudes on both sides of zero */
+    uint32_t bottom, left, right; /* logarithmic: the least magnitude and the greatest ones, in 1/2^20 of an octave */
+} vc_dct_quantiser;
+
+void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_t levels, unsigned zeros,
+                           uint32_t smallest, uint32_t below, uint32_t above);
+
+/* The level that a coded value stands for; values beyond the last stand for the last. */
+int32_t vc_dct_level(const vc_dct_quantiser *quantiser, uint32_t value);
+
+/* Values from this one on come in pairs of equal rank on both sides of zero. */
+static inline uint32_t vc_dct_first_pair(int logarithmic, unsigned zeros)
+{
+    return zeros + (logarithmic ? 0u : 1u);
+}
+
+/* Adaptive model of range coding: probabilities of "the rank, less its low bits, is above n", for each context.
+ * Restarts with each packet. */
+typedef struct {
+    uint16_t above[VC_DCT_CONTEXTS][VC_DCT_UNARY_LIMIT];
+    uint16_t ranks[VC_DCT_MAX_BLOCK + 1]; /* of this block up to the bin, of the block before from there on */
+} vc_dct_model;
+
+/* Where one value stands: the context of its decisions, and how many low bits of its rank have even odds. */
+typedef struct {
+    uint16_t *above;
+    unsigned low_bits;
+} vc_dct_context;
+
+void vc_dct_model_reset(vc_dct_model *model);
+/* Forgets the ranks of the block before: at the first block of a channel. */
+void vc_dct_model_next_channel(vc_dct_model *model);
+/* `before`: rank of the bin below, of the block before. */
+vc_dct_context vc_dct_context_find(vc_dct_model *model, uint32_t bin, uint32_t block, uint32_t before);
+
+extern const int32_t vc_dct_cosine[VC_DCT_MAX_BLOCK + 1]; /* cos(2 pi i / (4 VC_DCT_MAX_BLOCK)) in 1/2^24 */
+extern const uint32_t vc_dct_exponential[257];            /* 2^(i / 256) in 1/2^30 */
+
+#endif

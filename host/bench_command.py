@@ -1,0 +1,164 @@
+"""`vibrocast bench`: measures every codec on a folder of recordings and writes figures, charts and a page."""
+
+import datetime
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from device_protocol.coded_stream import MAX_RATE_HZ
+from host import progress
+from host.options import INPUT, BadInput, recording_options
+
+if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
+    from evaluation.bench import Tally
+    from evaluation.points import Failure, Point, Timing
+
+SNRS_DB = (5.0, 10.0, 15.0, 20.0)
+SHOWN_FAILURES = 10
+
+
+def separate_names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str]:
+    """Return what commas separate."""
+    return [name.strip() for name in (value or "").split(",") if name.strip()]
+
+
+@click.command()
+@click.argument("folder", type=INPUT)
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    required=True,
+    help="Folder for results.md and results/; where a run was cut, the same command goes on.",
+)
+@click.option(
+    "--codecs",
+    "names",
+    callback=separate_names,
+    metavar="NAME,NAME,...",
+    help="Codecs, or single ladders of their settings; all if not given.",
+)
+@click.option("--peers", type=INPUT, help="CSV of others' points on the same traces, to compare with.")
+@click.option(
+    "--split", "part", type=click.Choice(("all", "train", "test")), default="all", show_default=True, help="Which part."
+)
+@click.option("--split-by", type=click.Choice(("trace", "material")), default="trace", show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the split.")
+@click.option(
+    "--repeats",
+    type=click.IntRange(min=0),
+    default=3,
+    show_default=True,
+    help="Times are the median of so many runs; 0 for none.",
+)
+@click.option("--stream-rate-hz", type=click.IntRange(1, MAX_RATE_HZ), help="Instead of each recording's own rate.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure, such as tcp://host:8786.")
+@click.option("--fresh", is_flag=True, help="Measure all anew, whatever a run before has measured.")
+@recording_options
+def bench(
+    folder: Path,
+    out: Path,
+    names: list[str],
+    peers: Path | None,
+    part: str,
+    split_by: str,
+    seed: int,
+    repeats: int,
+    scheduler: str | None,
+    fresh: bool,
+    **options: Any,
+) -> None:
+    """Measure codecs on every recording of FOLDER.
+
+    Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
+    the exit code is 1.
+    """
+    from evaluation import bench, cost, dataset, workers
+    from evaluation.points import Failure, PointsError, read_imported
+
+    try:
+        chosen = bench.methods(names)
+        traces = dataset.split(dataset.traces(folder), part, seed, split_by == "material")
+        imported = read_imported(peers) if peers else ([], [])
+        results = bench.results_folder(out)
+        click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")
+        work: Any = partial(workers.on_cores, processes=workers.cores())
+        if scheduler:
+            work = partial(workers.on_cluster, address=scheduler, version=bench.program_version)
+        with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.shown("measuring") as update:
+            tell = told(update)
+            measured = bench.run(traces, partial(dataset.load, **options), chosen, repeats, journal, work, tell)
+    except workers.WorkersError as error:
+        raise click.ClickException(str(error)) from error
+    except (bench.BenchError, dataset.DatasetError, PointsError) as error:
+        raise BadInput(str(error)) from error
+
+    failures = [each for each in measured if isinstance(each, Failure)]
+    good = [each for each in measured if isinstance(each, bench.Measured)]
+    mine = {trace.name for trace in traces}
+    points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
+    timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
+    costs = cost.measure_costs(sorted({method.codec for method in chosen}))
+    bench.write(results, points, timings, costs, failures)
+    show(points, timings)
+    click.echo(f"figures: {results}")
+    if failures:
+        show_failures(failures)
+        raise click.ClickException(
+            f"{len(failures)} traces or cells failed; {results / 'failures.csv'} lists them, and the same command "
+            "tries them again"
+        )
+
+
+def told(update: progress.Update) -> "Callable[[Tally], None]":
+    """Return what tells `update` of a run: cells done, failures, time left."""
+    start_s = time.monotonic()
+
+    def tell(tally: "Tally") -> None:
+        details = f"{tally.done} of {tally.cells} cells, {tally.failed} failed"
+        if tally.measured:
+            left_s = (time.monotonic() - start_s) / tally.measured * (tally.cells - tally.done)
+            details += f", {datetime.timedelta(seconds=round(left_s))} left"
+        update(tally.done / tally.cells, details)
+
+    return tell
+
+
+def show(points: "Sequence[Point]", timings: "Sequence[Timing]") -> None:
+    """Print a table of the curves: mean bits per sample at some SNRs, median times and delay."""
+    from statistics import fmean, median
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from evaluation.bd_rate import SNR, bits_per_sample_at
+    from evaluation.points import by_codec_and_trace
+
+    table = Table(title="Bits per sample at an SNR, mean; median delay in ms; median seconds per million samples")
+    table.add_column("codec", no_wrap=True)
+    for title in (*(f"{snr_db:g} dB" for snr_db in SNRS_DB), "delay", "encode", "decode"):
+        table.add_column(title, justify="right")
+    for name, curves in by_codec_and_trace(points).items():
+        bits = [bits_per_sample_at(SNR.curve(curve), SNRS_DB) for curve in curves.values()]
+        delays_ms = [point.delay_ms for curve in curves.values() for point in curve if point.delay_ms is not None]
+        times = [timing for timing in timings if timing.codec == name]
+        figures = [
+            *(f"{mean:.2f}" for mean in map(fmean, zip(*bits, strict=True))),
+            f"{median(delays_ms):.1f}" if delays_ms else "",
+            f"{median(each.encode_s_per_megasample for each in times):.2f}" if times else "",
+            f"{median(each.decode_s_per_megasample for each in times):.2f}" if times else "",
+        ]
+        table.add_row(name, *(text.replace("nan", "") for text in figures))
+    Console().print(table)
+
+
+def show_failures(failures: "Sequence[Failure]") -> None:
+    """Print what failed on stderr, one line each, and no more than a person reads."""
+    for failure in failures[:SHOWN_FAILURES]:
+        place = " ".join(filter(None, (failure.trace, failure.codec, failure.setting)))
+        click.echo(f"failed: {place}: {failure.reason}", err=True)
+    if len(failures) > SHOWN_FAILURES:
+        click.echo(f"failed: and {len(failures) - SHOWN_FAILURES} more", err=True)

@@ -1,0 +1,291 @@
+"""Tests of the benchmark: a run that is cut goes on to the same figures, and what fails costs only its cell."""
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import codec
+import textures
+from codec import CodecError
+from evaluation import bench, metrics, workers
+from evaluation.bench import BenchError, Cell, Journal, Measured, Method, Tally
+from evaluation.dataset import Trace, load, traces
+from evaluation.points import Failure, Timing, read_points, read_rows
+from host import coding
+from textures import Recording
+from textures.generate import rough, wood
+
+METHODS = [Method("mdct", ({"step": 1.0}, {"step": 0.25}), "mdct"), Method("flac", ({},), "flac")]
+Results = list[Measured | Failure]
+
+
+class Deadly(Recording):
+    """A recording that ends the process to which it is sent."""
+
+    def __reduce__(self) -> Any:
+        return os._exit, (1,)
+
+
+def here(pieces: Iterator[bench.Piece]) -> bench.Outcomes:
+    for key, work in pieces:
+        try:
+            yield key, work()
+        except Exception as error:
+            yield key, error
+
+
+def cut_after(count: int, pieces: Iterator[bench.Piece]) -> bench.Outcomes:
+    for number, outcome in enumerate(here(pieces)):
+        if number == count:
+            raise KeyboardInterrupt
+        yield outcome
+
+
+def ignore(tally: Tally) -> None:
+    """Tell nobody."""
+
+
+def run(
+    folder: Path,
+    results: Path,
+    work: Any = here,
+    chosen: list[Method] = METHODS,
+    repeats: int = 0,
+    fresh: bool = False,
+    load: Callable[[Trace], Recording] = load,
+    progress: Callable[[Tally], None] = ignore,
+) -> Results:
+    with Journal(results / bench.JOURNAL, fresh) as journal:
+        return bench.run(traces(folder), load, chosen, repeats, journal, work, progress)
+
+
+def written(results: Path, measured: Results) -> dict[str, bytes]:
+    points = [each.point for each in measured if isinstance(each, Measured)]
+    failures = [each for each in measured if isinstance(each, Failure)]
+    bench.write(results, points, [], [], failures)
+    return {name: (results / name).read_bytes() for name in ("points.csv", "points.json", "failures.csv")}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "recordings").mkdir()
+    textures.save_wav(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
+    textures.save_wav(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
+    return tmp_path / "recordings"
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    return bench.results_folder(tmp_path / "out")
+
+
+@pytest.fixture
+def whole(folder: Path, tmp_path: Path) -> dict[str, bytes]:
+    """The files of a run that nothing disturbs."""
+    results = bench.results_folder(tmp_path / "whole")
+    return written(results, run(folder, results))
+
+
+def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path, whole: dict[str, bytes]) -> None:
+    (results / "points.csv").write_bytes(whole["points.csv"])
+    points = read_points(results / "points.csv")
+    cells = [
+        (trace, *cell)
+        for trace in ("rough", "wood")
+        for cell in (("mdct", "step=1"), ("mdct", "step=0.25"), ("flac", ""))
+    ]
+    assert [(point.trace, point.codec, point.setting) for point in points] == cells
+    recording = load(traces(folder)[1])
+    stream = coding.encode(recording, setting={"step": 0.25}).stream
+    coding.write(results / "wood.vct", stream)
+    fine = points[4]
+    assert fine.bytes_total == (results / "wood.vct").stat().st_size
+    quality = asdict(metrics.measure(recording.samples, stream.decode(), 2800))
+    assert {name: getattr(fine, name) for name in quality} == pytest.approx(quality, abs=1e-6)
+    assert fine.delay_ms == pytest.approx(1000 * 64 / 2800, abs=1e-6)
+    assert json.loads(whole["points.json"])[4] == {**asdict(fine), "bits_per_sample": fine.bits_per_sample}
+
+
+@pytest.mark.parametrize("finished", [0, 1, 4])
+def test_a_run_that_is_cut_goes_on_to_the_same_figures(
+    folder: Path, results: Path, whole: dict[str, bytes], finished: int
+) -> None:
+    with suppress(KeyboardInterrupt):
+        run(folder, results, partial(cut_after, finished))
+    told: list[Tally] = []
+    measured = run(folder, results, progress=lambda tally: told.append(replace(tally)))
+    assert written(results, measured) == whole
+    assert told[-1] == Tally(cells=6, done=6, failed=0, measured=6 - finished)
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:-9], lambda data: b"{}\n" + data[300:] + b"\xff", lambda data: b""]
+)
+def test_a_damaged_journal_costs_only_the_lines_that_are_damaged(
+    folder: Path, results: Path, whole: dict[str, bytes], damage: Callable[[bytes], bytes]
+) -> None:
+    run(folder, results)
+    journal = results / bench.JOURNAL
+    journal.write_bytes(damage(journal.read_bytes()))
+    assert written(results, run(folder, results)) == whole
+    assert written(results, run(folder, results, partial(cut_after, 0))) == whole  # all is in the journal again
+
+
+def test_on_all_cores_and_on_a_cluster_the_figures_are_the_same(
+    folder: Path, tmp_path: Path, whole: dict[str, bytes]
+) -> None:
+    distributed: Any = pytest.importorskip("distributed")
+    results = bench.results_folder(tmp_path / "cores")
+    assert written(results, run(folder, results, partial(workers.on_cores, processes=2))) == whole
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
+        work = partial(workers.on_cluster, address=cluster.scheduler_address, version=bench.program_version)
+        results = bench.results_folder(tmp_path / "cluster")
+        assert written(results, run(folder, results, work)) == whole
+
+
+def test_a_crash_costs_only_its_cells(folder: Path, results: Path) -> None:
+    def load_deadly(trace: Trace) -> Recording:
+        recording = load(trace)
+        return Deadly(recording.samples, 2800.0, "um", "rough") if trace.name == "rough" else recording
+
+    measured = run(folder, results, partial(workers.on_cores, processes=2), METHODS[:1], load=load_deadly)
+    assert [type(each) for each in measured] == [Failure, Failure, Measured, Measured]
+    assert measured[0] == Failure(
+        "rough", "mdct", "step=1", "the process that ran it crashed, or was killed for want of memory"
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (CodecError("too loud;\nturn it down"), "too loud; turn it down"),
+        (ZeroDivisionError("division"), "ZeroDivisionError: division"),
+        (MemoryError(), "MemoryError"),
+    ],
+)
+def test_a_codec_that_raises_costs_only_its_cells_and_is_tried_again(
+    folder: Path, results: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch, error: Exception, reason: str
+) -> None:
+    def refuse(*_: object) -> Any:
+        raise error
+
+    told: list[Tally] = []
+    with monkeypatch.context() as patched:
+        patched.setitem(codec.CODECS, "mdct", replace(codec.CODECS["mdct"], make_encoder=refuse))
+        measured = run(folder, results, progress=lambda tally: told.append(replace(tally)))
+    assert [each for each in measured if isinstance(each, Failure)] == [
+        Failure(trace, "mdct", setting, reason) for trace in ("rough", "wood") for setting in ("step=1", "step=0.25")
+    ]
+    assert told[-1] == Tally(cells=6, done=6, failed=4, measured=6)
+    assert read_rows(written_failures(results, measured), Failure)[0].reason == reason
+    assert written(results, run(folder, results)) == whole
+
+
+def written_failures(results: Path, measured: Results) -> Path:
+    written(results, measured)
+    return results / "failures.csv"
+
+
+def test_traces_that_cannot_be_read_cost_only_themselves(folder: Path, results: Path) -> None:
+    (folder / "broken.wav").write_bytes(b"RIFF")
+    np.savetxt(folder / "nan.csv", [0.0, np.nan, 1.0], header="rate_hz: 2800\n# unit: um")
+    (folder / "rateless.txt").write_text("1\n2\n")
+    measured = run(folder, results, chosen=METHODS[:1])
+    failures = [each for each in measured if isinstance(each, Failure)]
+    assert [(each.trace, each.codec, each.setting) for each in failures] == [
+        (trace, "", "") for trace in ("broken", "nan", "rateless")
+    ]
+    assert "not a WAV file" in failures[0].reason
+    assert "sample 1 of channel 0 is nan" in failures[1].reason
+    assert "--rate-hz" in failures[2].reason
+    assert len(measured) == 3 + 4
+
+
+def test_silence_has_no_quality_and_an_exact_copy_has_infinite_snr(results: Path) -> None:
+    silence = Cell("silence", Recording(np.zeros((600, 1)), 2800.0, "um", "silence"), METHODS[0], {"step": 1.0}, 0)
+    assert silence.measure().point.snr_db is None
+    samples = np.random.default_rng(0).integers(-32768, 32768, (600, 2)) / 32768
+    copy = Cell("copy", Recording(samples, 2800.0, "full scale", "copy"), METHODS[1], {}, 0).measure()
+    assert copy.point.snr_db == np.inf and copy.point.samples == 1200
+    bench.write(results, [copy.point], [], [], [])
+    assert json.loads((results / "points.json").read_text())[0]["snr_db"] == "inf"
+    assert read_points(results / "points.csv") == [copy.point]
+
+
+def test_times_are_measured_where_they_are_asked_for(folder: Path, results: Path) -> None:
+    measured = run(folder, results, chosen=METHODS[:1], repeats=1)
+    timings = [each.timing for each in measured if isinstance(each, Measured) and each.timing]
+    assert [(each.trace, each.setting) for each in timings][:2] == [("rough", "step=1"), ("rough", "step=0.25")]
+    assert all(each.encode_s_per_megasample > 0 and each.decode_s_per_megasample > 0 for each in timings)
+    bench.write(results, [], timings, [], [])
+    assert read_rows(results / "timings.csv", Timing) == timings
+    assert run(folder, results, partial(cut_after, 0), METHODS[:1], repeats=1) == measured
+
+
+def test_what_decides_the_figures_is_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = Recording(np.ones((4, 1)), 2800.0, "um", "ones")
+    cell = Cell("trace", recording, METHODS[0], {"step": 1.0}, 0)
+    others = [
+        replace(cell, trace="other"),
+        replace(cell, recording=replace(recording, samples=np.ones((5, 1)))),
+        replace(cell, recording=replace(recording, samples=np.ones((2, 2)))),
+        replace(cell, recording=replace(recording, rate_hz=8000.0)),
+        replace(cell, recording=replace(recording, unit="m/s^2")),
+        replace(cell, method=replace(METHODS[0], name="other")),
+        replace(cell, setting={"step": 2.0}),
+        replace(cell, repeats=3),
+    ]
+    keys = {each.key for each in (cell, *others)}
+    assert len(keys) == 1 + len(others)
+    assert replace(cell, recording=replace(recording, name="elsewhere")).key in keys
+    monkeypatch.setattr(bench, "program_version", lambda: "another")
+    assert cell.key not in keys
+
+
+def test_fresh_forgets_the_journal(folder: Path, results: Path) -> None:
+    run(folder, results, chosen=METHODS[:1])
+    with pytest.raises(KeyboardInterrupt):
+        run(folder, results, partial(cut_after, 0), METHODS[:1], fresh=True)
+
+
+def test_methods_by_codec_and_by_ladder() -> None:
+    everything = bench.methods([])
+    assert {method.codec for method in everything} == set(codec.CODECS)
+    assert [method.name for method in everything] == [name for known in codec.CODECS.values() for name in known.ladders]
+    chosen = bench.methods(["g726", "mdct"])
+    assert [method.name for method in chosen] == ["mdct", "g726"]
+    assert chosen == bench.methods(["mdct", "g726"])
+    with pytest.raises(BenchError, match=r"no codec or ladder 'mp3'; choose from .*mdct"):
+        bench.methods(["mdct", "mp3"])
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    assert bench.results_folder(tmp_path) == tmp_path / "results"
+    (tmp_path / "results" / "thesis.tex").touch()
+    with pytest.raises(BenchError, match="choose another --out"):
+        bench.results_folder(tmp_path)
+    (tmp_path / "results" / bench.JOURNAL).touch()
+    assert bench.results_folder(tmp_path) == tmp_path / "results"
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "results.md").touch()
+    with pytest.raises(BenchError, match="choose another --out"):
+        bench.results_folder(tmp_path / "other")
+
+
+def test_settings_as_text() -> None:
+    recording = Recording(np.ones((4, 2)), 2800.0, "um", "ones")
+    setting: codec.Setting = {"levels": 14, "step": (0.17677669529, 1.0), "quantiser": "log"}
+    assert Cell("t", recording, METHODS[0], setting, 0).names == (
+        "t",
+        "mdct",
+        "levels=14 step=0.176777,1 quantiser=log",
+    )

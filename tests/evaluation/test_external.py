@@ -1,0 +1,255 @@
+"""Programs of the user's as codecs: small scripts stand in for them, those that work and those that do not."""
+
+import os
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec import Signal
+from evaluation import external
+from evaluation.external import Command, Program, ProgramError
+from tests.codec.signals import RATE_HZ, texture
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "programs.toml"
+
+COPY = "import shutil, sys; shutil.copy(*sys.argv[1:3])"
+COPY_FOLDER = """
+import os, shutil, sys
+source, target = sys.argv[1:]
+for name in os.listdir(source):
+    shutil.copy(os.path.join(source, name), os.path.join(target, name + ".out"))
+"""
+CUT = """
+import sys, wave
+with wave.open(sys.argv[1]) as file:
+    form, kept = file.getparams(), file.readframes(int(sys.argv[3]))
+with wave.open(sys.argv[2], "wb") as file:
+    file.setparams(form)
+    file.writeframes(kept)
+"""
+ENCODER = """
+import array, gzip, sys, wave
+source, target, shift = sys.argv[1:]
+with wave.open(source) as file:
+    samples = array.array("h", file.readframes(file.getnframes()))
+    head = bytes((int(shift),)) + file.getframerate().to_bytes(4, "little")
+open(target, "wb").write(head + gzip.compress(array.array("h", [value >> int(shift) for value in samples]).tobytes()))
+"""
+DECODER = """
+import array, gzip, sys, wave
+source, target, delay, speed = sys.argv[1:]
+coded = open(source, "rb").read()
+samples = [value << coded[0] for value in array.array("h", gzip.decompress(coded[5:]))]
+with wave.open(target, "wb") as file:
+    file.setparams((1, 2, int.from_bytes(coded[1:5], "little") * int(speed), 0, "NONE", ""))
+    file.writeframes(array.array("h", [0] * int(delay) + samples).tobytes())
+"""
+
+
+def python(script: str, *arguments: str) -> tuple[Command, ...]:
+    return ((sys.executable, "-c", script, *arguments),)
+
+
+COPIER = Program("copier", Path("mine.toml"), python(COPY, "{input}", "{output}"), python(COPY, "{input}", "{output}"))
+
+
+def coder(delay: int = 0, speed: int = 1) -> Program:
+    """A coder that drops the setting's number of low bits; decoded signal lags by `delay`."""
+    return replace(
+        COPIER,
+        encoder=python(ENCODER, "{input}", "{output}", "{setting}"),
+        decoder=python(DECODER, "{input}", "{output}", str(delay), str(speed)),
+    )
+
+
+def snr_db(signal: Signal, decoded: Signal) -> float:
+    return float(10 * np.log10(np.sum(signal**2) / np.sum((signal - decoded) ** 2)))
+
+
+def failure(program: Program, samples: int = 500) -> str:
+    with pytest.raises(ProgramError) as caught:
+        external.run(program, "", texture(samples), RATE_HZ)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("level", [1e-6, 1.0, 40.0])
+def test_a_program_codes_in_the_physical_unit(level: float) -> None:
+    signal = level * texture(3000)
+    fine, coarse = (external.run(coder(), setting, signal, RATE_HZ) for setting in ("0", "9"))
+    assert fine.decoded.shape == signal.shape
+    assert snr_db(signal, fine.decoded) > 70
+    assert 10 < snr_db(signal, coarse.decoded) < 40
+    assert 0 < coarse.size_bytes < fine.size_bytes
+    assert fine.encode_s > 0
+    assert fine.decode_s > 0
+
+
+@pytest.mark.parametrize("delay", [0, 1, 52, 700])
+@pytest.mark.parametrize("told", [False, True])
+def test_delay_is_removed(delay: int, told: bool) -> None:
+    signal = texture(2000)
+    program = replace(coder(delay), delay_samples=delay if told else None)
+    assert snr_db(signal, external.run(program, "0", signal, RATE_HZ).decoded) > 70
+
+
+@pytest.mark.parametrize("samples", [1, 2, 7])
+def test_short_signals_and_silence(samples: int) -> None:
+    assert snr_db(texture(samples), external.run(COPIER, "", texture(samples), RATE_HZ).decoded) > 70
+    assert not np.any(external.run(COPIER, "", np.zeros((samples, 1)), RATE_HZ).decoded)
+
+
+def test_the_file_is_labelled_with_another_rate() -> None:
+    """The stand-in carries the label through: a decoder that returned another rate would be refused."""
+    signal = texture(500)
+    assert snr_db(signal, external.run(replace(coder(), label_rate_hz=8000), "0", signal, RATE_HZ).decoded) > 70
+    with pytest.raises(ProgramError, match=r"at 5600 Hz instead of one at 2800 Hz.*mine\.toml"):
+        external.run(coder(speed=2), "0", signal, RATE_HZ)
+
+
+def test_programs_that_code_folders_and_in_two_steps() -> None:
+    folders = python(COPY_FOLDER, "{input_folder}", "{output_folder}")
+    steps = (*python(COPY, "{input}", "{scratch_folder}/half"), *python(COPY, "{scratch_folder}/half", "{output}"))
+    signal = texture(600)
+    for decoder in (folders, steps):
+        decoded = external.run(replace(COPIER, encoder=steps, decoder=decoder), "", signal, RATE_HZ).decoded
+        assert snr_db(signal, decoded) > 70
+
+
+def test_a_missing_end_counts_as_silence_and_a_wrong_length_is_refused() -> None:
+    signal = texture(1000)
+    program = replace(COPIER, decoder=python(CUT, "{input}", "{output}", "950"))
+    decoded = external.run(program, "", signal, RATE_HZ).decoded
+    assert snr_db(signal[:950], decoded[:950]) > 70
+    assert not np.any(decoded[950:])
+    message = failure(replace(COPIER, decoder=python(CUT, "{input}", "{output}", "400")), 1000)
+    assert "400 samples instead of 1000" in message
+
+
+def test_a_missing_program_is_named_with_what_to_do() -> None:
+    message = failure(replace(COPIER, decoder=(("no-such-program", "{input}"),)))
+    assert message == "copier: no-such-program not found; install it or correct its path in mine.toml"
+
+
+def test_a_file_that_is_no_program(tmp_path: Path) -> None:
+    path = tmp_path / "broken"
+    path.write_bytes(b"\0\1\2")
+    path.chmod(0o755)
+    assert "cannot be started" in failure(replace(COPIER, encoder=((str(path),),)))
+
+
+def test_a_failing_program_is_quoted() -> None:
+    script = "import sys; sys.exit('first line\\nno such quality\\n')"
+    message = failure(replace(COPIER, encoder=python(script)))
+    assert message.endswith("ended with code 1: no such quality")
+    killed = failure(replace(COPIER, encoder=python("import os; os.kill(os.getpid(), 9)")))
+    assert killed.endswith("was killed by signal 9")
+
+
+def test_a_hanging_program_is_stopped_with_its_children(tmp_path: Path) -> None:
+    script = (
+        "import subprocess, sys, time;"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']);"
+        "open(sys.argv[1], 'w').write(str(child.pid)); time.sleep(600)"
+    )
+    pid_file = tmp_path / "pid"
+    program = replace(COPIER, encoder=python(script, str(pid_file)), timeout_s=1.0)
+    assert "did not end within 1 s; raise timeout_s in mine.toml" in failure(program)
+    child = int(pid_file.read_text())
+    for _ in range(200):
+        if not _runs(child):
+            break
+        time.sleep(0.02)
+    assert not _runs(child)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, signal.SIG_DFL)
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.parametrize(
+    ("encoder", "decoder", "expected"),
+    [
+        ("pass", COPY, "the encoder wrote nothing"),
+        (COPY, "pass", "the decoder wrote 0 files"),
+        (COPY, COPY + "; shutil.copy(sys.argv[1], sys.argv[2] + '2')", "the decoder wrote 2 files"),
+        (COPY, "import sys; open(sys.argv[2], 'wb').write(bytes(5000))", "no WAV file"),
+        (COPY, "import sys; open(sys.argv[2], 'wb').write(b'RIFF')", "no WAV file"),
+        (COPY, "import sys; open(sys.argv[2], 'wb')", "no WAV file"),
+        (
+            COPY,
+            "import soundfile, sys; soundfile.write(sys.argv[2], [float('nan')] * 500, 2800, 'FLOAT')",
+            "NaN or infinity",
+        ),
+        (COPY, "import soundfile, sys; soundfile.write(sys.argv[2], [[0.0] * 2] * 500, 2800)", "2 channels"),
+    ],
+)
+def test_what_is_left_must_be_usable(encoder: str, decoder: str, expected: str) -> None:
+    arguments = ("{input}", "{output}")
+    assert expected in failure(
+        replace(COPIER, encoder=python(encoder, *arguments), decoder=python(decoder, *arguments))
+    )
+
+
+@pytest.mark.parametrize("signal", [np.zeros((0, 1)), np.zeros((5, 2)), np.zeros(5), np.full((5, 1), np.nan)])
+def test_signals_that_no_program_takes(signal: Signal) -> None:
+    with pytest.raises(ProgramError, match="one channel of finite numbers"):
+        external.run(COPIER, "", signal, RATE_HZ)
+
+
+def test_the_example_lists_ladders() -> None:
+    programs = external.read_programs(EXAMPLE)
+    assert [program.name for program in programs] == ["speex-nb", "vcpwq", "mpeg-haptics"]
+    assert programs[0].settings[:2] == ("0", "1")
+    assert programs[0].label_rate_hz == 8000
+    assert programs[0].coded_suffix == ".spx"
+    assert [len(program.decoder) for program in programs] == [1, 1, 2]
+    assert all(program.file == EXAMPLE and len(program.settings) >= 6 for program in programs)
+
+
+BOTH = 'encoder = ["a", "{input}", "{output}"]\ndecoder = ["b", "{input}", "{output}"]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[", "not a TOML file"),
+        ("\xff", "not a TOML file"),
+        ("mine = 3", "a table of its own"),
+        ("[mine]\nencoder = ['a']", "decoder is missing"),
+        ("[mine]\ndecoder = ['a']", "encoder is missing"),
+        (f"[mine]\n{BOTH}quality = 3", "there is no key quality"),
+        (f"[mine]\n{BOTH}settings = []", "settings must be a list"),
+        (f"[mine]\n{BOTH}settings = 'fine'", "settings must be a list"),
+        (f"[mine]\n{BOTH}settings = 3", "settings must be a list"),
+        (f"[mine]\n{BOTH}settings = [[1]]", "settings must be a list"),
+        (f"[mine]\n{BOTH}label_rate_hz = 0", "label_rate_hz must be a whole number from 1"),
+        (f"[mine]\n{BOTH}delay_samples = -1", "delay_samples must be a whole number from 0"),
+        (f"[mine]\n{BOTH}delay_samples = true", "delay_samples must be a whole number from 0"),
+        (f"[mine]\n{BOTH}timeout_s = 'long'", "timeout_s must be a whole number"),
+        (f"[mine]\n{BOTH}coded_suffix = '/x'", "coded_suffix must be a text such as"),
+        (f"[mine]\n{BOTH}coded_suffix = 7", "coded_suffix must be a text such as"),
+        ("[mine]\nencoder = 'a'\ndecoder = ['b']", "encoder must be a list of a program"),
+        ("[mine]\nencoder = []\ndecoder = ['b']", "encoder must be a list of a program"),
+        ("[mine]\nencoder = [[]]\ndecoder = ['b']", "encoder must be a list of a program"),
+        ("[mine]\nencoder = ['a', 3]\ndecoder = ['b']", "encoder must be a list of a program"),
+        ("[mine]\nencoder = 3\ndecoder = ['b']", "encoder must be a list of a program"),
+        ("[mine]\nencoder = ['a', '{in}']\ndecoder = ['b']", "encoder has {in}; choose from input, output"),
+    ],
+)
+def test_lists_that_are_wrong_are_refused(text: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(ProgramError) as caught:
+        external.read_programs(path)
+    assert expected in str(caught.value)
+    assert str(path) in str(caught.value)

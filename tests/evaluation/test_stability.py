@@ -1,0 +1,323 @@
+"""Tests of the stability maps: rules of outcomes, trials that raise, crash or hang, every map, the page."""
+
+import csv
+import dataclasses
+import json
+import math
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import codec
+from codec.interface import Codec, Decoded
+from evaluation.stability import actuators, hand_speed, ladders, page, peers, pictures, report, signals, transport
+from evaluation.stability.known_causes import CAUSES, explanation
+from evaluation.stability.maps import Scope
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial, attempt, run
+from host.stability_command import stability
+from simulated_device.actuator import LRA, PIEZO_STACK
+
+MDCT = codec.CODECS["mdct"]
+STEP = {"step": 0.25}
+QUICK = Scope(("mdct",), quick=True)
+
+
+def hold() -> Measured:
+    return Measured(Outcome.HOLDS, {"snr_db": 12.345678})
+
+
+def refuse() -> Measured:
+    raise codec.CodecError("too loud;\nturn it down")
+
+
+def stumble() -> Measured:
+    raise ZeroDivisionError("oh")
+
+
+def hang() -> Measured:
+    time.sleep(600)
+    return hold()
+
+
+def trial(measure: object, to_be_refused: bool = False) -> Trial:
+    return Trial("signals", "fake", "a case", "low: ", None, measure, to_be_refused)  # type: ignore[arg-type]
+
+
+def cell(outcome: Outcome, case: str = "a case", value: float | None = None, method: str = "fake") -> Cell:
+    return Cell("signals", method, case, "low: step=1", value, outcome, {"snr_db": 3.0, "bits": None}, "an effect")
+
+
+def test_what_happens_in_a_trial_is_its_outcome() -> None:
+    assert attempt(trial(hold)).figures == {"snr_db": 12.3457}
+    refused = attempt(trial(refuse))
+    assert (refused.outcome, refused.effect, refused.sound) == (Outcome.REFUSED, "too loud; turn it down", False)
+    crashed = attempt(trial(stumble))
+    assert (crashed.outcome, crashed.effect) == (Outcome.FAILS, "CRASH: ZeroDivisionError: oh")
+    assert explanation(crashed)[1] == "report it"
+
+
+def test_what_must_be_refused_is_sound_only_then() -> None:
+    assert attempt(trial(refuse, to_be_refused=True)).sound
+    accepted = attempt(trial(hold, to_be_refused=True))
+    assert (accepted.outcome, accepted.sound) == (Outcome.FAILS, False)
+    assert "must be refused" in accepted.effect
+
+
+def test_a_trial_that_hangs_costs_only_its_cell() -> None:
+    told: list[float] = []
+    cells = run([trial(hang), trial(refuse)], 1.0, lambda part, _: told.append(part))
+    assert [each.outcome for each in cells] == [Outcome.FAILS, Outcome.REFUSED]
+    assert "longer than 1 s" in cells[0].effect
+    assert told[-1] == 1.0
+
+
+def fake(decode: object) -> Codec:
+    """Return mdct with a decoder whose samples go through `decode`."""
+
+    class Decoder:
+        def __init__(self, configuration: bytes, channels: int, tables: bytes | None) -> None:
+            self._decoder = MDCT.make_decoder(configuration, channels, tables)
+            self.channels, self.packet_samples = channels, self._decoder.packet_samples
+            self.delay_samples = self._decoder.delay_samples
+
+        def decode(self, packet: bytes) -> Decoded:
+            samples: Decoded = decode(self._decoder.decode(packet))  # type: ignore[operator]
+            return samples
+
+        def conceal(self) -> Decoded:
+            return self._decoder.conceal()
+
+    return dataclasses.replace(MDCT, make_decoder=Decoder)
+
+
+def raising(samples: Decoded) -> Decoded:
+    raise IndexError("no such bin")
+
+
+@pytest.mark.parametrize(
+    ("decode", "outcome"),
+    [
+        (lambda samples: samples, Outcome.HOLDS),
+        (lambda samples: -samples, Outcome.FAILS),
+        (lambda samples: 0 * samples, Outcome.DEGRADED),
+        (raising, Outcome.FAILS),
+    ],
+)
+def test_a_codec_that_returns_garbage_is_classified_so(
+    decode: object, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(codec.coding, "CODECS", {"mdct": fake(decode)})
+    monkeypatch.setattr(signals, "_texture_snr_db", lambda name, setting: 17.0)
+    measured = attempt(trial(partial(signals.measure, "mdct", STEP, "texture")))
+    assert measured.outcome is outcome
+    assert measured.effect.startswith("CRASH: IndexError") == (decode is raising)
+
+
+SINE = 0.5 * np.sin(np.arange(1000)).reshape(-1, 1)
+
+
+@pytest.mark.parametrize(
+    ("heard", "texture_snr_db", "outcome"),
+    [
+        (SINE, 20.0, Outcome.HOLDS),
+        (1.1 * SINE, 25.0, Outcome.HOLDS),
+        (1.1 * SINE, 30.0, Outcome.DEGRADED),
+        (1.9 * SINE, 5.0, Outcome.DEGRADED),
+        (2.1 * SINE, 5.0, Outcome.FAILS),
+        (0.05 * SINE, 5.0, Outcome.DEGRADED),
+        (-0.1 * SINE, 5.0, Outcome.FAILS),
+        (np.where(SINE > 0.49, np.nan, SINE), 5.0, Outcome.FAILS),
+        (1.001 * SINE, 90.0, Outcome.HOLDS),
+    ],
+)
+def test_rules_for_signals(heard: np.ndarray, texture_snr_db: float, outcome: Outcome) -> None:
+    assert signals.judge(SINE, heard, texture_snr_db).outcome is outcome
+
+
+@pytest.mark.parametrize(("peak", "outcome"), [(0, Outcome.HOLDS), (1e-3, Outcome.DEGRADED), (0.02, Outcome.FAILS)])
+def test_rules_for_silence(peak: float, outcome: Outcome) -> None:
+    assert signals.judge(0 * SINE, 2 * peak * SINE, 20.0).outcome is outcome
+
+
+def test_conditions_are_what_their_names_say() -> None:
+    made = {name: condition.make() for name, condition in signals.CONDITIONS.items()}
+    assert made["texture, 16 channels"].shape == (5600, 16)
+    assert made["texture at 1000 Hz"].shape == (2000, 1)
+    assert len(made["31 samples"]) == 31
+    assert len(np.unique(made["texture of 4 bits"])) <= 16
+    assert np.isnan(made["a NaN"]).sum() == 1
+    quiet = made["texture 60 dB below a click"][signals.CONDITIONS["texture 60 dB below a click"].judged_from :]
+    assert np.abs(quiet).max() == pytest.approx(1e-3, rel=0.2)
+
+
+def test_pre_echo_falls_with_a_finer_setting() -> None:
+    coarse, fine = (signals.measure_onset("mdct", {"step": step}) for step in (0.5, 0.01))
+    assert coarse.figures["pre_echo_5ms_db"] > fine.figures["pre_echo_5ms_db"]  # type: ignore[operator]
+    assert (coarse.outcome, fine.outcome) == (Outcome.DEGRADED, Outcome.HOLDS)
+
+
+def test_an_hour_that_takes_too_long_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(signals, "LONGEST_CODING_S", 0.0)
+    assert signals.measure_hour("mdct", STEP).outcome is Outcome.NOT_TRIED
+
+
+def test_a_fall_on_the_way_up_a_ladder_is_marked() -> None:
+    snrs_db = [1.0, 5.0, 4.0, 4.95, 8.0, math.nan]
+    cells = [dataclasses.replace(cell(Outcome.HOLDS), figures={"snr_db": each}) for each in snrs_db]
+    judged = ladders.falls(cells)
+    assert [each.outcome.letter for each in judged] == list("HHDHHH")
+    assert judged[2].effect == "SNR 4.0 dB, 1.0 dB less than at a coarser setting"
+
+
+@pytest.fixture
+def played_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(transport, "LOOPS", 1)
+    transport._stream.cache_clear()
+    yield
+    transport._stream.cache_clear()
+
+
+def test_rules_for_playbacks() -> None:
+    wanted = np.round(1000 * np.sin(np.arange(1000) / 5)).reshape(-1, 1)
+    assert transport.judge(wanted, wanted, 0, 0, 0).outcome is Outcome.HOLDS
+    for half_periods, outcome in ((2, Outcome.HOLDS), (20, Outcome.DEGRADED), (50, Outcome.FAILS)):
+        lost = wanted * (np.arange(1000)[:, None] > half_periods * np.pi * 5)
+        measured = transport.judge(wanted, lost, 1, 2, 0)
+        assert measured.outcome is outcome
+        assert measured.figures["off_share"] == pytest.approx(half_periods * np.pi / 200, abs=0.01)
+    click = wanted.copy()
+    click[500] = 3000
+    assert transport.judge(wanted, click, 0, 0, 0).outcome is Outcome.FAILS
+    assert transport.judge(wanted, wanted[:100], 0, 0, 0).outcome is Outcome.FAILS
+
+
+@pytest.mark.usefixtures("played_once")
+def test_a_longer_stall_than_the_buffer_is_heard_and_a_shorter_is_not() -> None:
+    short, long = (transport.measure("mdct", transport.Line(stall_s=stall_s), 0.3) for stall_s in (0.05, 1.0))
+    assert (short.outcome, short.figures["off_share"]) == (Outcome.HOLDS, 0)
+    assert long.figures["underruns"] > 0  # type: ignore[operator]
+
+
+def test_speed_of_the_hand_matters_to_what_is_cut_at_one_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut(samples: np.ndarray, rate_hz: int, name: str, setting: object) -> tuple[np.ndarray, None]:
+        spectrum = np.fft.rfft(samples, axis=0)
+        spectrum[np.fft.rfftfreq(len(samples), 1 / rate_hz) > 400] = 0
+        return np.fft.irfft(spectrum, len(samples), axis=0), None
+
+    monkeypatch.setattr(hand_speed, "decoded", cut)
+    slow, coded, fast = (hand_speed.measure("mdct", STEP, "sandpaper", speed) for speed in (25.0, 50.0, 100.0))
+    assert slow.outcome is Outcome.FAILS
+    assert coded.outcome is fast.outcome is Outcome.HOLDS
+    assert slow.figures["upper_octave_level_db"] < -20  # type: ignore[operator]
+
+
+def test_a_sharper_resonance_bears_less_shift() -> None:
+    lra = LRA
+    assert actuators.measure_shift(lra, 0).outcome is Outcome.HOLDS
+    errors_db = [
+        actuators.measure_shift(dataclasses.replace(lra, quality=quality), 5).figures["error_db"]
+        for quality in (2.0, 30.0)
+    ]
+    assert errors_db[0] < errors_db[1]  # type: ignore[operator]
+
+
+def test_the_inverse_filter_asks_for_more_than_the_voltage_at_high_frequencies() -> None:
+    low, high = (actuators.measure_sine(PIEZO_STACK, frequency_hz, 40, True) for frequency_hz in (50, 400))
+    assert low.outcome is Outcome.HOLDS
+    assert high.outcome is not Outcome.HOLDS
+    assert low.figures["clipped_share"] < high.figures["clipped_share"]  # type: ignore[operator]
+
+
+PEERS_CSV = """input,codec,setting,status,SNR_dB,maxabs_out,finite
+silence,one,a,ok,nan,0.0,True
+silence,one,b,ok,nan,0.5,True
+dc,one,a,ok,20,0.5,True
+dc,one,b,ok,1.5,0.9,True
+dc,two,a,ok,-2,0.9,True
+len1,two,a,RuntimeError: rc=-11 /some/where,,,
+len2,two,a,RuntimeError: rc=1 /some/where: no samples,,,
+"""
+
+
+def test_peers_are_judged_and_no_paths_of_theirs_are_kept(tmp_path: Path) -> None:
+    file = tmp_path / "edge.csv"
+    file.write_text(PEERS_CSV)
+    cells = peers.read_peers(file)
+    assert [each.outcome.letter for each in cells] == list("HFHDFFR")
+    assert not any("/some" in each.effect for each in cells)
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", PEERS_CSV.replace("20,0.5", "x,0.5"), "\0"])
+def test_other_files_are_no_peers(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "edge.csv"
+    file.write_text(text)
+    with pytest.raises(peers.PeersError):
+        peers.read_peers(file)
+
+
+def test_ranges_join_neighbours_only() -> None:
+    assert page.ranges([0.1, 0.2, 1.0], [0.0, 0.1, 0.2, 0.5, 1.0]) == "0.1 to 0.2, 1"
+
+
+def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
+    swept = dataclasses.replace(signals.SIGNALS, name="loss", varied="of loss", title="A title")
+    values = ((0.0, Outcome.HOLDS), (0.1, Outcome.DEGRADED), (0.2, Outcome.DEGRADED))
+    cells = [dataclasses.replace(cell(outcome, value=value), map="loss") for value, outcome in values]
+    text = page.markdown([(swept, cells)])
+    assert "| fake | A title | 1 of 3 | degraded: 0.1 to 0.2 of loss | an effect |" in text
+    cause, remedy = explanation(cells[1])
+    assert f"| fake | degraded | 0.1 to 0.2 of loss | an effect | {cause} | {remedy} |" in text
+    assert "](stability/loss.png)" in text
+
+
+def test_causes_are_about_maps_that_there_are() -> None:
+    names = {each.name for each in report.MAPS} | {peers.PEERS.name}
+    assert {cause.map for cause in CAUSES} <= names
+    assert all(len(explanation(cell(outcome))) == 2 for outcome in Outcome if outcome is not Outcome.HOLDS)
+
+
+@pytest.mark.usefixtures("played_once")
+def test_every_map_on_a_tiny_grid(tmp_path: Path) -> None:
+    for each in report.MAPS:
+        trials = each.trials(QUICK)
+        assert trials and all(made.map == each.name for made in trials)
+        cells = [attempt(made) for made in trials[:2]]
+        assert not any(made.effect.startswith("CRASH") for made in cells)
+        each.draw(tmp_path / f"{each.name}.png", cells)
+        assert (tmp_path / f"{each.name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_names_of_curves_do_not_collide(tmp_path: Path) -> None:
+    same = [pictures.Curve(f"curve {number}", [1, 2], [5, 5], [False, True]) for number in range(12)]
+    pictures.curves(tmp_path / "same.png", [pictures.Panel("", "", "", same, lines={5: "here"})])
+    assert (tmp_path / "same.png").stat().st_size > 1000
+
+
+def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    maps = (signals.SIGNALS, actuators.RESONANCE)
+    monkeypatch.setattr(report, "MAPS", maps)
+    monkeypatch.setattr(report, "run", lambda trials, progress: [attempt(made) for made in trials])
+    peers_file = tmp_path / "edge.csv"
+    peers_file.write_text(PEERS_CSV)
+    arguments = ["--out", str(tmp_path / "docs"), "--codecs", "mdct", "--quick", "--peers-edge", str(peers_file)]
+    result = CliRunner().invoke(stability, arguments)
+    assert result.exit_code == 0, result.output
+    text = (tmp_path / "docs" / "stability.md").read_text()
+    for name in ("signals", "resonance", "peers"):
+        assert f"](stability/{name}.png)" in text
+        with (tmp_path / "docs" / "stability" / f"{name}.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert rows and {row["outcome"] for row in rows} <= {str(outcome) for outcome in Outcome}
+    record = json.loads((tmp_path / "docs" / "stability" / "stability.json").read_text())
+    assert {each["map"] for each in record} == {"signals", "resonance", "peers"}
+
+
+@pytest.mark.parametrize("arguments", [["--codecs", "nonsense"], ["--codecs", ","], ["--peers-edge", "missing.csv"]])
+def test_bad_arguments_are_refused(arguments: list[str], tmp_path: Path) -> None:
+    result = CliRunner().invoke(stability, ["--out", str(tmp_path), *arguments])
+    assert result.exit_code != 0
