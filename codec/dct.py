@@ -349,6 +349,7 @@ CODEC = Codec(
         "dct-linear-threshold": _level_ladder(threshold="on"),
         "dct-log-threshold": _level_ladder(quantiser="log", threshold="on"),
     },
+    physical_ladders=frozenset({"dct-threshold", "dct-linear-threshold", "dct-log-threshold"}),
     make_encoder=make_encoder,
     make_decoder=make_decoder,
 )

@@ -178,7 +178,8 @@ class Codec:
 
     `ladders`: named curves of settings, the coarsest first, for benchmarks; the first is also what a search for an SNR
     or a rate tries, unless `searches_steps`: then it searches the parameters `step`, relative to each channel's RMS
-    value, and `thrift`. What a rung leaves out has its default. `takes_tables`: a model image may bring its tables.
+    value, and `thrift`. What a rung leaves out has its default. `physical_ladders`: those that need a physical unit.
+    `takes_tables`: a model image may bring its tables.
     `make_encoder(setting, format, framing, tables)`: the setting complete and checked.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image, None = built in.
     """
@@ -190,6 +191,7 @@ class Codec:
     ladders: Mapping[str, tuple[Setting, ...]]
     make_encoder: Callable[[Setting, SignalFormat, Framing, bytes | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
+    physical_ladders: frozenset[str] = frozenset()
     takes_tables: bool = False
     searches_steps: bool = False
 

@@ -16,6 +16,7 @@ Key = TypeVar("Key")
 Result = TypeVar("Result")
 Piece: TypeAlias = tuple[Key, Callable[[], Result]]
 """A piece of work: what it is known by, and a function that can be pickled."""
+Outcomes: TypeAlias = Generator[tuple[Key, Result | Exception], None, None]
 
 CONNECT_S = 10.0
 PATIENCE_S = 20.0
@@ -39,7 +40,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Iterator[tuple[Key, Result | Exception]]:
+def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Outcomes[Key, Result]:
     """Yield the key of every piece with the result of its work, or the exception that ended it, as they are finished.
 
     The work runs in so many processes, each on one core. Pieces are taken as they are needed.
@@ -53,9 +54,7 @@ def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Iterator[t
         lost = yield from _in_a_pool(pieces, processes)
 
 
-def on_cluster(
-    pieces: Iterator[Piece[Key, Result]], address: str, version: Callable[[], str]
-) -> Iterator[tuple[Key, Result | Exception]]:
+def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Callable[[], str]) -> Outcomes[Key, Result]:
     """Do as `on_cores` on the workers of the Dask scheduler at an address, such as "tcp://host:8786".
 
     `version` must return the same here and there. Raises WorkersError without scheduler or workers, and for workers

@@ -41,6 +41,7 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     metavar="NAME,NAME,...",
     help="Codecs, or single ladders of their settings; all if not given.",
 )
+@click.option("--programs", "program_list", type=INPUT, help="TOML file that lists codecs in programs of your own.")
 @click.option("--peers", type=INPUT, help="CSV of others' points on the same traces, to compare with.")
 @click.option(
     "--split", "part", type=click.Choice(("all", "train", "test")), default="all", show_default=True, help="Which part."
@@ -62,6 +63,7 @@ def bench(
     folder: Path,
     out: Path,
     names: list[str],
+    program_list: Path | None,
     peers: Path | None,
     part: str,
     split_by: str,
@@ -76,34 +78,38 @@ def bench(
     Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
     the exit code is 1.
     """
-    from evaluation import bench, cost, dataset, workers
+    from evaluation import bench, cells, cost, dataset, external, workers
     from evaluation.points import Failure, PointsError, read_imported
 
     try:
-        chosen = bench.methods(names)
+        programs = external.read_programs(program_list) if program_list else []
+        chosen = cells.methods(names, programs)
         traces = dataset.split(dataset.traces(folder), part, seed, split_by == "material")
         imported = read_imported(peers) if peers else ([], [])
         results = bench.results_folder(out)
         click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")
         work: Any = partial(workers.on_cores, processes=workers.cores())
         if scheduler:
-            work = partial(workers.on_cluster, address=scheduler, version=bench.program_version)
+            work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
         with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.shown("measuring") as update:
             tell = told(update)
             measured = bench.run(traces, partial(dataset.load, **options), chosen, repeats, journal, work, tell)
     except workers.WorkersError as error:
         raise click.ClickException(str(error)) from error
-    except (bench.BenchError, dataset.DatasetError, PointsError) as error:
+    except (cells.BenchError, dataset.DatasetError, external.ProgramError, PointsError) as error:
         raise BadInput(str(error)) from error
 
     failures = [each for each in measured if isinstance(each, Failure)]
-    good = [each for each in measured if isinstance(each, bench.Measured)]
+    good = [each for each in measured if isinstance(each, cells.Measured)]
     mine = {trace.name for trace in traces}
     points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
     timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
-    costs = cost.measure_costs(sorted({method.codec for method in chosen}))
+    costs = cost.measure_costs(sorted({method.coder for method in chosen if isinstance(method.coder, str)}))
     bench.write(results, points, timings, costs, failures)
     show(points, timings)
+    tried = {point.codec for point in points} | {failure.codec for failure in failures}
+    if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
+        click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
     click.echo(f"figures: {results}")
     if failures:
         show_failures(failures)
@@ -156,9 +162,12 @@ def show(points: "Sequence[Point]", timings: "Sequence[Timing]") -> None:
 
 
 def show_failures(failures: "Sequence[Failure]") -> None:
-    """Print what failed on stderr, one line each, and no more than a person reads."""
-    for failure in failures[:SHOWN_FAILURES]:
-        place = " ".join(filter(None, (failure.trace, failure.codec, failure.setting)))
-        click.echo(f"failed: {place}: {failure.reason}", err=True)
-    if len(failures) > SHOWN_FAILURES:
-        click.echo(f"failed: and {len(failures) - SHOWN_FAILURES} more", err=True)
+    """Print what failed on stderr, alike failures in one line, and no more than a person reads."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for failure in failures:
+        alike.setdefault((failure.codec, failure.reason), []).append(f"{failure.trace} {failure.setting}".strip())
+    for (codec_name, reason), places in list(alike.items())[:SHOWN_FAILURES]:
+        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+        click.echo(f"failed: {f'{codec_name}: ' if codec_name else ''}{places[0]}{more}: {reason}", err=True)
+    if len(alike) > SHOWN_FAILURES:
+        click.echo(f"failed: {len(alike) - SHOWN_FAILURES} other ways", err=True)

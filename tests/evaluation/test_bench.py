@@ -15,8 +15,9 @@ import pytest
 import codec
 import textures
 from codec import CodecError
-from evaluation import bench, metrics, workers
-from evaluation.bench import BenchError, Cell, Journal, Measured, Method, Tally
+from evaluation import bench, cells, metrics, workers
+from evaluation.bench import Journal, Tally
+from evaluation.cells import BenchError, Cell, Measured, Method
 from evaluation.dataset import Trace, load, traces
 from evaluation.points import Failure, Timing, read_points, read_rows
 from host import coding
@@ -97,12 +98,12 @@ def whole(folder: Path, tmp_path: Path) -> dict[str, bytes]:
 def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path, whole: dict[str, bytes]) -> None:
     (results / "points.csv").write_bytes(whole["points.csv"])
     points = read_points(results / "points.csv")
-    cells = [
+    names = [
         (trace, *cell)
         for trace in ("rough", "wood")
         for cell in (("mdct", "step=1"), ("mdct", "step=0.25"), ("flac", ""))
     ]
-    assert [(point.trace, point.codec, point.setting) for point in points] == cells
+    assert [(point.trace, point.codec, point.setting) for point in points] == names
     recording = load(traces(folder)[1])
     stream = coding.encode(recording, setting={"step": 0.25}).stream
     coding.write(results / "wood.vct", stream)
@@ -146,7 +147,7 @@ def test_on_all_cores_and_on_a_cluster_the_figures_are_the_same(
     results = bench.results_folder(tmp_path / "cores")
     assert written(results, run(folder, results, partial(workers.on_cores, processes=2))) == whole
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
-        work = partial(workers.on_cluster, address=cluster.scheduler_address, version=bench.program_version)
+        work = partial(workers.on_cluster, address=cluster.scheduler_address, version=cells.program_version)
         results = bench.results_folder(tmp_path / "cluster")
         assert written(results, run(folder, results, work)) == whole
 
@@ -246,7 +247,7 @@ def test_what_decides_the_figures_is_in_the_key(monkeypatch: pytest.MonkeyPatch)
     keys = {each.key for each in (cell, *others)}
     assert len(keys) == 1 + len(others)
     assert replace(cell, recording=replace(recording, name="elsewhere")).key in keys
-    monkeypatch.setattr(bench, "program_version", lambda: "another")
+    monkeypatch.setattr(cells, "program_version", lambda: "another")
     assert cell.key not in keys
 
 
@@ -257,14 +258,14 @@ def test_fresh_forgets_the_journal(folder: Path, results: Path) -> None:
 
 
 def test_methods_by_codec_and_by_ladder() -> None:
-    everything = bench.methods([])
-    assert {method.codec for method in everything} == set(codec.CODECS)
+    everything = cells.methods([])
+    assert {method.coder for method in everything} == set(codec.CODECS)
     assert [method.name for method in everything] == [name for known in codec.CODECS.values() for name in known.ladders]
-    chosen = bench.methods(["g726", "mdct"])
+    chosen = cells.methods(["g726", "mdct"])
     assert [method.name for method in chosen] == ["mdct", "g726"]
-    assert chosen == bench.methods(["mdct", "g726"])
+    assert chosen == cells.methods(["mdct", "g726"])
     with pytest.raises(BenchError, match=r"no codec or ladder 'mp3'; choose from .*mdct"):
-        bench.methods(["mdct", "mp3"])
+        cells.methods(["mdct", "mp3"])
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:

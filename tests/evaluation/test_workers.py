@@ -77,7 +77,7 @@ def test_pieces_are_taken_as_they_are_needed() -> None:
 
     outcomes = on_cores(endless(), 1)
     assert next(outcomes)[1] in (2, 4)
-    outcomes.close()  # type: ignore[attr-defined]
+    outcomes.close()
     assert len(taken) <= 3
 
 
