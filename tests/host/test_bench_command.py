@@ -1,0 +1,188 @@
+"""Tests of `vibrocast bench`: what it prints and writes, its exit codes, and what it refuses."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import textures
+from evaluation import bench, cost, workers
+from evaluation.points import Failure, read_points, read_rows
+from host.command_line import main
+from textures.generate import rough, wood
+
+ROOT = Path(__file__).parents[2]
+FAST = "g726,dct-threshold"
+COMMAND = [sys.executable, "-c", "from host.entry import main; main()", "bench"]
+
+
+def vibrocast_bench(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["bench", *map(str, arguments)])
+
+
+def fails(exit_code: int, *arguments: object) -> str:
+    """Return what is on stderr; the error is its last line, for a person, without a traceback."""
+    result = vibrocast_bench(*arguments)
+    assert result.exit_code == exit_code, result.output
+    assert result.stderr.splitlines()[-1].startswith("error: ")
+    assert "unexpected" not in result.stderr
+    return result.stderr
+
+
+def here(pieces: Any, processes: int) -> bench.Outcomes:
+    for key, work in pieces:
+        try:
+            yield key, work()
+        except Exception as error:
+            yield key, error
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measure in this process, without the memory that codecs take."""
+    monkeypatch.setattr(workers, "on_cores", here)
+    monkeypatch.setattr(cost, "measure_costs", lambda names: [])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "recordings").mkdir()
+    textures.save_wav(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
+    textures.save_wav(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
+    return tmp_path / "recordings"
+
+
+def test_figures_are_written_and_the_table_names_the_curves(folder: Path, tmp_path: Path) -> None:
+    result = vibrocast_bench(folder, "--codecs", "g726", "--out", tmp_path / "out", "--repeats", "1")
+    assert result.exit_code == 0, result.output
+    assert "2 traces, 1 curves, 4 settings" in result.stdout
+    assert "g726" in result.stdout
+    results = tmp_path / "out" / "results"
+    assert len(read_points(results / "points.csv")) == 8
+    assert len((results / "timings.csv").read_text().splitlines()) == 9
+    assert (results / "costs.csv").read_text().splitlines()[1].startswith("g726,")
+
+
+@pytest.mark.usefixtures("quick")
+def test_failures_are_listed_and_the_exit_code_says_so(folder: Path, tmp_path: Path) -> None:
+    np.savetxt(folder / "nan.csv", [0.0, np.nan, 1.0], header="rate_hz: 2800\n# unit: um")
+    textures.save_wav(folder / "stereo.wav", textures.Recording(np.zeros((99, 2)), 2800.0, "full scale", "stereo"))
+    said = fails(1, folder, "--codecs", FAST, "--out", tmp_path / "out", "--repeats", "0")
+    assert "failed: nan: " in said and "is nan" in said
+    assert "failed: dct-threshold: stereo" in said and "and 10 more: the detection threshold is one" in said
+    assert "12 traces or cells failed" in said
+    failures = read_rows(tmp_path / "out" / "results" / "failures.csv", Failure)
+    assert {failure.trace for failure in failures} == {"nan", "stereo"}
+    assert {point.trace for point in read_points(tmp_path / "out" / "results" / "points.csv")} == {
+        "rough",
+        "stereo",
+        "wood",
+    }
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_ladder_that_needs_a_unit_is_left_out_unless_it_is_named(tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    signal = textures.Recording(wood(1, 0.2).samples, 2800.0, "full scale", "plain")
+    textures.save_wav(tmp_path / "recordings" / "plain.wav", signal)
+    arguments = (tmp_path / "recordings", "--out", tmp_path / "out", "--repeats", "0", "--codecs")
+    result = vibrocast_bench(*arguments, "dct")
+    assert result.exit_code == 0, result.output
+    assert "left out, as no trace states a physical unit (--unit, --full-scale): dct-threshold" in result.stdout
+    fails(1, *arguments, "dct-threshold")
+    result = vibrocast_bench(*arguments, "dct", "--unit", "m/s^2", "--full-scale", "10")
+    assert result.exit_code == 0, result.output
+    assert "dct-threshold" in result.stdout and "left out" not in result.stdout
+
+
+@pytest.mark.usefixtures("quick")
+def test_peers_and_programs_join(folder: Path, tmp_path: Path) -> None:
+    peers = tmp_path / "peers.csv"
+    peers.write_text(
+        "trace,codec,setting,samples,bytes_total,snr_db\nwood,other,1,840,100,9\nelsewhere,other,1,840,100,9\n"
+    )
+    (tmp_path / "copy.toml").write_text(
+        '[copy]\nencoder = ["cp", "{input}", "{output}"]\ndecoder = ["cp", "{input}", "{output}"]\n'
+        '[lost]\nencoder = ["no-such-program"]\ndecoder = ["no-such-program"]\n'
+    )
+    said = fails(
+        1, folder, "--codecs", "g726", "--out", tmp_path / "out", "--peers", peers, "--programs", tmp_path / "copy.toml"
+    )
+    assert "lost: rough and 1 more: lost: no-such-program not found" in said
+    points = read_points(tmp_path / "out" / "results" / "points.csv")
+    assert [(point.trace, point.codec) for point in points if point.source == "imported"] == [("wood", "other")]
+    copies = [point for point in points if point.codec == "copy"]
+    assert len(copies) == 2 and all(point.snr_db and point.snr_db > 60 for point in copies)
+    assert "copy" in (tmp_path / "out" / "results" / "timings.csv").read_text()
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_part_of_the_traces(tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    for material in ("cork", "felt", "foam"):
+        for speed in ("slow", "fast"):
+            name = f"Direct_-_1spike_Probe_-_{material}_-_{speed}_X.txt"
+            np.savetxt(tmp_path / "set" / name, wood(1, 0.1).samples)
+    parts = {}
+    for part in ("train", "test"):
+        arguments = ("--unit", "m/s^2", "--codecs", "g726", "--repeats", "0", "--split-by", "material", "--seed", "3")
+        result = vibrocast_bench(tmp_path / "set", "--out", tmp_path / part, "--split", part, *arguments)
+        assert result.exit_code == 0, result.output
+        points = read_points(tmp_path / part / "results" / "points.csv")
+        parts[part] = {point.trace.split("_-_")[2] for point in points}
+    assert not parts["train"] & parts["test"]
+    assert len(parts["train"]) == 2
+
+
+@pytest.mark.usefixtures("quick")
+def test_what_cannot_be_used_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    (tmp_path / "empty").mkdir()
+    assert "no such folder" in fails(2, tmp_path / "missing", "--out", out)
+    assert "no recordings" in fails(2, tmp_path / "empty", "--out", out)
+    assert "no codec or ladder 'mp3'" in fails(2, folder, "--out", out, "--codecs", "mp3")
+    assert "does not state the material" in fails(2, folder, "--out", out, "--split", "test", "--split-by", "material")
+    assert "no column trace" in fails(2, folder, "--out", out, "--peers", Path(__file__))
+    assert "not a TOML file" in fails(2, folder, "--out", out, "--programs", Path(__file__))
+    assert "Missing option '--out'" in fails(2, folder)
+    (tmp_path / "thesis" / "results").mkdir(parents=True)
+    (tmp_path / "thesis" / "results" / "thesis.tex").touch()
+    assert "choose another --out" in fails(2, folder, "--out", tmp_path / "thesis")
+    assert not out.exists()
+    monkeypatch.setattr(workers, "CONNECT_S", 0.2)
+    assert "no Dask scheduler answers" in fails(1, folder, "--out", out, "--scheduler", "tcp://127.0.0.1:1")
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_run_in_which_all_fails_still_says_so(folder: Path, tmp_path: Path) -> None:
+    for path in folder.iterdir():
+        path.write_bytes(b"RIFF")
+    said = fails(1, folder, "--codecs", "g726", "--out", tmp_path / "out")
+    assert "2 traces or cells failed" in said
+    assert read_points(tmp_path / "out" / "results" / "points.csv") == []
+
+
+def test_interrupted_it_ends_in_one_line_and_keeps_what_it_has(folder: Path, tmp_path: Path) -> None:
+    for copy in range(20):
+        shutil.copy(folder / "wood.wav", folder / f"wood{copy}.wav")
+    arguments = [str(folder), "--codecs", "mdct", "--out"]
+    cut = [*COMMAND, *arguments, str(tmp_path / "cut")]
+    journal = tmp_path / "cut" / "results" / bench.JOURNAL
+    with subprocess.Popen(cut, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        while process.poll() is None and not (journal.exists() and journal.stat().st_size):
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGINT)  # to all processes, as a terminal does
+        said = process.communicate(timeout=30)[1]
+    assert process.returncode == 130
+    assert [line for line in said.splitlines() if line and "measuring" not in line] == ["error: interrupted"]
+    kept = journal.read_bytes().count(b"\n")
+    assert 0 < kept < 22 * 12
+    assert not (tmp_path / "cut" / "results" / "points.csv").exists()
