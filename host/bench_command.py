@@ -1,6 +1,9 @@
 """`vibrocast bench`: measures every codec on a folder of recordings and writes figures, charts and a page."""
 
 import datetime
+import platform
+import shlex
+import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -78,7 +81,7 @@ def bench(
     Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
     the exit code is 1.
     """
-    from evaluation import bench, cells, cost, dataset, external, workers
+    from evaluation import bench, cells, cost, dataset, external, results_page, workers
     from evaluation.points import Failure, PointsError, read_imported
 
     try:
@@ -106,11 +109,16 @@ def bench(
     timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
     costs = cost.measure_costs(sorted({method.coder for method in chosen if isinstance(method.coder, str)}))
     bench.write(results, points, timings, costs, failures)
+    data = folder.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
+    machine = "a Dask cluster" if scheduler else f"{platform.machine()}, {workers.cores()} cores at work at once"
+    command = shlex.join(["vibrocast", *sys.argv[1:]])
+    description = results_page.Description(data, machine, command)
+    results_page.write_results(out, points, timings, costs, failures, description)
     show(points, timings)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
         click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
-    click.echo(f"figures: {results}")
+    click.echo(f"{out / bench.PAGE}: the charts and tables; their figures are in {results}")
     if failures:
         show_failures(failures)
         raise click.ClickException(
@@ -137,20 +145,23 @@ def show(points: "Sequence[Point]", timings: "Sequence[Timing]") -> None:
     """Print a table of the curves: mean bits per sample at some SNRs, median times and delay."""
     from statistics import fmean, median
 
+    from rich.box import SIMPLE
     from rich.console import Console
     from rich.table import Table
 
     from evaluation.bd_rate import SNR, bits_per_sample_at
-    from evaluation.points import by_codec_and_trace
+    from evaluation.comparison import Measurements
 
-    table = Table(title="Bits per sample at an SNR, mean; median delay in ms; median seconds per million samples")
+    table = Table(box=SIMPLE, title="Mean bits per sample at an SNR; delay, ms; seconds per million samples")
     table.add_column("codec", no_wrap=True)
     for title in (*(f"{snr_db:g} dB" for snr_db in SNRS_DB), "delay", "encode", "decode"):
         table.add_column(title, justify="right")
-    for name, curves in by_codec_and_trace(points).items():
+    measurements = Measurements(points, timings, [], [])
+    for name, curves in measurements.curves.items():
         bits = [bits_per_sample_at(SNR.curve(curve), SNRS_DB) for curve in curves.values()]
         delays_ms = [point.delay_ms for curve in curves.values() for point in curve if point.delay_ms is not None]
-        times = [timing for timing in timings if timing.codec == name]
+        source = measurements.source(name)
+        times = [timing for timing in timings if (timing.codec, timing.source) == (name, source)]
         figures = [
             *(f"{mean:.2f}" for mean in map(fmean, zip(*bits, strict=True))),
             f"{median(delays_ms):.1f}" if delays_ms else "",

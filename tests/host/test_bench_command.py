@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 import textures
-from evaluation import bench, cost, workers
+from evaluation import bench, cost, results_page, workers
 from evaluation.points import Failure, read_points, read_rows
 from host.command_line import main
 from textures.generate import rough, wood
@@ -47,8 +47,9 @@ def here(pieces: Any, processes: int) -> bench.Outcomes:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measure in this process, without the memory that codecs take."""
+    """Measure in this process, without the memory that codecs take, and draw no page."""
     monkeypatch.setattr(workers, "on_cores", here)
+    monkeypatch.setattr(results_page, "write_results", lambda *_: None)
     monkeypatch.setattr(cost, "measure_costs", lambda names: [])
 
 
@@ -69,6 +70,7 @@ def test_figures_are_written_and_the_table_names_the_curves(folder: Path, tmp_pa
     assert len(read_points(results / "points.csv")) == 8
     assert len((results / "timings.csv").read_text().splitlines()) == 9
     assert (results / "costs.csv").read_text().splitlines()[1].startswith("g726,")
+    assert "recordings, 2 traces" in (tmp_path / "out" / "results.md").read_text().replace("`", "")
 
 
 @pytest.mark.usefixtures("quick")
