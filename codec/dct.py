@@ -35,9 +35,10 @@ IDENTIFIER = 2
 BLOCKS = (64, 128, 256, 512, 1024)
 MAX_CHANNELS = 16
 MAX_PACKET_BYTES = 65_535
+PACKET_HEAD_BYTES = 5
 MAX_PACKET_BLOCKS = 4095
 MAX_PACKET_SAMPLES = 2**18
-FINE_LEVELS = 65_535
+MAX_LEVELS = 65_535
 HEIGHT_LIMIT_HZ = 400.0
 """The source paper drops what is above it: its display has no more, and fingers feel little of it."""
 SMALLEST_HEIGHT_UM = 0.05
@@ -47,13 +48,13 @@ SMALLEST_OF_RMS = 0.05
 
 _UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""
-_RANGE_CODES_PER_OCTAVE = 2048
+_RANGE_CODES_PER_OCTAVE = 256
 _FIRST_CLASS = 16
 _CHUNK_SAMPLES = 1 << 18
 
 
 def range_code(magnitude: float) -> int:
-    """Return the code of the power of 2^(1/2048) next above a magnitude in the core's unit; 0 for less than half."""
+    """Return the code of the power of 2^(1/256) next above a magnitude in the core's unit; 0 for less than half."""
     if magnitude < 0.5:
         return 0
     return min(max(math.ceil(_RANGE_CODES_PER_OCTAVE * math.log2(magnitude)), 1), 65_535)
@@ -85,10 +86,9 @@ class DctEncoder:
         longest = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
         if not 1 <= self._packet_blocks <= longest:
             raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {longest * self._block} are allowed")
-        self._fine = word(setting, "quantiser") == "fine"
         self._logarithmic = word(setting, "quantiser") == "log"
         self._range_coded = word(setting, "entropy") == "range"
-        self._levels = FINE_LEVELS if self._fine else int(number(setting, "levels"))
+        self._levels = int(number(setting, "levels"))
         self._bins = _kept_bins(setting, signal_format, self._block)
         self._cuts = _cuts(setting, signal_format, self._block)[:, self._bins]
         self._smallest = [range_code(value) for value in _smallest(setting, signal_format, self._block)]
@@ -147,19 +147,16 @@ class DctEncoder:
 
     def _code(self, coefficients: Signal) -> bytes:
         """Return one packet of coefficients (channels, blocks, bins) in the core's unit."""
-        ranges = [self._ranges(channel) for channel in coefficients]
+        # The greatest magnitudes below and above zero.
+        ranges = [(range_code(-float(np.min(part))), range_code(float(np.max(part)))) for part in coefficients]
         sounding = [channel for channel, both in enumerate(ranges) if any(both)]
-        zeros = not self._fine and bool(np.any(coefficients[sounding] == 0))
+        zeros = bool(np.any(coefficients[sounding] == 0))
         values = [
             self._quantised(coefficients[channel], self._smallest[channel], *ranges[channel], zeros)
             for channel in sounding
         ]
-        head = 2 * self._sequence + 1
-        packet = bytearray()
-        while head >= 0x80:
-            packet.append(head & 0x7F | 0x80)
-            head >>= 7
-        packet.append(head)
+        head = ffi.new("uint8_t[]", PACKET_HEAD_BYTES)
+        packet = bytes(ffi.buffer(head, library().vc_packet_head_write(head, self._sequence, True)))
         packet += b"".join(code.to_bytes(2, "little") for both in ranges for code in both)
         if values:
             coder = self._range_code if self._range_coded else _huffman_code
@@ -167,12 +164,7 @@ class DctEncoder:
         if len(packet) > MAX_PACKET_BYTES:
             raise _does_not_fit(self.packet_samples)
         self._sequence += 1
-        return bytes(packet)
-
-    def _ranges(self, coefficients: Signal) -> tuple[int, int]:
-        """Return the codes of the greatest magnitudes below and above zero; `fine` has the same for both."""
-        below, above = range_code(-float(np.min(coefficients))), range_code(float(np.max(coefficients)))
-        return (max(below, above),) * 2 if self._fine else (below, above)
+        return packet
 
     def _quantised(self, coefficients: Signal, smallest: int, below: int, above: int, zeros: bool) -> NDArray[np.int64]:
         """Return the coded value of each coefficient: that of the nearest level, or 0 for zero where that is one."""
@@ -242,10 +234,8 @@ def _does_not_fit(packet_samples: int) -> CodecError:
 
 def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> slice:
     """Return the coefficients that are coded. Raises CodecError when none is."""
-    heights = signal_format.unit == "um"
-    dc = word(setting, "dc")
-    first = int(heights if dc == "by-unit" else dc == "drop")
-    limit_hz = number(setting, "limit_hz") or (HEIGHT_LIMIT_HZ if heights else math.inf)
+    first = int(word(setting, "dc") == "drop")
+    limit_hz = number(setting, "limit_hz") or (HEIGHT_LIMIT_HZ if signal_format.unit == "um" else math.inf)
     end = min(limit_hz * 2 * block / signal_format.rate_hz + 1, block)
     if end < first + 1:
         raise CodecError(
@@ -304,7 +294,7 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> D
 
 LADDER_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
 """The paper's seven, then on to some 25 dB of SNR and beyond."""
-LADDER_B0_DB = (24, 18, 12, 8, 4, 0, -4, -8, -12, -18, -24)
+LADDER_B0_DB = (24.0, 18.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -18.0, -24.0, -36.0)
 
 
 def _level_ladder(**fixed: str) -> tuple[Setting, ...]:
@@ -316,10 +306,8 @@ CODEC = Codec(
     identifier=IDENTIFIER,
     summary="blockwise DCT at few levels, Huffman or range coded, after a paper on material-like textures",
     parameters={
-        "quantiser": Parameter(
-            "linear, log, or fine: 16 bits a coefficient", "linear", choices=("linear", "log", "fine")
-        ),
-        "levels": Parameter("levels L of linear and log", 14, low=4, high=FINE_LEVELS, whole=True),
+        "quantiser": Parameter("spacing of the levels", "linear", choices=("linear", "log")),
+        "levels": Parameter("number of levels L; 65535 are 16 bits", 14, low=4, high=MAX_LEVELS, whole=True),
         "smallest": Parameter(
             "least magnitude S of log, in the signal's unit; 0: .05 um, or in other units .05 of the RMS value",
             0.0,
@@ -334,18 +322,14 @@ CODEC = Codec(
         "entropy": Parameter("entropy coder", "huffman", choices=("huffman", "range")),
         "block": Parameter("samples in a block", "512", choices=tuple(map(str, BLOCKS))),
         "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um, none in other units", 0.0, low=0),
-        "dc": Parameter(
-            "the mean of each block; by-unit: dropped for um, kept in others",
-            "by-unit",
-            choices=("by-unit", "keep", "drop"),
-        ),
+        "dc": Parameter("the mean of each block", "keep", choices=("keep", "drop")),
     },
     ladders={
         "dct-linear": _level_ladder(),
         "dct-log": _level_ladder(quantiser="log"),
         "dct-linear-range": _level_ladder(entropy="range"),
         "dct-log-range": _level_ladder(quantiser="log", entropy="range"),
-        "dct-threshold": tuple({"quantiser": "fine", "threshold": "on", "b0_db": float(b0)} for b0 in LADDER_B0_DB),
+        "dct-threshold": tuple({"levels": MAX_LEVELS, "threshold": "on", "b0_db": b0} for b0 in LADDER_B0_DB),
         "dct-linear-threshold": _level_ladder(threshold="on"),
         "dct-log-threshold": _level_ladder(quantiser="log", threshold="on"),
     },

@@ -85,7 +85,7 @@ def encode_to_snr(
     if min(least) < -SNR_TOLERANCE_DB:
         raise CodecError(
             f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
-            f"with {source.codec.name} (16-bit samples set the limit)"
+            f"with {source.codec.name}: ask for less, or give another setting"
         )
     return best
 

@@ -92,9 +92,10 @@ static void inverse_dct(vc_dct_decoder *decoder, int16_t *samples, unsigned stri
 {
     const uint32_t count = decoder->block, unit = VC_DCT_MAX_BLOCK / count;
     const unsigned octaves = vc_floor_log2(count);
-    /* sqrt(1 / count) and sqrt(1 / (2 count)) in 1/2^24: what X[0] and the others weigh. */
-    const int64_t first_weight = (octaves & 1u ? ROOT_OF_HALF : ONE) >> octaves / 2;
-    const int64_t weight = (octaves & 1u ? ONE / 2 : ROOT_OF_HALF) >> octaves / 2;
+    /* sqrt(1 / count) and sqrt(1 / (2 count)) in 1/2^24: what X[0] and the others weigh; 4 times as much inside, so
+     * that rounding at every stage does not show. */
+    const int64_t first_weight = (octaves & 1u ? ROOT_OF_HALF : ONE) * 4 >> octaves / 2;
+    const int64_t weight = (octaves & 1u ? ONE / 2 : ROOT_OF_HALF) * 4 >> octaves / 2;
     int32_t *real = decoder->real, *imaginary = decoder->imaginary;
     uint32_t k, half, start, n;
     for (k = 0; k < count; k++) {
@@ -121,7 +122,7 @@ static void inverse_dct(vc_dct_decoder *decoder, int16_t *samples, unsigned stri
             }
         }
     for (n = 0; n < count; n++)
-        samples[n * stride] = vc_rounded_sample(real[n & 1u ? count - 1 - n / 2 : n / 2]);
+        samples[n * stride] = vc_rounded_sample(real[n & 1u ? count - 1 - n / 2 : n / 2] / 4);
 }
 
 /* Bits from the highest of each byte on; those past the end are 0. */

@@ -3,7 +3,7 @@
 
 #define MAX_COEFFICIENT (1 << 28)
 #define OCTAVE_BITS 20
-#define RANGE_CODE_BITS 11 /* of an octave's fraction in a range code */
+#define RANGE_CODE_BITS 8 /* of an octave's fraction in a range code */
 
 /* 2^(exponent / 2^20), rounded, within MAX_COEFFICIENT: table of 256 steps an octave, straight between them. */
 static int32_t power_of_two(uint32_t exponent)
@@ -27,11 +27,6 @@ static int64_t magnitude_of(uint32_t range_code)
     return range_code == 0 ? 0 : power_of_two(exponent_of(range_code));
 }
 
-static uint32_t larger(uint32_t first, uint32_t second)
-{
-    return first > second ? first : second;
-}
-
 void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_t levels, unsigned zeros,
                            uint32_t smallest, uint32_t below, uint32_t above)
 {
@@ -41,8 +36,8 @@ void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_
     quantiser->below = magnitude_of(below);
     quantiser->above = magnitude_of(above);
     quantiser->bottom = exponent_of(smallest);
-    quantiser->left = larger(quantiser->bottom, exponent_of(below));
-    quantiser->right = larger(quantiser->bottom, exponent_of(above));
+    quantiser->left = exponent_of(below);
+    quantiser->right = exponent_of(above);
     if (logarithmic) {
         quantiser->centre = levels / 2;
     } else {
@@ -52,9 +47,11 @@ void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_
     }
 }
 
-/* Magnitude of the logarithmic level `rank` of `count` on one side. */
+/* Magnitude of the logarithmic level `rank` of `count` on one side; none is above the greatest magnitude. */
 static int32_t logarithmic_level(uint32_t bottom, uint32_t top, uint32_t rank, uint32_t count)
 {
+    if (bottom > top)
+        bottom = top;
     return power_of_two(bottom + (uint32_t)((uint64_t)(top - bottom) * rank / (count - 1)));
 }
 

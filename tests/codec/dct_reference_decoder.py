@@ -1,0 +1,167 @@
+"""A decoder of `dct` written from docs/bitstream.md alone, slow and in floating point."""
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.codec.reference_decoder import RangeDecoder, adapted, bounded
+
+
+def magnitude(code: int) -> float:
+    """A range code's magnitude in 1/256 of a least significant bit."""
+    return min(round(2 ** (code / 256)), 2**28) if code else 0.0
+
+
+class Bits:
+    """Bits from the highest of each byte on."""
+
+    def __init__(self, data: bytes) -> None:
+        self.bits: Iterator[int] = (byte >> shift & 1 for byte in data for shift in range(7, -1, -1))
+
+    def read(self, count: int) -> int:
+        value = 0
+        for _ in range(count):
+            value = value << 1 | next(self.bits, 0)
+        return value
+
+
+def huffman_values(bits: Bits) -> Callable[[], int]:
+    """Read the table; return what reads a value."""
+    lengths = [bits.read(4) for _ in range(bits.read(7) + 1)]
+    codes = {}
+    code = 0
+    for length in range(1, 16):
+        for symbol in (symbol for symbol, own in enumerate(lengths) if own == length):
+            codes[length, code] = symbol
+            code += 1
+        code <<= 1
+
+    def value() -> int:
+        length = code = 0
+        while (length, code) not in codes:
+            length, code = length + 1, code << 1 | bits.read(1)
+        symbol = codes[length, code]
+        if symbol < 16:
+            return symbol
+        low_bits = symbol // 8 - 1
+        return (8 + symbol % 8) << low_bits | bits.read(low_bits)
+
+    return value
+
+
+class RangeValues:
+    """Section "Range coding"."""
+
+    def __init__(self, coder: RangeDecoder, first_pair: int) -> None:
+        self.coder, self.first_pair = coder, first_pair
+        self.probabilities = {}
+        for context in range(40):
+            e = (2 + context % 2) * 2 ** (context // 2)
+            for decision in range(16):
+                self.probabilities[context, decision] = 65536 * e // (e + 2 ** (4 + max(0, context // 2 - 5)))
+
+    def even(self, count: int) -> int:
+        value = 0
+        for _ in range(count):
+            value = value << 1 | self.coder.decode()
+        return value
+
+    def block(self, last: list[int] | None, bins: int) -> tuple[list[int], list[int]]:
+        """Return the ranks and the values of the next block."""
+        ranks: list[int] = []
+        values: list[int] = []
+        for k in range(bins):
+            one = ranks[k - 1] if k > 0 else 0
+            two = ranks[k - 2] if k > 1 else one
+            if last is None:
+                expected = 5 * one + 3 * two
+            else:
+                above = last[k + 1] if k + 1 < bins else 0
+                expected = 3 * one + two + (last[k - 1] if k > 0 else 0) + 2 * last[k] + above
+            octave = int(math.log2(expected + 1))
+            context = 2 * octave + (octave > 0 and (expected + 1) >> (octave - 1) & 1)
+            low_bits = max(0, octave - 5)
+            quotient = 0
+            while quotient < 16 and self.decision(context, quotient):
+                quotient += 1
+            if quotient == 16:
+                ones = 0
+                while ones < 24 and self.coder.decode():
+                    ones += 1
+                quotient += 2**ones + self.even(ones) - 1
+            rank = min(quotient, 65535 >> low_bits) << low_bits | self.even(low_bits)
+            ranks.append(rank)
+            values.append(rank if rank < self.first_pair else 2 * rank - self.first_pair + self.even(1))
+        return ranks, values
+
+    def decision(self, context: int, decision: int) -> int:
+        probability = self.probabilities[context, decision]
+        bit = self.coder.decode(bounded(probability))
+        moved = (65535 - probability) >> 4 if bit else -(probability >> 4)
+        self.probabilities[context, decision] = probability + moved
+        return bit
+
+
+class ReferenceDecoder:
+    """Decodes packets to samples that are neither rounded nor limited."""
+
+    def __init__(self, configuration: bytes, channels: int) -> None:
+        self.channels = channels
+        self.block = 64 << (configuration[0] & 7)
+        self.logarithmic, self.range_coded = configuration[0] >> 3 & 1, configuration[0] >> 4 & 1
+        self.blocks, self.levels, self.first, self.end, *self.smallest = np.frombuffer(
+            configuration[1:], dtype="<u2"
+        ).tolist()
+
+    def level(self, value: int, zeros: int, ranges: tuple[float, float], smallest: float) -> float:
+        """Section "Levels"."""
+        if value < zeros:
+            return 0.0
+        below, above = ranges
+        v = min(value - zeros, self.levels - 1)
+        last = self.levels - 1
+        centre = self.levels // 2
+        if not self.logarithmic:
+            centre = int((below * last + (below + above) // 2) // (below + above))
+        shorter = min(centre, last - centre)
+        if v <= 2 * shorter:
+            level = centre - (v + 1) // 2 if v % 2 else centre + v // 2
+        else:
+            level = v if last - centre > centre else last - v
+        if not self.logarithmic:
+            return (level * (below + above) + last // 2) // last - below
+        if level < centre:
+            return -min(smallest, below) * (below / min(smallest, below)) ** ((centre - 1 - level) / (centre - 1))
+        return min(smallest, above) * (above / min(smallest, above)) ** ((level - centre) / (last - centre))
+
+    def samples(self, packet: bytes) -> NDArray[np.float64]:
+        """Return (samples, channels) in least significant bits."""
+        head = next(index for index, byte in enumerate(packet) if byte < 0x80) + 1
+        start = head + 4 * self.channels
+        codes = np.frombuffer(packet[head:start], dtype="<u2").reshape(-1, 2).tolist()
+        payload = packet[start:]
+        bits, coder = Bits(payload), RangeDecoder(payload)
+        zeros = coder.decode() if self.range_coded else bits.read(1)
+        ranged = RangeValues(coder, zeros + 1 - self.logarithmic)
+        huffman = huffman_values(bits) if any(map(any, codes)) and not self.range_coded else None
+        output = np.zeros((self.blocks, self.block, self.channels))
+        n, k = np.arange(self.block)[:, None], np.arange(self.block)[None, :]
+        basis = np.sqrt(2 / self.block) * np.cos(np.pi * (2 * n + 1) * k / (2 * self.block))
+        basis[:, 0] = np.sqrt(1 / self.block)
+        for channel, both in enumerate(codes):
+            if not any(both):
+                continue
+            ranges = magnitude(both[0]), magnitude(both[1])
+            smallest = magnitude(self.smallest[channel]) if self.logarithmic else 0.0
+            ranks: list[int] | None = None
+            for block in range(self.blocks):
+                if huffman:
+                    values = [huffman() for _ in range(self.first, self.end)]
+                else:
+                    ranks, values = ranged.block(ranks, self.end - self.first)
+                spectrum = np.zeros(self.block)
+                spectrum[self.first : self.end] = [self.level(value, zeros, ranges, smallest) for value in values]
+                output[block, :, channel] = basis @ spectrum / 256
+        return output.reshape(-1, self.channels)
