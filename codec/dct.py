@@ -71,6 +71,14 @@ def symbols_of(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np
     return np.where(values < _FIRST_CLASS, values, classes), low_bits
 
 
+def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: int, above: int) -> NDArray[np.int32]:
+    """Return the levels of a channel of a packet, from its range codes, in the core's unit: in the order of values."""
+    memory = np.empty(levels, dtype=np.int32)
+    pointer = ffi.cast("int32_t *", memory.ctypes.data)
+    library().vc_dct_levels(logarithmic, levels, smallest, below, above, pointer)
+    return memory
+
+
 class DctEncoder:
     """Encoder of `dct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
@@ -168,10 +176,7 @@ class DctEncoder:
 
     def _quantised(self, coefficients: Signal, smallest: int, below: int, above: int, zeros: bool) -> NDArray[np.int64]:
         """Return the coded value of each coefficient: that of the nearest level, or 0 for zero where that is one."""
-        memory = np.empty(self._levels + zeros, dtype=np.int32)
-        pointer = ffi.cast("int32_t *", memory.ctypes.data)
-        library().vc_dct_levels(self._logarithmic, self._levels, smallest, below, above, zeros, pointer)
-        levels = memory[zeros:]
+        levels = reconstruction_levels(self._logarithmic, self._levels, smallest, below, above)
         rising = np.argsort(levels, kind="stable")
         edges = (levels[rising][1:] + levels[rising][:-1].astype(np.float64)) / 2
         values = rising[np.searchsorted(edges, coefficients)] + zeros

@@ -33,15 +33,16 @@ int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length,
  * zero, then silence. The first samples of the packet decoded next rise from zero. */
 void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples);
 
-/* Writes the reconstruction levels of one channel of a packet, levels + zeros numbers in the order of the coded values,
- * in 1/256 of a sample's least significant bit. `logarithmic`: 0 = linear; `levels`: 4 to 65535; `smallest`, `below`,
- * `above`: range codes of the least magnitude and of the greatest on both sides of zero, not both 0; `zeros`: 1 when
- * zero is a value of its own. For encoders. */
-void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above, int zeros,
+/* Writes the reconstruction levels of one channel of a packet: `levels` numbers in the order of the coded values,
+ * without a zero of its own, in 1/256 of a sample's least significant bit. `logarithmic`: 0 = linear; `levels`: 4 to
+ * 65535; `smallest`, `below`, `above`: range codes of the least magnitude and of the greatest on both sides of zero,
+ * the last two not both 0. For encoders. */
+void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above,
                    int32_t *output);
 
-/* Range codes the values of one packet: `rows` channels that are not silent, of `blocks` blocks of `bins` values.
- * Returns the bytes written, or VC_PACKET_TOO_LARGE. For encoders. */
+/* Range codes the values of one packet: `rows` channels that are not silent, of `blocks` blocks of `bins` values, at
+ * most 1024. Returns the bytes written, VC_PACKET_TOO_LARGE, or VC_BAD_CONFIGURATION for too many bins. For encoders.
+ */
 int32_t vc_dct_range_encode(const uint32_t *values, uint32_t rows, uint32_t blocks, uint32_t bins, int logarithmic,
                             int zeros, uint8_t *output, size_t capacity);
 /* cffi: end */

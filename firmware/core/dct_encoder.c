@@ -37,6 +37,8 @@ int32_t vc_dct_range_encode(const uint32_t *values, uint32_t rows, uint32_t bloc
     vc_range_coder coder;
     uint32_t row, block;
     size_t length;
+    if (bins > VC_DCT_MAX_BLOCK)
+        return VC_BAD_CONFIGURATION;
     vc_dct_model_reset(&model);
     vc_range_encoder_init(&coder, output, capacity);
     vc_range_encode(&coder, zeros != 0, VC_EVEN_ODDS);

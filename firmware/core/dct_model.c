@@ -79,13 +79,12 @@ int32_t vc_dct_level(const vc_dct_quantiser *quantiser, uint32_t value)
     return logarithmic_level(quantiser->bottom, quantiser->right, level - centre, last + 1 - centre);
 }
 
-void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above, int zeros,
-                   int32_t *output)
+void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above, int32_t *output)
 {
     vc_dct_quantiser quantiser;
     uint32_t value;
-    vc_dct_quantiser_init(&quantiser, logarithmic, levels, zeros != 0, smallest, below, above);
-    for (value = 0; value < levels + quantiser.zeros; value++)
+    vc_dct_quantiser_init(&quantiser, logarithmic, levels, 0, smallest, below, above);
+    for (value = 0; value < levels; value++)
         output[value] = vc_dct_level(&quantiser, value);
 }
 

@@ -6,12 +6,17 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.codec.reference_decoder import RangeDecoder, adapted, bounded
+from tests.codec.reference_decoder import RangeDecoder, bounded
 
 
 def magnitude(code: int) -> float:
     """A range code's magnitude in 1/256 of a least significant bit."""
-    return min(round(2 ** (code / 256)), 2**28) if code else 0.0
+    return float(min(round(2 ** (code / 256)), 2**28)) if code else 0.0
+
+
+def interpolated(bottom: float, top: float, part: float) -> float:
+    """The magnitude at a part of the way between two, by equal factors."""
+    return float(bottom ** (1 - part) * top**part)
 
 
 class Bits:
@@ -111,9 +116,8 @@ class ReferenceDecoder:
         self.channels = channels
         self.block = 64 << (configuration[0] & 7)
         self.logarithmic, self.range_coded = configuration[0] >> 3 & 1, configuration[0] >> 4 & 1
-        self.blocks, self.levels, self.first, self.end, *self.smallest = np.frombuffer(
-            configuration[1:], dtype="<u2"
-        ).tolist()
+        numbers: list[int] = np.frombuffer(configuration[1:], dtype="<u2").tolist()
+        self.blocks, self.levels, self.first, self.end, *self.smallest = numbers
 
     def level(self, value: int, zeros: int, ranges: tuple[float, float], smallest: float) -> float:
         """Section "Levels"."""
@@ -133,8 +137,8 @@ class ReferenceDecoder:
         if not self.logarithmic:
             return (level * (below + above) + last // 2) // last - below
         if level < centre:
-            return -min(smallest, below) * (below / min(smallest, below)) ** ((centre - 1 - level) / (centre - 1))
-        return min(smallest, above) * (above / min(smallest, above)) ** ((level - centre) / (last - centre))
+            return -interpolated(min(smallest, below), below, (centre - 1 - level) / (centre - 1))
+        return interpolated(min(smallest, above), above, (level - centre) / (last - centre))
 
     def samples(self, packet: bytes) -> NDArray[np.float64]:
         """Return (samples, channels) in least significant bits."""

@@ -1,12 +1,14 @@
-/* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers.
+/* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct` or
+ * `core dct`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
  * first record is the configuration, its kind the number of channels. Every packet is decoded, and its bytes are
- * encoded as coefficients. */
+ * encoded as coefficients or values. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "dct.h"
 #include "vibrocast_core.h"
 
 static int read_record(int *kind, uint8_t **bytes, size_t *length)
@@ -20,7 +22,7 @@ static int read_record(int *kind, uint8_t **bytes, size_t *length)
     return fread(*bytes, 1, *length, stdin) == *length;
 }
 
-int main(void)
+static int run_mdct(void)
 {
     vc_mdct_decoder *decoder = malloc(vc_mdct_decoder_size());
     vc_mdct_encoder *encoder = malloc(vc_mdct_encoder_size());
@@ -60,4 +62,41 @@ int main(void)
     free(encoder);
     puts("done");
     return 0;
+}
+
+static int run_dct(void)
+{
+    vc_dct_decoder *decoder = malloc(vc_dct_decoder_size());
+    uint8_t *bytes, packet[300];
+    int16_t *samples;
+    uint32_t *values, i;
+    size_t length;
+    int kind;
+    if (!read_record(&kind, &bytes, &length))
+        return 2;
+    if (vc_dct_decoder_init(decoder, bytes, length, (unsigned)kind) != VC_OK)
+        return 0;
+    free(bytes);
+    samples = malloc((size_t)vc_dct_decoder_packet_samples(decoder) * (unsigned)kind * sizeof *samples);
+    while (read_record(&kind, &bytes, &length)) {
+        if (kind == 1 || vc_dct_decode(decoder, bytes, length, samples) < 0)
+            vc_dct_conceal(decoder, samples);
+        values = malloc(length / 2 * 2 * sizeof *values);
+        for (i = 0; i < length / 2 * 2; i++)
+            values[i] = (uint32_t)bytes[i] * bytes[(i + 1) % length];
+        if (vc_dct_range_encode(values, 2, 1, (uint32_t)length / 2, kind & 1, (int)length & 1, packet,
+                                length % sizeof packet) > (int32_t)sizeof packet)
+            return 3;
+        free(values);
+        free(bytes);
+    }
+    free(samples);
+    free(decoder);
+    puts("done");
+    return 0;
+}
+
+int main(int count, char **arguments)
+{
+    return count == 2 && strcmp(arguments[1], "dct") == 0 ? run_dct() : run_mdct();
 }

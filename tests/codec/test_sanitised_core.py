@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec import Framing, mdct
+from codec import Framing, Setting, dct, encode, mdct
 from tests.codec.signals import RATE_HZ, texture
 
 ROOT = Path(__file__).parents[2]
@@ -34,10 +34,10 @@ def record(kind: int, data: bytes) -> bytes:
     return bytes((kind,)) + len(data).to_bytes(2, "little") + data
 
 
-def run(program: Path, records: bytes) -> subprocess.CompletedProcess[bytes]:
+def run(program: Path, records: bytes, codec_name: str = "mdct") -> subprocess.CompletedProcess[bytes]:
     # The program leaves its own buffers to the system when it ends early; the core itself allocates nothing.
     environment = {"ASAN_OPTIONS": "detect_leaks=0"}
-    return subprocess.run([str(program)], input=records, capture_output=True, timeout=120, env=environment)
+    return subprocess.run([str(program), codec_name], input=records, capture_output=True, timeout=120, env=environment)
 
 
 def test_streams_with_losses_damage_and_noise(program: Path) -> None:
@@ -71,3 +71,48 @@ def test_random_configurations(program: Path) -> None:
         configuration = generator.bytes(int(generator.integers(8)))
         done = run(program, record(int(generator.integers(0, 18)), configuration) + record(0, b"\x01\x55"))
         assert done.returncode == 0, done.stderr.decode()
+
+
+@pytest.mark.parametrize("entropy", ["huffman", "range"])
+@pytest.mark.parametrize(("quantiser", "levels", "block"), [("linear", 14, "64"), ("log", 65535, "1024")])
+def test_dct_streams_with_losses_damage_and_noise(
+    program: Path, entropy: str, quantiser: str, levels: int, block: str
+) -> None:
+    generator = np.random.default_rng(1)
+    setting: Setting = {"entropy": entropy, "quantiser": quantiser, "levels": levels, "block": block}
+    for channels in (1, 16):
+        stream = encode(texture(3000, channels), RATE_HZ, setting, codec="dct", live=True)
+        records = record(channels, stream.configuration)
+        for packet in stream.packets:
+            records += record(int(generator.random() < 0.2), packet)
+            damaged = bytearray(packet)
+            for _ in range(3):
+                damaged[generator.integers(len(damaged))] ^= 1 << int(generator.integers(8))
+            records += record(0, bytes(damaged[: generator.integers(1, len(damaged) + 1)]))
+            # Ranges of the greatest magnitude, then whatever bits.
+            records += record(0, b"\x01" + b"\xff" * 4 * channels + generator.bytes(int(generator.integers(200))))
+            records += record(0, b"\x01" + generator.bytes(int(generator.integers(200))))
+        done = run(program, records, "dct")
+        assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
+
+
+def test_random_configurations_of_dct(program: Path) -> None:
+    generator = np.random.default_rng(2)
+    for _ in range(20):
+        numbers = generator.integers([1, 0, 0, 0], [50, 65536, 64, 1100]).astype("<u2").tobytes()
+        configuration = generator.integers(0, 33, 1, dtype=np.uint8).tobytes() + numbers + generator.bytes(2)
+        for length in (9, 11):
+            records = (
+                record(1, configuration[:length]) + record(0, b"\x01" + generator.bytes(150)) + record(1, b"\x55\x66")
+            )
+            done = run(program, records, "dct")
+            assert done.returncode == 0, done.stderr.decode()
+
+
+def test_levels_of_dct_stay_within_their_ranges() -> None:
+    """Every range code and count, without overflow: the sanitised program has the same levels in its decoder."""
+    for logarithmic in (False, True):
+        for codes in ((0, 0, 1), (65535, 65535, 65535), (65535, 1, 0), (0, 65535, 0), (7168, 7167, 7169)):
+            for levels in (4, 5, 65535):
+                values = dct.reconstruction_levels(logarithmic, levels, *codes)
+                assert np.max(np.abs(values.astype(np.int64))) <= 2**28

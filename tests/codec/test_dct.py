@@ -1,0 +1,397 @@
+"""The codec `dct`: quantisers, threshold cut, entropy coders, the core against a second decoder, hostile bytes."""
+
+import hashlib
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.fft import dct as reference_dct
+
+import codec
+from codec import CodecError, Framing, Setting, Signal, SignalFormat, dct
+from codec.huffman import LONGEST_CODE, canonical_codes, code_lengths
+from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
+from device_protocol.coded_stream import unpack_file
+from tests.codec.dct_reference_decoder import ReferenceDecoder
+from tests.codec.signals import RATE_HZ, edge_signals, texture
+
+EVERY_CODER = [(quantiser, entropy) for quantiser in ("linear", "log") for entropy in ("huffman", "range")]
+
+
+def coded(signal: Signal, setting: Setting, unit: str = "m/s^2", live: bool = False) -> codec.CodedSignal:
+    return codec.encode(signal, RATE_HZ, setting, codec="dct", unit=unit, live=live)
+
+
+def coefficients(signal: Signal, block: int = 512) -> Signal:
+    """Orthonormal DCT-II of whole blocks of one channel: (blocks, block)."""
+    padded = np.pad(signal[:, 0], (0, -len(signal) % block)).reshape(-1, block)
+    return np.asarray(reference_dct(padded, axis=1, norm="ortho"))
+
+
+def kept(signal: Signal, setting: Setting, unit: str = "m/s^2", block: int = 512) -> tuple[Signal, Signal]:
+    """Coefficients before and after coding; the last block is whole."""
+    signal = signal[: len(signal) // block * block]
+    stream = coded(signal, {**setting, "block": str(block)}, unit)
+    return coefficients(signal, block), coefficients(codec.decode(stream), block)
+
+
+def sine(amplitude: float, frequency_hz: float, samples: int = 2048) -> Signal:
+    """A cosine that fits blocks of 512 where 2 * 512 * F / 2800 is a whole number: (samples, 1)."""
+    time_s = (np.arange(samples) + 0.5) / RATE_HZ
+    return amplitude * np.cos(2 * np.pi * frequency_hz * time_s)[:, None]
+
+
+@pytest.mark.parametrize(("quantiser", "entropy"), EVERY_CODER)
+@pytest.mark.parametrize(("block", "levels", "channels"), [(64, 5, 1), (256, 14, 3), (1024, 4001, 1), (512, 65535, 1)])
+def test_core_agrees_with_the_documented_decoder(
+    quantiser: str, entropy: str, block: int, levels: int, channels: int
+) -> None:
+    setting: Setting = {"quantiser": quantiser, "entropy": entropy, "block": str(block), "levels": levels}
+    signal = texture(1500, channels)
+    signal[block : 2 * block, -1] = 0  # zero as a value of its own
+    stream = codec.encode(signal, RATE_HZ, setting, codec="dct")
+    reference = ReferenceDecoder(stream.configuration, channels)
+    exact = np.concatenate([reference.samples(packet) for packet in stream.packets])
+    assert np.max(np.abs(np.clip(exact, -32768, 32767) - codec.decode_integers(stream))) < 0.55
+
+
+@given(
+    seed=st.integers(0, 99),
+    samples=st.integers(1, 900),
+    channels=st.integers(1, 3),
+    levels=st.integers(4, 300) | st.integers(301, 65535),
+    quantiser=st.sampled_from(["linear", "log"]),
+    block=st.sampled_from(dct.BLOCKS),
+    edge=st.sampled_from([None, *edge_signals()]),
+)
+@settings(max_examples=60)
+def test_any_signal_at_any_setting(
+    seed: int, samples: int, channels: int, levels: int, quantiser: str, block: int, edge: str | None
+) -> None:
+    """Both entropy coders decode to the same, and no coefficient is further from its own than the levels around it."""
+    signal = texture(samples, channels, seed) if edge is None else edge_signals()[edge]
+    setting: Setting = {"levels": levels, "quantiser": quantiser, "block": str(block)}
+    streams = [coded(signal, {**setting, "entropy": entropy}) for entropy in ("huffman", "range")]
+    decoded = codec.decode(streams[0])
+    np.testing.assert_array_equal(decoded, codec.decode(streams[1]))
+    assert decoded.shape == signal.shape
+    before, after = coefficients(signal, block), coefficients(decoded, block)
+    if quantiser == "linear" and len(signal) % block == 0 and np.max(np.abs(decoded)) < 0.99:
+        step = float(np.max(before) - np.min(before)) / (levels - 1)
+        # A range code widens the range by up to 2^(1/256); samples are rounded to 16 bits.
+        assert np.max(np.abs(before - after)) <= 0.51 * step + math.sqrt(block) / 32768
+
+
+@given(st.integers(4, 400), st.floats(0, 2e8), st.floats(1, 2e8))
+def test_linear_levels_are_evenly_spaced_between_the_extremes(levels: int, below: float, above: float) -> None:
+    """The paper's: step = (max C - min C) / (L - 1)."""
+    ranges = dct.range_code(below), dct.range_code(above)
+    lowest, highest = (2 ** (code / 256) if code else 0 for code in ranges)
+    assert lowest <= max(1, below) * 1.0028
+    assert highest <= above * 1.0028
+    reconstructed = dct.reconstruction_levels(False, levels, 0, *ranges)
+    np.testing.assert_allclose(np.sort(reconstructed), np.linspace(-lowest, highest, levels), atol=1)
+    assert abs(reconstructed[0]) == np.min(np.abs(reconstructed)), "the value 0 is the level nearest zero"
+
+
+@given(st.integers(4, 400), st.floats(2, 2e8), st.floats(2, 2e8), st.floats(1, 2e8))
+def test_logarithmic_levels_rise_by_equal_factors_from_the_smallest(
+    levels: int, below: float, above: float, smallest: float
+) -> None:
+    """The paper's: L / 2 levels on each side, L / 2 - 1 steps from S to the maximum; S is never above the maximum."""
+    codes = [dct.range_code(magnitude) for magnitude in (smallest, below, above)]
+    least, lowest, highest = (2 ** (code / 256) for code in codes)
+    reconstructed = np.sort(dct.reconstruction_levels(True, levels, *codes))
+    sides = (-reconstructed[: levels // 2][::-1], lowest), (reconstructed[levels // 2 :], highest)
+    for magnitudes, top in sides:
+        np.testing.assert_allclose(magnitudes, np.geomspace(min(least, top), top, len(magnitudes)), rtol=1e-5, atol=1)
+
+
+def test_a_smallest_level_above_the_signal_is_no_louder_than_it() -> None:
+    decoded = codec.decode(coded(texture(2048), {"quantiser": "log", "smallest": 100.0}))
+    assert np.max(np.abs(coefficients(decoded))) <= 1.01 * np.max(np.abs(coefficients(texture(2048))))
+
+
+def test_quality_does_not_rise_with_every_level() -> None:
+    """With an even number of levels none is zero."""
+    snrs_db = [codec.snr_db(texture(4096), codec.decode(coded(texture(4096), {"levels": n}))) for n in (4, 5, 6, 7, 8)]
+    falls = [after < before for before, after in itertools.pairwise(snrs_db) if before and after]
+    assert any(falls)
+
+
+def test_nothing_is_dropped_by_default() -> None:
+    """A sine 30 dB below what is felt stays, and recordings keep all frequencies and their mean."""
+    setting: Setting = {"levels": dct.MAX_LEVELS}
+    for unit in ("full scale", "m/s^2"):
+        assert (codec.snr_db(texture(4096) + 0.2, codec.decode(coded(texture(4096) + 0.2, setting, unit))) or 0) > 70
+    felt, unfelt = sine(20.0, 175.0), sine(0.3, 21.875)
+    decoded = codec.decode(coded(felt + unfelt, setting, "um"))
+    assert (codec.snr_db(unfelt, decoded - felt) or 0) > 40
+
+
+def test_heights_lose_what_is_above_400_hz_and_recordings_do_not() -> None:
+    """A DCT-II index k is k rate / (2 N): 2.73 Hz apart, index 146 is 399.2 Hz and 147 is 401.95 Hz."""
+    noise = np.random.default_rng(1).standard_normal((2048, 1))
+    setting: Setting = {"levels": dct.MAX_LEVELS}
+    _, heights = kept(noise, setting, "um")
+    assert np.max(np.abs(heights[:, :147])) > 1
+    assert np.max(np.abs(heights[:, 147:])) < 1e-2
+    _, everything = kept(noise, setting, "m/s^2")
+    assert np.max(np.abs(everything[:, 147:])) > 1
+    before, below_100 = kept(noise, {**setting, "limit_hz": 100, "dc": "drop"}, "m/s^2")
+    np.testing.assert_allclose(below_100[:, 1:37], before[:, 1:37], atol=1e-2)
+    assert np.max(np.abs(below_100[:, [0, *range(37, 512)]])) < 1e-2
+
+
+def test_a_limit_that_leaves_nothing_is_refused() -> None:
+    with pytest.raises(CodecError, match=r"limit_hz from 2\.73 on"):
+        coded(texture(600), {"limit_hz": 2, "dc": "drop"})
+    coded(texture(600), {"limit_hz": 2.74, "dc": "drop"})
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("um", 1.0), ("m/s^2", 1e-6 * (2 * np.pi * 175) ** 2)])
+def test_the_threshold_cuts_what_is_below_it(unit: str, scale: float) -> None:
+    """At 175 Hz, index 64; the same displacement is cut or kept whichever unit states it."""
+    felt_um = threshold_amplitude(read_threshold(), np.array([175.0]), "um")[0]
+    for b0_db in (-8.0, 0.0, 12.0):
+        setting: Setting = {"levels": dct.MAX_LEVELS, "threshold": "on", "b0_db": b0_db}
+        for excess_db, stays in ((-0.5, False), (0.5, True)):
+            amplitude = felt_um * scale * 10 ** ((b0_db + excess_db) / 20)
+            decoded = codec.decode(coded(sine(amplitude, 175.0), setting, unit))
+            assert np.any(decoded) == stays
+
+
+def test_what_is_cut_is_zero_at_any_quantiser() -> None:
+    signal = 40 * texture(2048)
+    for quantiser in ("linear", "log"):
+        before, after = kept(signal, {"quantiser": quantiser, "threshold": "on", "b0_db": 0.0}, "um")
+        frequency_hz = np.arange(147) * RATE_HZ / 1024
+        cut = np.abs(before[:, :147]) * math.sqrt(2 / 512) < threshold_amplitude(read_threshold(), frequency_hz, "um")
+        assert 0.1 < np.mean(cut) < 0.9
+        assert np.max(np.abs(after[:, :147][cut])) < 0.01
+        assert np.min(np.abs(after[:, :147][~cut])) > 0.01 or quantiser == "linear"
+
+
+def test_another_threshold_takes_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text("# Source: this test.\nfrequency_hz,threshold_db_re_1um_peak\n10,0\n1000,40\n")
+    assert threshold_amplitude(read_threshold(path), np.array([1.0, 10, 100, 2000]), "um") == pytest.approx(
+        [1, 1, 10, 100]
+    )
+    setting: Setting = {"threshold": str(path), "b0_db": 0.0}
+    assert np.any(codec.decode(coded(sine(18.0, 175.0), setting, "um")))
+    assert not np.any(codec.decode(coded(sine(10.0, 175.0), setting, "um")))
+
+
+def test_the_shipped_threshold_names_its_source() -> None:
+    assert "# Source:" in DETECTION_THRESHOLD.read_text()
+    assert threshold_amplitude(read_threshold(), np.array([250.0]), "um") == pytest.approx([0.1])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "frequency_hz,level\n", "f,l\n10,1\n5,2\n", "f,l\n0,1\n", "f,l\n1,nan\n", "f\n1\n", "f,l\nx,y\n"]
+)
+def test_files_that_hold_no_threshold_are_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(CodecError, match="threshold"):
+        coded(texture(600), {"threshold": str(path)})
+    with pytest.raises(CodecError, match=r"missing\.csv"):
+        coded(texture(600), {"threshold": str(tmp_path / "missing.csv")})
+
+
+def test_a_threshold_needs_a_physical_unit() -> None:
+    with pytest.raises(CodecError, match=r"--unit and --full-scale"):
+        coded(texture(600), {"threshold": "on"}, "full scale")
+
+
+def decoder_of(head: int, levels: int = 14, first: int = 0, end: int = 64, blocks: int = 1) -> dct.DctDecoder:
+    fields = b"".join(number.to_bytes(2, "little") for number in (blocks, levels, first, end))
+    return dct.DctDecoder(bytes((head,)) + fields + bytes(2 if head & 8 else 0), 1)
+
+
+@given(head=st.integers(0, 31), numbers=st.lists(st.integers(0, 2000), min_size=4, max_size=4))
+def test_any_configuration_is_read_or_refused(head: int, numbers: list[int]) -> None:
+    blocks, levels, first, end = numbers
+    fits = head & 7 < 5 and 1 <= blocks <= 2**12 // (1 << (head & 7)) and levels >= 4
+    fits = fits and blocks <= 4095 and first < end <= 64 << (head & 7)
+    try:
+        decoder = decoder_of(head, levels, first, end, blocks)
+    except CodecError:
+        assert not fits
+    else:
+        assert fits
+        assert len(decoder.conceal()) == decoder.packet_samples == blocks * (64 << (head & 7))
+
+
+@given(
+    head=st.sampled_from([0, 8, 16, 24, 20, 28]),
+    levels=st.sampled_from([4, 5, 300, 65535]),
+    ranges=st.binary(min_size=4, max_size=4) | st.just(b"\xff" * 4) | st.just(b"\x00\x10\x00\x10"),
+    payloads=st.lists(st.binary(max_size=300), min_size=1, max_size=4),
+)
+@settings(max_examples=150)
+def test_any_payload_decodes_safely(head: int, levels: int, ranges: bytes, payloads: list[bytes]) -> None:
+    decoder = decoder_of(head, levels)
+    for payload in payloads:
+        try:
+            samples = decoder.decode(b"\x01" + ranges + payload)
+        except CodecError:
+            assert not head & 16, "any bits are a meaning for the range decoder"
+            samples = decoder.conceal()
+        assert samples.shape == (64 << (head & 7), 1)
+
+
+@given(
+    damage=st.lists(st.tuples(st.integers(5, 400), st.integers(1, 255)), max_size=4),
+    entropy=st.sampled_from(["huffman", "range"]),
+)
+def test_damage_stays_within_the_loudness_that_the_packet_states(damage: list[tuple[int, int]], entropy: str) -> None:
+    """No coefficient is above the ranges: what their energy cannot give, a damaged packet cannot either."""
+    stream = coded(0.01 * texture(512), {"entropy": entropy, "levels": 30}, live=True)
+    packet = bytearray(stream.packets[0])
+    for position, flip in damage:
+        packet[position % (len(packet) - 5) + 5] ^= flip
+    decoder = dct.DctDecoder(stream.configuration, 1)
+    try:
+        samples = decoder.decode(bytes(packet))
+    except CodecError:
+        return
+    peak = np.max(np.abs(coefficients(codec.decode(stream)))) / stream.gains[0] * 32768
+    assert np.sum(np.square(samples.astype(float))) <= 1.1 * 512 * peak**2
+
+
+def bits(*parts: tuple[int, int]) -> bytes:
+    """Numbers of so many bits, one behind the other."""
+    text = "".join(f"{value:0{count}b}" for value, count in parts)
+    return bytes(int(text[start : start + 8].ljust(8, "0"), 2) for start in range(0, len(text), 8))
+
+
+RANGES = b"\x00\x10\x00\x10"
+TABLES = {
+    "of one symbol": ((0, 7), (1, 4)),
+    "that holds too many codes": ((2, 7), (1, 4), (1, 4), (1, 4)),
+    "that holds too few codes": ((2, 7), (2, 4), (2, 4), (2, 4)),
+    "without any code": ((1, 7), (0, 4), (0, 4)),
+    "of 128 symbols": ((127, 7), *((7, 4),) * 128),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_that_are_no_code_are_refused(name: str) -> None:
+    with pytest.raises(CodecError, match="damaged"):
+        decoder_of(0).decode(b"\x01" + RANGES + bits((0, 1), *TABLES[name]))
+
+
+def test_a_complete_table_is_taken() -> None:
+    table = ((1, 7), (1, 4), (1, 4))
+    assert np.any(decoder_of(0).decode(b"\x01" + RANGES + bits((0, 1), *table)))
+
+
+@pytest.mark.parametrize("packet", [b"", b"\x00" + RANGES, b"\x01", b"\x01" + RANGES[:3], b"\x80" * 9])
+def test_packets_without_head_or_ranges_are_refused(packet: bytes) -> None:
+    with pytest.raises(CodecError, match="damaged"):
+        decoder_of(16).decode(packet)
+
+
+def test_a_missing_packet_fades_as_a_mirror_image_and_the_next_one_rises() -> None:
+    stream = coded(texture(2048), {"levels": 200}, live=True)
+    clean = codec.decode_integers(stream)[:, 0].astype(int)
+    decoder = dct.DctDecoder(stream.configuration, 1)
+    decoder.decode(stream.packets[0])
+    fade = decoder.conceal()[:, 0]
+    mirror = clean[448:512][::-1] * (63 - np.arange(64)) / 64
+    np.testing.assert_allclose(fade[:64], mirror, atol=1)
+    assert not np.any(fade[64:])
+    assert not np.any(decoder.conceal())
+    risen = decoder.decode(stream.packets[2])[:, 0]
+    np.testing.assert_allclose(risen[:64], clean[1024:1088] * (np.arange(64) + 1) / 64, atol=1)
+    np.testing.assert_array_equal(risen[64:], clean[1088:1536])
+    np.testing.assert_array_equal(decoder.decode(stream.packets[3])[:, 0], clean[1536:])
+
+
+def test_silence_takes_its_ranges_only() -> None:
+    signal = np.hstack([np.zeros((5000, 2)), texture(5000)])
+    for entropy in ("huffman", "range"):
+        silent = coded(signal[:, :2], {"entropy": entropy}, live=True)
+        assert {len(packet) for packet in silent.packets} == {1 + 8}
+        decoded = codec.decode(coded(signal, {"entropy": entropy}))
+        assert not np.any(decoded[:, :2])
+        assert np.any(decoded[:, 2])
+
+
+def test_packets_that_do_not_fit_are_refused() -> None:
+    noise = np.random.default_rng(1).uniform(-1, 1, (2**13, 16))
+    signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * 16, (0.5,) * 16)
+    for entropy in ("huffman", "range"):
+        setting = dct.CODEC.complete({"levels": dct.MAX_LEVELS, "entropy": entropy})
+        with pytest.raises(CodecError, match="shorter packets"):
+            dct.DctEncoder(setting, signal_format, Framing(2**13, 0)).encode(noise)
+    for samples in (0, 2**18 + 1):
+        with pytest.raises(CodecError, match="are allowed"):
+            dct.DctEncoder(setting, signal_format, Framing(samples, 0))
+
+
+def test_packets_are_whole_blocks() -> None:
+    signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,), (0.5,))
+    for asked, block, given_samples in ((128, "512", 512), (128, "64", 128), (513, "512", 1024)):
+        encoder = dct.DctEncoder(dct.CODEC.complete({"block": block}), signal_format, Framing(asked, 1))
+        assert encoder.packet_samples == given_samples
+
+
+@given(st.lists(st.integers(0, 10_000), min_size=2, max_size=120).filter(any))
+def test_huffman_codes_are_complete_and_near_the_entropy(counts: list[int]) -> None:
+    """Within a bit of the entropy (Huffman 1952), unless that one bit is all that a code can have."""
+    lengths = code_lengths(counts)
+    assert sum(2.0**-length for length in lengths if length) == 1
+    total = sum(counts)
+    entropy = -sum(count * math.log2(count / total) for count in counts if count)
+    assert entropy - 1e-6 <= sum(map(int.__mul__, counts, lengths)) <= entropy + total
+    codes = {f"{code:0{length}b}" for code, length in zip(canonical_codes(lengths), lengths, strict=True) if length}
+    assert len(codes) == sum(length > 0 for length in lengths)
+    assert not any(long != short and long.startswith(short) for long in codes for short in codes)
+
+
+def test_huffman_codes_are_never_too_long() -> None:
+    counts = [1, 1]
+    while len(counts) < 40:
+        counts.append(counts[-1] + counts[-2])
+    assert max(code_lengths(counts)) == LONGEST_CODE
+
+
+@given(st.lists(st.integers(0, 65_536), min_size=1))
+def test_symbols_and_low_bits_give_the_value_back(values: list[int]) -> None:
+    symbols, low_bits = dct.symbols_of(np.array(values))
+    assert np.all(symbols < 120)
+    for value, symbol, count in zip(values, symbols.tolist(), low_bits.tolist(), strict=True):
+        assert value == symbol if symbol < 16 else value >> count == 8 + symbol % 8 and count == symbol // 8 - 1
+
+
+def golden_signal() -> Signal:
+    """Made of integers only, so that every machine has the same: (700, 2), silent from 512 on in one channel."""
+    state, values = 1, []
+    for _ in range(1400):
+        state = (state * 1103515245 + 12345) % 2**31
+        values.append((state >> 16) % 256 - 128)
+    signal = np.array(values, dtype=np.float64).reshape(700, 2).cumsum(axis=0) / 8192
+    signal[512:, 1] = 0
+    return signal
+
+
+@pytest.mark.parametrize(
+    ("entropy", "digest", "snr_db"),
+    [("huffman", "74788a8ca94dbbc6f627490f063bd9d7", 17.00), ("range", "fbf345ea1aa372807cbd4a8ef8fb8261", 28.60)],
+)
+def test_golden_streams(entropy: str, digest: str, snr_db: float) -> None:
+    """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
+    header, packets = unpack_file(Path(__file__).with_name(f"golden_dct_{entropy}.vct").read_bytes())
+    assert (header.samples, header.channels, len(packets)) == (700, 2, 3)
+    decoder = codec.decoder(2, header.configuration, 2)
+    samples = np.concatenate([decoder.decode(packet) for packet in packets])
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == digest
+    ratio = codec.snr_db(golden_signal(), samples[:700] * (np.array(header.gains) / 32768))
+    assert ratio == pytest.approx(snr_db, abs=0.01)
