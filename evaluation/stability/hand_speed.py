@@ -38,7 +38,7 @@ def measure(codec_name: str, setting: Setting, surface: str, speed_mm_s: float) 
     """
     samples = GENERATED[surface](0, SECONDS, CODED_MM_S, RATE_HZ).samples
     samples = samples - samples.mean()
-    heard, _ = decoded(samples, RATE_HZ, codec_name, setting)
+    heard, _ = decoded(samples, RATE_HZ, codec_name, setting, "um")
     spatial = np.asarray(np.fft.rfftfreq(len(samples), CODED_MM_S / RATE_HZ), np.float64)
     wanted, error, played = (
         np.abs(np.fft.rfft(each[:, 0] * np.hanning(len(samples)))) ** 2 for each in (samples, heard - samples, heard)

@@ -1,8 +1,8 @@
-"""Ladders of settings: does quality rise with every rung, on surfaces and recordings?"""
+"""Settings from coarse to fine, every codec's ladders and the DCT codec's parameters: does quality rise on the way?"""
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -12,10 +12,10 @@ import codec
 from codec.interface import Setting
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope
-from evaluation.stability.signals import RATE_HZ, Signal, decoded, texture
+from evaluation.stability.signals import RATE_HZ, Signal, decoded
 from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
 from textures import Recording
-from textures.generate import rough, stick_slip, wood_surface
+from textures.generate import rough, stick_slip, wood, wood_surface
 
 SECONDS = 1.0
 HAND_SPEED_MM_S = 50.0
@@ -26,21 +26,25 @@ SURFACES: dict[str, Callable[..., Recording]] = {"wood": wood_surface, "sandpape
 TEXTURES = (*SURFACES, "acceleration")
 
 
-def samples_of(name: str) -> Signal:
-    """Return a texture by its name: heights in um without their mean, or the acceleration of a stylus on wood."""
+def texture_of(name: str) -> tuple[Signal, str]:
+    """Return a texture by its name, with its unit: heights without their mean, or what a stylus on wood feels."""
     if name == "acceleration":
-        return texture(seconds=SECONDS)
+        return wood(0, SECONDS, HAND_SPEED_MM_S, RATE_HZ).samples, "m/s^2"
     samples = SURFACES[name](0, SECONDS, HAND_SPEED_MM_S, RATE_HZ).samples
-    return np.asarray(samples - samples.mean())
+    return np.asarray(samples - samples.mean()), "um"
 
 
 def measure(codec_name: str, setting: Setting, name: str) -> Measured:
-    """Code a texture at a setting: SNR and bits per sample of the whole stream. Raises CodecError."""
-    samples = samples_of(name)
-    heard, stream = decoded(samples, RATE_HZ, codec_name, setting)
-    snr_db = codec.snr_db(samples, heard)
+    """Code a texture at a setting: SNR, ST-SIM, bits per sample of the whole stream. Raises CodecError."""
+    from evaluation import metrics
+
+    samples, unit = texture_of(name)
+    heard, stream = decoded(samples, RATE_HZ, codec_name, setting, unit)
+    quality = metrics.measure(samples, heard, RATE_HZ)
+    snr_db = quality.snr_db
     assert snr_db is not None, "a texture is not silent"
-    figures = {"snr_db": snr_db, "bits_per_sample": 8 * stream.size_bytes / samples.size}
+    bits = 8 * stream.size_bytes / samples.size
+    figures = {"snr_db": snr_db, "st_sim_2800": quality.st_sim_2800, "bits_per_sample": bits}
     outcome = Outcome.HOLDS if snr_db >= 0 else Outcome.FAILS
     return Measured(outcome, figures, "" if outcome is Outcome.HOLDS else f"SNR {snr_db:.1f} dB")
 
@@ -65,44 +69,129 @@ def _trials(scope: Scope) -> list[Trial]:
     trials = []
     for codec_name in scope.codecs:
         for ladder, rungs in codec.CODECS[codec_name].ladders.items():
-            chosen = rungs[:: max(1, len(rungs) // 2)] if scope.quick else rungs
-            trials += [
-                Trial(
-                    LADDERS.name,
-                    ladder,
-                    name,
-                    setting_text(setting),
-                    float(rungs.index(setting) + 1),
-                    partial(measure, codec_name, setting, name),
-                )
-                for name in (TEXTURES[:1] if scope.quick else TEXTURES)
-                for setting in chosen
-            ]
+            numbered = list(enumerate(rungs, 1))
+            trials += _of_settings(LADDERS.name, ladder, codec_name, numbered, scope)
     return trials
 
 
+def _of_settings(
+    name: str, method: str, codec_name: str, settings: Sequence[tuple[float, Setting]], scope: Scope
+) -> list[Trial]:
+    """Return the trials of settings, each with its value, on every texture."""
+    chosen = settings[:: max(1, len(settings) // 2)] if scope.quick else settings
+    return [
+        Trial(
+            name, method, texture, setting_text(setting), float(value), partial(measure, codec_name, setting, texture)
+        )
+        for texture in (TEXTURES[:1] if scope.quick else TEXTURES)
+        for value, setting in chosen
+    ]
+
+
+def _curves(cells: Sequence[Cell], method: str, figure: str) -> list[pictures.Curve]:
+    """Return a curve for each texture; ringed where the SNR falls."""
+    curves = []
+    for case in dict.fromkeys(cell.case for cell in cells):
+        own = [cell for cell in cells if (cell.method, cell.case) == (method, case)]
+        y = [cell.figure(figure) if math.isfinite(cell.figure(figure)) else math.nan for cell in own]
+        x = [cell.value or 0.0 for cell in own]
+        curves.append(pictures.Curve(case, x, y, [cell.outcome is not Outcome.HOLDS for cell in own]))
+    return curves
+
+
 def _draw(path: Path, cells: Sequence[Cell]) -> None:
-    """One panel for each ladder, one curve for each texture; ringed where quality falls."""
-    panels = []
-    for ladder in dict.fromkeys(cell.method for cell in cells):
-        curves = []
-        for case in dict.fromkeys(cell.case for cell in cells):
-            own = [cell for cell in cells if (cell.method, cell.case) == (ladder, case)]
-            x = [cell.value or 0.0 for cell in own]
-            snrs_db = [cell.figure("snr_db") if math.isfinite(cell.figure("snr_db")) else math.nan for cell in own]
-            curves.append(pictures.Curve(case, x, snrs_db, [cell.outcome is not Outcome.HOLDS for cell in own]))
-        panels.append(pictures.Panel(ladder, "rung, the coarsest first", "SNR, dB", curves))
+    """One panel for each ladder, one curve for each texture."""
+    panels = [
+        pictures.Panel(ladder, "rung, the coarsest first", "SNR, dB", _curves(cells, ladder, "snr_db"))
+        for ladder in dict.fromkeys(cell.method for cell in cells)
+    ]
     pictures.curves(path, panels, across=3)
 
 
+def _draw_sweep(x_label: str, log_x: bool, path: Path, cells: Sequence[Cell]) -> None:
+    """SNR and ST-SIM of each method, side by side."""
+    panels = [
+        pictures.Panel(f"{method}: {title}", x_label, "", _curves(cells, method, figure), log_x)
+        for method in dict.fromkeys(cell.method for cell in cells)
+        for figure, title in (("snr_db", "SNR, dB"), ("st_sim_2800", "ST-SIM (2800 Hz)"))
+    ]
+    pictures.curves(path, panels)
+
+
+_TEXTURES_IN_WORDS = (
+    f"{SECONDS:g} s of generated surfaces (heights at {HAND_SPEED_MM_S:g} mm/s; leather by stick and slip) and an "
+    "acceleration"
+)
 LADDERS = Map(
     "ladders",
     "Settings from coarse to fine",
-    f"Every rung of every ladder on {SECONDS:g} s of generated surfaces (heights at {HAND_SPEED_MM_S:g} mm/s; leather "
-    f"by stick and slip) and an acceleration. D: the SNR is more than {FALL_DB:g} dB below that of a coarser rung; F: "
-    "below 0 dB.",
+    f"Every rung of every ladder on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {FALL_DB:g} dB below that "
+    "of a coarser rung; F: below 0 dB.",
     "rung",
     _trials,
     _draw,
+    falls,
+)
+
+DCT = "dct"
+LEVELS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 16, 18, 20, 22, 24, 26, 28, 32, 36, 40, 48, 56, 64)
+B0_DB = (24, 20, 16, 12, 10, 8, 6, 4, 2, 0, -2, -4, -6, -8, -10, -12, -16, -20, -24)
+SMALLEST = (3.0, 2.0, 1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002)
+S_LEVELS = (8, 14, 28)
+
+
+def _dct_trials(
+    name: str, methods: Mapping[str, Setting], parameter: str, values: Sequence[float], scope: Scope
+) -> list[Trial]:
+    """Return the trials of one parameter of the codec that these maps are about, beside fixed ones of each method."""
+    if DCT not in scope.codecs:
+        return []
+    return [
+        trial
+        for method, fixed in methods.items()
+        for trial in _of_settings(name, method, DCT, [(value, {**fixed, parameter: value}) for value in values], scope)
+    ]
+
+
+DCT_LEVELS = Map(
+    "dct_levels",
+    "Levels of the DCT codec",
+    f"Levels L of the linear and of the logarithmic quantiser, on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more "
+    f"than {FALL_DB:g} dB below that at fewer levels.",
+    "levels",
+    partial(
+        _dct_trials,
+        "dct_levels",
+        {"dct, linear": {"quantiser": "linear"}, "dct, log": {"quantiser": "log"}},
+        "levels",
+        LEVELS,
+    ),
+    partial(_draw_sweep, "levels L", True),
+    falls,
+)
+DCT_THRESHOLD = Map(
+    "dct_threshold",
+    "Threshold cut of the DCT codec",
+    "What lies below the detection threshold, moved by b0, is cut, and the rest kept in 16 bits, on "
+    f"{_TEXTURES_IN_WORDS}. F: the SNR is below 0 dB.",
+    "dB",
+    partial(_dct_trials, "dct_threshold", {"dct, cut": {"quantiser": "fine", "threshold": "on"}}, "b0_db", B0_DB),
+    partial(_draw_sweep, "b0, dB", False),
+    falls,
+)
+DCT_SMALLEST = Map(
+    "dct_smallest",
+    "Smallest magnitude of the logarithmic quantiser",
+    f"S of the DCT codec's logarithmic quantiser, in the signal's unit, at {', '.join(map(str, S_LEVELS))} levels, on "
+    f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {FALL_DB:g} dB below that of a larger S.",
+    "um or m/s^2",
+    partial(
+        _dct_trials,
+        "dct_smallest",
+        {f"dct, log, {levels} levels": {"quantiser": "log", "levels": levels} for levels in S_LEVELS},
+        "smallest",
+        SMALLEST,
+    ),
+    partial(_draw_sweep, "S, um or m/s^2", True),
     falls,
 )

@@ -108,15 +108,18 @@ def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
         figure.savefig(partial)
 
 
-def dots(path: Path, names: Sequence[str], values: Mapping[str, Sequence[float]], label: str, line: float) -> None:
-    """Draw named values, each series with a marker of its own, and a line that they should not pass. Raises OSError."""
+def dots(
+    path: Path, names: Sequence[str], values: Mapping[str, Sequence[float]], label: str, line: float | None
+) -> None:
+    """Draw named values, each series with its own marker, and a line that they should not pass. Raises OSError."""
     figure = Figure(figsize=(7.5, 1.4 + 0.24 * len(names)), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     rows = np.arange(len(names))
     for (series, numbers), (_, marker), shade in zip(values.items(), DASHES, ("black", "0.5"), strict=False):
         axes.plot(numbers, rows, marker, color=shade, markerfacecolor=shade, label=series)
-    axes.axvline(line, color="0.4", linestyle="--", linewidth=1)
+    if line is not None:
+        axes.axvline(line, color="0.4", linestyle="--", linewidth=1)
     axes.set_yticks(rows, names, fontsize=9)
     axes.set(ylim=(len(names) - 0.5, -0.5), xlabel=label)
     axes.grid(axis="y", color="0.9")

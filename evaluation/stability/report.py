@@ -5,15 +5,33 @@ from pathlib import Path
 
 from evaluation.stability import page
 from evaluation.stability.actuators import RESONANCE, VOLTAGE
+from evaluation.stability.entropy import ENTROPY
+from evaluation.stability.filters import FILTERS
 from evaluation.stability.hand_speed import HAND_SPEED
-from evaluation.stability.ladders import LADDERS
+from evaluation.stability.ladders import DCT_LEVELS, DCT_SMALLEST, DCT_THRESHOLD, LADDERS
 from evaluation.stability.maps import Scope
 from evaluation.stability.peers import PEERS
 from evaluation.stability.signals import ONSETS, SIGNALS
 from evaluation.stability.transport import DRIFT, FLIPS, JITTER, LOSS
 from evaluation.stability.trials import Cell, run
 
-MAPS = (SIGNALS, ONSETS, LADDERS, LOSS, FLIPS, DRIFT, JITTER, HAND_SPEED, RESONANCE, VOLTAGE)
+MAPS = (
+    SIGNALS,
+    ONSETS,
+    LADDERS,
+    DCT_LEVELS,
+    DCT_THRESHOLD,
+    DCT_SMALLEST,
+    FILTERS,
+    ENTROPY,
+    LOSS,
+    FLIPS,
+    DRIFT,
+    JITTER,
+    HAND_SPEED,
+    RESONANCE,
+    VOLTAGE,
+)
 
 
 def make(

@@ -125,9 +125,11 @@ LONG_CASE = "texture of 1 hour"
 QUICK_CONDITIONS = ("texture", "silence", "one impulse", "1 sample", "a NaN")
 
 
-def decoded(samples: Signal, rate_hz: int, codec_name: str, setting: Setting) -> tuple[Signal, coding.Stream]:
+def decoded(
+    samples: Signal, rate_hz: int, codec_name: str, setting: Setting, unit: str = "full scale"
+) -> tuple[Signal, coding.Stream]:
     """Code a signal into a whole stream; return what that decodes to and the stream. Raises as codec.encode."""
-    stream = coding.as_stream(codec.encode(samples, rate_hz, setting, codec=codec_name), "full scale")
+    stream = coding.as_stream(codec.encode(samples, rate_hz, setting, codec=codec_name, unit=unit), unit)
     return stream.decode(), stream
 
 

@@ -1,0 +1,125 @@
+"""Entropy coding at extreme skew: bits spent on a coefficient against those that it needs."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import idct
+
+from codec.interface import Setting
+from evaluation.stability import pictures
+from evaluation.stability.maps import Map, Scope, middle_setting
+from evaluation.stability.signals import RATE_HZ, Signal, decoded
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+
+DCT = "dct"
+CODERS = ("huffman", "range")
+BLOCK, BLOCKS = 512, 20
+HELD_BITS, FAILED_BITS = 0.2, 1.5
+
+
+def _shaped(values: Signal) -> Signal:
+    return np.asarray(values, np.float64).reshape(BLOCKS, BLOCK)
+
+
+def _sparse(part: float) -> Signal:
+    """One value in 1 / `part` at its maximum, the others at its negative."""
+    random = np.random.default_rng(0)
+    return _shaped(np.where(random.random(BLOCKS * BLOCK) < part, 1, -1))
+
+
+COEFFICIENTS: dict[str, tuple[Callable[[], Signal], int]] = {
+    "all zero": (lambda: _shaped(np.zeros(BLOCKS * BLOCK)), 4),
+    "all the same": (lambda: _shaped(np.ones(BLOCKS * BLOCK)), 4),
+    "alternating extremes": (lambda: _shaped(np.tile([1, -1], BLOCKS * BLOCK // 2)), 4),
+    "one in 500 differs": (partial(_sparse, 0.002), 4),
+    "one in 50 differs": (partial(_sparse, 0.02), 4),
+    "extremes at random": (partial(_sparse, 0.5), 4),
+    "all of 65535 levels": (
+        lambda: _shaped(np.random.default_rng(0).uniform(-1, 1, BLOCKS * BLOCK)),
+        65_535,
+    ),
+}
+"""Coefficients relative to the greatest, and the levels that they are quantised to."""
+
+
+def needed_bits(coefficients: Signal, levels: int) -> float:
+    """Return the bits a value of order 0: the entropy of two values, or of all levels, equally likely."""
+    if levels > 4:
+        return math.log2(levels)
+    _, counts = np.unique(coefficients, return_counts=True)
+    shares = counts / counts.sum()
+    return float(-np.sum(shares * np.log2(shares)))
+
+
+def measure(coder: str, case: str) -> Measured:
+    """Code a signal that has these DCT coefficients; judge by the bits of the whole stream beyond the entropy.
+
+    Raises CodecError.
+    """
+    make, levels = COEFFICIENTS[case]
+    coefficients = make()
+    samples = idct(coefficients, axis=1, norm="ortho").reshape(-1, 1) / math.sqrt(BLOCK)
+    setting: Setting = {"levels": levels, "entropy": coder, "block": str(BLOCK), "dc": "keep"}
+    _, stream = decoded(np.asarray(samples), RATE_HZ, DCT, setting)
+    return judge(8 * stream.size_bytes / samples.size, needed_bits(coefficients, levels))
+
+
+def measure_silence(codec_name: str, setting: Setting) -> Measured:
+    """Code silence, which needs nothing."""
+    samples = np.zeros((BLOCKS * BLOCK, 1))
+    _, stream = decoded(samples, RATE_HZ, codec_name, setting)
+    return judge(8 * stream.size_bytes / samples.size, 0.0)
+
+
+def judge(bits: float, needed: float) -> Measured:
+    """Return the outcome of a rate against the entropy, both in bits per sample."""
+    figures = {"bits_per_sample": bits, "entropy_bits": needed, "excess_bits": bits - needed}
+    effect = f"{bits:.2f} bits per sample where {needed:.2f} would do"
+    if bits - needed > FAILED_BITS:
+        return Measured(Outcome.FAILS, figures, effect)
+    return Measured(Outcome.HOLDS if bits - needed <= HELD_BITS else Outcome.DEGRADED, figures, effect)
+
+
+def _trials(scope: Scope) -> list[Trial]:
+    trials = []
+    for codec_name in scope.codecs:
+        setting = middle_setting(codec_name)
+        silence = partial(measure_silence, codec_name, setting)
+        trials.append(Trial(ENTROPY.name, codec_name, "silence", f"middle: {setting_text(setting)}", None, silence))
+    if DCT in scope.codecs:
+        cases = list(COEFFICIENTS)[:: 3 if scope.quick else 1]
+        trials += [
+            Trial(ENTROPY.name, f"{DCT}, {coder}", case, "", None, partial(measure, coder, case))
+            for case in cases
+            for coder in CODERS
+        ]
+    return trials
+
+
+def _draw(path: Path, cells: Sequence[Cell]) -> None:
+    known = [cell for cell in cells if cell.figures]
+    pictures.dots(
+        path,
+        [f"{cell.case}: {cell.method}" for cell in known],
+        {
+            "bits that are spent": [cell.figure("bits_per_sample") for cell in known],
+            "entropy": [cell.figure("entropy_bits") for cell in known],
+        },
+        "bits per sample",
+        None,
+    )
+
+
+ENTROPY = Map(
+    "entropy_coding",
+    "Entropy coding at extreme skew",
+    f"{BLOCKS * BLOCK} samples: silence, for every codec, and signals made of {DCT} coefficients that are all "
+    "extreme or almost all alike. Bits of the whole stream per sample against the entropy of order 0. Holds up to "
+    f"{HELD_BITS:g} bits beyond it, fails above {FAILED_BITS:g}.",
+    "",
+    _trials,
+    _draw,
+)
