@@ -16,7 +16,7 @@ from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_
 
 DCT = "dct"
 CODERS = ("huffman", "range")
-BLOCK, BLOCKS = 512, 20
+BLOCK, BLOCKS = 512, 24  # three packets of 4096 samples, none of them padded
 HELD_BITS, FAILED_BITS = 0.2, 1.5
 
 

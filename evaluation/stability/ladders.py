@@ -21,6 +21,8 @@ SECONDS = 1.0
 HAND_SPEED_MM_S = 50.0
 FALL_DB = 0.1
 """A fall of the SNR from one rung to the next that counts."""
+NEAR_DB = 1.0
+HALF_DB = 3.0
 
 SURFACES: dict[str, Callable[..., Recording]] = {"wood": wood_surface, "sandpaper": rough, "leather": stick_slip}
 TEXTURES = (*SURFACES, "acceleration")
@@ -63,6 +65,33 @@ def falls(cells: list[Cell]) -> list[Cell]:
             best[curve] = max(before_db, snr_db)
         judged.append(cell)
     return judged
+
+
+def near_best(cells: list[Cell]) -> list[Cell]:
+    """Return the cells, those degraded whose SNR is more than NEAR_DB below the best of the same curve."""
+    best_db: dict[tuple[str, str], float] = {}
+    for cell in cells:
+        curve = (cell.method, cell.case)
+        best_db[curve] = max(best_db.get(curve, -math.inf), cell.figure("snr_db"))
+
+    def judged(cell: Cell) -> Cell:
+        snr_db, best = cell.figure("snr_db"), best_db[cell.method, cell.case]
+        if cell.outcome is not Outcome.HOLDS or snr_db >= best - NEAR_DB:
+            return cell
+        effect = f"SNR {snr_db:.1f} dB, {best:.1f} dB at the best"
+        return dataclasses.replace(cell, outcome=Outcome.DEGRADED, effect=effect)
+
+    return [judged(cell) for cell in cells]
+
+
+def half_left(cells: list[Cell]) -> list[Cell]:
+    """Return the cells, those degraded in which less than half of the power is left."""
+    return [
+        dataclasses.replace(cell, outcome=Outcome.DEGRADED, effect=f"SNR {cell.figure('snr_db'):.1f} dB")
+        if cell.outcome is Outcome.HOLDS and cell.figure("snr_db") < HALF_DB
+        else cell
+        for cell in cells
+    ]
 
 
 def _trials(scope: Scope) -> list[Trial]:
@@ -173,17 +202,18 @@ DCT_THRESHOLD = Map(
     "dct_threshold",
     "Threshold cut of the DCT codec",
     "What lies below the detection threshold, moved by b0, is cut, and the rest kept in 16 bits, on "
-    f"{_TEXTURES_IN_WORDS}. F: the SNR is below 0 dB.",
+    f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is below {HALF_DB:g} dB, half of the power is cut; F: below 0 dB.",
     "dB",
     partial(_dct_trials, "dct_threshold", {"dct, cut": {"quantiser": "fine", "threshold": "on"}}, "b0_db", B0_DB),
     partial(_draw_sweep, "b0, dB", False),
-    falls,
+    half_left,
 )
 DCT_SMALLEST = Map(
     "dct_smallest",
     "Smallest magnitude of the logarithmic quantiser",
-    f"S of the DCT codec's logarithmic quantiser, in the signal's unit, at {', '.join(map(str, S_LEVELS))} levels, on "
-    f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {FALL_DB:g} dB below that of a larger S.",
+    f"S of the DCT codec's logarithmic quantiser, in the signal's unit, at {', '.join(map(str, S_LEVELS))} levels, "
+    f"on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {NEAR_DB:g} dB below the best on this curve; F: below "
+    "0 dB.",
     "um or m/s^2",
     partial(
         _dct_trials,
@@ -193,5 +223,5 @@ DCT_SMALLEST = Map(
         SMALLEST,
     ),
     partial(_draw_sweep, "S, um or m/s^2", True),
-    falls,
+    near_best,
 )

@@ -22,7 +22,7 @@ class Map:
     """One map. `name`: of its files. `varied`: what a cell's value is, with its unit; "" where cases are not numbers.
 
     `about`: what is tried and by which rules an outcome follows. `judged`: what makes of the cells those of the map,
-    where an outcome depends on others. `draw`: writes the picture.
+    where an outcome depends on others. `draw`: writes the picture. `in_summary`: whether the page begins with its rows.
     """
 
     name: str
@@ -32,12 +32,13 @@ class Map:
     trials: Callable[[Scope], list[Trial]]
     draw: Callable[[Path, Sequence[Cell]], None]
     judged: Callable[[list[Cell]], list[Cell]] = lambda cells: cells
+    in_summary: bool = True
 
 
 def three_settings(codec: Codec) -> dict[str, Setting]:
-    """Return the coarsest, the middle and the finest setting of a codec's first ladder."""
+    """Return settings of a codec's first ladder: a quarter of the way up, half of it, and the finest."""
     ladder = next(iter(codec.ladders.values()))
-    return {"low": ladder[0], "middle": ladder[len(ladder) // 2], "high": ladder[-1]}
+    return {"low": ladder[len(ladder) // 4], "middle": ladder[len(ladder) // 2], "high": ladder[-1]}
 
 
 def middle_setting(codec_name: str) -> Setting:

@@ -3,8 +3,9 @@
 import csv
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from evaluation.stability.known_causes import explanation
 from evaluation.stability.maps import Map
@@ -16,6 +17,8 @@ _SUMMARY_HEADER = "| method | map | holds for | boundary | what a person gets | 
 _MAP_HEADER = "| method | outcome | where | what a person gets | cause | remedy |"
 _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
 _LONGEST_EFFECT = 160
+
+Item = TypeVar("Item")
 
 
 def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
@@ -58,12 +61,13 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> str:
         "",
         _SUMMARY_HEADER,
         "|---" * (_SUMMARY_HEADER.count("|") - 1) + "|",
-        *(row for each, cells in maps for row in _summary_rows(each, cells)),
+        *(row for each, cells in maps if each.in_summary for row in _summary_rows(each, cells)),
         "",
     ]
     for each, cells in maps:
         lines += ["", f"## {each.title}", "", each.about, "", f"![{each.title}]({FOLDER}/{each.name}.png)", ""]
-        held = [method for method, own in by_method(cells).items() if all(cell.sound for cell in own)]
+        methods = _grouped(cells, lambda cell: cell.method)
+        held = [method for method, own in methods.items() if all(cell.sound for cell in own)]
         if held:
             lines += [f"Holds everywhere: {', '.join(held)}.", ""]
         if rows := _map_rows(each, cells):
@@ -71,28 +75,30 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> str:
     return "\n".join(lines)
 
 
-def by_method(cells: Sequence[Cell]) -> dict[str, list[Cell]]:
-    """Return the cells of each method, in their order."""
-    methods: dict[str, list[Cell]] = {}
-    for cell in cells:
-        methods.setdefault(cell.method, []).append(cell)
-    return methods
-
-
 def where(each: Map, cells: Sequence[Cell], method_cells: Sequence[Cell]) -> str:
-    """Return in words where some of a method's cells lie: their cases, with ranges of what is varied, or settings."""
-    parts = []
-    for case in dict.fromkeys(cell.case for cell in cells):
-        own = [cell for cell in cells if cell.case == case]
-        of_case = [cell for cell in method_cells if cell.case == case]
-        if each.varied:
-            text = ranges([cell.value or 0.0 for cell in own], [cell.value or 0.0 for cell in of_case])
-            one_case = len({cell.case for cell in method_cells}) == 1
-            parts.append(f"{text} {each.varied}" if one_case else f"{case}: {text} {each.varied}")
-        else:
-            levels = [cell.setting.partition(":")[0] for cell in own]
-            parts.append(case if len(own) == len(of_case) else f"{case} ({', '.join(levels)})")
-    return "; ".join(parts)
+    """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings."""
+    if each.varied:
+        parts = []
+        for case, own in _grouped(cells, lambda cell: cell.case).items():
+            of_case = [cell.value or 0.0 for cell in method_cells if cell.case == case]
+            parts.append((ranges([cell.value or 0.0 for cell in own], of_case), case))
+        if len({cell.case for cell in method_cells}) == 1:
+            return f"{parts[0][0]} {each.varied}"
+        joined = _grouped(parts, lambda part: part[0])
+        return "; ".join(f"{', '.join(case for _, case in own)}: {text} {each.varied}" for text, own in joined.items())
+    settings: dict[str, list[str]] = {}
+    for case, own in _grouped(cells, lambda cell: cell.case).items():
+        levels = [cell.setting.partition(":")[0] for cell in own]
+        everywhere = len(own) == sum(cell.case == case for cell in method_cells)
+        settings.setdefault("" if everywhere else f" ({', '.join(levels)})", []).append(case)
+    return "; ".join(f"{', '.join(cases)}{levels}" for levels, cases in sorted(settings.items()))
+
+
+def _grouped(items: Sequence[Item], key: Callable[[Item], str]) -> dict[str, list[Item]]:
+    groups: dict[str, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
@@ -110,34 +116,46 @@ def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
 
 def _summary_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
     """Return a row for each set of methods with the same boundary."""
-    rows: dict[tuple[str, ...], list[str]] = {}
-    for method, own in by_method(cells).items():
+    rows: dict[tuple[str, str, str], list[tuple[str, Cell | None]]] = {}
+    for method, own in _grouped(cells, lambda cell: cell.method).items():
         bad = [cell for cell in own if not cell.sound]
-        held = f"{len(own) - len(bad)} of {len(own)}"
-        worst = min(bad, key=_worst_first, default=None)
         boundary = "; ".join(
             f"{outcome}: {where(each, some, own)}"
             for outcome in _BAD_FIRST
             if (some := [cell for cell in bad if cell.outcome is outcome])
         )
-        remedy = explanation(worst)[1] if worst else ""
-        effect = _short(worst.effect) if worst else ""
-        rows.setdefault((each.title, held, boundary or "none found", effect, remedy), []).append(method)
-    return [f"| {', '.join(methods)} | {' | '.join(row)} |" for row, methods in rows.items()]
+        key = (each.title, f"{len(own) - len(bad)} of {len(own)}", boundary or "none found")
+        rows.setdefault(key, []).append((method, min(bad, key=_worst_first, default=None)))
+    return [_row([*(method for method, _ in some)], key, [worst for _, worst in some]) for key, some in rows.items()]
 
 
 def _map_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
     """Return a row for each cause, outcome and set of methods with the same boundary."""
-    rows: dict[tuple[str, ...], list[str]] = {}
-    for method, own in by_method(cells).items():
-        groups: dict[tuple[Outcome, str, str], list[Cell]] = {}
+    rows: dict[tuple[str, str, str], list[tuple[str, Cell]]] = {}
+    for method, own in _grouped(cells, lambda cell: cell.method).items():
+        groups: dict[tuple[Outcome, str], list[Cell]] = {}
         for cell in own:
             if cell.outcome is not Outcome.HOLDS:
-                groups.setdefault((cell.outcome, *explanation(cell)), []).append(cell)
-        for (outcome, cause, remedy), some in sorted(groups.items(), key=lambda group: _BAD_FIRST.index(group[0][0])):
-            effect = _short(min(some, key=_worst_first).effect)
-            rows.setdefault((outcome, where(each, some, own), effect, cause, remedy), []).append(method)
-    return [f"| {', '.join(methods)} | {' | '.join(row)} |" for row, methods in rows.items()]
+                groups.setdefault((cell.outcome, explanation(cell)[0]), []).append(cell)
+        for (outcome, cause), some in sorted(groups.items(), key=lambda group: _BAD_FIRST.index(group[0][0])):
+            key = (outcome, where(each, some, own), cause)
+            rows.setdefault(key, []).append((method, min(some, key=_worst_first)))
+    return [
+        _row([method for method, _ in some], key[:2], [worst for _, worst in some], key[2])
+        for key, some in rows.items()
+    ]
+
+
+def _row(methods: Sequence[str], columns: Sequence[str], worst: Sequence[Cell | None], *cause: str) -> str:
+    """Return a row of a table: what the worst cell of all methods gave, and the remedy."""
+    known = [cell for cell in worst if cell is not None]
+    effect, remedy = "", ""
+    if known:
+        cell = min(known, key=_worst_first)
+        effect, remedy = _short(cell.effect), explanation(cell)[1]
+        if len(methods) > 1 and not cell.to_be_refused:
+            effect += f" ({cell.method})"
+    return f"| {' | '.join([', '.join(methods), *columns, effect, *cause, remedy])} |"
 
 
 def _worst_first(cell: Cell) -> tuple[int, float]:

@@ -101,4 +101,5 @@ PEERS = Map(
     "",
     lambda scope: [],
     _draw,
+    in_summary=False,
 )

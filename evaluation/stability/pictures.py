@@ -26,6 +26,7 @@ DASHES: tuple[tuple[str, str], ...] = (
     ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
 )  # fmt: skip
 _LABEL_DISTANCE = 0.045  # of an axis' height
+_LEAST_TICK_DISTANCE = 0.07  # of its width
 _DPI = 110
 
 
@@ -138,7 +139,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.plot(curve.x, curve.y, linestyle=style, marker=marker, markersize=4, color=shade, linewidth=1.3)
         points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if math.isfinite(y)]
         if points:
-            ends.append((*points[-1], curve.name))
+            ends.append((*max(points), curve.name))
         ringed = [
             (x, y) for x, y, mark in zip(curve.x, curve.y, curve.marked, strict=False) if mark and math.isfinite(y)
         ]
@@ -154,12 +155,23 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     axes.grid(color="0.92")
     low, high = axes.get_ylim()
     missing = max(0.0, panel.least_span - (high - low))
-    axes.set_ylim(low - missing / 2, high + missing / 2)
+    never_negative = all(not y < 0 for curve in panel.curves for y in curve.y)
+    low = max(low - missing / 2, -0.04 * panel.least_span) if never_negative else low - missing / 2
+    axes.set_ylim(low, high + missing / 2)
     if panel.log_x:
-        ticks = sorted({x for curve in panel.curves for x in curve.x})
+        ticks = _apart(sorted({x for curve in panel.curves for x in curve.x}))
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
     _name_ends(axes, ends)
+
+
+def _apart(ticks: Sequence[float]) -> list[float]:
+    """Return those of rising positive numbers that have room for their names on a logarithmic axis."""
+    chosen: list[float] = []
+    for tick in ticks:
+        if not chosen or math.log(tick / chosen[-1]) >= _LEAST_TICK_DISTANCE * math.log(ticks[-1] / ticks[0]):
+            chosen.append(tick)
+    return chosen
 
 
 def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]]) -> None:

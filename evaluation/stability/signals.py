@@ -273,7 +273,7 @@ def _draw(path: Path, cells: Sequence[Cell]) -> None:
     outcomes = {(cell.case, cell.method, cell.setting.partition(":")[0]): cell.outcome for cell in cells}
     table = [[outcomes.get((row, *column), Outcome.NOT_TRIED) for column in columns] for row in rows]
     pictures.outcome_map(
-        path, rows, methods, table, "each codec at the coarsest, middle and finest setting of its ladder"
+        path, rows, methods, table, "each codec a quarter and half of the way up its ladder of settings, and at its end"
     )
 
 
@@ -305,7 +305,7 @@ SIGNALS = Map(
     "or RMS value). D: degraded, less than that. F: fails, the SNR is below 0 dB (silence would be nearer), the "
     f"result more than {FAR_LOUDER_DB:g} dB louder or not finite, or the program crashes or hangs. R: refused with "
     f"an error that says what to do. Silence holds where the result stays below {SILENT:g} of full scale and fails "
-    f"from {NEARLY_SILENT:g}. The last minute of the hour is judged.",
+    f"from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting.",
     "",
     _trials,
     _draw,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import codec
+from device_protocol.messages import Configure, Start, Status, StreamData
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope, middle_setting
 from evaluation.stability.signals import RATE_HZ, texture
@@ -31,9 +32,11 @@ HELD_SHARE, FAILED_SHARE = 0.05, 0.5
 LARGEST_STEP_RATIO = 1.5
 STALLS_EVERY_S = 0.7
 
-LOSSES = (0.0, 0.0001, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2)
-DAMAGES = (0.0, 0.01, 0.1, 0.2)
+LOSSES = (0.0001, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2)
+DAMAGES = (0.001, 0.01, 0.1, 0.2)
 DRIFTS_PPM = (-10_000, -200, 200, 10_000)
+PACED_DRIFTS_PPM = (-10_000, -1000, 1000, 2000, 5000, 10_000)
+PACED_S, PACED_AHEAD_S = 60.0, 0.1
 STALLS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 BUFFERS_S = (BUFFER_S, 0.1, 1.0)
 
@@ -122,6 +125,41 @@ def judge(
     return Measured(Outcome.HOLDS if share <= HELD_SHARE else Outcome.DEGRADED, figures, effect)
 
 
+def measure_paced(codec_name: str, drift_ppm: int) -> Measured:
+    """Play from a source that sends each packet when its own clock says so; judge by the packets that came too late.
+
+    Raises ControllerError and the like.
+    """
+    stream, _ = _stream(codec_name)
+    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm)))
+    host = Host(link, link.clock, link.sleep)
+    packets, packet_samples = stream.packets, stream.decoder().packet_samples
+    packet_s = stream.seconds / len(packets)
+    ahead = max(2, round(PACED_AHEAD_S / packet_s))
+    prebuffer_samples = ahead * packet_samples
+    host.request(Configure(1, stream.header.pack(), prebuffer_samples, packets=len(packets), loops=0), Status)
+    for number in range(ahead):
+        host.send(StreamData(1, 0, (packets[number],)))
+    started_s, late_s = host.clock(), math.nan
+    host.request(Start(), Status)
+    count = round(PACED_S / packet_s)
+    for number in range(ahead, count):
+        link.sleep(started_s + (number - ahead + 1) * packet_s - host.clock())
+        iteration, of_iteration = divmod(number, len(packets))
+        host.send(StreamData(1, iteration, (packets[of_iteration],)))
+        host.poll(0)
+        if host.status is not None and host.status.underruns and math.isnan(late_s):
+            late_s = host.clock() - started_s
+    status = host.stop()
+    share = status.lost_packets / count
+    figures = {"off_share": share, "underruns": status.underruns, "lost_packets": status.lost_packets}
+    if not share:
+        return Measured(Outcome.HOLDS, figures)
+    effect = f"{100 * share:.1f} % of the packets too late, the first after {late_s:.0f} s"
+    figures["first_underrun_s"] = late_s
+    return Measured(Outcome.DEGRADED if share <= FAILED_SHARE else Outcome.FAILS, figures, effect)
+
+
 def _trials(
     name: str, values: Sequence[float], line: Callable[[float], Line], buffers_s: Sequence[float], scope: Scope
 ) -> list[Trial]:
@@ -138,6 +176,26 @@ def _trials(
         for codec_name in scope.codecs
         for buffer_s in (buffers_s if codec_name == scope.codecs[0] else buffers_s[:1])
         for value in chosen
+    ]
+
+
+def _drift_trials(scope: Scope) -> list[Trial]:
+    """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
+    first = scope.codecs[0]
+    case = f"source with its own pace, {PACED_AHEAD_S:g} s ahead"
+    return [
+        *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,), scope),
+        *(
+            Trial(
+                DRIFT.name,
+                first,
+                case,
+                setting_text(middle_setting(first)),
+                float(drift_ppm),
+                partial(measure_paced, first, drift_ppm),
+            )
+            for drift_ppm in PACED_DRIFTS_PPM[:: 3 if scope.quick else 1]
+        ),
     ]
 
 
@@ -176,7 +234,7 @@ LOSS = Map(
     f"Frames are lost by chance, in both directions. {_RULES}",
     "chance of a frame to be lost",
     partial(_trials, "loss", LOSSES, lambda chance: Line(lost=chance), (BUFFER_S,)),
-    partial(_draw, "chance of a frame to be lost", False),
+    partial(_draw, "chance of a frame to be lost", True),
 )
 FLIPS = Map(
     "bit_flips",
@@ -184,14 +242,15 @@ FLIPS = Map(
     f"One byte of a frame is changed by chance, in both directions; its CRC tells. {_RULES}",
     "chance of a frame to be damaged",
     partial(_trials, "bit_flips", DAMAGES, lambda chance: Line(flipped=chance), (BUFFER_S,)),
-    partial(_draw, "chance of a frame to be damaged", False),
+    partial(_draw, "chance of a frame to be damaged", True),
 )
 DRIFT = Map(
     "drift",
     "Clock drift",
-    f"The controller's clock runs faster or slower than the host's. {_RULES}",
+    f"The controller's clock runs faster or slower than the host's. {_RULES} The source with its own pace, of the "
+    f"first codec, sends packets for {PACED_S:g} s as its own clock says, whatever the controller's credit.",
     "ppm",
-    partial(_trials, "drift", DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,)),
+    _drift_trials,
     partial(_draw, "drift of the controller's clock, ppm", False),
 )
 JITTER = Map(
