@@ -24,14 +24,14 @@ FONT_POINTS = 8.5
 LABEL_IN, CHARACTER_IN = 0.16, 0.07
 """Height of a line of labels, and width of a character."""
 MIN_PANEL_IN = 3.6
-LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.7, 0.3, 0.3, 0.5
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.8, 0.3, 0.3, 0.5
 LEADER_IN = 0.25
 LONGEST_NAME = 32
 
 LOWEST_RATE, HIGHEST_RATE = 0.25, 4.0
 TIME_FLOOR_S = 1e-6  # a time axis is logarithmic and has no zero
-SATURATING = {ST_SIM_2800.field, ST_SIM_8000.field, SPQI.field}
-SATURATING_LIMITS = (0.1, 0.999)
+SATURATING = {ST_SIM_2800: (0.5, 0.998), ST_SIM_8000: (0.5, 0.998), SPQI: (0.1, 0.995)}
+"""Qualities whose axis is spread towards 1, with its limits."""
 SATURATING_TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998)
 BELOW_WINDOW_DB, ABOVE_WINDOW_DB = 5, 15
 
@@ -73,30 +73,38 @@ class _Label:
 
 
 def plot_quality_against_rate(path: Path, rows: Sequence[MeanPoint], scale: Scale, main: Sequence[str]) -> None:
-    """Draw mean curves, the main ones with their spread, the first of them heavy. Raises OSError."""
+    """Draw mean curves: those measured, and below them those imported, beside the main ones again. Raises OSError.
+
+    The main ones have their spread, the first of them is heavy.
+    """
     curves = by_codec(rows)
+    measured = {codec: curve for codec, curve in curves.items() if curve[0].source != IMPORTED}
+    imported = {codec: curve for codec, curve in curves.items() if codec in main or codec not in measured}
+    groups = [group for group in (measured, imported) if not set(group) <= set(main)] or [curves]
     texts = {codec: _name_and_rate(curve[0]) for codec, curve in curves.items()}
-    figure = _figure([max(MIN_PANEL_IN, LABEL_IN * len(curves))], texts.values())
-    axes = figure.subplots()
-    _set_rate_axis(axes, "bits per sample, all bytes counted")
-    axes.set_xlim(LOWEST_RATE, HIGHEST_RATE)
-    _set_quality_axis(axes, scale)
-    labels = []
-    for index, (codec, curve) in enumerate(curves.items()):
-        imported, heavy = curve[0].source == IMPORTED, codec in main[:1]
-        bits, mean, low, high = np.transpose([(row.bits_per_sample, row.mean, row.low, row.high) for row in curve])
-        if codec in main:
-            axes.fill_between(bits, _within(axes, low), _within(axes, high), color="black", alpha=0.08, linewidth=0)
-        x, y = _draw_line(
-            axes,
-            bits,
-            mean,
-            color="0.5" if imported else "black",
-            linewidth=2.8 if heavy else 0.9 if imported else 1.4,
-            linestyle="-" if heavy else DASHES[index % len(DASHES)],
-        )
-        labels.append(_Label(x, y, curve[0], texts[codec], heavy))
-    _write_labels(axes, labels)
+    figure = _figure([max(MIN_PANEL_IN, LABEL_IN * len(group)) for group in groups], texts.values())
+    panels = figure.subplots(len(groups), squeeze=False, sharex=True).ravel()
+    _set_rate_axis(panels[-1], "bits per sample, all bytes counted")
+    panels[-1].set_xlim(LOWEST_RATE, HIGHEST_RATE)
+    for axes, group in zip(panels, groups, strict=True):
+        _set_quality_axis(axes, scale)
+        labels = []
+        for codec, curve in group.items():
+            heavy = codec in main[:1]
+            dashes = DASHES[list(curves).index(codec) % len(DASHES)]
+            bits, mean, low, high = np.transpose([(row.bits_per_sample, row.mean, row.low, row.high) for row in curve])
+            if codec in main and group is groups[0]:
+                axes.fill_between(bits, _within(axes, low), _within(axes, high), color="black", alpha=0.08, linewidth=0)
+            x, y = _draw_line(
+                axes,
+                bits,
+                mean,
+                color="0.4" if curve[0].source == IMPORTED else "black",
+                linewidth=2.8 if heavy else 1.3,
+                linestyle="-" if heavy else dashes,
+            )
+            labels.append(_Label(x, y, curve[0], texts[codec], heavy))
+        _write_labels(axes, labels)
     figure.savefig(path)
 
 
@@ -166,7 +174,7 @@ def plot_excesses(path: Path, rows: Sequence[Excess]) -> None:
     codecs_named = [name(of_codec[0]) for of_codec in codecs.values()]
     traces_named = [_short(trace) for trace in traces] if numbered else []
     height_in = LABEL_IN * min(len(traces), MAX_NUMBERED_ROWS) * 1.25
-    figure = _figure([height_in], (), left=traces_named, top=codecs_named)
+    figure = _figure([height_in], left=traces_named, top=codecs_named, bottom_in=0.1)
     axes = figure.subplots()
     axes.imshow(np.sqrt(cells), cmap="Greys", vmin=0, vmax=math.sqrt(LARGEST_EXCESS_PERCENT), aspect="auto")
     axes.set_facecolor("white")
@@ -234,20 +242,23 @@ def _short(text: str) -> str:
 
 
 def _figure(
-    heights_in: Sequence[float], right: Iterable[str], left: Iterable[str] = (), top: Iterable[str] = ()
+    heights_in: Sequence[float],
+    right: Iterable[str] = (),
+    left: Iterable[str] = (),
+    top: Iterable[str] = (),
+    bottom_in: float = BOTTOM_IN,
 ) -> Figure:
     """Return a figure for panels of these heights, one above the other, with margins for these labels."""
     right_in, left_in, top_in = (
         margin_in + CHARACTER_IN * max(map(len, texts), default=0)
         for margin_in, texts in ((RIGHT_IN, right), (LEFT_IN, left), (TOP_IN, top))
     )
-    panels_in = sum(heights_in) + TOP_IN * (len(heights_in) - 1)
-    height_in = top_in + panels_in + BOTTOM_IN
+    height_in = top_in + sum(heights_in) + TOP_IN * (len(heights_in) - 1) + bottom_in
     figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI)
     FigureCanvasAgg(figure)
     figure.subplots_adjust(
         left_in / WIDTH_IN,
-        BOTTOM_IN / height_in,
+        bottom_in / height_in,
         1 - right_in / WIDTH_IN,
         1 - top_in / height_in,
         wspace=0.05,
@@ -267,8 +278,8 @@ def _set_quality_axis(axes: Axes, scale: Scale, values: Sequence[float] | None =
     axes.set_ylabel(scale.label)
     axes.set_axisbelow(True)
     axes.grid(color="0.92")
-    if scale.field in SATURATING:
-        low, high = SATURATING_LIMITS
+    if scale in SATURATING:
+        low, high = SATURATING[scale]
         if values:
             low, high = max(0.01, 0.8 * min(values)), min(high, 1 - 0.7 * (1 - max(values)))
         axes.set_yscale("logit")

@@ -34,7 +34,7 @@ RATES = (1.0, 2.0)
 """Bits per sample at which time and delay are set against quality: most codecs have points on both sides of them."""
 EQUAL_SNR_DB = 12.0
 NEEDED_SNR_DB = 10.0
-NEAR_FEWEST = (1.1, 2.5)
+NEAR_FEWEST = (1.1, 2.0)
 COPY_SNR_DB = 60.0
 """SNR of a copy; rounding to 16 bits leaves some 80 dB."""
 SPREAD_PERCENT = (10.0, 90.0)
@@ -431,68 +431,66 @@ def _curve_cost(measurements: Measurements, codec: str, rate: float) -> CurveCos
     )
 
 
+def bits_to_reach(measurements: Measurements, snr_db: float) -> dict[str, float]:
+    """Return the mean bits per sample of the codecs that reach this SNR or more on every trace, the fewest first."""
+    means = {}
+    for codec in measurements.curves:
+        bits = [_bits_to_reach(curve, snr_db) for curve in measurements.everywhere(codec, SNR) or [()]]
+        if all(map(math.isfinite, bits)):
+            means[codec] = fmean(bits)
+    return dict(sorted(means.items(), key=lambda item: item[1]))
+
+
+def _bits_to_reach(curve: Curve, snr_db: float) -> float:
+    bits = float(bits_per_sample_at(curve, snr_db))
+    return bits if math.isfinite(bits) else min((bits for bits, value in curve if value >= snr_db), default=math.inf)
+
+
 def advice(measurements: Measurements) -> list[Advice]:
     """Return the measured codec that serves each need best; among equals the one with fewer bits."""
     measured = [codec for codec in measurements.curves if measurements.source(codec) != IMPORTED]
-    bits = {codec: _mean_bits(measurements, codec, _bits_at_needed_snr) for codec in measured}
-    copies = {codec: _mean_bits(measurements, codec, _bits_of_copy) for codec in measured}
-    costs = {codec: _curve_cost(measurements, codec, rate) for codec, rate in bits.items() if rate is not None}
-    fewest = min((rate for rate in bits.values() if rate is not None), default=0.0)
+    bits, copies = (
+        {codec: rate for codec, rate in bits_to_reach(measurements, snr_db).items() if codec in measured}
+        for snr_db in (NEEDED_SNR_DB, COPY_SNR_DB)
+    )
+    fewest = min(bits.values(), default=0.0)
+    costs = {codec: _curve_cost(measurements, codec, rate) for codec, rate in bits.items()}
     decode_s = {codec: cost.decode_s_per_megasample for codec, cost in costs.items()}
     encode_s = {codec: cost.encode_s_per_megasample for codec, cost in costs.items()}
     delay_ms = {codec: cost.delay_ms for codec, cost in costs.items()}
     decoder_bytes = {codec: cost.decoder_bytes for codec, cost in costs.items()}
-    snr = f"SNR {NEEDED_SNR_DB:g} dB"
-    needs: list[tuple[str, Mapping[str, float | None], Mapping[str, float | None]]] = [
-        (f"the fewest bits at {snr}", bits, bits)
-    ]
+    snr = f"{NEEDED_SNR_DB:g} dB SNR or more"
+    # The words for a need, the rates of the codecs that it admits, and that of which the best has the least.
+    needs: list[tuple[str, Mapping[str, float], Mapping[str, float | None]]]
+    needs = [(f"the fewest bits at {snr}", bits, bits)]
     for factor in NEAR_FEWEST:
-        near = {codec: rate for codec, rate in bits.items() if rate is not None and rate <= factor * fewest}
+        near = {codec: rate for codec, rate in bits.items() if rate <= factor * fewest}
         needs += [
-            (f"the fastest decoder at {snr} with at most {factor:g} times the fewest bits", near, decode_s),
-            (f"the fastest encoder at {snr} with at most {factor:g} times the fewest bits", near, encode_s),
+            (f"the fastest decoder at {snr}, with at most {factor:g} times the fewest bits", near, decode_s),
+            (f"the fastest encoder at {snr}, with at most {factor:g} times the fewest bits", near, encode_s),
         ]
     needs += [(f"the shortest delay at {snr}", bits, delay_ms), (f"the smallest decoder at {snr}", bits, decoder_bytes)]
     for scale in (SPQI, ST_SIM_2800):
         means = _means_at(measurements, scale, RATES[0])
         at_rate = {codec: RATES[0] for codec in measured if codec in means}
-        lacking = {codec: -means[codec] for codec in at_rate}
-        needs.append((f"the best {scale.label} at {RATES[0]:g} bit/sample", at_rate, lacking))
-    needs.append((f"a copy, of SNR {COPY_SNR_DB:g} dB or more, in the fewest bits", copies, copies))
+        needs.append(
+            (f"the best {scale.label} at {RATES[0]:g} bit/sample", at_rate, {codec: -means[codec] for codec in at_rate})
+        )
+    needs.append((f"a copy, of {COPY_SNR_DB:g} dB SNR or more, in the fewest bits", copies, copies))
     return [chosen for need, rates, least in needs if (chosen := _least(measurements, need, rates, least)) is not None]
 
 
 def _least(
-    measurements: Measurements, need: str, rates: Mapping[str, float | None], least: Mapping[str, float | None]
+    measurements: Measurements, need: str, rates: Mapping[str, float], least: Mapping[str, float | None]
 ) -> Advice | None:
-    """Return the codec of the least value, at its rate; None where none has both."""
-    ranked = [
-        (value, rate, codec)
-        for codec, rate in rates.items()
-        if rate is not None and (value := least.get(codec)) is not None
-    ]
+    """Return the codec of the least value, at its rate; None where none has a value."""
+    ranked = [(value, rate, codec) for codec, rate in rates.items() if (value := least.get(codec)) is not None]
     if not ranked:
         return None
     _, rate, codec = min(ranked)
     cost = _curve_cost(measurements, codec, rate)
     times = cost.encode_s_per_megasample, cost.decode_s_per_megasample
     return Advice(need, codec, rate, *times, cost.delay_ms, cost.decoder_bytes)
-
-
-def _mean_bits(measurements: Measurements, codec: str, bits_of: Callable[[Curve], float | None]) -> float | None:
-    """Return the mean rate that a codec needs, None where it lacks one for a trace."""
-    bits = [bits_of(curve) for curve in measurements.everywhere(codec, SNR) or [()]]
-    known = [value for value in bits if value is not None]
-    return fmean(known) if len(known) == len(bits) else None
-
-
-def _bits_at_needed_snr(curve: Curve) -> float | None:
-    bits = float(bits_per_sample_at(curve, NEEDED_SNR_DB))
-    return bits if math.isfinite(bits) else None
-
-
-def _bits_of_copy(curve: Curve) -> float | None:
-    return min((bits for bits, quality in curve if quality >= COPY_SNR_DB), default=None)
 
 
 def _median(values: Iterable[float | None]) -> float | None:

@@ -13,6 +13,7 @@ from evaluation.charts import CodecRow, name, size
 from evaluation.comparison import (
     EQUAL_SNR_DB,
     IMPORTED,
+    NEEDED_SNR_DB,
     RATES,
     Advice,
     CurveCost,
@@ -24,6 +25,7 @@ from evaluation.comparison import (
     RatioPoint,
     TraceBdRate,
     advice,
+    bits_to_reach,
     curve_costs,
     delay_marks,
     excesses,
@@ -112,8 +114,12 @@ def _head(measurements: Measurements, description: Description) -> str:
 def _advice_section(folder: Path, measurements: Measurements) -> str:
     rows = advice(measurements)
     write_rows(folder / "advice.csv", rows, Advice)
+    ranking = ", ".join(
+        f"{_code(codec)} {bits:.2f}" for codec, bits in bits_to_reach(measurements, NEEDED_SNR_DB).items()
+    )
     return _paragraphs(
         "## Which codec when",
+        f"Mean bits per sample for {NEEDED_SNR_DB:g} dB SNR or more on every trace: {ranking or 'no codec does it'}.",
         "Chosen by rule among the codecs measured here that have a value on every trace. Beside each what it costs: "
         "mean bits, median times in seconds per million samples, delay, size of the decoder.",
         _table(
@@ -138,9 +144,10 @@ def _rate_section(folder: Path, measurements: Measurements) -> str:
     anchors = measurements.anchors
     return _paragraphs(
         "## Quality against rate",
-        f"Means over the traces at equal rate. Heavy: {', '.join(map(_code, anchors[:1]))}; thin and grey: imported; "
-        f"shaded: from the 10th to the 90th percentile of the traces, of {' and '.join(map(_code, anchors[:2]))}. The "
-        "lighter band across is the window of BD-rate. The axes of ST-SIM and SPQI are spread towards 1.",
+        f"Means over the traces at equal rate: above what was measured, below in grey what is imported. Heavy: "
+        f"{', '.join(map(_code, anchors[:1]))}; shaded: from the 10th to the 90th percentile of the traces, of "
+        f"{' and '.join(map(_code, anchors[:2]))}; the band across: the window of BD-rate. A mark is a codec of one "
+        "setting; on the edge, it lies beyond. The axes of ST-SIM and SPQI are spread towards 1.",
         *(
             _chart(
                 folder,
@@ -310,20 +317,19 @@ def _cost_section(folder: Path, measurements: Measurements) -> str:
 
 
 def _failure_section(measurements: Measurements) -> str:
-    failures = measurements.failures
-    more = len(failures) - MAX_LISTED_FAILURES
+    groups: dict[tuple[str, str], list[Failure]] = {}
+    for failure in measurements.failures:
+        groups.setdefault((failure.codec, failure.reason), []).append(failure)
+    rows = [
+        (reason, codec, str(len(failures)), " ".join(filter(None, (failures[0].trace, failures[0].setting))))
+        for (codec, reason), failures in groups.items()
+    ]
     return _paragraphs(
         "## Failures",
-        f"{_count(len(failures), 'failure')}; where a codec failed, it has no point."
-        + (
-            f" The first {MAX_LISTED_FAILURES}; the others are in [failures.csv](results/failures.csv)."
-            if more > 0
-            else ""
-        ),
-        _table(
-            ("trace", "codec", "setting", "reason"),
-            [(row.trace, row.codec, row.setting, row.reason) for row in failures[:MAX_LISTED_FAILURES]],
-        ),
+        f"{_count(len(measurements.failures), 'failure')}. What failed has no point; without a codec, it is the trace "
+        "that cannot be read. All of them: [failures.csv](results/failures.csv)."
+        + (f" The first {MAX_LISTED_FAILURES} kinds:" if len(rows) > MAX_LISTED_FAILURES else ""),
+        _table(("reason", "codec", "failures", "the first of them"), rows[:MAX_LISTED_FAILURES]),
     )
 
 
