@@ -95,7 +95,8 @@ def monotone_envelope(curve: Curve) -> list[tuple[float, float]]:
     Points without a finite quality are left out.
     """
     envelope: list[tuple[float, float]] = []
-    for bits, quality in sorted(curve, key=lambda point: (point[0], -point[1])):
+    # By the logarithm, which is what is interpolated: of rates that it cannot tell apart, one point is kept.
+    for bits, quality in sorted(curve, key=lambda point: (np.log2(point[0]), -point[1])):
         if math.isfinite(quality) and (not envelope or quality > envelope[-1][1]):
             envelope.append((bits, quality))
     return envelope

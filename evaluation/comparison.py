@@ -29,7 +29,8 @@ from evaluation.points import Failure, Point, Timing, by_codec_and_trace
 IMPORTED = "imported"
 MEAN = "(mean)"
 ANCHORS = ("mdct", "slp", "vcpwq")
-"""What others are compared with: the project's own codec, the baseline of the EVA paper, and IEEE 1918.1.1's codec."""
+"""What others are compared with: the project's own codec, one of the kind that the EVA paper compares with, and the
+reference of IEEE 1918.1.1."""
 RATES = (1.0, 2.0)
 """Bits per sample at which time and delay are set against quality: most codecs have points on both sides of them."""
 EQUAL_SNR_DB = 12.0

@@ -326,9 +326,11 @@ def _failure_section(measurements: Measurements) -> str:
     ]
     return _paragraphs(
         "## Failures",
-        f"{_count(len(measurements.failures), 'failure')}. What failed has no point; without a codec, it is the trace "
-        "that cannot be read. All of them: [failures.csv](results/failures.csv)."
-        + (f" The first {MAX_LISTED_FAILURES} kinds:" if len(rows) > MAX_LISTED_FAILURES else ""),
+        f"{_count(len(measurements.failures), 'failure')}, all in [failures.csv](results/failures.csv). What failed has "
+        "no point; without a codec, it is the trace that cannot be read."
+        + (f" The first {MAX_LISTED_FAILURES} kinds:" if len(rows) > MAX_LISTED_FAILURES else "")
+        if rows
+        else "None.",
         _table(("reason", "codec", "failures", "the first of them"), rows[:MAX_LISTED_FAILURES]),
     )
 

@@ -175,6 +175,12 @@ def test_order_repetition_and_worse_points_do_not_matter() -> None:
     assert bd_rate(curve(COARSE), points, SNR) == bd_rate(curve(COARSE), clean, SNR)
 
 
+def test_rates_that_differ_by_rounding_alone_are_one() -> None:
+    points = [(math.nextafter(8.0, 0), 1.0), (8.0, 2.0), (16.0, 3.0)]
+    assert monotone_envelope(points) == points[1:]
+    assert quality_at(points, 8.0) == 2
+
+
 @given(st.lists(st.tuples(st.integers(1, 50), st.floats(-10, 40) | st.sampled_from([math.nan, math.inf, -math.inf]))))
 def test_the_envelope_rises_and_covers_every_point(points: list[tuple[float, float]]) -> None:
     envelope = monotone_envelope(points)
