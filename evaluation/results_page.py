@@ -326,8 +326,8 @@ def _failure_section(measurements: Measurements) -> str:
     ]
     return _paragraphs(
         "## Failures",
-        f"{_count(len(measurements.failures), 'failure')}, all in [failures.csv](results/failures.csv). What failed has "
-        "no point; without a codec, it is the trace that cannot be read."
+        f"{_count(len(measurements.failures), 'failure')}, all in [failures.csv](results/failures.csv). "
+        "What failed has no point; without a codec, it is the trace that cannot be read."
         + (f" The first {MAX_LISTED_FAILURES} kinds:" if len(rows) > MAX_LISTED_FAILURES else "")
         if rows
         else "None.",
