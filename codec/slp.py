@@ -33,7 +33,7 @@ MAX_PACKET_BYTES = 65_535
 MAX_PACKET_FRAMES = 4095
 MAX_REFLECTION_CODE = 15
 STEP_CODES = 21 * 8
-LEVELS = 28
+LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
 
 _UNIT = 32_768 * 256
@@ -41,13 +41,13 @@ _UNIT = 32_768 * 256
 _ANALYSIS_SAMPLES = 512
 """Samples that a predictor is fitted to: those up to the end of its frame."""
 _ITERATIONS = 5
-_SPARSITY = 0.5
+_SPARSITY = 120.0
 _CHUNK_SAMPLES = 16_384
 
 
 def relative_step(quality: float) -> float:
     """Return the step of a level of `quality`, relative to the RMS value: five levels for each factor of two."""
-    return math.exp2(1.6 - quality / 5)
+    return math.exp2(2.2 - quality / 5)
 
 
 def step_code(step: float) -> int:
@@ -296,10 +296,10 @@ CODEC = Codec(
     identifier=IDENTIFIER,
     summary="sparse linear prediction in closed loop, perceptual steps for the residual's DCT, range coding",
     parameters={
-        "quality": Parameter("level, the coarsest 0", 14, low=0, high=LEVELS - 1, whole=True),
+        "quality": Parameter("level, the coarsest 0", 16, low=0, high=LEVELS - 1, whole=True),
         "frame": Parameter("samples per frame", "64", choices=tuple(map(str, FRAMES))),
-        "order": Parameter("of the predictor, 0 = none", 4, low=0, high=MAX_ORDER, whole=True),
-        "shaping": Parameter("weight of the detection threshold in the steps, 0 = white noise", 0.2, low=0, high=1),
+        "order": Parameter("of the predictor, 0 = none", 8, low=0, high=MAX_ORDER, whole=True),
+        "shaping": Parameter("weight of the detection threshold in the steps, 0 = white noise", 0.1, low=0, high=1),
     },
     ladders={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
     make_encoder=make_encoder,

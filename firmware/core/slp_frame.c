@@ -53,7 +53,7 @@ void vc_slp_model_reset(vc_slp_model *model)
     for (context = 0; context < VC_SLP_CONTEXTS; context++)
         for (decision = 0; decision < VC_SLP_DECISIONS; decision++) {
             uint32_t expected = class_start(context) + class_start(context + 1);
-            model->level[decision][context] = (uint16_t)(65535u * (uint64_t)expected / (expected + 64));
+            model->level[decision][context] = (uint16_t)(65535u * (uint64_t)expected / (expected + 128));
         }
     for (i = 0; i < 4; i++)
         model->silent[i] = i == 3 ? VC_UNTRAINED : VC_UNTRAINED / 8;
@@ -107,14 +107,15 @@ static void code_reflections(vc_range_coder *coder, int encoding, vc_slp_model *
     }
 }
 
-/* Context of bin k: the class of the magnitude, in 1/32, that its neighbours in this and the last frame, and its
- * average over time, let expect. */
+/* Context of bin k: the class of the magnitude, in 1/32, that its neighbours in this and the last frame, and the
+ * averages over time, let expect. */
 static unsigned level_context(const vc_slp_channel *channel, uint32_t k)
 {
     const uint8_t *now = channel->now + k + 2, *last = channel->last + k + 2;
-    uint32_t expected = 24u * now[-1] + 10u * now[-2] + 10u * last[-1] + 22u * last[0] + 14u * last[1] + 4u * last[2] +
-                        (44u * channel->average[k] >> 8);
-    return scale_class(expected >> 2);
+    const uint16_t *average = channel->average + k + 2;
+    uint32_t expected = 14u * (now[-1] + now[-2]) + 4u * (last[-1] + last[0] + last[1] + last[2]) +
+                        (28u * (average[-1] + average[0] + average[1]) >> 8);
+    return scale_class(expected >> 1);
 }
 
 static int32_t code_level(vc_range_coder *coder, int encoding, vc_slp_model *model, unsigned context, int32_t level)
@@ -172,8 +173,9 @@ void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model,
             frame->levels[k] = code_level(coder, encoding, model, level_context(channel, k), frame->levels[k]);
         magnitude = (uint32_t)(frame->levels[k] < 0 ? -frame->levels[k] : frame->levels[k]);
         channel->now[k + 2] = (uint8_t)(magnitude < 126 ? magnitude : 126);
-        channel->average[k] = (uint16_t)(channel->average[k] - (channel->average[k] >> 3) + 32u * channel->now[k + 2]);
     }
+    for (k = 2; k < configuration->frame + 2; k++)
+        channel->average[k] = (uint16_t)(channel->average[k] - (channel->average[k] >> 3) + 32u * channel->now[k]);
     memcpy(channel->last, channel->now, sizeof channel->last);
     memset(channel->now, 0, sizeof channel->now);
 }

@@ -41,9 +41,9 @@ typedef struct {
  * each side. */
 typedef struct {
     uint8_t now[VC_SLP_MAX_FRAME + 4], last[VC_SLP_MAX_FRAME + 4];
-    uint16_t average[VC_SLP_MAX_FRAME]; /* running average of each bin's magnitudes, in 1/256 */
-    uint8_t silent_history;             /* of the last two frames, one bit each */
-    uint8_t changed;                    /* the predictor, in the last frame */
+    uint16_t average[VC_SLP_MAX_FRAME + 4]; /* running average of each bin's magnitudes, in 1/256 */
+    uint8_t silent_history;                 /* of the last two frames, one bit each */
+    uint8_t changed;                        /* the predictor, in the last frame */
     int8_t reflections[VC_SLP_MAX_ORDER];
     int32_t steps[VC_SLP_MAX_FRAME]; /* of each bin under this predictor */
     int32_t past[VC_SLP_MAX_ORDER];  /* the last output, oldest first */
