@@ -23,6 +23,7 @@ from codec.interface import (
     SignalFormat,
     number,
 )
+from codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
 
 NAME = "slp"
 IDENTIFIER = 3
@@ -31,7 +32,6 @@ MAX_ORDER = 16
 MAX_CHANNELS = 16
 MAX_PACKET_BYTES = 65_535
 MAX_PACKET_FRAMES = 4095
-MAX_REFLECTION_CODE = 15
 STEP_CODES = 21 * 8
 LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
@@ -40,8 +40,6 @@ _UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""
 _ANALYSIS_SAMPLES = 512
 """Samples that a predictor is fitted to: those up to the end of its frame."""
-_ITERATIONS = 5
-_SPARSITY = 120.0
 _CHUNK_SAMPLES = 16_384
 
 
@@ -53,77 +51,6 @@ def relative_step(quality: float) -> float:
 def step_code(step: float) -> int:
     """Return the code of the step nearest `step` (relative to full scale), in 1/8 octaves."""
     return min(max(round(8 * math.log2(max(step, 1e-30) * _UNIT / 8)), 0), STEP_CODES - 1)
-
-
-def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
-    """Fit predictors a by min ||x - X a||_1 + gamma ||a||_1; rows X (frames, n, order), targets x (frames, n).
-
-    The problem is that of Giacobello, Christensen, Murthi, Jensen and Moonen, "Sparse Linear Prediction and Its
-    Applications to Speech Processing", IEEE Trans. Audio, Speech and Language Processing 20 (5), 2012, solved by
-    iteratively reweighted least squares: weights 1 / |residual| and gamma / |a|, of the solution before, turn both
-    norms into squares (Daubechies, DeVore, Fornasier and Guentuerk, 2010). Returns (frames, order).
-    """
-    frames, _, order = rows.shape
-    scale: Signal = np.sqrt(np.mean(np.square(targets), axis=1)) + 1e-9
-    predictors: Signal = np.zeros((frames, order))
-    weights = np.ones_like(targets)
-    penalty = np.zeros((frames, order))
-    diagonal = np.arange(order)
-    for _ in range(_ITERATIONS):
-        weighted = np.swapaxes(rows * weights[:, :, None], 1, 2)
-        normal: Signal = weighted @ rows
-        floor = 1e-4 * np.trace(normal, axis1=1, axis2=2)[:, None] / order + 1e-12
-        normal[:, diagonal, diagonal] += floor + penalty
-        predictors = np.asarray(np.linalg.solve(normal, weighted @ targets[:, :, None])[:, :, 0], dtype=np.float64)
-        residual = targets - (rows @ predictors[:, :, None])[:, :, 0]
-        weights = 1 / np.maximum(np.abs(residual) / scale[:, None], 0.01)
-        penalty = _SPARSITY * scale[:, None] ** 2 / (np.abs(predictors) + 0.01)
-    return predictors
-
-
-def reflections(predictors: Signal) -> tuple[Signal, NDArray[np.bool_]]:
-    """Return the reflection coefficients of predictors (frames, order), and which of these are not stable.
-
-    The step-down recursion (Markel and Gray, "Linear Prediction of Speech", 1976): the synthesis filter is stable if
-    and only if all are below 1 in magnitude. Where they are not, those returned are limited.
-    """
-    order = predictors.shape[1]
-    errors = np.concatenate([np.ones((len(predictors), 1)), -predictors], axis=1)
-    found = np.zeros_like(predictors)
-    unstable = np.zeros(len(predictors), dtype=bool)
-    for m in range(order, 0, -1):
-        last = errors[:, m]
-        unstable |= ~(np.abs(last) < 1)
-        limited = np.clip(last, -0.9999, 0.9999)
-        found[:, m - 1] = limited
-        errors = ((errors - limited[:, None] * errors[:, ::-1]) / (1 - limited**2)[:, None])[:, :m]
-    return found, unstable
-
-
-def stabilised(predictors: Signal) -> Signal:
-    """Return the reflection coefficients of predictors (frames, order), poles outside the unit circle mirrored into it.
-
-    A mirrored pole, 1 / conj(p), leaves the magnitude response as it was but for its gain. The 1-norm fit may be
-    unstable, unlike the autocorrelation method.
-    """
-    found, unstable = reflections(predictors)
-    for index in np.flatnonzero(unstable):
-        poles = np.roots(np.concatenate([[1.0], -predictors[index]]))
-        outside = np.abs(poles) >= 1
-        poles[outside] = 1 / np.conj(poles[outside])
-        mirrored = -np.real(np.poly(poles))[1:]
-        found[index] = reflections(mirrored[None, :])[0][0]
-    return found
-
-
-def reflection_codes(coefficients: Signal) -> NDArray[np.int8]:
-    """Quantise reflection coefficients: code pi / 32 is the arcsine, codes are within +-15, so none reaches 1.
-
-    Steps equal in the arcsine are finer where the spectrum is more sensitive, near 1 (Gray and Markel, "Quantization
-    and bit allocation in speech processing", 1976).
-    """
-    codes = np.rint(np.arcsin(coefficients) * 32 / np.pi)
-    return np.clip(codes, -MAX_REFLECTION_CODE, MAX_REFLECTION_CODE).astype(np.int8)
 
 
 class SlpEncoder:
@@ -213,12 +140,10 @@ class SlpEncoder:
 
     def _analysed(self, signal: Signal) -> NDArray[np.int8]:
         """Return the reflection codes (frames, order) of one channel; `signal`: what came before, then the frames."""
-        windows = np.lib.stride_tricks.sliding_window_view(signal, _ANALYSIS_SAMPLES + self._order)
-        windows = windows[self._frame :: self._frame]
         if self._order == 0:
-            return np.zeros((len(windows), 0), dtype=np.int8)
-        rows = np.stack([windows[:, self._order - lag : -lag] for lag in range(1, self._order + 1)], axis=2)
-        return reflection_codes(stabilised(sparse_predictors(rows, windows[:, self._order :])))
+            return np.zeros(((len(signal) - len(self._before)) // self._frame, 0), dtype=np.int8)
+        rows, targets = windows(signal, _ANALYSIS_SAMPLES, self._frame, self._order)
+        return reflection_codes(stabilised(sparse_predictors(rows, targets))).astype(np.int8)
 
     def _code(self, samples: NDArray[np.int32], codes: NDArray[np.int8]) -> bytes:
         samples, codes = np.ascontiguousarray(samples), np.ascontiguousarray(codes)

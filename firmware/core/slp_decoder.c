@@ -32,12 +32,6 @@ uint32_t vc_slp_decoder_packet_samples(const vc_slp_decoder *decoder)
     return decoder->configuration.packet_frames * decoder->configuration.frame;
 }
 
-static int16_t rounded_sample(int64_t value)
-{
-    int64_t sample = (value + (value < 0 ? -128 : 128)) / 256;
-    return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
-}
-
 /* Plays one channel's next frame into samples `stride` apart; sample n is weighed by (start + slope n) / length. */
 static void play(vc_slp_decoder *decoder, unsigned number, uint32_t start, int slope, uint32_t length, int16_t *samples)
 {
@@ -46,7 +40,8 @@ static void play(vc_slp_decoder *decoder, unsigned number, uint32_t start, int s
     vc_slp_play(&decoder->channels[number], &decoder->configuration, decoder->spectrum[number], output);
     for (n = 0; n < decoder->configuration.frame; n++) {
         int64_t weight = (int64_t)start + slope * (int64_t)n;
-        samples[n * decoder->configuration.channels] = rounded_sample(output[n] * (weight < 0 ? 0 : weight) / length);
+        samples[n * decoder->configuration.channels] =
+            vc_rounded_sample(output[n] * (weight < 0 ? 0 : weight) / length);
     }
 }
 
@@ -77,6 +72,7 @@ int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length,
     for (index = 0; index < configuration->packet_frames; index++)
         for (channel = 0; channel < configuration->channels; channel++) {
             vc_slp_channel *state = &decoder->channels[channel];
+            memset(&frame, 0, sizeof frame);
             vc_slp_code_frame(&coder, 0, &decoder->model, state, configuration, channel, &frame);
             for (k = 0; k < configuration->frame; k++)
                 decoder->spectrum[channel][k] = vc_slp_reconstruct(frame.levels[k], state->steps[k]);

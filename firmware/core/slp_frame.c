@@ -49,14 +49,14 @@ static uint32_t class_start(uint32_t number)
 void vc_slp_model_reset(vc_slp_model *model)
 {
     unsigned context, decision, i;
-    /* As if magnitudes were geometrically distributed about the mean that the context expects (in 1/32). */
+    /* As if magnitudes were geometrically distributed about the mean that the context expects (in 1/64). */
     for (context = 0; context < VC_SLP_CONTEXTS; context++)
         for (decision = 0; decision < VC_SLP_DECISIONS; decision++) {
             uint32_t expected = class_start(context) + class_start(context + 1);
             model->level[decision][context] = (uint16_t)(65535u * (uint64_t)expected / (expected + 128));
         }
-    for (i = 0; i < 4; i++)
-        model->silent[i] = i == 3 ? VC_UNTRAINED : VC_UNTRAINED / 8;
+    model->silent[0] = model->silent[1] = model->silent[2] = VC_UNTRAINED / 8;
+    model->silent[3] = VC_UNTRAINED;
     model->changed[0] = model->changed[1] = VC_UNTRAINED / 4;
     for (i = 0; i < VC_SLP_MAX_ORDER; i++)
         model->reflection_differs[i] = model->reflection_sign[i] = VC_UNTRAINED;
@@ -107,7 +107,7 @@ static void code_reflections(vc_range_coder *coder, int encoding, vc_slp_model *
     }
 }
 
-/* Context of bin k: the class of the magnitude, in 1/32, that its neighbours in this and the last frame, and the
+/* Context of bin k: the class of the magnitude, in 1/64, that its neighbours in this and the last frame, and the
  * averages over time, let expect. */
 static unsigned level_context(const vc_slp_channel *channel, uint32_t k)
 {
@@ -130,13 +130,13 @@ static int32_t code_level(vc_range_coder *coder, int encoding, vc_slp_model *mod
         magnitude++;
     }
     if (magnitude == VC_SLP_UNARY_LIMIT) {
-        if (encoding)
+        if (encoding) {
             vc_golomb_encode(coder, wanted - VC_SLP_UNARY_LIMIT);
-        else
+            magnitude = wanted;
+        } else {
             magnitude += vc_golomb_decode(coder);
+        }
     }
-    if (encoding)
-        magnitude = wanted;
     if (magnitude == 0)
         return 0;
     negative = level < 0;
@@ -209,19 +209,13 @@ static int32_t reflection_value(int code)
     return vc_cosine[(unsigned)(128 - 8 * code) & 511u];
 }
 
+/* Rounds towards zero. */
 static int64_t scaled(int64_t value, unsigned bits)
 {
     return value / ((int64_t)1 << bits);
 }
 
-static int32_t limited(int64_t value)
-{
-    return (int32_t)(value > VC_SLP_MAX_VALUE    ? VC_SLP_MAX_VALUE
-                     : value < -VC_SLP_MAX_VALUE ? -VC_SLP_MAX_VALUE
-                                                 : value);
-}
-
-/* Threshold above its least at the centre of bin k, in 1/256 octave. */
+/* Detection threshold above its least at the centre of bin k, (2 k + 1) rate / (4 N), in 1/256 octave. */
 static int32_t threshold(const vc_slp_configuration *configuration, uint32_t k)
 {
     int32_t frequency =
@@ -263,7 +257,7 @@ void vc_slp_steps(const vc_slp_configuration *configuration, unsigned number, co
 
 int32_t vc_slp_reconstruct(int32_t level, int32_t step)
 {
-    return limited((int64_t)level * step);
+    return vc_limited((int64_t)level * step);
 }
 
 /* Factor of bin k that makes the transform orthonormal, in 1/2^24: sqrt(2 / N), for bin 0 sqrt(1 / N). */
@@ -286,7 +280,7 @@ void vc_slp_dct(const int32_t *values, uint32_t frame, int32_t *spectrum)
         int64_t sum = 0;
         for (n = 0; n < frame; n++)
             sum += (int64_t)values[n] * basis(frame, n, k);
-        spectrum[k] = limited(scaled(scaled(sum, 24) * norm(frame, k), 24));
+        spectrum[k] = vc_limited(scaled(scaled(sum, 24) * norm(frame, k), 24));
     }
 }
 
@@ -301,7 +295,7 @@ void vc_slp_inverse_dct(const int32_t *spectrum, uint32_t frame, int32_t *values
             sums[n] += weighted * basis(frame, n, k);
     }
     for (n = 0; n < frame; n++)
-        values[n] = limited(scaled(sums[n] + (sums[n] < 0 ? -(1 << 27) : 1 << 27), 28));
+        values[n] = vc_limited(scaled(sums[n] + (sums[n] < 0 ? -(1 << 27) : 1 << 27), 28));
 }
 
 /* Product of a value and a reflection coefficient, towards zero, so that the filter's ringing dies out. */
@@ -316,8 +310,8 @@ int32_t vc_slp_analyse(vc_slp_lattice *lattice, int32_t sample)
     unsigned i;
     for (i = 0; i < lattice->order; i++) {
         const int32_t delayed = lattice->backward[i],
-                      next = limited(delayed + reflected(lattice->reflection[i], forward));
-        forward = limited(forward + reflected(lattice->reflection[i], delayed));
+                      next = vc_limited(delayed + reflected(lattice->reflection[i], forward));
+        forward = vc_limited(forward + reflected(lattice->reflection[i], delayed));
         lattice->backward[i] = backward;
         backward = next;
     }
@@ -329,8 +323,9 @@ int32_t vc_slp_synthesise(vc_slp_lattice *lattice, int32_t residual)
     int64_t forward = residual;
     unsigned i;
     for (i = lattice->order; i-- > 0;) {
-        forward = limited(forward - reflected(lattice->reflection[i], lattice->backward[i]));
-        lattice->backward[i + 1] = limited(lattice->backward[i] + reflected(lattice->reflection[i], (int32_t)forward));
+        forward = vc_limited(forward - reflected(lattice->reflection[i], lattice->backward[i]));
+        lattice->backward[i + 1] =
+            vc_limited(lattice->backward[i] + reflected(lattice->reflection[i], (int32_t)forward));
     }
     forward = forward > VC_SLP_FULL_SCALE    ? VC_SLP_FULL_SCALE
               : forward < -VC_SLP_FULL_SCALE ? -VC_SLP_FULL_SCALE

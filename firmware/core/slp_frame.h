@@ -13,8 +13,6 @@
 #define VC_SLP_RATE_CODES 142 /* eighths of an octave above 1 Hz */
 #define VC_SLP_MAX_LEVEL (1 << 24)
 #define VC_SLP_FULL_SCALE (32768 * 256)
-/* Residual, its coefficients and the filter's inner values, in 1/256 of a least significant bit, stay within this. */
-#define VC_SLP_MAX_VALUE (1 << 30)
 
 #define VC_SLP_CONTEXTS 48
 #define VC_SLP_DECISIONS 6

@@ -1,0 +1,178 @@
+"""Linear predictors for `slp`: sparse fits, reflection coefficients, and quantisers that keep filters stable or do not.
+
+A predictor a (order) stands for x[n] ~ a[0] x[n-1] + a[1] x[n-2] + ...; its synthesis filter is 1 / A(z) with
+A(z) = 1 - a[0] z^-1 - a[1] z^-2 - ...
+"""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.interface import Signal
+
+MAX_REFLECTION_CODE = 15
+SPARSITY = 120.0
+"""Weight gamma of the predictor's 1-norm against the residual's in units of the RMS value; docs/codecs.md has the rates
+that others take."""
+_ITERATIONS = 5
+_SMALLEST_RESIDUAL = 0.01
+_SMALLEST_COEFFICIENT = 0.01
+
+
+def windows(signal: Signal, samples: int, hop: int, order: int) -> tuple[Signal, Signal]:
+    """Cut a signal (n) into windows that a predictor is fitted to, `samples` long and `hop` apart.
+
+    Returns what predicts, (windows, samples, order), and what is predicted, (windows, samples). The first window is the
+    samples from `hop + order` on.
+    """
+    held = np.lib.stride_tricks.sliding_window_view(signal, samples + order)[hop::hop]
+    return np.stack([held[:, order - lag : -lag] for lag in range(1, order + 1)], axis=2), held[:, order:]
+
+
+def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
+    """Fit predictors a by min ||x - X a||_1 / s + gamma ||a||_1; rows X (windows, n, order), targets x (windows, n).
+
+    s is the RMS value of x. The problem is that of Giacobello, Christensen, Murthi, Jensen and Moonen, "Sparse Linear
+    Prediction and Its Applications to Speech Processing", IEEE Trans. Audio, Speech and Language Processing 20, 2012.
+    It is solved by iteratively reweighted least squares: weights 1 / |residual| and gamma / |a|, of the solution
+    before, turn both norms into sums of squares (Daubechies, DeVore, Fornasier and Gunturk, "Iteratively reweighted
+    least squares minimization for sparse recovery", 2010). Returns (windows, order).
+    """
+    count, _, order = rows.shape
+    scale: Signal = np.sqrt(np.mean(np.square(targets), axis=1))[:, None] + 1e-9
+    predictors: Signal = np.zeros((count, order))
+    weights = np.ones_like(targets)
+    penalty = np.zeros((count, order))
+    diagonal = np.arange(order)
+    for _ in range(_ITERATIONS):
+        weighted = np.swapaxes(rows * weights[:, :, None], 1, 2)
+        normal: Signal = weighted @ rows
+        # What keeps the equations solvable in silence, and the filters of pure tones off the unit circle.
+        regularisation = 1e-4 * np.trace(normal, axis1=1, axis2=2)[:, None] / order + 1e-12
+        normal[:, diagonal, diagonal] += regularisation + penalty
+        predictors = np.asarray(np.linalg.solve(normal, weighted @ targets[:, :, None])[:, :, 0], dtype=np.float64)
+        residual = targets - (rows @ predictors[:, :, None])[:, :, 0]
+        weights = 1 / np.maximum(np.abs(residual) / scale, _SMALLEST_RESIDUAL)
+        penalty = SPARSITY * scale**2 / (np.abs(predictors) + _SMALLEST_COEFFICIENT)
+    return predictors
+
+
+def reflections_of(predictors: Signal) -> tuple[Signal, NDArray[np.bool_]]:
+    """Return the reflection coefficients of predictors (n, order), and which of these have no stable filter (n).
+
+    The step-down recursion (Markel and Gray, "Linear Prediction of Speech", 1976): the synthesis filter is stable if
+    and only if every coefficient is below 1 in magnitude. Where one is not, those returned are of no use.
+    """
+    order = predictors.shape[1]
+    errors = np.concatenate([np.ones((len(predictors), 1)), -predictors], axis=1)
+    reflections = np.zeros_like(predictors)
+    unstable = np.zeros(len(predictors), dtype=bool)
+    for m in range(order, 0, -1):
+        last = errors[:, m]
+        unstable |= ~(np.abs(last) < 1)
+        last = np.clip(last, -0.9999, 0.9999)
+        reflections[:, m - 1] = last
+        errors = ((errors - last[:, None] * errors[:, ::-1]) / (1 - last**2)[:, None])[:, :m]
+    return reflections, unstable
+
+
+def predictors_of(reflections: Signal) -> Signal:
+    """Return the predictors of reflection coefficients (n, order): the step-up recursion, inverse of the step-down."""
+    errors = np.ones((len(reflections), 1))
+    for last in reflections.T:
+        longer = np.pad(errors, ((0, 0), (0, 1)))
+        errors = longer + last[:, None] * longer[:, ::-1]
+    return -errors[:, 1:]
+
+
+def stabilised(predictors: Signal) -> Signal:
+    """Return the reflection coefficients of predictors (n, order), poles outside the unit circle mirrored into it.
+
+    The 1-norm fit may be unstable, unlike the autocorrelation method. A mirrored pole, 1 / conj(p), leaves the shape of
+    the magnitude response as it was.
+    """
+    reflections, unstable = reflections_of(predictors)
+    for index in np.flatnonzero(unstable):
+        poles = np.roots(np.concatenate([[1.0], -predictors[index]]))
+        outside = np.abs(poles) >= 1
+        poles[outside] = 1 / np.conj(poles[outside])
+        mirrored = -np.real(np.poly(poles))[1:]
+        reflections[index] = reflections_of(mirrored[None, :])[0][0]
+    return reflections
+
+
+def reflection_codes(reflections: Signal, largest: int = MAX_REFLECTION_CODE) -> NDArray[np.int16]:
+    """Quantise reflection coefficients: code pi / (2 (largest + 1)) is the arcsine; none reaches 1.
+
+    Equal steps of the arcsine are finer near 1, where the spectrum is more sensitive (Gray and Markel, "Quantization
+    and bit allocation in speech processing", IEEE Trans. Acoustics, Speech and Signal Processing 24, 1976).
+    """
+    codes = np.rint(np.arcsin(reflections) * 2 * (largest + 1) / np.pi)
+    return np.clip(codes, -largest, largest).astype(np.int16)
+
+
+def pole_radii(predictors: Signal) -> Signal:
+    """Return the magnitude of the largest pole of each synthesis filter (n): stable below 1."""
+    filters = np.concatenate([np.ones((len(predictors), 1)), -predictors], axis=1)
+    return np.array([np.max(np.abs(np.roots(each)), initial=0.0) for each in filters])
+
+
+def _through_reflections(predictors: Signal, bits: int) -> Signal:
+    """As `slp` does, whose codes have 5 bits."""
+    largest = 2 ** (bits - 1) - 1
+    codes = reflection_codes(stabilised(predictors), largest)
+    return predictors_of(np.sin(codes * np.pi / (2 * (largest + 1))))
+
+
+def _through_line_spectral_frequencies(predictors: Signal, bits: int) -> Signal:
+    """Equal steps of the frequencies from 0 to pi, at least one step apart, so that they stay in their order.
+
+    Itakura, "Line spectrum representation of linear predictor coefficients of speech signals", 1975: the roots of
+    A(z) +- z^-(order + 1) A(1 / z) lie on the unit circle and take turns; while they do, the filter is stable.
+    """
+    order = predictors.shape[1]
+    steps = 2**bits
+    if steps < order:
+        raise ValueError(f"{bits} bits cannot keep {order} line spectral frequencies apart")
+    fixed = ([1.0], [1.0, 0.0, -1.0]) if order % 2 else ([1.0, 1.0], [1.0, -1.0])  # roots at 1 and -1
+    rising = np.arange(order)
+    quantised = np.empty_like(predictors)
+    for index, predictor in enumerate(predictors_of(stabilised(predictors))):
+        errors = np.concatenate([[1.0], -predictor, [0.0]])
+        halves = [
+            np.roots(np.polydiv(errors + sign * errors[::-1], roots)[0])
+            for sign, roots in zip((1, -1), fixed, strict=True)
+        ]
+        frequencies = np.sort(np.concatenate([np.sort(np.abs(np.angle(half)))[::2] for half in halves]))
+        codes = np.floor(frequencies / np.pi * steps)
+        codes = np.minimum(np.maximum.accumulate(codes - rising), steps - order) + rising
+        turns = np.exp(1j * np.pi * (codes + 0.5) / steps)
+        symmetric, antisymmetric = (
+            np.convolve(np.real(np.poly(np.concatenate([half, np.conj(half)]))), roots)
+            for half, roots in zip((turns[::2], turns[1::2]), fixed, strict=True)
+        )
+        quantised[index] = -(symmetric + antisymmetric)[1:-1] / 2
+    return quantised
+
+
+def _direct(predictors: Signal, bits: int) -> Signal:
+    """Equal steps over the range that these predictors span: nothing keeps the filter stable. For comparison only."""
+    step: float = 2 * np.max(np.abs(predictors), initial=1e-9) / (2**bits - 1)
+    return step * np.rint(predictors / step)
+
+
+QUANTISERS: Mapping[str, Callable[[Signal, int], Signal]] = {
+    "reflection": _through_reflections,
+    "line spectral": _through_line_spectral_frequencies,
+    "direct": _direct,
+}
+
+
+def quantised_pole_radii(predictors: Signal, quantiser: str, bits: int) -> Signal:
+    """Return the largest pole's magnitude (n) of predictors (n, order) behind a quantiser of `bits` a coefficient.
+
+    `quantiser`: one of QUANTISERS. `slp` uses "reflection"; "direct" is what it must not use. Predictors that have no
+    stable filter before are made so first.
+    """
+    return pole_radii(QUANTISERS[quantiser](predictors_of(stabilised(predictors)), bits))
