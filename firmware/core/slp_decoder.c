@@ -35,9 +35,11 @@ uint32_t vc_slp_decoder_packet_samples(const vc_slp_decoder *decoder)
 /* Plays one channel's next frame into samples `stride` apart; sample n is weighed by (start + slope n) / length. */
 static void play(vc_slp_decoder *decoder, unsigned number, uint32_t start, int slope, uint32_t length, int16_t *samples)
 {
-    int32_t output[VC_SLP_MAX_FRAME];
+    vc_slp_channel *channel = &decoder->channels[number];
+    int32_t residual[VC_SLP_MAX_FRAME], output[VC_SLP_MAX_FRAME];
     uint32_t n;
-    vc_slp_play(&decoder->channels[number], &decoder->configuration, decoder->spectrum[number], output);
+    vc_slp_inverse_dct(decoder->spectrum[number], decoder->configuration.frame, residual);
+    vc_slp_synthesise(&decoder->configuration, channel->reflections, channel->backward, residual, output);
     for (n = 0; n < decoder->configuration.frame; n++) {
         int64_t weight = (int64_t)start + slope * (int64_t)n;
         samples[n * decoder->configuration.channels] =

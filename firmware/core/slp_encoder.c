@@ -40,17 +40,15 @@ static uint32_t magnitude_of(int32_t value)
     return (uint32_t)(value < 0 ? -value : value);
 }
 
-/* Finds the residual of a frame against the decoder's own past output, and estimates its bits by log2(1 + |c| / step)
- * for each coefficient. */
-static void measure(candidate *tried, const vc_slp_configuration *configuration, const int32_t *past,
+/* Finds the residual of a frame from the state that the decoder's filter is in, and estimates its bits by log2(1 + |c|
+ * / step) for each coefficient. */
+static void measure(candidate *tried, const vc_slp_configuration *configuration, const vc_slp_channel *channel,
                     const int32_t *samples)
 {
-    int32_t residual[VC_SLP_MAX_FRAME];
-    vc_slp_lattice lattice;
+    int32_t residual[VC_SLP_MAX_FRAME], backward[VC_SLP_MAX_ORDER + 1];
     uint32_t n;
-    vc_slp_lattice_start(&lattice, tried->reflections, configuration->order, past);
-    for (n = 0; n < configuration->frame; n++)
-        residual[n] = vc_slp_analyse(&lattice, samples[n]);
+    memcpy(backward, channel->backward, sizeof backward);
+    vc_slp_analyse(configuration, tried->reflections, backward, samples, residual);
     vc_slp_dct(residual, configuration->frame, tried->spectrum);
     tried->cost = 0;
     for (n = 0; n < configuration->frame; n++)
@@ -83,15 +81,15 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     vc_slp_channel *channel = &encoder->channels[number];
     candidate kept, fresh, *chosen = &kept;
     vc_slp_frame frame;
-    int32_t output[VC_SLP_MAX_FRAME];
+    int32_t residual[VC_SLP_MAX_FRAME], output[VC_SLP_MAX_FRAME];
     uint32_t k;
     memcpy(kept.reflections, channel->reflections, sizeof kept.reflections);
     memcpy(kept.steps, channel->steps, sizeof kept.steps);
-    measure(&kept, configuration, channel->past, samples);
+    measure(&kept, configuration, channel, samples);
     memset(fresh.reflections, 0, sizeof fresh.reflections);
     memcpy(fresh.reflections, reflections, configuration->order);
     vc_slp_steps(configuration, number, fresh.reflections, fresh.steps);
-    measure(&fresh, configuration, channel->past, samples);
+    measure(&fresh, configuration, channel, samples);
     if (fresh.cost + predictor_cost(fresh.reflections, kept.reflections, configuration->order) / PREDICTOR_LIFE <
         kept.cost)
         chosen = &fresh;
@@ -104,7 +102,8 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     vc_slp_code_frame(coder, 1, &encoder->model, channel, configuration, number, &frame);
     for (k = 0; k < configuration->frame; k++)
         chosen->spectrum[k] = vc_slp_reconstruct(frame.levels[k], channel->steps[k]);
-    vc_slp_play(channel, configuration, chosen->spectrum, output);
+    vc_slp_inverse_dct(chosen->spectrum, configuration->frame, residual);
+    vc_slp_synthesise(configuration, channel->reflections, channel->backward, residual, output);
 }
 
 int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections, uint8_t *packet,

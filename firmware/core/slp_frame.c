@@ -299,62 +299,51 @@ void vc_slp_inverse_dct(const int32_t *spectrum, uint32_t frame, int32_t *values
 }
 
 /* Product of a value and a reflection coefficient, towards zero, so that the filter's ringing dies out. */
-static int64_t reflected(int32_t reflection, int32_t value)
+static int32_t reflected(int8_t code, int32_t value)
 {
-    return scaled((int64_t)reflection * value, 24);
+    return (int32_t)scaled((int64_t)reflection_value(code) * value, 24);
 }
 
-int32_t vc_slp_analyse(vc_slp_lattice *lattice, int32_t sample)
+static int32_t limited(int32_t value, int32_t limit)
 {
-    int32_t forward = sample, backward = sample;
-    unsigned i;
-    for (i = 0; i < lattice->order; i++) {
-        const int32_t delayed = lattice->backward[i],
-                      next = vc_limited(delayed + reflected(lattice->reflection[i], forward));
-        forward = vc_limited(forward + reflected(lattice->reflection[i], delayed));
-        lattice->backward[i] = backward;
-        backward = next;
-    }
-    return forward;
+    return value > limit ? limit : value < -limit ? -limit : value;
 }
 
-int32_t vc_slp_synthesise(vc_slp_lattice *lattice, int32_t residual)
+/* A backward error as the filter keeps it until the next sample. */
+static int32_t kept(int32_t error)
 {
-    int64_t forward = residual;
-    unsigned i;
-    for (i = lattice->order; i-- > 0;) {
-        forward = vc_limited(forward - reflected(lattice->reflection[i], lattice->backward[i]));
-        lattice->backward[i + 1] =
-            vc_limited(lattice->backward[i] + reflected(lattice->reflection[i], (int32_t)forward));
-    }
-    forward = forward > VC_SLP_FULL_SCALE    ? VC_SLP_FULL_SCALE
-              : forward < -VC_SLP_FULL_SCALE ? -VC_SLP_FULL_SCALE
-                                             : forward;
-    lattice->backward[0] = (int32_t)forward;
-    return (int32_t)forward;
+    return limited((int32_t)scaled((int64_t)error * 255, 8), VC_SLP_MAX_STATE);
 }
 
-void vc_slp_lattice_start(vc_slp_lattice *lattice, const int8_t *reflections, unsigned order, const int32_t *past)
+void vc_slp_analyse(const vc_slp_configuration *configuration, const int8_t *reflections, int32_t *backward,
+                    const int32_t *samples, int32_t *residual)
 {
-    unsigned i;
-    memset(lattice, 0, sizeof *lattice);
-    lattice->order = order;
-    for (i = 0; i < order; i++)
-        lattice->reflection[i] = reflection_value(reflections[i]);
-    for (i = 0; i < order; i++)
-        vc_slp_analyse(lattice, past[i]);
-}
-
-void vc_slp_play(vc_slp_channel *channel, const vc_slp_configuration *configuration, const int32_t *spectrum,
-                 int32_t *output)
-{
-    const unsigned order = configuration->order;
-    const uint32_t frame = configuration->frame;
-    vc_slp_lattice lattice;
     uint32_t n;
-    vc_slp_inverse_dct(spectrum, frame, output);
-    vc_slp_lattice_start(&lattice, channel->reflections, order, channel->past);
-    for (n = 0; n < frame; n++)
-        output[n] = vc_slp_synthesise(&lattice, output[n]);
-    memcpy(channel->past, output + frame - order, order * sizeof *output);
+    unsigned i;
+    for (n = 0; n < configuration->frame; n++) {
+        int32_t forward = samples[n], error = samples[n];
+        for (i = 0; i < configuration->order; i++) {
+            const int32_t delayed = backward[i];
+            backward[i] = kept(error);
+            error = delayed + reflected(reflections[i], forward);
+            forward += reflected(reflections[i], delayed);
+        }
+        residual[n] = forward;
+    }
+}
+
+void vc_slp_synthesise(const vc_slp_configuration *configuration, const int8_t *reflections, int32_t *backward,
+                       const int32_t *residual, int32_t *samples)
+{
+    uint32_t n;
+    unsigned i;
+    for (n = 0; n < configuration->frame; n++) {
+        int32_t forward = limited(residual[n], VC_SLP_MAX_RESIDUAL);
+        for (i = configuration->order; i-- > 0;) {
+            forward -= reflected(reflections[i], backward[i]);
+            backward[i + 1] = kept(backward[i] + reflected(reflections[i], forward));
+        }
+        backward[0] = kept(forward);
+        samples[n] = forward;
+    }
 }

@@ -12,7 +12,10 @@
 #define VC_SLP_STEP_CODES (21 * 8)
 #define VC_SLP_RATE_CODES 142 /* eighths of an octave above 1 Hz */
 #define VC_SLP_MAX_LEVEL (1 << 24)
-#define VC_SLP_FULL_SCALE (32768 * 256)
+/* Limits of the filter's state and of the residual, in 1/256 of a least significant bit: eight and 64 times full scale.
+ * They leave forward errors, up to residual + order x state, room in 32 bits. */
+#define VC_SLP_MAX_STATE (1 << 26)
+#define VC_SLP_MAX_RESIDUAL (1 << 29)
 
 #define VC_SLP_CONTEXTS 48
 #define VC_SLP_DECISIONS 6
@@ -43,8 +46,8 @@ typedef struct {
     uint8_t silent_history;                 /* of the last two frames, one bit each */
     uint8_t changed;                        /* the predictor, in the last frame */
     int8_t reflections[VC_SLP_MAX_ORDER];
-    int32_t steps[VC_SLP_MAX_FRAME]; /* of each bin under this predictor */
-    int32_t past[VC_SLP_MAX_ORDER];  /* the last output, oldest first */
+    int32_t steps[VC_SLP_MAX_FRAME];        /* of each bin under this predictor */
+    int32_t backward[VC_SLP_MAX_ORDER + 1]; /* the filter's state: backward prediction errors of the last sample */
 } vc_slp_channel;
 
 /* One frame as it is coded. */
@@ -53,12 +56,6 @@ typedef struct {
     int8_t reflections[VC_SLP_MAX_ORDER];
     int32_t levels[VC_SLP_MAX_FRAME];
 } vc_slp_frame;
-
-/* Lattice of reflection coefficients in 1/2^24, and its backward prediction errors of the last sample. */
-typedef struct {
-    unsigned order;
-    int32_t reflection[VC_SLP_MAX_ORDER], backward[VC_SLP_MAX_ORDER + 1];
-} vc_slp_lattice;
 
 int vc_slp_configuration_read(vc_slp_configuration *configuration, const uint8_t *bytes, size_t length,
                               unsigned channels);
@@ -80,15 +77,12 @@ int32_t vc_slp_reconstruct(int32_t level, int32_t step);
 void vc_slp_dct(const int32_t *values, uint32_t frame, int32_t *spectrum);
 void vc_slp_inverse_dct(const int32_t *spectrum, uint32_t frame, int32_t *values);
 
-/* Lattice in the state that output `past` (the last `order` samples) leaves behind. */
-void vc_slp_lattice_start(vc_slp_lattice *lattice, const int8_t *reflections, unsigned order, const int32_t *past);
-/* One sample: from signal to residual, and from residual to signal (limited to full scale). */
-int32_t vc_slp_analyse(vc_slp_lattice *lattice, int32_t sample);
-int32_t vc_slp_synthesise(vc_slp_lattice *lattice, int32_t residual);
-
-/* Output of one channel's next frame from the residual's spectrum; moves `past` on. */
-void vc_slp_play(vc_slp_channel *channel, const vc_slp_configuration *configuration, const int32_t *spectrum,
-                 int32_t *output);
+/* Lattice filter A(z) or 1 / A(z) of a predictor over a frame, from signal to residual and back. `backward`: its state,
+ * order + 1 values, which both move on alike. */
+void vc_slp_analyse(const vc_slp_configuration *configuration, const int8_t *reflections, int32_t *backward,
+                    const int32_t *samples, int32_t *residual);
+void vc_slp_synthesise(const vc_slp_configuration *configuration, const int8_t *reflections, int32_t *backward,
+                       const int32_t *residual, int32_t *samples);
 
 /* log2(value) in 1/256, straight lines between powers of two; 0 for 0. */
 int32_t vc_slp_log2(uint64_t value);

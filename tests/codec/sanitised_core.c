@@ -1,15 +1,18 @@
-/* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct` or
- * `core dct`.
+/* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct`,
+ * `core dct` or `core slp`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
  * first record is the configuration, its kind the number of channels. Every packet is decoded, and its bytes are
- * encoded as coefficients or values. */
+ * encoded as coefficients, values or samples. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "dct.h"
+#include "slp.h"
 #include "vibrocast_core.h"
+
+#define SLP_MAX_ORDER 16
 
 static int read_record(int *kind, uint8_t **bytes, size_t *length)
 {
@@ -96,7 +99,53 @@ static int run_dct(void)
     return 0;
 }
 
+static int run_slp(void)
+{
+    vc_slp_decoder *decoder = malloc(vc_slp_decoder_size());
+    vc_slp_encoder *encoder = malloc(vc_slp_encoder_size());
+    uint8_t *bytes, packet[3000];
+    int8_t *reflections;
+    int16_t *samples;
+    int32_t *values;
+    size_t length, count, i;
+    int kind;
+    unsigned channels;
+    if (!read_record(&kind, &bytes, &length))
+        return 2;
+    channels = (unsigned)kind;
+    if (vc_slp_decoder_init(decoder, bytes, length, channels) != VC_OK ||
+        vc_slp_encoder_init(encoder, bytes, length, channels, 3) != VC_OK)
+        return 0;
+    free(bytes);
+    count = (size_t)vc_slp_decoder_packet_samples(decoder) * channels;
+    samples = malloc(count * sizeof *samples);
+    values = malloc(count * sizeof *values);
+    reflections = malloc(count * SLP_MAX_ORDER);
+    while (read_record(&kind, &bytes, &length)) {
+        size_t capacity = length * 13 % sizeof packet;
+        if (kind == 1 || vc_slp_decode(decoder, bytes, length, samples) < 0)
+            vc_slp_conceal(decoder, samples);
+        for (i = 0; i < count; i++) {
+            int32_t byte = length > 0 ? bytes[i % length] : 0;
+            values[i] = (byte - 128) * (1 << 16);
+        }
+        for (i = 0; i < count * SLP_MAX_ORDER; i++)
+            reflections[i] = (int8_t)((length > 0 ? bytes[i / 7 % length] : 0) % 31 - 15);
+        if (vc_slp_encode(encoder, values, reflections, packet, capacity) > (int32_t)capacity)
+            return 3;
+        free(bytes);
+    }
+    free(samples);
+    free(values);
+    free(reflections);
+    free(decoder);
+    free(encoder);
+    puts("done");
+    return 0;
+}
+
 int main(int count, char **arguments)
 {
-    return count == 2 && strcmp(arguments[1], "dct") == 0 ? run_dct() : run_mdct();
+    const char *codec = count == 2 ? arguments[1] : "";
+    return strcmp(codec, "dct") == 0 ? run_dct() : strcmp(codec, "slp") == 0 ? run_slp() : run_mdct();
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec import Framing, Setting, dct, encode, mdct
+from codec import Framing, Setting, dct, encode, mdct, slp
 from tests.codec.signals import RATE_HZ, texture
 
 ROOT = Path(__file__).parents[2]
@@ -116,3 +116,25 @@ def test_levels_of_dct_stay_within_their_ranges() -> None:
             for levels in (4, 5, 65535):
                 values = dct.reconstruction_levels(logarithmic, levels, *codes)
                 assert np.max(np.abs(values.astype(np.int64))) <= 2**28
+
+
+def test_slp_streams_with_losses_and_noise(program: Path) -> None:
+    generator = np.random.default_rng(3)
+    for frame, step_code, channels in ((0, 0, 16), (1, slp.STEP_CODES - 1, 1), (1, 100, 3), (2, 0, 2)):
+        records = record(channels, bytes((frame << 5 | 16, 2, 0, 255, 141, *[step_code] * channels)))
+        records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(0, 256, 5))
+        for sequence in range(60):
+            payload = bytes((2 * sequence + (sequence % 5 == 0),)) + generator.bytes(int(generator.integers(300)))
+            records += record(int(generator.random() < 0.1), payload)
+        done = run(program, records, "slp")
+        assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
+
+
+def test_random_configurations_of_slp(program: Path) -> None:
+    generator = np.random.default_rng(4)
+    for _ in range(20):
+        configuration = generator.integers(0, [96, 9, 1, 256, 142, 168, 168]).astype(np.uint8).tobytes()
+        for length in (6, 7):
+            records = record(length - 5, configuration[:length]) + record(0, b"\x01" + generator.bytes(150))
+            done = run(program, records, "slp")
+            assert done.returncode == 0, done.stderr.decode()

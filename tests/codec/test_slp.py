@@ -1,0 +1,303 @@
+"""The codec `slp`: its core against a decoder written from the documentation, stability, loss, a golden stream."""
+
+import hashlib
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+import codec
+from codec import CodecError, Framing, Setting, SignalFormat, linear_prediction, slp
+from device_protocol.coded_stream import unpack_file
+from tests.codec.signals import RATE_HZ, edge_signals, texture
+from tests.codec.slp_reference_decoder import SlpReferenceDecoder
+from tests.codec.test_mdct import golden_signal
+
+
+def coded(signal: codec.Signal, framing: Framing, **given: float | str) -> tuple[bytes, list[bytes]]:
+    setting: Setting = slp.CODEC.complete(given)
+    rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
+    signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
+    encoder = slp.make_encoder(setting, signal_format, framing, None)
+    return encoder.configuration, encoder.encode(signal) + encoder.finish()
+
+
+def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
+    decoder = slp.SlpDecoder(configuration, channels)
+    return np.concatenate([decoder.decode(packet) for packet in packets])
+
+
+def difference_to_the_documented_decoder(configuration: bytes, packets: list[bytes], channels: int) -> float:
+    reference = SlpReferenceDecoder(configuration, channels)
+    exact = np.concatenate([reference.samples(packet) for packet in packets])
+    return float(np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels))))
+
+
+@pytest.mark.parametrize(("frame", "order", "channels"), [("32", 16, 1), ("64", 8, 3), ("128", 3, 1), ("64", 0, 2)])
+def test_core_agrees_with_the_documented_decoder(frame: str, order: int, channels: int) -> None:
+    configuration, packets = coded(texture(1500, channels), Framing(256, 3), frame=frame, order=order, shaping=0.4)
+    assert difference_to_the_documented_decoder(configuration, packets, channels) < 1
+
+
+@pytest.mark.parametrize("name", ["impulses", "full-scale square", "four-bit", "sweep", "onset"])
+@pytest.mark.parametrize("quality", [2, slp.LEVELS - 1])
+def test_core_agrees_with_the_documented_decoder_on_hard_signals(name: str, quality: int) -> None:
+    configuration, packets = coded(edge_signals()[name][:1600], Framing(800, 0), quality=quality)
+    assert difference_to_the_documented_decoder(configuration, packets, 1) < 1.5
+
+
+def test_levels_rise_in_steps_of_about_a_decibel() -> None:
+    signal = texture(5600)
+    snrs_db = [
+        codec.snr_db(signal, codec.decode(codec.encode(signal, RATE_HZ, rung, codec="slp"))) or 0.0
+        for rung in slp.CODEC.ladders["slp"]
+    ]
+    assert len(snrs_db) >= 22
+    assert snrs_db[0] < 5
+    assert snrs_db[-1] > 30
+    rises = np.diff(snrs_db)
+    assert np.min(rises) > -0.3
+    assert np.mean(rises) == pytest.approx(1.0, abs=0.3)
+
+
+def test_prediction_pays_for_a_resonant_texture() -> None:
+    """With the predictor, a resonance that rings for longer than a frame takes fewer bits at no less quality."""
+    noise = np.random.default_rng(3).standard_normal(8000)
+    signal = lfilter([1.0], [1.0, -2 * 0.995 * math.cos(0.4), 0.995**2], noise)[:, None]
+    sizes, snrs_db = [], []
+    for order in (0, 2):
+        stream = codec.encode(signal, RATE_HZ, {"quality": 20, "order": order, "shaping": 0}, codec="slp")
+        sizes.append(sum(map(len, stream.packets)))
+        snrs_db.append(codec.snr_db(signal, codec.decode(stream)) or 0.0)
+    assert snrs_db[1] > snrs_db[0] - 0.2
+    assert sizes[1] < 0.95 * sizes[0]
+
+
+def test_shaping_moves_noise_to_where_less_is_felt() -> None:
+    signal = texture(5600)
+    noise_levels = []
+    for shaping in (0.0, 1.0):
+        stream = codec.encode(signal, RATE_HZ, {"quality": 16, "shaping": shaping}, codec="slp")
+        spectrum = np.square(np.abs(np.fft.rfft((codec.decode(stream) - signal)[:, 0])))
+        frequencies_hz = np.fft.rfftfreq(len(signal), 1 / RATE_HZ)
+        felt, barely = (np.mean(spectrum[(frequencies_hz > low) & (frequencies_hz < low + 100)]) for low in (200, 1000))
+        noise_levels.append(felt / barely)
+    assert noise_levels[1] < 0.5 * noise_levels[0]
+
+
+@given(st.lists(st.integers(-15, 15), min_size=1, max_size=16))
+@settings(max_examples=200)
+def test_every_code_gives_a_stable_filter(codes: list[int]) -> None:
+    """All codes that a decoder can read: reflection coefficients below 1, so all poles are inside the unit circle."""
+    reflections = np.sin(np.array([codes]) * np.pi / 32)
+    predictors = linear_prediction.predictors_of(reflections)
+    back, unstable = linear_prediction.reflections_of(predictors)
+    assert not np.any(unstable)
+    np.testing.assert_allclose(back, reflections, atol=1e-3)
+
+
+@given(st.integers(0, 16), st.sampled_from([100, slp.STEP_CODES - 1]), st.binary(max_size=150))
+@settings(max_examples=60)
+def test_the_filter_of_any_stream_falls_silent(order: int, step_code: int, payload: bytes) -> None:
+    """In the core's integers, from wherever any bytes drive it: packets without payload are silent frames."""
+    decoder = slp.SlpDecoder(bytes((1 << 5 | order, 125, 0, 0, 90, step_code)), 1)
+    decoder.decode(b"\x01" + payload)
+    ringing = [decoder.decode(bytes((2 * sequence,))) for sequence in (1, 2)]
+    assert not np.any(ringing[1])
+
+
+def frames_of_texture(order: int) -> codec.Signal:
+    """Predictors of a narrow-band texture, whose poles lie near the unit circle, as those of tonal recordings do."""
+    narrow = lfilter(
+        [1.0], np.poly([0.97 * np.exp(1j * x) for x in (0.3, -0.3, 0.45, -0.45)]).real, texture(8000)[:, 0]
+    )
+    rows, targets = linear_prediction.windows(narrow / np.max(np.abs(narrow)), 512, 256, order)
+    return linear_prediction.sparse_predictors(rows, targets)
+
+
+@pytest.mark.parametrize("order", [4, 8, 13, 16])
+@pytest.mark.parametrize("bits", [4, 5, 6, 8])
+def test_reflection_and_line_spectral_quantisers_keep_the_filter_stable(order: int, bits: int) -> None:
+    for quantiser in ("reflection", "line spectral"):
+        radii = linear_prediction.quantised_pole_radii(frames_of_texture(order), quantiser, bits)
+        assert np.max(radii) < 1
+
+
+def test_a_direct_form_quantiser_makes_filters_unstable_and_their_output_grow() -> None:
+    """What `slp` must not do: the same texture and bits, the coefficients themselves quantised."""
+    predictors = frames_of_texture(8)
+    radii = linear_prediction.quantised_pole_radii(predictors, "direct", 5)
+    assert np.max(linear_prediction.pole_radii(predictors)) < 1
+    assert np.max(radii) > 1.01
+    worst = predictors[[int(np.argmax(radii))]]
+    impulse = np.eye(1, 2800)[0]
+    output = {
+        name: lfilter([1.0], np.concatenate([[1.0], -linear_prediction.QUANTISERS[name](worst, 5)[0]]), impulse)
+        for name in ("direct", "reflection")
+    }
+    assert np.max(np.abs(output["direct"][-500:])) > 100 * np.max(np.abs(output["direct"][:500]))
+    assert np.max(np.abs(output["reflection"][-500:])) < 1
+
+
+@pytest.mark.parametrize("order", [2, 5, 8])
+def test_fine_quantisers_change_little(order: int) -> None:
+    predictors = linear_prediction.predictors_of(linear_prediction.stabilised(frames_of_texture(order)))
+    for quantised in linear_prediction.QUANTISERS.values():
+        np.testing.assert_allclose(quantised(predictors, 15), predictors, atol=0.05)
+
+
+def test_too_few_bits_for_the_order_are_refused() -> None:
+    with pytest.raises(ValueError, match="apart"):
+        linear_prediction.quantised_pole_radii(frames_of_texture(8), "line spectral", 2)
+
+
+def test_an_unstable_fit_is_mirrored_into_the_unit_circle() -> None:
+    predictors = np.array([[2.2, -1.21 * 1.1], [0.5, 0.2]])
+    reflections, unstable = linear_prediction.reflections_of(predictors)
+    assert unstable.tolist() == [True, False]
+    stable = linear_prediction.predictors_of(linear_prediction.stabilised(predictors))
+    assert np.max(linear_prediction.pole_radii(stable)) < 1
+    np.testing.assert_allclose(stable[1], predictors[1], atol=1e-9)
+    np.testing.assert_allclose(linear_prediction.predictors_of(reflections[1:]), predictors[1:], atol=1e-9)
+
+
+def test_sparse_prediction_finds_the_predictor_of_a_signal_with_outliers() -> None:
+    """A sparse excitation: the 1-norm fit finds the filter that made it better than least squares would."""
+    generator = np.random.default_rng(4)
+    excitation = np.where(generator.random(4096) < 0.03, 30.0, 1.0) * generator.standard_normal(4096)
+    signal = lfilter([1.0], [1.0, -1.2, 0.72], excitation)
+    rows, targets = linear_prediction.windows(signal, 2048, 1024, 2)
+    found = linear_prediction.sparse_predictors(rows, targets)
+    np.testing.assert_allclose(found, np.tile([1.2, -0.72], (len(found), 1)), atol=0.15)
+
+
+@given(seed=st.integers(0, 3), lengths=st.lists(st.integers(1, 400), min_size=1, max_size=8))
+@settings(max_examples=15)
+def test_packets_do_not_depend_on_how_samples_arrive(seed: int, lengths: list[int]) -> None:
+    signal = texture(sum(lengths), 2, seed)
+    whole = coded(signal, Framing(128, 4))
+    rms = tuple(float(np.sqrt(np.mean(channel**2))) for channel in signal.T)
+    encoder = slp.make_encoder(
+        slp.CODEC.complete({}), SignalFormat(RATE_HZ, "full scale", (1.0, 1.0), rms), Framing(128, 4), None
+    )
+    packets = [packet for part in np.split(signal, np.cumsum(lengths)[:-1]) for packet in encoder.encode(part)]
+    assert (encoder.configuration, packets + encoder.finish()) == whole
+
+
+@given(
+    st.lists(st.integers(-1024, 1024), min_size=1, max_size=400),
+    st.integers(0, slp.LEVELS - 1),
+    st.sampled_from(slp.FRAMES),
+    st.integers(0, 16),
+)
+@settings(max_examples=60)
+def test_any_signal_is_decoded_near_to_what_it_was(values: list[int], quality: int, frame: int, order: int) -> None:
+    signal = np.array(values)[:, None] / 1024
+    setting: Setting = {"quality": quality, "frame": str(frame), "order": order, "shaping": 0}
+    result = codec.decode(codec.encode(signal, RATE_HZ, setting, codec="slp"))
+    peak, rms = np.max(np.abs(signal)), np.sqrt(np.mean(signal**2))
+    # Noise is at most that of steps of this size in the residual's spectrum, whatever the filter adds to it.
+    assert np.sqrt(np.mean((result - signal) ** 2)) <= 3 * slp.relative_step(quality) * rms + peak / 4096
+
+
+@cache
+def live_stream() -> tuple[bytes, list[bytes], codec.Decoded]:
+    """40 packets with a refresh in every five, and what they decode to."""
+    configuration, packets = coded(texture(40 * 128), Framing(128, 5))
+    return configuration, packets, decoded(configuration, packets, 1).astype(int)
+
+
+@given(st.sets(st.integers(0, 39), max_size=39))
+@settings(max_examples=40)
+def test_a_lost_packet_costs_at_most_one_interval_and_fades(lost: set[int]) -> None:
+    configuration, packets, clean = live_stream()
+    decoder = slp.SlpDecoder(configuration, 1)
+    playing = True
+    for index, packet in enumerate(packets):
+        part = decoder.conceal() if index in lost else decoder.decode(packet)
+        expected = clean[index * 128 : (index + 1) * 128]
+        before_playing = playing
+        playing = index not in lost and (playing or index % 5 == 0)
+        if playing:
+            # After a gap the first frame rises; from then on the samples are those of the clean stream.
+            assert np.array_equal(part[0 if before_playing else 64 :], expected[0 if before_playing else 64 :])
+            assert np.all(np.abs(part) <= np.abs(expected))
+        assert np.max(np.abs(part.astype(int))) <= 4 * np.max(np.abs(clean))
+
+
+def test_concealment_fades_within_one_packet_and_stays_silent() -> None:
+    configuration, packets = coded(texture(2000), Framing(128, 5))
+    decoder = slp.SlpDecoder(configuration, 1)
+    for packet in packets[:5]:
+        last = decoder.decode(packet)
+    fade = decoder.conceal().astype(float)
+    assert np.any(fade)
+    assert np.std(fade[-32:]) < 0.5 * np.std(last)
+    assert np.abs(fade[0, 0] - last[-1, 0]) < 2 * np.max(np.abs(np.diff(last.astype(float), axis=0)))
+    assert not np.any(decoder.conceal())
+
+
+def test_a_stream_joined_in_the_middle_rises() -> None:
+    configuration, packets = coded(texture(2000), Framing(128, 5))
+    decoder = slp.SlpDecoder(configuration, 1)
+    assert not np.any(decoder.decode(packets[1])), "the first packet must be a refresh"
+    joined = decoder.decode(packets[5]).astype(int)
+    clean = decoded(configuration, packets, 1)[640:768].astype(int)
+    assert abs(joined[0, 0]) <= abs(clean[0, 0]) / 64 + 1
+    np.testing.assert_array_equal(joined[64:], clean[64:])
+
+
+@given(st.sampled_from([1, 2, 16]), st.sampled_from([0, 5, 16]), st.lists(st.binary(max_size=300), max_size=6))
+@settings(max_examples=60)
+def test_any_bytes_decode_safely(channels: int, order: int, payloads: list[bytes]) -> None:
+    for step_code in (0, slp.STEP_CODES - 1):
+        decoder = slp.SlpDecoder(bytes((1 << 5 | order, 3, 0, 255, 141, *[step_code] * channels)), channels)
+        for payload in payloads:
+            assert decoder.decode(b"\x01" + payload).shape == (3 * 64, channels)
+
+
+@pytest.mark.parametrize(
+    "configuration",
+    [
+        b"",
+        bytes(5),
+        bytes((3 << 5, 1, 0, 0, 0, 0)),
+        bytes((17, 1, 0, 0, 0, 0)),
+        bytes((8, 0, 0, 0, 0, 0)),
+        bytes((8, 0, 16, 0, 0, 0)),
+        bytes((8, 1, 0, 0, 142, 0)),
+        bytes((8, 1, 0, 0, 0, 168)),
+        bytes((8, 1, 0, 0, 0, 0, 0)),
+    ],
+)
+def test_configurations_out_of_range_are_refused(configuration: bytes) -> None:
+    with pytest.raises(CodecError, match="configuration"):
+        slp.SlpDecoder(configuration, 1)
+    assert len(slp.SlpDecoder(bytes((8, 255, 15, 0, 141, 167)), 1).conceal()) == 4095 * 32
+
+
+@pytest.mark.parametrize("framing", [Framing(0, 0), Framing(4096 * 64, 0)])
+def test_packets_out_of_range_are_refused(framing: Framing) -> None:
+    with pytest.raises(CodecError, match="allowed"):
+        coded(texture(100), framing)
+
+
+def test_a_packet_that_does_not_fit_is_refused() -> None:
+    noise = np.random.default_rng(1).uniform(-1, 1, (64 * 300, 16))
+    with pytest.raises(CodecError, match="shorter packets"):
+        coded(noise, Framing(64 * 300, 0), quality=slp.LEVELS - 1, order=0)
+
+
+def test_golden_stream() -> None:
+    """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
+    header, packets = unpack_file(Path(__file__).with_name("golden_slp.vct").read_bytes())
+    assert (header.samples, header.channels, len(packets)) == (400, 2, 4)
+    samples = decoded(header.configuration, packets, header.channels)
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "8b1232451a78e00057889c37c32eb322"
+    ratio = codec.snr_db(golden_signal(), samples[:400] * (np.array(header.gains) / 32768))
+    assert ratio == pytest.approx(22.62, abs=0.01)
