@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.interface import Signal
+from codec.interface import CodecError, Signal
 
 MAX_REFLECTION_CODE = 15
 SPARSITY = 120.0
@@ -121,7 +121,7 @@ def pole_radii(predictors: Signal) -> Signal:
 def _through_reflections(predictors: Signal, bits: int) -> Signal:
     """As `slp` does, whose codes have 5 bits."""
     largest = 2 ** (bits - 1) - 1
-    codes = reflection_codes(stabilised(predictors), largest)
+    codes = reflection_codes(reflections_of(predictors)[0], largest)
     return predictors_of(np.sin(codes * np.pi / (2 * (largest + 1))))
 
 
@@ -134,11 +134,11 @@ def _through_line_spectral_frequencies(predictors: Signal, bits: int) -> Signal:
     order = predictors.shape[1]
     steps = 2**bits
     if steps < order:
-        raise ValueError(f"{bits} bits cannot keep {order} line spectral frequencies apart")
+        raise CodecError(f"{bits} bits cannot keep {order} line spectral frequencies apart")
     fixed = ([1.0], [1.0, 0.0, -1.0]) if order % 2 else ([1.0, 1.0], [1.0, -1.0])  # roots at 1 and -1
     rising = np.arange(order)
     quantised = np.empty_like(predictors)
-    for index, predictor in enumerate(predictors_of(stabilised(predictors))):
+    for index, predictor in enumerate(predictors):
         errors = np.concatenate([[1.0], -predictor, [0.0]])
         halves = [
             np.roots(np.polydiv(errors + sign * errors[::-1], roots)[0])
@@ -156,23 +156,23 @@ def _through_line_spectral_frequencies(predictors: Signal, bits: int) -> Signal:
     return quantised
 
 
-def _direct(predictors: Signal, bits: int) -> Signal:
-    """Equal steps over the range that these predictors span: nothing keeps the filter stable. For comparison only."""
-    step: float = 2 * np.max(np.abs(predictors), initial=1e-9) / (2**bits - 1)
-    return step * np.rint(predictors / step)
+def _direct_form(predictors: Signal, bits: int) -> Signal:
+    """One fixed-point format, just wide enough for all of these: nothing keeps the filter stable. To compare only."""
+    step = 2 * float(np.max(np.abs(predictors), initial=1e-9)) / (2**bits - 1)
+    return np.asarray(np.rint(predictors / step) * step, dtype=np.float64)
 
 
 QUANTISERS: Mapping[str, Callable[[Signal, int], Signal]] = {
-    "reflection": _through_reflections,
-    "line spectral": _through_line_spectral_frequencies,
-    "direct": _direct,
+    "direct form": _direct_form,
+    "line spectral frequencies": _through_line_spectral_frequencies,
+    "reflection coefficients": _through_reflections,
 }
 
 
 def quantised_pole_radii(predictors: Signal, quantiser: str, bits: int) -> Signal:
     """Return the largest pole's magnitude (n) of predictors (n, order) behind a quantiser of `bits` a coefficient.
 
-    `quantiser`: one of QUANTISERS. `slp` uses "reflection"; "direct" is what it must not use. Predictors that have no
-    stable filter before are made so first.
+    `quantiser`: one of QUANTISERS. `slp` has reflection coefficients; the direct form is what it must not have. Raises
+    CodecError where the bits are too few for the order. The predictors must be stable before.
     """
-    return pole_radii(QUANTISERS[quantiser](predictors_of(stabilised(predictors)), bits))
+    return pole_radii(QUANTISERS[quantiser](predictors, bits))

@@ -14,7 +14,6 @@ import pytest
 from click.testing import CliRunner
 
 import codec
-from codec import slp
 from codec.interface import Codec, Decoded
 from evaluation.stability import (
     actuators,
@@ -226,18 +225,9 @@ def test_speed_of_the_hand_matters_to_what_is_cut_at_one_speed() -> None:
     assert slow.figures["upper_octave_level_db"] < -10  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("order", [4, 16])
-def test_forms_of_a_predictor_are_the_same_filter(order: int) -> None:
-    for predictor in filters.predictors(order)[::40]:
-        reflections = slp.reflections(predictor[None, :])[0][0]
-        np.testing.assert_allclose(filters.from_reflections(reflections), predictor, atol=1e-6)
-        frequencies = filters.line_spectral_frequencies(predictor)
-        np.testing.assert_allclose(filters.from_line_spectral_frequencies(frequencies), predictor, atol=1e-6)
-
-
 def test_only_the_direct_form_is_unstable_at_few_bits() -> None:
-    assert filters.measure("direct form", 8, 5).outcome is Outcome.FAILS
-    assert filters.measure("reflection coefficients", 8, 5).outcome is Outcome.HOLDS
+    assert filters.measure("direct form", 12, 5).outcome is Outcome.FAILS
+    assert filters.measure("reflection coefficients", 12, 5).outcome is Outcome.HOLDS
 
 
 def test_what_entropy_coding_costs_beyond_the_entropy() -> None:
