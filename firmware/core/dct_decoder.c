@@ -189,20 +189,31 @@ static uint32_t huffman_value(const huffman_code *code, bit_reader *reader)
     return (8 + symbol % 8) << (octave - 3) | read_bits(reader, octave - 3);
 }
 
-static uint32_t range_value(vc_range_coder *coder, vc_dct_context context, uint32_t first_pair)
+static uint32_t decode_rank(vc_range_coder *coder, vc_dct_context context)
 {
-    uint32_t quotient = 0, rank;
+    uint32_t rank = 0;
     unsigned bit;
-    while (quotient < VC_DCT_UNARY_LIMIT && vc_adaptive_decode(coder, &context.above[quotient], VC_DCT_ADAPTATION))
-        quotient++;
-    if (quotient == VC_DCT_UNARY_LIMIT)
-        quotient += vc_golomb_decode(coder);
-    if (quotient > VC_DCT_MAX_LEVELS >> context.low_bits)
-        quotient = VC_DCT_MAX_LEVELS >> context.low_bits;
-    rank = quotient;
+    while (rank < VC_DCT_UNARY_LIMIT && vc_adaptive_decode(coder, &context.above[rank], VC_DCT_ADAPTATION))
+        rank++;
+    if (rank == VC_DCT_UNARY_LIMIT)
+        rank += vc_golomb_decode(coder);
+    if (rank > VC_DCT_MAX_LEVELS >> context.low_bits)
+        rank = VC_DCT_MAX_LEVELS >> context.low_bits;
     for (bit = 0; bit < context.low_bits; bit++)
         rank = rank << 1 | (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS);
-    return rank < first_pair ? rank : 2 * rank - first_pair + (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS);
+    return rank;
+}
+
+static uint32_t range_value(vc_range_coder *coder, vc_dct_model *model, uint32_t bin, uint32_t block,
+                            uint32_t first_pair, uint32_t zeros)
+{
+    const vc_dct_context context = vc_dct_context_find(model, bin, block);
+    const int zero = zeros && vc_adaptive_decode(coder, context.zero, VC_DCT_ADAPTATION);
+    const uint32_t rank = zero ? context.expected : decode_rank(coder, context);
+    vc_dct_model_set(model, bin, rank, zero);
+    if (zero)
+        return 0;
+    return zeros + (rank < first_pair ? rank : 2 * rank - first_pair + (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS));
 }
 
 /* What the values of a packet are read from. */
@@ -217,18 +228,12 @@ static void decode_block(vc_dct_decoder *decoder, value_reader *reader, const vc
                          uint32_t block)
 {
     const uint32_t bins = decoder->end - decoder->first;
-    const uint32_t first_pair = vc_dct_first_pair(decoder->logarithmic, reader->zeros);
-    uint32_t bin, before = 0;
+    const uint32_t first_pair = vc_dct_first_pair(decoder->logarithmic);
+    uint32_t bin;
     for (bin = 0; bin < bins; bin++) {
-        uint32_t value, rank;
-        if (decoder->range_coded) {
-            value = range_value(&reader->range, vc_dct_context_find(&decoder->model, bin, block, before), first_pair);
-            rank = value < first_pair ? value : (value + first_pair) / 2;
-            before = decoder->model.ranks[bin];
-            decoder->model.ranks[bin] = (uint16_t)rank;
-        } else {
-            value = huffman_value(&reader->huffman, &reader->bits);
-        }
+        const uint32_t value = decoder->range_coded
+                                   ? range_value(&reader->range, &decoder->model, bin, block, first_pair, reader->zeros)
+                                   : huffman_value(&reader->huffman, &reader->bits);
         decoder->spectrum[decoder->first + bin] = vc_dct_level(quantiser, value);
     }
 }

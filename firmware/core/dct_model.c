@@ -104,6 +104,8 @@ static unsigned low_bits_of(unsigned context)
 void vc_dct_model_reset(vc_dct_model *model)
 {
     unsigned context, decision;
+    for (context = 0; context < VC_DCT_ZERO_CONTEXTS; context++)
+        model->zero[context] = VC_UNTRAINED;
     for (context = 0; context < VC_DCT_CONTEXTS; context++) {
         /* As if ranks fell off geometrically: with mean m, a rank is above n with probability m / (m + 1). */
         uint64_t expected = (2u + (context & 1u)) << (context / 2);
@@ -117,17 +119,29 @@ void vc_dct_model_reset(vc_dct_model *model)
 void vc_dct_model_next_channel(vc_dct_model *model)
 {
     memset(model->ranks, 0, sizeof model->ranks);
+    memset(model->zeros, 0, sizeof model->zeros);
 }
 
-vc_dct_context vc_dct_context_find(vc_dct_model *model, uint32_t bin, uint32_t block, uint32_t before)
+vc_dct_context vc_dct_context_find(vc_dct_model *model, uint32_t bin, uint32_t block)
 {
     const uint16_t *rank = model->ranks + bin;
+    const uint8_t *zero = model->zeros + bin;
     const uint32_t first = bin > 0 ? rank[-1] : 0, second = bin > 1 ? rank[-2] : first;
+    const uint32_t before = bin > 0 ? model->before : 0;
     const uint32_t expected =
         block == 0 ? 5 * first + 3 * second : 3 * first + second + before + 2u * rank[0] + rank[1];
+    const unsigned index = context_of(expected);
     vc_dct_context context;
-    unsigned index = context_of(expected);
+    context.zero = model->zero + 4 * zero[0] + 2 * (bin > 0 ? zero[-1] : 0) + (bin > 1 ? zero[-2] : 0);
     context.above = model->above[index];
     context.low_bits = low_bits_of(index);
+    context.expected = expected / 8;
     return context;
+}
+
+void vc_dct_model_set(vc_dct_model *model, uint32_t bin, uint32_t rank, int zero)
+{
+    model->before = model->ranks[bin];
+    model->ranks[bin] = (uint16_t)rank;
+    model->zeros[bin] = (uint8_t)zero;
 }

@@ -9,6 +9,7 @@
 #define VC_DCT_MIN_LEVELS 4u
 #define VC_DCT_MAX_LEVELS 65535u
 #define VC_DCT_CONTEXTS 40
+#define VC_DCT_ZERO_CONTEXTS 8
 #define VC_DCT_UNARY_LIMIT 16u
 #define VC_DCT_ADAPTATION 4u /* a decision moves its probability by 1/2^4 of the way */
 
@@ -28,30 +29,35 @@ void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_
 /* The level that a coded value stands for; values beyond the last stand for the last. */
 int32_t vc_dct_level(const vc_dct_quantiser *quantiser, uint32_t value);
 
-/* Values from this one on come in pairs of equal rank on both sides of zero. */
-static inline uint32_t vc_dct_first_pair(int logarithmic, unsigned zeros)
+/* Values from this one on, without the zero of its own, come in pairs of equal rank on both sides of zero. */
+static inline uint32_t vc_dct_first_pair(int logarithmic)
 {
-    return zeros + (logarithmic ? 0u : 1u);
+    return logarithmic ? 0u : 1u;
 }
 
-/* Adaptive model of range coding: probabilities of "the rank, less its low bits, is above n", for each context.
- * Restarts with each packet. */
+/* Adaptive model of range coding: probabilities of "zero, where that is a value of its own" and of "the rank, less its
+ * low bits, is above n", for each context. Restarts with each packet. */
 typedef struct {
+    uint16_t zero[VC_DCT_ZERO_CONTEXTS];
     uint16_t above[VC_DCT_CONTEXTS][VC_DCT_UNARY_LIMIT];
-    uint16_t ranks[VC_DCT_MAX_BLOCK + 1]; /* of this block up to the bin, of the block before from there on */
+    /* Of this block below the bin, of the block before from there on: ranks, those expected where zero came instead. */
+    uint16_t ranks[VC_DCT_MAX_BLOCK + 1];
+    uint8_t zeros[VC_DCT_MAX_BLOCK];
+    uint16_t before; /* rank of the bin below, of the block before */
 } vc_dct_model;
 
-/* Where one value stands: the context of its decisions, and how many low bits of its rank have even odds. */
+/* Where one value stands: the contexts of its decisions, and how many low bits of its rank have even odds. */
 typedef struct {
-    uint16_t *above;
+    uint16_t *zero, *above;
     unsigned low_bits;
+    uint32_t expected; /* rank */
 } vc_dct_context;
 
 void vc_dct_model_reset(vc_dct_model *model);
-/* Forgets the ranks of the block before: at the first block of a channel. */
+/* Forgets the block before: at the first block of a channel. */
 void vc_dct_model_next_channel(vc_dct_model *model);
-/* `before`: rank of the bin below, of the block before. */
-vc_dct_context vc_dct_context_find(vc_dct_model *model, uint32_t bin, uint32_t block, uint32_t before);
+vc_dct_context vc_dct_context_find(vc_dct_model *model, uint32_t bin, uint32_t block);
+void vc_dct_model_set(vc_dct_model *model, uint32_t bin, uint32_t rank, int zero);
 
 extern const int32_t vc_dct_cosine[VC_DCT_MAX_BLOCK + 1]; /* cos(2 pi i / (4 VC_DCT_MAX_BLOCK)) in 1/2^24 */
 extern const uint32_t vc_dct_exponential[257];            /* 2^(i / 256) in 1/2^30 */

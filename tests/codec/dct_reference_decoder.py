@@ -1,5 +1,6 @@
 """A decoder of `dct` written from docs/bitstream.md alone, slow and in floating point."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 
@@ -59,13 +60,12 @@ def huffman_values(bits: Bits) -> Callable[[], int]:
 class RangeValues:
     """Section "Range coding"."""
 
-    def __init__(self, coder: RangeDecoder, first_pair: int) -> None:
-        self.coder, self.first_pair = coder, first_pair
-        self.probabilities = {}
-        for context in range(40):
+    def __init__(self, coder: RangeDecoder, first_pair: int, zeros: int) -> None:
+        self.coder, self.first_pair, self.zeros = coder, first_pair, zeros
+        self.probabilities: dict[tuple[int | str, ...], int] = {("zero", context): 32768 for context in range(8)}
+        for context, decision in itertools.product(range(40), range(16)):
             e = (2 + context % 2) * 2 ** (context // 2)
-            for decision in range(16):
-                self.probabilities[context, decision] = 65536 * e // (e + 2 ** (4 + max(0, context // 2 - 5)))
+            self.probabilities[context, decision] = 65536 * e // (e + 2 ** (4 + max(0, context // 2 - 5)))
 
     def even(self, count: int) -> int:
         value = 0
@@ -73,39 +73,47 @@ class RangeValues:
             value = value << 1 | self.coder.decode()
         return value
 
-    def block(self, last: list[int] | None, bins: int) -> tuple[list[int], list[int]]:
-        """Return the ranks and the values of the next block."""
-        ranks: list[int] = []
+    def block(self, last: list[tuple[int, int]] | None, bins: int) -> tuple[list[tuple[int, int]], list[int]]:
+        """Return the ranks, each with whether zero came instead, and the values of the next block."""
+        now: list[tuple[int, int]] = []
         values: list[int] = []
         for k in range(bins):
-            one = ranks[k - 1] if k > 0 else 0
-            two = ranks[k - 2] if k > 1 else one
+            one, zero_one = now[k - 1] if k > 0 else (0, 0)
+            two, zero_two = now[k - 2] if k > 1 else (one, 0)
+            here, zero_here = last[k] if last else (0, 0)
             if last is None:
                 expected = 5 * one + 3 * two
             else:
-                above = last[k + 1] if k + 1 < bins else 0
-                expected = 3 * one + two + (last[k - 1] if k > 0 else 0) + 2 * last[k] + above
-            octave = int(math.log2(expected + 1))
-            context = 2 * octave + (octave > 0 and (expected + 1) >> (octave - 1) & 1)
-            low_bits = max(0, octave - 5)
-            quotient = 0
-            while quotient < 16 and self.decision(context, quotient):
-                quotient += 1
-            if quotient == 16:
-                ones = 0
-                while ones < 24 and self.coder.decode():
-                    ones += 1
-                quotient += 2**ones + self.even(ones) - 1
-            rank = min(quotient, 65535 >> low_bits) << low_bits | self.even(low_bits)
-            ranks.append(rank)
-            values.append(rank if rank < self.first_pair else 2 * rank - self.first_pair + self.even(1))
-        return ranks, values
+                above = last[k + 1][0] if k + 1 < bins else 0
+                expected = 3 * one + two + (last[k - 1][0] if k > 0 else 0) + 2 * here + above
+            if self.zeros and self.decision("zero", 4 * zero_here + 2 * zero_one + zero_two):
+                now.append((expected // 8, 1))
+                values.append(0)
+                continue
+            rank = self.rank(expected)
+            now.append((rank, 0))
+            value = rank if rank < self.first_pair else 2 * rank - self.first_pair + self.even(1)
+            values.append(value + self.zeros)
+        return now, values
 
-    def decision(self, context: int, decision: int) -> int:
-        probability = self.probabilities[context, decision]
+    def rank(self, expected: int) -> int:
+        octave = int(math.log2(expected + 1))
+        context = 2 * octave + (octave > 0 and (expected + 1) >> (octave - 1) & 1)
+        low_bits = max(0, octave - 5)
+        quotient = 0
+        while quotient < 16 and self.decision(context, quotient):
+            quotient += 1
+        if quotient == 16:
+            ones = 0
+            while ones < 24 and self.coder.decode():
+                ones += 1
+            quotient += 2**ones + self.even(ones) - 1
+        return min(quotient, 65535 >> low_bits) << low_bits | self.even(low_bits)
+
+    def decision(self, *context: int | str) -> int:
+        probability = self.probabilities[context]
         bit = self.coder.decode(bounded(probability))
-        moved = (65535 - probability) >> 4 if bit else -(probability >> 4)
-        self.probabilities[context, decision] = probability + moved
+        self.probabilities[context] = probability + ((65535 - probability) >> 4 if bit else -(probability >> 4))
         return bit
 
 
@@ -148,7 +156,7 @@ class ReferenceDecoder:
         payload = packet[start:]
         bits, coder = Bits(payload), RangeDecoder(payload)
         zeros = coder.decode() if self.range_coded else bits.read(1)
-        ranged = RangeValues(coder, zeros + 1 - self.logarithmic)
+        ranged = RangeValues(coder, 1 - self.logarithmic, zeros)
         huffman = huffman_values(bits) if any(map(any, codes)) and not self.range_coded else None
         output = np.zeros((self.blocks, self.block, self.channels))
         n, k = np.arange(self.block)[:, None], np.arange(self.block)[None, :]
@@ -159,7 +167,7 @@ class ReferenceDecoder:
                 continue
             ranges = magnitude(both[0]), magnitude(both[1])
             smallest = magnitude(self.smallest[channel]) if self.logarithmic else 0.0
-            ranks: list[int] | None = None
+            ranks: list[tuple[int, int]] | None = None
             for block in range(self.blocks):
                 if huffman:
                     values = [huffman() for _ in range(self.first, self.end)]
