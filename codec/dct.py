@@ -299,7 +299,7 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> D
 
 LADDER_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
 """The paper's seven, then on to some 25 dB of SNR and beyond."""
-LADDER_B0_DB = (24.0, 18.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -18.0, -24.0, -36.0)
+LADDER_B0_DB = (24.0, 18.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -18.0, -24.0)
 
 
 def _level_ladder(**fixed: str) -> tuple[Setting, ...]:
