@@ -40,7 +40,7 @@ _UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""
 _ANALYSIS_SAMPLES = 512
 """Samples that a predictor is fitted to: those up to the end of its frame."""
-_CHUNK_SAMPLES = 16_384
+_CHUNK_SAMPLES, _CHUNK_FRAMES = 16_384, 256
 
 
 def relative_step(quality: float) -> float:
@@ -140,10 +140,14 @@ class SlpEncoder:
 
     def _analysed(self, signal: Signal) -> NDArray[np.int8]:
         """Return the reflection codes (frames, order) of one channel; `signal`: what came before, then the frames."""
-        if self._order == 0:
-            return np.zeros(((len(signal) - len(self._before)) // self._frame, 0), dtype=np.int8)
-        rows, targets = windows(signal, _ANALYSIS_SAMPLES, self._frame, self._order)
-        return reflection_codes(stabilised(sparse_predictors(rows, targets))).astype(np.int8)
+        frames = (len(signal) - len(self._before)) // self._frame
+        codes = np.zeros((frames, self._order), dtype=np.int8)
+        for start in range(0, frames if self._order else 0, _CHUNK_FRAMES):
+            stop = min(start + _CHUNK_FRAMES, frames)
+            part = signal[start * self._frame : len(self._before) + stop * self._frame]
+            rows, targets = windows(part, _ANALYSIS_SAMPLES, self._frame, self._order)
+            codes[start:stop] = reflection_codes(stabilised(sparse_predictors(rows, targets)))
+        return codes
 
     def _code(self, samples: NDArray[np.int32], codes: NDArray[np.int8]) -> bytes:
         samples, codes = np.ascontiguousarray(samples), np.ascontiguousarray(codes)

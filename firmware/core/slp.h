@@ -26,7 +26,7 @@ uint32_t vc_slp_decoder_packet_samples(const vc_slp_decoder *decoder);
 
 /* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
  * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written).
- * Any bytes are safe: the synthesis filter is stable for each of them, and its state is at most full scale. */
+ * Any bytes are safe: the synthesis filter is stable for each of them. */
 int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
 /* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
@@ -38,8 +38,9 @@ int vc_slp_encoder_init(vc_slp_encoder *encoder, const uint8_t *configuration, s
                         unsigned channels, uint32_t refresh_packets);
 
 /* Codes one packet. `samples`: frames x channels x frame length, in 1/256 of a 16-bit sample's least significant bit,
- * within full scale. `reflections`: frames x channels x order, the codes of the predictor that suits each frame; the
- * encoder keeps the one before where that is cheaper. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE. */
+ * within full scale. `reflections`: frames x channels x order, codes, -15 to 15, of the predictor that suits each
+ * frame; the encoder keeps the one before where that is cheaper. Returns the bytes written to `packet`, or
+ * VC_PACKET_TOO_LARGE. */
 int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections, uint8_t *packet,
                       size_t capacity);
 /* cffi: end */

@@ -40,8 +40,8 @@ static uint32_t magnitude_of(int32_t value)
     return (uint32_t)(value < 0 ? -value : value);
 }
 
-/* Finds the residual of a frame from the state that the decoder's filter is in, and estimates its bits by log2(1 + |c|
- * / step) for each coefficient. */
+/* Finds the residual of a frame from the state that the decoder's filter is in, and estimates its bits: of a
+ * coefficient c, log2(1 + |c| / step). */
 static void measure(candidate *tried, const vc_slp_configuration *configuration, const vc_slp_channel *channel,
                     const int32_t *samples)
 {
