@@ -276,8 +276,8 @@ CODEC = Codec(
         "step": Parameter("quantiser step relative to the RMS value", 0.25, low=SMALLEST_STEP),
         "thrift": Parameter("weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1),
     },
-    # From some 2 dB of SNR to some 27.
-    ladders={NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -8, -1))},
+    # From some 2 dB of SNR to some 42.
+    ladders={NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1))},
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
     takes_tables=True,
