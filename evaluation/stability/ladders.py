@@ -204,7 +204,7 @@ DCT_THRESHOLD = Map(
     "What lies below the detection threshold, moved by b0, is cut, and the rest kept in 16 bits, on "
     f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is below {HALF_DB:g} dB, half of the power is cut; F: below 0 dB.",
     "dB",
-    partial(_dct_trials, "dct_threshold", {"dct, cut": {"quantiser": "fine", "threshold": "on"}}, "b0_db", B0_DB),
+    partial(_dct_trials, "dct_threshold", {"dct, cut": {"levels": 65535, "threshold": "on"}}, "b0_db", B0_DB),
     partial(_draw_sweep, "b0, dB", False),
     half_left,
 )
