@@ -12,7 +12,7 @@ from typing import TypeAlias
 import textures
 from evaluation.cells import BenchError, Cell, Measured, Method
 from evaluation.cost import CodecCost
-from evaluation.dataset import Trace
+from evaluation.dataset import Trace, printable
 from evaluation.points import Failure, Point, Timing, write_rows
 from host.output_files import whole_file
 
@@ -139,7 +139,7 @@ def _cells(trace: Trace, recording: textures.Recording, chosen: Sequence[Method]
 
 def _reason(error: Exception) -> str:
     """Return an error in one line; what Python itself raises tells little without its name."""
-    text = " ".join(str(error).split())
+    text = printable(" ".join(str(error).split()))
     return f"{type(error).__name__}: {text}".removesuffix(": ") if type(error).__module__ == "builtins" else text
 
 

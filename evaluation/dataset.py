@@ -55,7 +55,7 @@ def traces(folder: Path) -> list[Trace]:
         raise DatasetError(f"{folder}: no such folder; give the folder that holds the recordings")
     grouped: dict[Path, list[Path]] = {}
     for path in folder.iterdir():
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
+        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not path.is_dir():
             of_axis = path.suffix.lower() == ".txt" and p1918.axis_of(path)
             grouped.setdefault(path.with_name(path.stem[:-2]) if of_axis else path, []).append(path)
     # textures.load knows a trace of several files by their common name.
@@ -63,7 +63,7 @@ def traces(folder: Path) -> list[Trace]:
     if not paths:
         raise DatasetError(f"{folder}: no recordings ({', '.join(SUFFIXES)}) in it; sub-folders are not searched")
     stems = Counter(_stem(path) for path in paths)
-    names = {path.name if stems[_stem(path)] > 1 else _stem(path): path for path in paths}
+    names = {printable(path.name if stems[_stem(path)] > 1 else _stem(path)): path for path in paths}
     return [Trace(name, names[name]) for name in sorted(names)]
 
 
@@ -118,10 +118,15 @@ def _whole_materials(everything: list[Trace], wanted: int, seed: int) -> set[str
     return {trace.name for trace in everything if trace.material in chosen}
 
 
+def printable(text: str) -> str:
+    """Return a text, such as a file's name, with an escape in place of each byte that is no character."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def _stem(path: Path) -> str:
     return path.stem if path.suffix.lower() in SUFFIXES else path.name
 
 
 def _lot(name: str, seed: int) -> bytes:
     """Return a number, in bytes, that decides a name's place in the order drawn with a seed."""
-    return hashlib.sha256(f"{seed}:{name}".encode(errors="surrogateescape")).digest()
+    return hashlib.sha256(f"{seed}:{name}".encode()).digest()

@@ -4,11 +4,13 @@ import logging
 import multiprocessing
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from typing import Any, TypeAlias, TypeVar
 
@@ -26,6 +28,10 @@ _THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THR
 
 class WorkersError(RuntimeError):
     """There is nobody to do the work; the message says why and what to do."""
+
+
+class OtherVersionError(RuntimeError):
+    """A worker of a cluster does not run this program; the message says which it runs."""
 
 
 class WorkerDiedError(RuntimeError):
@@ -61,49 +67,58 @@ def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Call
     of another version.
     """
     import distributed
+    from distributed.comm.addressing import get_address_host_port
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is raised
+    for logger in ("distributed", "distributed.client"):  # what matters of their warnings is raised
+        logging.getLogger(logger).setLevel(logging.CRITICAL)
     try:
+        # A Client that does not reach its scheduler may block the process when it is garbage-collected.
+        socket.create_connection(get_address_host_port(address), CONNECT_S).close()
         client: Any = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise WorkersError(
             f"no Dask scheduler answers at {address} ({error}); start one, or check --scheduler"
         ) from error
+    same = ((piece, partial(_same_version, version(), version, piece[1])) for piece in pieces)
+    lost: list[Piece[Key, Result]] = []
     with client:
-        checked: set[str] = set()
+        executor = client.get_executor(pure=False)
+        for (piece, _), outcome in _outcomes(executor, same, lambda: 2 * _threads(client, address)):
+            if isinstance(outcome, distributed.KilledWorker):
+                lost.append(piece)
+            elif _is_of_another_version(outcome):
+                raise WorkersError(f"a Dask worker does not have this version of vibrocast: {outcome}")
+            else:
+                yield piece[0], outcome
+        # Some of these have killed their workers, others only waited there. Which, is seen where each runs alone.
+        for piece, outcome in _outcomes(executor, iter(lost), lambda: min(1, _threads(client, address))):
+            yield piece[0], WorkerDiedError() if isinstance(outcome, distributed.KilledWorker) else outcome
 
-        def room() -> int:
-            """Return how many pieces may wait at the workers, new ones checked."""
-            threads = _threads(client, address)
-            if new := sorted(set(threads) - checked):
-                _check_versions(client, new, version)
-                checked.update(new)
-            return 2 * sum(threads.values())
 
-        for (key, _), outcome in _outcomes(client.get_executor(pure=False), pieces, room):
-            yield key, WorkerDiedError() if isinstance(outcome, distributed.KilledWorker) else outcome
+def _same_version(wanted: str, version: Callable[[], str], work: Callable[[], Result]) -> Result:
+    if version() != wanted:
+        raise OtherVersionError(f"{version()}; install {wanted}")
+    return work()
 
 
-def _threads(client: Any, address: str) -> dict[str, int]:
-    """Return the threads of each worker of a cluster. Raises WorkersError where scheduler or workers are gone."""
+def _is_of_another_version(outcome: object) -> bool:
+    """Return whether what came from a worker says that it has this program in another version, or not at all."""
+    # The form in which Dask says that a worker lacks a module.
+    lacks = type(outcome) is RuntimeError and isinstance(outcome.__cause__, ImportError)
+    return lacks or isinstance(outcome, OtherVersionError)
+
+
+def _threads(client: Any, address: str) -> int:
+    """Return the threads of all workers of a cluster. Raises WorkersError where scheduler or workers are gone."""
     try:
         # Where the only worker crashes, another takes its place within seconds.
         client.wait_for_workers(1, PATIENCE_S)
         threads: dict[str, int] = client.nthreads()
-        return threads
     except TimeoutError as error:
         raise WorkersError(f"the scheduler at {address} has no workers; start some: dask worker {address}") from error
     except (OSError, RuntimeError) as error:
         raise WorkersError(f"the Dask scheduler at {address} is gone; start it, and this command, again") from error
-
-
-def _check_versions(client: Any, workers: list[str], version: Callable[[], str]) -> None:
-    answers = client.run(version, workers=workers, on_error="return")
-    for worker, answer in answers.items():
-        if answer != version():
-            raise WorkersError(
-                f"the Dask worker {worker} has another version of vibrocast ({answer}); install this one"
-            )
+    return max(1, sum(threads.values()))
 
 
 def _in_a_pool(

@@ -112,7 +112,7 @@ def bench(
     data = folder.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
     machine = "a Dask cluster" if scheduler else f"{platform.machine()}, {workers.cores()} cores at work at once"
     command = shlex.join(["vibrocast", *sys.argv[1:]])
-    description = results_page.Description(data, machine, command)
+    description = results_page.Description(dataset.printable(data), machine, dataset.printable(command))
     results_page.write_results(out, points, timings, costs, failures, description)
     show(points, timings)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}

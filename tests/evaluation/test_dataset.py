@@ -1,5 +1,6 @@
 """Tests of a folder as the traces of a benchmark: what is a trace, and the seeded split."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -60,12 +61,23 @@ def test_a_hand_speed_is_for_profiles_and_the_rate_becomes_whole(tmp_path: Path)
     assert (resampled.rate_hz, resampled.unit) == (2800, "um")
 
 
+def test_a_name_that_is_no_text_is_escaped(tmp_path: Path) -> None:
+    try:
+        Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.csv")).write_text("# rate_hz: 2800\n# unit: um\n1\n2\n")
+    except OSError:
+        pytest.skip("this file system has no such names")
+    (trace,) = traces(tmp_path)
+    assert trace.name == "\\udcff"
+    assert load(trace).rate_hz == 2800
+
+
 def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no such folder"):
         traces(tmp_path / "missing")
     with pytest.raises(DatasetError, match="no recordings"):
         traces(tmp_path)
     (tmp_path / "picture.png").touch()
+    (tmp_path / "folder.wav").mkdir()
     with pytest.raises(DatasetError, match="no recordings"):
         traces(tmp_path)
 
