@@ -7,16 +7,18 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import textures
 from evaluation.cells import BenchError, Cell, Measured, Method
 from evaluation.cost import CodecCost
 from evaluation.dataset import Trace, printable
-from evaluation.points import Failure, Point, Timing, write_rows
+from evaluation.points import Failure, Point, PointsError, Timing, read_points, write_rows
 from host.output_files import whole_file
 
-JOURNAL, POINTS, PAGE = "journal.jsonl", "points.csv", "results.md"
+JOURNAL, PAGE = "journal.jsonl", "results.md"
+_POINTS_CSV, _POINTS_JSON = "points.csv", "points.json"
+_TABLES = {_POINTS_CSV: Point, "timings.csv": Timing, "costs.csv": CodecCost, "failures.csv": Failure}
 
 
 class Journal:
@@ -146,30 +148,34 @@ def _reason(error: Exception) -> str:
 def results_folder(out: Path) -> Path:
     """Make the folder OUT/results of a run and return it; a run before may have left its results there.
 
-    Raises BenchError where something else lies, OSError where it cannot be made.
+    Raises BenchError where files of other origin would be overwritten, OSError where it cannot be made.
     """
     results = out / "results"
-    ours = (results / JOURNAL).exists() or (results / POINTS).exists()
-    filled = (out / PAGE).exists() or (results.is_dir() and any(results.iterdir()))
-    if filled and not ours:
-        raise BenchError(f"{out}: its {PAGE} or folder {results.name} is not of a benchmark; choose another --out")
+    if not (results / JOURNAL).exists() and not _is_ours(results / _POINTS_CSV):
+        for path in (out / PAGE, *(results / name for name in (*_TABLES, _POINTS_JSON))):
+            if path.exists():
+                raise BenchError(f"{path}: would be overwritten, but is not of a benchmark; choose another --out")
     results.mkdir(parents=True, exist_ok=True)
     return results
+
+
+def _is_ours(points: Path) -> bool:
+    try:
+        read_points(points)
+    except (PointsError, FileNotFoundError):
+        return False
+    return True
 
 
 def write(
     results: Path, points: list[Point], timings: list[Timing], costs: list[CodecCost], failures: list[Failure]
 ) -> None:
     """Write all figures into a folder as CSV, the points as JSON too, each file whole or not at all. Raises OSError."""
-    for name, kind, rows in (
-        (POINTS, Point, points),
-        ("timings.csv", Timing, timings),
-        ("costs.csv", CodecCost, costs),
-        ("failures.csv", Failure, failures),
-    ):
+    tables: tuple[Sequence[Any], ...] = points, timings, costs, failures
+    for (name, kind), rows in zip(_TABLES.items(), tables, strict=True):
         with whole_file(results / name) as partial:
             write_rows(partial, rows, kind)
-    with whole_file(results / "points.json") as partial:
+    with whole_file(results / _POINTS_JSON) as partial:
         records = [{**asdict(point), "bits_per_sample": point.bits_per_sample} for point in points]
         # JSON has no infinity, the SNR of an exact copy.
         texts = [{name: "inf" if value == math.inf else value for name, value in record.items()} for record in records]

@@ -268,18 +268,21 @@ def test_methods_by_codec_and_by_ladder() -> None:
         cells.methods(["mdct", "mp3"])
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["results.md", "results/points.csv", "results/costs.csv"])
+def test_files_of_other_origin_are_left_alone(tmp_path: Path, name: str) -> None:
     (tmp_path / "results").mkdir()
-    assert bench.results_folder(tmp_path) == tmp_path / "results"
     (tmp_path / "results" / "thesis.tex").touch()
-    with pytest.raises(BenchError, match="choose another --out"):
+    assert bench.results_folder(tmp_path) == tmp_path / "results"
+    (tmp_path / name).write_text("a,b\n1,2\n")
+    with pytest.raises(BenchError, match=f"{name}: would be overwritten"):
         bench.results_folder(tmp_path)
     (tmp_path / "results" / bench.JOURNAL).touch()
     assert bench.results_folder(tmp_path) == tmp_path / "results"
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "results.md").touch()
-    with pytest.raises(BenchError, match="choose another --out"):
-        bench.results_folder(tmp_path / "other")
+
+
+def test_results_without_their_journal_are_known_again(results: Path) -> None:
+    bench.write(results, [], [], [], [])
+    assert bench.results_folder(results.parent) == results
 
 
 def test_settings_as_text() -> None:

@@ -156,7 +156,7 @@ def test_what_cannot_be_used_is_refused(folder: Path, tmp_path: Path, monkeypatc
     assert "not a TOML file" in fails(2, folder, "--out", out, "--programs", Path(__file__))
     assert "Missing option '--out'" in fails(2, folder)
     (tmp_path / "thesis" / "results").mkdir(parents=True)
-    (tmp_path / "thesis" / "results" / "thesis.tex").touch()
+    (tmp_path / "thesis" / "results.md").touch()
     assert "choose another --out" in fails(2, folder, "--out", tmp_path / "thesis")
     assert not out.exists()
     monkeypatch.setattr(workers, "CONNECT_S", 0.2)
