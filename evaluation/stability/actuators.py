@@ -82,8 +82,8 @@ def _shift_trials(scope: Scope) -> list[Trial]:
     return [
         Trial(
             RESONANCE.name,
-            actuator.name,
-            f"{actuator.corner_hz:g} Hz, Q {actuator.quality:g}",
+            f"{actuator.name} of {actuator.corner_hz:g} Hz",
+            f"Q {actuator.quality:g}",
             "",
             float(shift),
             partial(measure_shift, actuator, shift),

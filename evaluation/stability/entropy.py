@@ -51,7 +51,7 @@ def needed_bits(coefficients: Signal, levels: int) -> float:
         return math.log2(levels)
     _, counts = np.unique(coefficients, return_counts=True)
     shares = counts / counts.sum()
-    return float(-np.sum(shares * np.log2(shares)))
+    return float(np.sum(shares * np.log2(1 / shares)))
 
 
 def measure(coder: str, case: str) -> Measured:

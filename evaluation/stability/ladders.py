@@ -167,6 +167,7 @@ LEVELS = (4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 16, 18, 20, 22, 24, 26, 28, 32, 
 B0_DB = (24, 20, 16, 12, 10, 8, 6, 4, 2, 0, -2, -4, -6, -8, -10, -12, -16, -20, -24)
 SMALLEST = (3.0, 2.0, 1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002)
 S_LEVELS = (8, 14, 28)
+FINEST_LEVELS = 65_535
 
 
 def _dct_trials(
@@ -204,7 +205,7 @@ DCT_THRESHOLD = Map(
     "What lies below the detection threshold, moved by b0, is cut, and the rest kept in 16 bits, on "
     f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is below {HALF_DB:g} dB, half of the power is cut; F: below 0 dB.",
     "dB",
-    partial(_dct_trials, "dct_threshold", {"dct, cut": {"levels": 65535, "threshold": "on"}}, "b0_db", B0_DB),
+    partial(_dct_trials, "dct_threshold", {"dct, cut": {"levels": FINEST_LEVELS, "threshold": "on"}}, "b0_db", B0_DB),
     partial(_draw_sweep, "b0, dB", False),
     half_left,
 )

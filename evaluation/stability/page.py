@@ -34,7 +34,8 @@ def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
         write_csv(folder / f"{each.name}.csv", own)
         each.draw(folder / f"{each.name}.png", own)
     with whole_file(folder / "stability.json") as partial:
-        partial.write_text(json.dumps([_record(cell) for cell in cells], indent=1, allow_nan=False) + "\n", "utf-8")
+        records = ",\n".join(json.dumps(_record(cell), allow_nan=False) for cell in cells)
+        partial.write_text(f"[\n{records}\n]\n", "utf-8")
     with whole_file(out / "stability.md") as partial:
         partial.write_text(markdown(drawn), "utf-8")
 
@@ -124,7 +125,8 @@ def _summary_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
             for outcome in _BAD_FIRST
             if (some := [cell for cell in bad if cell.outcome is outcome])
         )
-        key = (each.title, f"{len(own) - len(bad)} of {len(own)}", boundary or "none found")
+        held = f"{len(own) - len(bad)} of {len(own)}" if bad else "all"
+        key = (each.title, held, boundary or "none found")
         rows.setdefault(key, []).append((method, min(bad, key=_worst_first, default=None)))
     return [_row([*(method for method, _ in some)], key, [worst for _, worst in some]) for key, some in rows.items()]
 

@@ -1,6 +1,7 @@
 """Maps and curves that can be read in grey: letters in shaded cells, dashed lines named at their ends."""
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from evaluation.stability.trials import Outcome
 from host.output_files import whole_file
@@ -25,9 +27,11 @@ DASHES: tuple[tuple[str, str], ...] = (
     ("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"), ("-", "v"),
     ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
 )  # fmt: skip
-_LABEL_DISTANCE = 0.045  # of an axis' height
+_LABEL_DISTANCE = 0.045  # of an axis' height, for each line
+_LABEL_CHARACTERS = 28
+_SAME_HEIGHT = 0.004
 _LEAST_TICK_DISTANCE = 0.07  # of its width
-_DPI = 110
+_DPI = 90
 
 
 @dataclass(frozen=True)
@@ -162,6 +166,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         ticks = _apart(sorted({x for curve in panel.curves for x in curve.x}))
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
+    elif all(float(x).is_integer() for curve in panel.curves for x in curve.x):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _name_ends(axes, ends)
 
 
@@ -175,22 +181,32 @@ def _apart(ticks: Sequence[float]) -> list[float]:
 
 
 def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]]) -> None:
-    """Name curves right of the axes, at the heights of their last points, moved apart where they would collide."""
+    """Name curves right of the axes, at the heights of their last points, moved apart where they would collide.
+
+    Curves that end in the same point share a label.
+    """
     low, high = axes.get_ylim()
-    heights = {name: (y - low) / (high - low) for _, y, name in ends}
-    order = sorted(ends, key=lambda end: end[1])
-    distance = min(_LABEL_DISTANCE, 1 / max(1, len(order)))
-    # Upwards each at least so far above the one below, then downwards from the top.
-    placed = [0.0] * len(order)
-    for index, (_, _, name) in enumerate(order):
-        placed[index] = max(heights[name], placed[index - 1] + distance if index else 0.0)
+    together: dict[tuple[int, float], list[tuple[float, str]]] = {}
+    for x, y, name in ends:
+        together.setdefault((round((y - low) / (high - low) / _SAME_HEIGHT), x), []).append((y, name))
+    labels = [
+        (x, some[0][0], textwrap.fill(", ".join(name for _, name in some), _LABEL_CHARACTERS))
+        for (_, x), some in sorted(together.items())
+    ]
+    rooms = [_LABEL_DISTANCE * (label.count("\n") + 1) for _, _, label in labels]
+    shrink = min(1.0, 1 / max(sum(rooms), _LABEL_DISTANCE))
+    # Upwards each so far above the one below that both have room, then downwards from the top.
+    placed: list[float] = []
+    for index, (_, y, _) in enumerate(labels):
+        least = placed[-1] + shrink * (rooms[index] + rooms[index - 1]) / 2 if placed else 0.0
+        placed.append(max((y - low) / (high - low), least))
     ceiling = 1.0
-    for index in reversed(range(len(order))):
+    for index in reversed(range(len(labels))):
         placed[index] = min(placed[index], ceiling)
-        ceiling = placed[index] - distance
-    for (x, y, name), height in zip(order, placed, strict=True):
+        ceiling = placed[index] - shrink * (rooms[index] + rooms[index - 1]) / 2
+    for (x, y, label), height in zip(labels, placed, strict=True):
         axes.annotate(
-            name,
+            label,
             (x, y),
             (1.03, height),
             textcoords="axes fraction",

@@ -96,19 +96,19 @@ CONDITIONS: dict[str, Condition] = {
     "silence": Condition(lambda: 0 * _time_s()),
     "constant 0.5": Condition(lambda: 0 * _time_s() + 0.5),
     "one impulse": Condition(_impulse),
-    "square, full scale, 50 Hz": Condition(lambda: np.where(_time_s() * 50 % 1 < 0.5, 1.0, -1.0)),
-    "square, full scale, 1400 Hz": Condition(lambda: np.where(np.arange(len(_time_s())) % 2 == 0, 1.0, -1.0)[:, None]),
-    "sine, full scale, 5 Hz": Condition(lambda: np.sin(2 * np.pi * 5 * _time_s())),
-    "sine, full scale, 250 Hz": Condition(lambda: np.sin(2 * np.pi * 250 * _time_s())),
-    "sweep, 10 to 1400 Hz": Condition(_sweep),
-    "white noise, full scale": Condition(_noise),
-    "texture, clipped at a third": Condition(lambda: np.clip(texture(), -PEAK / 3, PEAK / 3)),
-    "texture, +60 dB": Condition(lambda: 1000 * texture()),
-    "texture, -60 dB": Condition(lambda: 0.001 * texture()),
+    "full-scale square of 50 Hz": Condition(lambda: np.where(_time_s() * 50 % 1 < 0.5, 1.0, -1.0)),
+    "full-scale square of 1400 Hz": Condition(lambda: np.where(np.arange(len(_time_s())) % 2 == 0, 1.0, -1.0)[:, None]),
+    "full-scale sine of 5 Hz": Condition(lambda: np.sin(2 * np.pi * 5 * _time_s())),
+    "full-scale sine of 250 Hz": Condition(lambda: np.sin(2 * np.pi * 250 * _time_s())),
+    "sweep from 10 to 1400 Hz": Condition(_sweep),
+    "full-scale white noise": Condition(_noise),
+    "texture clipped at a third": Condition(lambda: np.clip(texture(), -PEAK / 3, PEAK / 3)),
+    "texture at +60 dB": Condition(lambda: 1000 * texture()),
+    "texture at -60 dB": Condition(lambda: 0.001 * texture()),
     "texture 60 dB below a click": Condition(_click_above, judged_from=round(0.1 * SECONDS * RATE_HZ)),
     "texture of 8 bits": Condition(partial(_of_bits, 8)),
     "texture of 4 bits": Condition(partial(_of_bits, 4)),
-    "texture, 16 channels": Condition(partial(texture, channels=16)),
+    "texture on 16 channels": Condition(partial(texture, channels=16)),
     **{f"texture at {rate_hz} Hz": Condition(partial(texture, rate_hz), rate_hz) for rate_hz in (1000, 1560, 4000)},
     **{f"texture at {rate_hz} Hz": Condition(partial(texture, rate_hz), rate_hz) for rate_hz in (5600, 8000, 10_000)},
     "1 sample": Condition(lambda: texture()[100:101]),
@@ -160,7 +160,8 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
     wanted_db = max(LEAST_SNR_DB, min(texture_snr_db - SNR_MARGIN_DB, ENOUGH_SNR_DB))
     figures = {"snr_db": snr_db, "texture_snr_db": texture_snr_db, "louder_db": louder}
     if snr_db < 0 or louder > FAR_LOUDER_DB:
-        return Measured(Outcome.FAILS, figures, f"SNR {snr_db:.1f} dB, {louder:+.1f} dB louder")
+        effect = f"{louder:+.1f} dB louder" if louder > FAR_LOUDER_DB else f"SNR {snr_db:.1f} dB"
+        return Measured(Outcome.FAILS, figures, effect)
     if snr_db < LEAST_SNR_DB:
         return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB: nothing of the signal is left")
     if snr_db < wanted_db:

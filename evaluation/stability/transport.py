@@ -182,7 +182,7 @@ def _trials(
 def _drift_trials(scope: Scope) -> list[Trial]:
     """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
     first = scope.codecs[0]
-    case = f"source with its own pace, {PACED_AHEAD_S:g} s ahead"
+    case = f"source with its own pace {PACED_AHEAD_S:g} s ahead"
     return [
         *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,), scope),
         *(
@@ -215,9 +215,10 @@ def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Cell]) -> None:
                 x = [cell.value or 0.0 for cell in own]
                 y = [cell.figure(figure) for cell in own]
                 y = [value if math.isfinite(value) else math.nan for value in y]
-                name = method if len(cases) == 1 else f"{method}, {case}"
+                name = method if case == cases[0] else f"{method}, {case}"
                 curves.append(pictures.Curve(name, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
-        panels.append(pictures.Panel(title, x_label, "", curves, log_x, least_span=least_span))
+        if any(math.isfinite(y) for curve in curves for y in curve.y):
+            panels.append(pictures.Panel(title, x_label, "", curves, log_x, least_span=least_span))
     pictures.curves(path, panels, across=3)
 
 

@@ -158,7 +158,7 @@ def test_rules_for_silence(peak: float, outcome: Outcome) -> None:
 
 def test_conditions_are_what_their_names_say() -> None:
     made = {name: condition.make() for name, condition in signals.CONDITIONS.items()}
-    assert made["texture, 16 channels"].shape == (5600, 16)
+    assert made["texture on 16 channels"].shape == (5600, 16)
     assert made["texture at 1000 Hz"].shape == (2000, 1)
     assert len(made["31 samples"]) == 31
     assert len(np.unique(made["texture of 4 bits"])) <= 16
