@@ -57,16 +57,13 @@ def _trials(scope: Scope) -> list[Trial]:
 
 
 def _draw(path: Path, cells: Sequence[Cell]) -> None:
-    panels = []
-    for form in linear_prediction.QUANTISERS:
-        curves = []
-        for case in dict.fromkeys(cell.case for cell in cells):
-            own = [cell for cell in cells if (cell.method, cell.case) == (form, case)]
-            shares = [100 * cell.figure("unstable_share") for cell in own]
-            failed = [cell.outcome is Outcome.FAILS for cell in own]
-            curves.append(pictures.Curve(case, [cell.value or 0.0 for cell in own], shares, failed))
-        panels.append(pictures.Panel(f"{form}: unstable, %", "bits a coefficient", "", curves, least_span=10))
-    pictures.curves(path, panels, across=3)
+    """Forms and orders downwards, bits across."""
+    rows = list(dict.fromkeys((cell.method, cell.case) for cell in cells))
+    values = list(dict.fromkeys(cell.value for cell in cells))
+    outcomes = {(cell.method, cell.case, cell.value): cell.outcome for cell in cells}
+    table = [[outcomes.get((*row, value), Outcome.NOT_TRIED) for value in values] for row in rows]
+    names = [", ".join(row) for row in rows]
+    pictures.outcome_map(path, names, [f"{value:g}" for value in values], table, "columns: bits for each coefficient")
 
 
 FILTERS = Map(

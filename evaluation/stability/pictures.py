@@ -63,8 +63,6 @@ def outcome_map(
     groups: Sequence[str],
     outcomes: Sequence[Sequence[Outcome]],
     caption: str,
-    row_label: str = "",
-    group_label: str = "",
 ) -> None:
     """Draw letters in cells; every group has as many columns of `outcomes` (rows, columns). Raises OSError."""
     columns = len(outcomes[0])
@@ -85,12 +83,11 @@ def outcome_map(
         )
     for y in range(len(rows) + 1):
         axes.axhline(y, color="0.8", linewidth=0.5)
-    axes.set(xlim=(0, columns), ylim=(len(rows), 0), xlabel=group_label, ylabel=row_label)
+    axes.set(xlim=(0, columns), ylim=(len(rows), 0))
     axes.set_yticks(np.arange(len(rows)) + 0.5, rows, fontsize=9)
     upright = sum(map(len, groups)) > 3 * columns  # they would run into each other
     axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, fontsize=9, rotation=90 if upright else 0)
     axes.xaxis.tick_top()
-    axes.xaxis.set_label_position("top")
     axes.tick_params(length=0)
     axes.set_title("H holds   D degraded   F fails   R refused   - not tried", fontsize=10, loc="left", pad=12)
     figure.supxlabel(caption, fontsize=9)
@@ -167,7 +164,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
     elif all(float(x).is_integer() for curve in panel.curves for x in curve.x):
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     _name_ends(axes, ends)
 
 
@@ -190,7 +187,7 @@ def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]]) -> None:
     for x, y, name in ends:
         together.setdefault((round((y - low) / (high - low) / _SAME_HEIGHT), x), []).append((y, name))
     labels = [
-        (x, some[0][0], textwrap.fill(", ".join(name for _, name in some), _LABEL_CHARACTERS))
+        (x, some[0][0], textwrap.fill(", ".join(name for _, name in some), _LABEL_CHARACTERS, break_on_hyphens=False))
         for (_, x), some in sorted(together.items())
     ]
     rooms = [_LABEL_DISTANCE * (label.count("\n") + 1) for _, _, label in labels]
