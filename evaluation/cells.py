@@ -25,6 +25,7 @@ _LIBRARIES = ("vibrocast", "av", "numpy", "scipy", "vibromaf")
 _ROOT = Path(__file__).parents[1]
 _SOURCES = (
     "codec/*.py",
+    "codec/data/*",
     "device_protocol/coded_stream.py",
     "host/coding.py",
     "evaluation/cells.py",

@@ -107,7 +107,12 @@ def bench(
     mine = {trace.name for trace in traces}
     points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
     timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
-    costs = cost.measure_costs(sorted({method.coder for method in chosen if isinstance(method.coder, str)}))
+    coders = sorted({method.coder for method in chosen if isinstance(method.coder, str)})
+    costs = []
+    with progress.shown("measuring memory") as update:
+        for number, coder in enumerate(coders, 1):
+            costs += cost.measure_costs([coder])
+            update(number / len(coders), coder)
     bench.write(results, points, timings, costs, failures)
     data = folder.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
     machine = "a Dask cluster" if scheduler else f"{platform.machine()}, {workers.cores()} cores at work at once"
