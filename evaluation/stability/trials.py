@@ -17,7 +17,7 @@ from evaluation.workers import on_cores
 from host.controller import ControllerError
 from textures import TextureError
 
-LIMIT_S = 120.0
+LIMIT_S = 240.0
 """A trial that takes longer hangs. Those that run take a few seconds at most, coding of an hour excepted."""
 CLEAR_ERRORS = (CodecError, ControllerError, MessageError, StreamError, TextureError, TransportError)
 """Errors that tell a person what to do; any other that comes out of a trial is a crash."""
