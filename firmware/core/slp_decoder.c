@@ -9,9 +9,8 @@ struct vc_slp_decoder {
     uint32_t next_sequence;
     int in_sequence;    /* packets since the last refresh all came */
     uint32_t concealed; /* samples of the gap so far, at most FADE_SAMPLES */
-    uint32_t random;    /* state of the generator that gives concealment its signs */
     vc_slp_channel channels[VC_MAX_CHANNELS];
-    int32_t spectrum[VC_MAX_CHANNELS][VC_SLP_MAX_FRAME]; /* of the last residual */
+    int16_t last[VC_MAX_CHANNELS][VC_SLP_MAX_FRAME]; /* the last frame played */
 };
 
 size_t vc_slp_decoder_size(void)
@@ -23,7 +22,6 @@ int vc_slp_decoder_init(vc_slp_decoder *decoder, const uint8_t *configuration, s
                         unsigned channels)
 {
     memset(decoder, 0, sizeof *decoder);
-    decoder->random = 1;
     return vc_slp_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
 }
 
@@ -32,18 +30,19 @@ uint32_t vc_slp_decoder_packet_samples(const vc_slp_decoder *decoder)
     return decoder->configuration.packet_frames * decoder->configuration.frame;
 }
 
-/* Plays one channel's next frame into samples `stride` apart; sample n is weighed by (start + slope n) / length. */
-static void play(vc_slp_decoder *decoder, unsigned number, uint32_t start, int slope, uint32_t length, int16_t *samples)
+/* Plays one channel's next frame, of this spectrum of the residual, into its samples; `rising`: from silence. */
+static void play(vc_slp_decoder *decoder, unsigned number, const int32_t *spectrum, int rising, int16_t *samples)
 {
     vc_slp_channel *channel = &decoder->channels[number];
+    const uint32_t frame = decoder->configuration.frame;
     int32_t residual[VC_SLP_MAX_FRAME], output[VC_SLP_MAX_FRAME];
     uint32_t n;
-    vc_slp_inverse_dct(decoder->spectrum[number], decoder->configuration.frame, residual);
+    vc_slp_inverse_dct(spectrum, frame, residual);
     vc_slp_synthesise(&decoder->configuration, channel->reflections, channel->backward, residual, output);
-    for (n = 0; n < decoder->configuration.frame; n++) {
-        int64_t weight = (int64_t)start + slope * (int64_t)n;
-        samples[n * decoder->configuration.channels] =
-            vc_rounded_sample(output[n] * (weight < 0 ? 0 : weight) / length);
+    for (n = 0; n < frame; n++) {
+        int64_t value = rising ? (int64_t)output[n] * n / frame : output[n];
+        decoder->last[number][n] = vc_rounded_sample(value);
+        samples[n * decoder->configuration.channels] = decoder->last[number][n];
     }
 }
 
@@ -52,6 +51,7 @@ int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length,
     const vc_slp_configuration *configuration = &decoder->configuration;
     vc_range_coder coder;
     vc_slp_frame frame;
+    int32_t spectrum[VC_SLP_MAX_FRAME];
     uint32_t sequence, index, k;
     int refresh, rising;
     unsigned channel;
@@ -77,42 +77,30 @@ int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length,
             memset(&frame, 0, sizeof frame);
             vc_slp_code_frame(&coder, 0, &decoder->model, state, configuration, channel, &frame);
             for (k = 0; k < configuration->frame; k++)
-                decoder->spectrum[channel][k] = vc_slp_reconstruct(frame.levels[k], state->steps[k]);
-            if (rising && index == 0)
-                play(decoder, channel, 0, 1, configuration->frame, samples + channel);
-            else
-                play(decoder, channel, 1, 0, 1, samples + channel);
+                spectrum[k] = vc_slp_reconstruct(frame.levels[k], state->steps[k]);
+            play(decoder, channel, spectrum, rising && index == 0, samples + channel);
             if (channel + 1 == configuration->channels)
                 samples += (size_t)configuration->frame * configuration->channels;
         }
     return VC_OK;
 }
 
-/* Pseudo-random sign from a linear congruential generator (Numerical Recipes' constants). */
-static int32_t random_sign(vc_slp_decoder *decoder)
-{
-    decoder->random = decoder->random * 1664525u + 1013904223u;
-    return decoder->random >> 31 ? -1 : 1;
-}
-
 void vc_slp_conceal(vc_slp_decoder *decoder, int16_t *samples)
 {
     const vc_slp_configuration *configuration = &decoder->configuration;
-    const uint32_t packet_samples = vc_slp_decoder_packet_samples(decoder);
+    const uint32_t packet_samples = vc_slp_decoder_packet_samples(decoder), frame = configuration->frame;
     const uint32_t fade = packet_samples < FADE_SAMPLES ? packet_samples : FADE_SAMPLES;
-    uint32_t index, k;
+    uint32_t n;
     unsigned channel;
     decoder->in_sequence = 0;
-    for (index = 0; index < configuration->packet_frames; index++) {
-        /* Each frame repeats the last residual with random signs through the last filter, the output ramped to zero. */
-        for (channel = 0; channel < configuration->channels; channel++) {
-            for (k = 0; k < configuration->frame; k++)
-                decoder->spectrum[channel][k] *= random_sign(decoder);
-            play(decoder, channel, fade - decoder->concealed, -1, fade, samples + channel);
-        }
-        samples += (size_t)configuration->frame * configuration->channels;
-        decoder->concealed += configuration->frame;
-        if (decoder->concealed > fade)
-            decoder->concealed = fade;
+    for (n = 0; n < packet_samples; n++) {
+        /* The last frame backwards, forwards and so on, without a step where it turns. */
+        const uint32_t turn = decoder->concealed % (2 * frame);
+        const uint32_t from = turn < frame ? frame - 1 - turn : turn - frame;
+        const int32_t weight = (int32_t)(fade - decoder->concealed);
+        for (channel = 0; channel < configuration->channels; channel++)
+            *samples++ = (int16_t)(decoder->last[channel][from] * weight / (int32_t)fade);
+        if (decoder->concealed < fade)
+            decoder->concealed++;
     }
 }
