@@ -13,7 +13,7 @@ import textures
 from evaluation.cells import BenchError, Cell, Measured, Method
 from evaluation.cost import CodecCost
 from evaluation.dataset import Trace, printable
-from evaluation.points import Failure, Point, PointsError, Timing, read_points, write_rows
+from evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
 from host.output_files import whole_file
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
@@ -32,9 +32,9 @@ class Journal:
         held = b"" if fresh or not path.exists() else path.read_bytes()
         whole = held[: held.rfind(b"\n") + 1]
         self._measured = dict(filter(None, map(_journal_entry, whole.splitlines())))
-        self._file = path.open("r+b" if whole else "wb")
+        # To append, so that two benchmarks of one folder do not write over each other's lines.
+        self._file = path.open("ab")
         self._file.truncate(len(whole))
-        self._file.seek(len(whole))
 
     def __enter__(self) -> "Journal":
         return self
@@ -161,7 +161,7 @@ def results_folder(out: Path) -> Path:
 
 def _is_ours(points: Path) -> bool:
     try:
-        read_points(points)
+        read_rows(points, Point)
     except (PointsError, FileNotFoundError):
         return False
     return True

@@ -15,7 +15,7 @@ import textures
 from codec import Setting, Signal
 from device_protocol import coded_stream
 from evaluation import cost, external, metrics
-from evaluation.points import Point, Timing
+from evaluation.points import MEASURED, PROGRAM, Point, Timing
 from host import coding
 
 DECIMALS = 6
@@ -112,8 +112,9 @@ class Cell:
         rounded: dict[str, Any] = {
             name: None if value is None else round(value, DECIMALS) for name, value in figures.items()
         }
-        point = Point(*self.names, samples.size, size_bytes, rate_hz=rate_hz, **rounded)
-        return Measured(point, Timing(*self.names, *times) if times and self.repeats else None)
+        source = PROGRAM if isinstance(coder, external.Program) else MEASURED
+        point = Point(*self.names, samples.size, size_bytes, rate_hz=rate_hz, source=source, **rounded)
+        return Measured(point, Timing(*self.names, *times, source) if times and self.repeats else None)
 
 
 def _encode(recording: textures.Recording, codec_name: str, setting: Setting) -> bytes:

@@ -11,25 +11,27 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 
 from evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from evaluation.comparison import IMPORTED, MEAN, TIMES, Excess, Mark, MeanPoint, RatioPoint
-from evaluation.points import Record
+from evaluation.comparison import MEAN, TIMES, Excess, Mark, MeanPoint, RatioPoint
+from evaluation.points import IMPORTED, MEASURED, Record
 
 WIDTH_IN, DPI = 8.0, 150
 FONT_POINTS = 8.5
 LABEL_IN, CHARACTER_IN = 0.16, 0.07
 """Height of a line of labels, and width of a character."""
 MIN_PANEL_IN = 3.6
-LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.8, 0.3, 0.3, 0.5
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.8, 0.4, 0.3, 0.5
 LEADER_IN = 0.25
 LONGEST_NAME = 32
 
 LOWEST_RATE, HIGHEST_RATE = 0.25, 4.0
 TIME_FLOOR_S = 1e-6  # a time axis is logarithmic and has no zero
+TIME_MARGIN = 2.0
+MANY_DECADES = 100.0
 SATURATING = {ST_SIM_2800: (0.5, 0.998), ST_SIM_8000: (0.5, 0.998), SPQI: (0.1, 0.995)}
 """Qualities whose axis is spread towards 1, with its limits."""
 SATURATING_TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998)
@@ -144,7 +146,8 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
     for of_rate, panels_of_rate in zip(of_rates, panels, strict=True):
         _set_quality_axis(panels_of_rate[0], scale, [row.quality for row in of_rate])
         for cost, axes in zip(costs, panels_of_rate, strict=True):
-            axes.set_xscale("log" if cost in TIMES else "linear")
+            if cost in TIMES:
+                _set_time_axis(axes, [_cost(row) for row in rows if row.cost == cost])
             axes.grid(False, axis="y")
             shown = sorted((row for row in of_rate if row.cost == cost), key=lambda row: -(row.decoder_bytes or 0))
             for row in shown:
@@ -200,8 +203,8 @@ def by_codec(rows: Iterable[CodecRow]) -> dict[str, list[CodecRow]]:
 
 
 def name(row: OfCodec) -> str:
-    """Return the name of a row's codec, and whether its figures are imported."""
-    return f"{_short(row.codec)}, imported" if row.source == IMPORTED else _short(row.codec)
+    """Return the name of a row's codec, and where its figures come from unless measured of a codec here."""
+    return _short(row.codec) if row.source == MEASURED else f"{_short(row.codec)}, {row.source}"
 
 
 def _name_and_rate(row: MeanPoint) -> str:
@@ -271,6 +274,16 @@ def _set_rate_axis(axes: Axes, label: str) -> None:
     axes.set_xscale("log", base=2)
     axes.set_xlabel(label)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _set_time_axis(axes: Axes, times_s: Sequence[float]) -> None:
+    """Show these times, with room for a tick or two where they are all alike."""
+    low, high = min(times_s) / TIME_MARGIN, max(times_s) * TIME_MARGIN
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1,) if high / low > MANY_DECADES else (1, 2, 5)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _set_quality_axis(axes: Axes, scale: Scale, values: Sequence[float] | None = None) -> None:

@@ -24,9 +24,8 @@ from evaluation.bd_rate import (
     summary,
 )
 from evaluation.cost import CodecCost
-from evaluation.points import Failure, Point, Timing, by_codec_and_trace
+from evaluation.points import IMPORTED, Failure, Point, Timing, by_codec_and_trace
 
-IMPORTED = "imported"
 MEAN = "(mean)"
 ANCHORS = ("mdct", "slp", "vcpwq")
 """What others are compared with: the project's own codec, one of the kind that the EVA paper compares with, and the
@@ -194,8 +193,18 @@ class Measurements:
         """The names of all traces."""
         return sorted({trace for by_trace in self.curves.values() for trace in by_trace})
 
+    @cached_property
+    def compared(self) -> list[str]:
+        """The traces that count in means and BD-rates: those with a block that is long and loud enough for ST-SIM.
+
+        A few samples, or a constant, have a file but no curve. Without any such trace, or figure of it, all count.
+        """
+        points = [point for by_trace in self.curves.values() for some in by_trace.values() for point in some]
+        with_blocks = {point.trace for point in points if point.st_sim_8000 is not None}
+        return sorted(with_blocks) or self.traces
+
     def source(self, codec: str) -> str:
-        """Return whether a codec's points were "measured" or "imported"."""
+        """Return where a codec's points come from: MEASURED, PROGRAM or IMPORTED."""
         return next(iter(self.curves[codec].values()))[0].source
 
     @cached_property
@@ -204,8 +213,8 @@ class Measurements:
         return [name for name in ANCHORS if name in self.curves] or list(self.curves)[:1]
 
     def of(self, codec: str, scale: Scale) -> dict[str, Curve]:
-        """Return a codec's rate and quality by trace, of the traces on which it has that quality."""
-        curves = {trace: scale.curve(points) for trace, points in self.curves[codec].items()}
+        """Return a codec's rate and quality by trace, of the compared traces on which it has that quality."""
+        curves = {trace: scale.curve(self.curves[codec].get(trace, [])) for trace in self.compared}
         return {trace: curve for trace, curve in curves.items() if curve}
 
     def everywhere(self, codec: str, scale: Scale) -> list[Curve] | None:
@@ -470,7 +479,10 @@ def advice(measurements: Measurements) -> list[Advice]:
             (f"the fastest decoder at {snr}, with at most {factor:g} times the fewest bits", near, decode_s),
             (f"the fastest encoder at {snr}, with at most {factor:g} times the fewest bits", near, encode_s),
         ]
-    needs += [(f"the shortest delay at {snr}", bits, delay_ms), (f"the smallest decoder at {snr}", bits, decoder_bytes)]
+    needs += [
+        (f"the shortest delay at {snr}", bits, delay_ms),
+        (f"the smallest decoder, of those counted, at {snr}", bits, decoder_bytes),
+    ]
     for scale in (SPQI, ST_SIM_2800):
         means = _means_at(measurements, scale, RATES[0])
         at_rate = {codec: RATES[0] for codec in measured if codec in means}

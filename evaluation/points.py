@@ -3,9 +3,12 @@
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, Field, asdict, dataclass, fields
+from dataclasses import MISSING, Field, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar, get_type_hints
+
+MEASURED, PROGRAM, IMPORTED = "measured", "program", "imported"
+"""Where figures come from: a codec here, a program of the user's here, a table of others' figures."""
 
 _MAX_COUNT = 2**63
 
@@ -19,7 +22,7 @@ class Point:
     """One trace, coded at one setting of a codec: its samples, all channels together, all bytes, and the quality.
 
     `codec`: the name of the curve: a ladder of settings. Qualities as in evaluation.metrics; None where one has no
-    value, or was not measured. `delay_ms`: algorithmic. `source`: "measured" here, or "imported" from others' figures.
+    value, or was not measured. `delay_ms`: algorithmic. `source`: MEASURED, PROGRAM or IMPORTED.
     """
 
     trace: str
@@ -35,11 +38,13 @@ class Point:
     spqi: float | None = None
     log_spectral_distance_db: float | None = None
     delay_ms: float | None = None
-    source: str = "measured"
+    source: str = MEASURED
 
     def __post_init__(self) -> None:
         if not (0 < self.samples < _MAX_COUNT and 0 < self.bytes_total < _MAX_COUNT):
             raise PointsError("samples and bytes must be positive")
+        if not all(value is None or 0 <= value < math.inf for value in (self.rate_hz, self.delay_ms)):
+            raise PointsError("rate_hz and delay_ms must be finite and not negative")
 
     @property
     def bits_per_sample(self) -> float:
@@ -61,7 +66,7 @@ class Point:
 class Timing:
     """What coding one trace at one setting took: seconds per million samples of one core, without process start.
 
-    Those imported are wall-clock seconds with process start: an order of magnitude.
+    Those of programs and imported ones are wall-clock seconds with process start: an order of magnitude.
     """
 
     trace: str
@@ -69,7 +74,7 @@ class Timing:
     setting: str
     encode_s_per_megasample: float
     decode_s_per_megasample: float
-    source: str = "measured"
+    source: str = MEASURED
 
     def __post_init__(self) -> None:
         if not (0 <= self.encode_s_per_megasample < math.inf and 0 <= self.decode_s_per_megasample < math.inf):
@@ -99,38 +104,35 @@ class Record(Protocol):
 Row = TypeVar("Row", bound=Record)
 
 
-def read_rows(path: Path, kind: type[Row], defaults: Mapping[str, str] | None = None) -> list[Row]:
+def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     """Read a CSV file into rows of a dataclass whose fields are text, whole numbers or numbers, some of them optional.
 
-    The file has at least a column for each field without a default; others it has are ignored. `defaults`: the text of
-    fields that a row leaves empty. Raises PointsError where it is no such file, OSError where it cannot be read.
+    The file has at least a column for each field without a default; others it has are ignored. Raises PointsError
+    where it is no such file, OSError where it cannot be read.
     """
     kinds = get_type_hints(kind)
     columns = {field.name: field.default is MISSING for field in fields(kind)}
     read = []
     for line, texts in enumerate(_texts(path, [name for name, needed in columns.items() if needed]), 2):
-        filled = {**(defaults or {}), **{name: text for name, text in texts.items() if text}}
+        filled = {name: text for name, text in texts.items() if text}
+        values = {}
+        for name, needed in columns.items():
+            if needed or name in filled:
+                try:
+                    values[name] = _READERS[kinds[name]](filled.get(name, ""))
+                except ValueError as error:
+                    raise PointsError(f"{path}, row {line}, {name}: {error}") from error
         try:
-            values = {
-                name: _READERS[kinds[name]](filled.get(name, ""))
-                for name, needed in columns.items()
-                if needed or name in filled
-            }
             read.append(kind(**values))
-        except ValueError as error:
+        except PointsError as error:
             raise PointsError(f"{path}, row {line}: {error}") from error
     return read
-
-
-def read_points(path: Path, source: str = "measured") -> list[Point]:
-    """Read a CSV file of points; `source` is where it does not say. Raises as `read_rows`."""
-    return read_rows(path, Point, {"source": source})
 
 
 def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
     """Read others' points, and their timings where columns encode_s and decode_s hold the seconds of one trace.
 
-    Raises as `read_rows`.
+    All count as imported, those of another benchmark's points.csv too. Raises as `read_rows`.
     """
     timings = []
     for line, row in enumerate(_texts(path, ()), 2):
@@ -138,10 +140,10 @@ def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
             try:
                 megasamples = int(row["samples"]) / 1e6
                 times = float(row["encode_s"]) / megasamples, float(row["decode_s"]) / megasamples
-                timings.append(Timing(row["trace"], row["codec"], row["setting"], *times, "imported"))
+                timings.append(Timing(row["trace"], row["codec"], row["setting"], *times, IMPORTED))
             except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
                 raise PointsError(f"{path}, row {line}: encode_s or decode_s: {error}") from error
-    return read_points(path, "imported"), timings
+    return [replace(point, source=IMPORTED) for point in read_rows(path, Point)], timings
 
 
 def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
@@ -176,8 +178,8 @@ def _texts(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
 
 def _number(text: str) -> float:
     number = float(text)
-    if math.isnan(number):
-        raise PointsError("NaN; leave the field empty where there is no value")
+    if math.isnan(number) or number == -math.inf:
+        raise ValueError(f"{text}; leave the field empty where there is no value")
     return number
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
+import codec as codecs
 from evaluation import charts
 from evaluation.bd_rate import CONFIDENCE, MIN_OVERLAP, MIN_POINTS, PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000
 from evaluation.charts import CodecRow, name, size
 from evaluation.comparison import (
     EQUAL_SNR_DB,
-    IMPORTED,
     NEEDED_SNR_DB,
     RATES,
     Advice,
@@ -36,7 +36,7 @@ from evaluation.comparison import (
     trace_bd_rates,
 )
 from evaluation.cost import CodecCost
-from evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
+from evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, Point, PointsError, Timing, read_rows, write_rows
 
 RATE_SCALES = (SNR, ST_SIM_2800, ST_SIM_8000, SPQI)
 RATIO_SCALES = (PSNR, ST_SIM_2800)
@@ -91,17 +91,33 @@ def _head(measurements: Measurements, description: Description) -> str:
     samples = sum({point.trace: point.samples for point in points}.values())
     rates = sorted({point.rate_hz for point in points if point.rate_hz is not None})
     at_rates = f" at {', '.join(f'{rate:g}' for rate in rates)} Hz" if rates else ""
-    imported = [_code(codec) for codec in measurements.curves if measurements.source(codec) == IMPORTED]
+    of_source: dict[str, list[str]] = {}
+    for codec in measurements.curves:
+        of_source.setdefault(measurements.source(codec), []).append(_code(codec))
     paragraphs = [
         "# Results",
         f"Data: {_code(description.data)}, {_count(len(measurements.traces), 'trace')}, {samples} samples{at_rates}. "
         f"Times: {description.machine}. Made by the command below, and drawn again from the CSV files in `results` by "
         "`python -m evaluation.results_page` with the folder of this page.",
         f"    {description.command}",
-        "Sizes are of whole files, headers and tables included. No curve is drawn beyond its points; a mean is given "
-        "only where a codec has a value on every trace.",
+        "Sizes are of whole files, headers and tables included. SNR and PSNR are of the waveform, in dB; ST-SIM and "
+        "SPQI weigh spectra against the threshold of touch, and are 1 for a copy. No one of them says all. No curve is "
+        "drawn beyond its points; a mean is given only where a codec has a value on every trace.",
     ]
-    if imported:
+    if len(rates) > 1:
+        paragraphs.append(
+            "The traces are of different rates, so bits per sample mean another thing on each, and some codecs may "
+            "have no range in common: `--stream-rate-hz` codes all at one rate."
+        )
+    if unlike := [_code(trace) for trace in measurements.traces if trace not in measurements.compared]:
+        paragraphs.append(f"Shorter than a block of ST-SIM, or without change, and so in no mean: {', '.join(unlike)}.")
+    paragraphs.append(_codec_list(measurements))
+    if programs := of_source.get(PROGRAM):
+        paragraphs.append(
+            f"Programs: codecs of the user's, run here: {', '.join(programs)}. Their times are wall-clock time with "
+            "process start: an order of magnitude."
+        )
+    if imported := of_source.get(IMPORTED):
         paragraphs.append(
             "Imported: figures that other programs reached on the same traces, taken from a table: "
             f"{', '.join(imported)}. Their times are wall-clock time with process start: an order of magnitude."
@@ -111,11 +127,22 @@ def _head(measurements: Measurements, description: Description) -> str:
     return _paragraphs(*paragraphs)
 
 
+def _codec_list(measurements: Measurements) -> str:
+    """Say what each measured codec is, all its ladders in one line."""
+    measured = [codec for codec in measurements.curves if measurements.source(codec) == MEASURED]
+    lines = []
+    for known in codecs.CODECS.values():
+        if ladders := [_code(codec) for codec in measured if codec in known.ladders]:
+            lines.append(f"- {', '.join(ladders)}: {known.summary}")
+    return "\n".join(lines)
+
+
 def _advice_section(folder: Path, measurements: Measurements) -> str:
     rows = advice(measurements)
     write_rows(folder / "advice.csv", rows, Advice)
     ranking = ", ".join(
-        f"{_code(codec)} {bits:.2f}" for codec, bits in bits_to_reach(measurements, NEEDED_SNR_DB).items()
+        f"{_code(codec)} {bits:.2f}{' (imported)' * (measurements.source(codec) == IMPORTED)}"
+        for codec, bits in bits_to_reach(measurements, NEEDED_SNR_DB).items()
     )
     return _paragraphs(
         "## Which codec when",
@@ -167,8 +194,9 @@ def _ratio_section(folder: Path, measurements: Measurements) -> str:
     return _paragraphs(
         "## Every trace, against compression ratio",
         "The form of the EVA paper's Fig. 3, taken to be this: each trace's points and the mean curve of each codec, "
-        f"PSNR and ST-SIM over the compression ratio. Shown: {', '.join(map(_code, measurements.anchors))}. The peak "
-        "of PSNR is the largest magnitude of the trace; the paper does not name its own.",
+        f"PSNR and ST-SIM over the compression ratio. Shown: {', '.join(map(_code, measurements.anchors))}; what is on "
+        "the edge lies beyond. The peak of PSNR is the largest magnitude of the trace; the paper does not name its "
+        "own.",
         _chart(
             folder,
             "quality_against_ratio",
@@ -185,9 +213,9 @@ def _time_section(folder: Path, measurements: Measurements) -> str:
     return _paragraphs(
         "## Quality against time",
         f"At {_rates()} bit/sample: mean quality over the traces, median time at the setting nearest to that rate. "
-        "Processor time of one core without process start; of those imported, wall-clock time with process start. The "
-        "line joins the codecs that no other measured one beats in both (Pareto front). Area of a mark: bytes of the "
-        "decoder; hollow: not known; diamond: imported.",
+        "Processor time of one core without process start; of programs and those imported, wall-clock time with "
+        "process start. The line joins the codecs that no other measured one beats in both (Pareto front). Area of a "
+        "mark: bytes of the decoder; hollow: not known; diamond: imported.",
         *(
             _chart(
                 folder,

@@ -88,7 +88,10 @@ def bench(
         programs = external.read_programs(program_list) if program_list else []
         chosen = cells.methods(names, programs)
         traces = dataset.split(dataset.traces(folder), part, seed, split_by == "material")
+        mine = {trace.name for trace in traces}
         imported = read_imported(peers) if peers else ([], [])
+        if peers and not mine & {point.trace for point in imported[0]}:
+            click.echo(f"warning: {peers}: none of its traces is in {folder}, so no point is compared", err=True)
         results = bench.results_folder(out)
         click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")
         work: Any = partial(workers.on_cores, processes=workers.cores())
@@ -104,7 +107,6 @@ def bench(
 
     failures = [each for each in measured if isinstance(each, Failure)]
     good = [each for each in measured if isinstance(each, cells.Measured)]
-    mine = {trace.name for trace in traces}
     points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
     timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
     coders = sorted({method.coder for method in chosen if isinstance(method.coder, str)})
@@ -157,13 +159,15 @@ def show(points: "Sequence[Point]", timings: "Sequence[Timing]") -> None:
     from evaluation.bd_rate import SNR, bits_per_sample_at
     from evaluation.comparison import Measurements
 
-    table = Table(box=SIMPLE, title="Mean bits per sample at an SNR; delay, ms; seconds per million samples")
+    table = Table(
+        box=SIMPLE, pad_edge=False, title="Mean bits per sample at an SNR; delay, ms; seconds per million samples"
+    )
     table.add_column("codec", no_wrap=True)
     for title in (*(f"{snr_db:g} dB" for snr_db in SNRS_DB), "delay", "encode", "decode"):
         table.add_column(title, justify="right")
     measurements = Measurements(points, timings, [], [])
     for name, curves in measurements.curves.items():
-        bits = [bits_per_sample_at(SNR.curve(curve), SNRS_DB) for curve in curves.values()]
+        bits = [bits_per_sample_at(curve, SNRS_DB) for curve in measurements.everywhere(name, SNR) or [()]]
         delays_ms = [point.delay_ms for curve in curves.values() for point in curve if point.delay_ms is not None]
         source = measurements.source(name)
         times = [timing for timing in timings if (timing.codec, timing.source) == (name, source)]

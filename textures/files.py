@@ -213,6 +213,8 @@ def _read_wav(path: Path) -> Contents:
             _refuse_cut_off(file.extra_info, path)
             samples = file.read(dtype="float64", always_2d=True)
             rate_hz, comment = float(file.samplerate), file.comment
+    except UnicodeEncodeError as error:
+        raise TextureError(f"{path}: its name holds bytes that are no characters; rename it") from error
     except soundfile.SoundFileError as error:
         raise TextureError(f"{path}: not a WAV file that can be read; convert it to plain WAV ({error})") from error
     unit, full_scale = _stated_by_comment(comment)

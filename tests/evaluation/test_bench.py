@@ -19,7 +19,7 @@ from evaluation import bench, cells, metrics, workers
 from evaluation.bench import Journal, Tally
 from evaluation.cells import BenchError, Cell, Measured, Method
 from evaluation.dataset import Trace, load, traces
-from evaluation.points import Failure, Timing, read_points, read_rows
+from evaluation.points import Failure, Point, Timing, read_rows
 from host import coding
 from textures import Recording
 from textures.generate import rough, wood
@@ -97,7 +97,7 @@ def whole(folder: Path, tmp_path: Path) -> dict[str, bytes]:
 
 def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path, whole: dict[str, bytes]) -> None:
     (results / "points.csv").write_bytes(whole["points.csv"])
-    points = read_points(results / "points.csv")
+    points = read_rows(results / "points.csv", Point)
     names = [
         (trace, *cell)
         for trace in ("rough", "wood")
@@ -218,7 +218,7 @@ def test_silence_has_no_quality_and_an_exact_copy_has_infinite_snr(results: Path
     assert copy.point.snr_db == np.inf and copy.point.samples == 1200
     bench.write(results, [copy.point], [], [], [])
     assert json.loads((results / "points.json").read_text())[0]["snr_db"] == "inf"
-    assert read_points(results / "points.csv") == [copy.point]
+    assert read_rows(results / "points.csv", Point) == [copy.point]
 
 
 def test_times_are_measured_where_they_are_asked_for(folder: Path, results: Path) -> None:
@@ -249,6 +249,14 @@ def test_what_decides_the_figures_is_in_the_key(monkeypatch: pytest.MonkeyPatch)
     assert replace(cell, recording=replace(recording, name="elsewhere")).key in keys
     monkeypatch.setattr(cells, "program_version", lambda: "another")
     assert cell.key not in keys
+
+
+def test_two_at_once_leave_a_journal_of_both(folder: Path, results: Path, whole: dict[str, bytes]) -> None:
+    with Journal(results / bench.JOURNAL) as journal:
+        assert written(results, run(folder, results, chosen=METHODS[:1])) != whole
+        measured = bench.run(traces(folder), load, METHODS, 0, journal, here, ignore)
+    assert written(results, measured) == whole
+    assert len((results / bench.JOURNAL).read_bytes().splitlines()) == 4 + 6
 
 
 def test_fresh_forgets_the_journal(folder: Path, results: Path) -> None:

@@ -14,7 +14,6 @@ from evaluation.points import (
     Timing,
     by_codec_and_trace,
     read_imported,
-    read_points,
     read_rows,
     write_rows,
 )
@@ -32,7 +31,7 @@ def test_points_come_back_from_a_file(tmp_path: Path) -> None:
         Point("exact", "flac", "", 7, 3, math.inf),
     ]
     write_rows(tmp_path / "points.csv", points, Point)
-    assert read_points(tmp_path / "points.csv") == points
+    assert read_rows(tmp_path / "points.csv", Point) == points
     lines = (tmp_path / "points.csv").read_text().splitlines()
     assert lines[0].startswith(HEADER) and lines[0].endswith("bits_per_sample")
     assert lines[1].endswith(",4.0") and points[0].bits_per_sample == 4
@@ -59,17 +58,20 @@ def test_points_are_sorted_by_codec_and_trace() -> None:
     [
         ("", "no column trace, codec"),
         ("trace,codec\na,b\n", "no column setting, samples"),
-        (f"{HEADER}\na,b,c,many,1,1\n", "row 2: invalid literal"),
+        (f"{HEADER}\na,b,c,many,1,1\n", "row 2, samples: invalid literal"),
         (f"{HEADER}\na,b,c,0,1,1\n", "row 2: samples and bytes must be positive"),
         (f"{HEADER}\na,b,c,1,{10**400},1\n", "row 2: samples and bytes must be positive"),
-        (f"{HEADER}\na,b,c,1,1,nan\n", "row 2: NaN"),
+        (f"{HEADER}\na,b,c,1,1,nan\n", "row 2, snr_db: nan"),
+        (f"{HEADER}\na,b,c,1,1,-inf\n", "row 2, snr_db: -inf"),
+        (f"{HEADER},rate_hz\na,b,c,1,1,1,inf\n", "row 2: rate_hz and delay_ms must be finite"),
+        (f"{HEADER},delay_ms\na,b,c,1,1,1,-1\n", "row 2: rate_hz and delay_ms must be finite"),
         (f"{HEADER}\na,b,c,1\n", "row 2"),
     ],
 )
 def test_refused_with_the_place(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "points.csv").write_text(text)
     with pytest.raises(PointsError, match=message):
-        read_points(tmp_path / "points.csv")
+        read_rows(tmp_path / "points.csv", Point)
 
 
 def test_imported_seconds_of_a_trace_become_seconds_per_million_samples(tmp_path: Path) -> None:
@@ -77,6 +79,11 @@ def test_imported_seconds_of_a_trace_become_seconds_per_million_samples(tmp_path
     points, timings = read_imported(tmp_path / "peers.csv")
     assert [point.source for point in points] == ["imported", "imported"]
     assert timings == [Timing("a", "peer", "-b 1", 2.0, 1.0, "imported")]
+
+
+def test_points_of_another_benchmark_are_imported(tmp_path: Path) -> None:
+    write_rows(tmp_path / "points.csv", [Point("a", "mdct", "", 1, 1, 5.0)], Point)
+    assert [point.source for point in read_imported(tmp_path / "points.csv")[0]] == ["imported"]
 
 
 @pytest.mark.parametrize("times", ["soon,1", "1,nan", "inf,1", "-1,1"])

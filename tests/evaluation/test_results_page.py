@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 
 from codec import CODECS
 from evaluation import results_page
 from evaluation.bd_rate import SNR
+from evaluation.charts import _set_time_axis
 from evaluation.comparison import (
     Excess,
     MeanBdRate,
@@ -109,6 +111,14 @@ def test_a_codec_that_lacks_a_trace_has_no_mean() -> None:
     assert {row.codec for row in mean_curves(measurements, SNR)} == {"mdct"}
     assert {row.codec for row in time_marks(measurements, SNR)} == {"mdct"}
     assert {row.codec for row in excesses(measurements)} == {"mdct", "slp"}
+
+
+def test_a_trace_too_short_to_compare_is_in_no_mean(tmp_path: Path) -> None:
+    short = Point("short", "mdct", "", 1, 24, 30.0, 2800.0, 30.0)
+    points = [*curve("mdct"), *curve("mdct", "b"), short]
+    assert mean_curves(Measurements(points, [], [], []), SNR) == mean_curves(Measurements(points[:-1], [], [], []), SNR)
+    assert Measurements([short], [], [], []).compared == ["short"]
+    assert "so in no mean: `short`." in write(tmp_path, points)
 
 
 def test_imported_points_stand_aside() -> None:
@@ -238,6 +248,7 @@ def test_the_page_says_what_it_is_of(written: Path) -> None:
     for words in (
         "`recordings`, 2 traces, 2000000 samples at 2800 Hz",
         "Times: one core",
+        f"- `mdct`: {CODECS['mdct'].summary}\n- `slp`: ",
         "    vibrocast bench recordings --out docs",
         "Imported: figures that other programs reached on the same traces, taken from a table: `vcpwq`",
         "**25 failures**",
@@ -311,6 +322,17 @@ def test_a_page_of_whatever_there_is(tmp_path: Path, points: list[Point]) -> Non
     shown = {name for name in page.split("(results/") if name.split(")")[0].endswith(".png")}
     assert len(shown) == len(list((tmp_path / "results").glob("*.png")))
     assert read_rows(tmp_path / "results" / "description.csv", Description) == [DESCRIPTION]
+
+
+@pytest.mark.parametrize("encode_s", [0.19, 3.0, 1e-4])
+def test_times_that_are_alike_have_plain_ticks(encode_s: float) -> None:
+    axes = Figure().subplots()
+    _set_time_axis(axes, [encode_s, 1.05 * encode_s])
+    labels = [label.get_text() for label in axes.get_xticklabels() if label.get_text()]
+    low, high = axes.get_xlim()
+    shown = [float(label) for label in labels if low <= float(label) <= high]
+    assert 1 <= len(shown) <= 3
+    assert not any(label.get_text() for label in axes.get_xticklabels(minor=True))
 
 
 def test_many_traces_still_fit(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 
 import textures
 from evaluation import bench, cost, results_page, workers
-from evaluation.points import Failure, read_points, read_rows
+from evaluation.points import Failure, Point, Timing, read_rows
 from host.command_line import main
 from textures.generate import rough, wood
 
@@ -67,7 +67,7 @@ def test_figures_are_written_and_the_table_names_the_curves(folder: Path, tmp_pa
     assert "2 traces, 1 curves, 4 settings" in result.stdout
     assert "g726" in result.stdout
     results = tmp_path / "out" / "results"
-    assert len(read_points(results / "points.csv")) == 8
+    assert len(read_rows(results / "points.csv", Point)) == 8
     assert len((results / "timings.csv").read_text().splitlines()) == 9
     assert (results / "costs.csv").read_text().splitlines()[1].startswith("g726,")
     assert "recordings, 2 traces" in (tmp_path / "out" / "results.md").read_text().replace("`", "")
@@ -83,7 +83,7 @@ def test_failures_are_listed_and_the_exit_code_says_so(folder: Path, tmp_path: P
     assert "12 traces or cells failed" in said
     failures = read_rows(tmp_path / "out" / "results" / "failures.csv", Failure)
     assert {failure.trace for failure in failures} == {"nan", "stereo"}
-    assert {point.trace for point in read_points(tmp_path / "out" / "results" / "points.csv")} == {
+    assert {point.trace for point in read_rows(tmp_path / "out" / "results" / "points.csv", Point)} == {
         "rough",
         "stereo",
         "wood",
@@ -119,11 +119,32 @@ def test_peers_and_programs_join(folder: Path, tmp_path: Path) -> None:
         1, folder, "--codecs", "g726", "--out", tmp_path / "out", "--peers", peers, "--programs", tmp_path / "copy.toml"
     )
     assert "lost: rough and 1 more: lost: no-such-program not found" in said
-    points = read_points(tmp_path / "out" / "results" / "points.csv")
+    points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
     assert [(point.trace, point.codec) for point in points if point.source == "imported"] == [("wood", "other")]
     copies = [point for point in points if point.codec == "copy"]
     assert len(copies) == 2 and all(point.snr_db and point.snr_db > 60 for point in copies)
-    assert "copy" in (tmp_path / "out" / "results" / "timings.csv").read_text()
+    timings = read_rows(tmp_path / "out" / "results" / "timings.csv", Timing)
+    assert {(one.codec, one.source) for one in timings} == {("g726", "measured"), ("copy", "program")}
+    assert "warning" not in said
+
+
+@pytest.mark.usefixtures("quick")
+def test_peers_on_other_traces_are_told_of(folder: Path, tmp_path: Path) -> None:
+    peers = tmp_path / "peers.csv"
+    peers.write_text("trace,codec,setting,samples,bytes_total,snr_db\nwood.wav,other,1,840,100,9\n")
+    result = vibrocast_bench(folder, "--codecs", "flac", "--out", tmp_path / "out", "--peers", peers, "--repeats", "0")
+    assert result.exit_code == 0, result.output
+    assert f"warning: {peers}: none of its traces is in {folder}" in result.stderr
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_silent_trace_leaves_the_means_of_the_others(folder: Path, tmp_path: Path) -> None:
+    textures.save_wav(folder / "silent.wav", textures.Recording(np.zeros((900, 1)), 2800.0, "um", "silent"))
+    textures.save_wav(folder / "short.wav", textures.Recording(np.ones((1, 1)), 2800.0, "um", "short"))
+    result = vibrocast_bench(folder, "--codecs", "mdct", "--out", tmp_path / "out", "--repeats", "0")
+    assert result.exit_code == 0, result.output
+    (row,) = (line.split() for line in result.stdout.splitlines() if line.strip().startswith("mdct"))
+    assert len(row) == 6 and all(float(bits) < 16 for bits in row[1:5])
 
 
 @pytest.mark.usefixtures("quick")
@@ -138,7 +159,7 @@ def test_a_part_of_the_traces(tmp_path: Path) -> None:
         arguments = ("--unit", "m/s^2", "--codecs", "g726", "--repeats", "0", "--split-by", "material", "--seed", "3")
         result = vibrocast_bench(tmp_path / "set", "--out", tmp_path / part, "--split", part, *arguments)
         assert result.exit_code == 0, result.output
-        points = read_points(tmp_path / part / "results" / "points.csv")
+        points = read_rows(tmp_path / part / "results" / "points.csv", Point)
         parts[part] = {point.trace.split("_-_")[2] for point in points}
     assert not parts["train"] & parts["test"]
     assert len(parts["train"]) == 2
@@ -169,7 +190,7 @@ def test_a_run_in_which_all_fails_still_says_so(folder: Path, tmp_path: Path) ->
         path.write_bytes(b"RIFF")
     said = fails(1, folder, "--codecs", "g726", "--out", tmp_path / "out")
     assert "2 traces or cells failed" in said
-    assert read_points(tmp_path / "out" / "results" / "points.csv") == []
+    assert read_rows(tmp_path / "out" / "results" / "points.csv", Point) == []
 
 
 def test_interrupted_it_ends_in_one_line_and_keeps_what_it_has(folder: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import struct
+import sys
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,14 @@ def test_every_wav_sample_format(tmp_path: Path, subtype: str, tolerance: float,
     recording = load(tmp_path / "noise.wav")
     assert (recording.rate_hz, recording.unit, recording.name) == (12345, "full scale", "noise")
     np.testing.assert_allclose(recording.samples, NOISE, rtol=0, atol=tolerance)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there files have such names")
+def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"\xff.wav")
+    path.touch()
+    with pytest.raises(TextureError, match="its name holds bytes that are no characters; rename it"):
+        load(path)
 
 
 def test_a_wav_file_takes_its_physical_value_from_unit_and_full_scale(tmp_path: Path) -> None:
