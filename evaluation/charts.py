@@ -31,7 +31,7 @@ LONGEST_NAME = 32
 LOWEST_RATE, HIGHEST_RATE = 0.25, 4.0
 TIME_FLOOR_S = 1e-6  # a time axis is logarithmic and has no zero
 TIME_MARGIN = 2.0
-MANY_DECADES = 100.0
+LONG_AXIS = 300.0  # from its end to its beginning, where ticks at 2 and 5 would touch
 SATURATING = {ST_SIM_2800: (0.5, 0.998), ST_SIM_8000: (0.5, 0.998), SPQI: (0.1, 0.995)}
 """Qualities whose axis is spread towards 1, with its limits."""
 SATURATING_TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998)
@@ -281,7 +281,7 @@ def _set_time_axis(axes: Axes, times_s: Sequence[float]) -> None:
     low, high = min(times_s) / TIME_MARGIN, max(times_s) * TIME_MARGIN
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1,) if high / low > MANY_DECADES else (1, 2, 5)))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1,) if high / low > LONG_AXIS else (1, 2, 5)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
 
