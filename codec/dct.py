@@ -9,23 +9,24 @@ overlap. Layout in docs/bitstream.md, choices in docs/codecs.md.
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import Structure, ffi, library
+from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, does_not_fit, ffi, library
 from codec.huffman import canonical_codes, code_lengths, pack_bits
 from codec.interface import (
     Codec,
     CodecError,
-    Decoded,
     Framing,
     Parameter,
     Setting,
     Signal,
     SignalFormat,
+    check_channels,
+    checked_parts,
     number,
+    varint,
     word,
 )
 from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
@@ -33,9 +34,6 @@ from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_ampli
 NAME = "dct"
 IDENTIFIER = 2
 BLOCKS = (64, 128, 256, 512, 1024)
-MAX_CHANNELS = 16
-MAX_PACKET_BYTES = 65_535
-PACKET_HEAD_BYTES = 5
 MAX_PACKET_BLOCKS = 4095
 MAX_PACKET_SAMPLES = 2**18
 MAX_LEVELS = 65_535
@@ -46,8 +44,6 @@ SMALLEST_HEIGHT_UM = 0.05
 SMALLEST_OF_RMS = 0.05
 """S of other units, relative to the RMS value of a coefficient: a tenth gains 1 dB at 14 levels, but stops at 25 dB."""
 
-_UNIT = 32_768 * 256
-"""Full scale in the core's unit, 1/256 of a sample's least significant bit."""
 _RANGE_CODES_PER_OCTAVE = 256
 _FIRST_CLASS = 16
 _CHUNK_SAMPLES = 1 << 18
@@ -87,7 +83,7 @@ class DctEncoder:
 
         Raises CodecError on a channel count, packet length, frequency limit or threshold that the codec does not have.
         """
-        _check_channels(signal_format.channels)
+        check_channels(signal_format.channels)
         self._channels = signal_format.channels
         self._block = int(word(setting, "block"))
         self._packet_blocks = -(-framing.packet_samples // self._block)
@@ -125,14 +121,9 @@ class DctEncoder:
 
     def encode(self, samples: Signal) -> list[bytes]:
         """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        if samples.ndim != 2 or samples.shape[1] != self._channels:
-            raise CodecError(f"samples of shape {samples.shape}; (n, {self._channels}) is needed")
         packets: list[bytes] = []
-        for start in range(0, len(samples), _CHUNK_SAMPLES):
-            part = np.asarray(samples[start : start + _CHUNK_SAMPLES], dtype=np.float64)
-            if not np.all(np.isfinite(part)):
-                raise CodecError("the signal holds NaN or infinity; repair the recording first")
-            self._pending = np.concatenate([self._pending, np.clip(part, -1.0, 1.0)])
+        for part in checked_parts(samples, self._channels, _CHUNK_SAMPLES):
+            self._pending = np.concatenate([self._pending, part])
             packets += self._complete_packets()
         return packets
 
@@ -148,7 +139,7 @@ class DctEncoder:
         count = len(self._pending) // self.packet_samples
         complete, self._pending = np.split(self._pending, [count * self.packet_samples])
         blocks = complete.reshape(count, self._packet_blocks, self._block, self._channels)
-        coefficients = dct(blocks, axis=2, norm="ortho")[:, :, self._bins] * _UNIT
+        coefficients = dct(blocks, axis=2, norm="ortho")[:, :, self._bins] * UNIT
         kept = np.rint(coefficients)
         kept[np.abs(coefficients) < self._cuts.T] = 0
         return [self._code(packet.transpose(2, 0, 1)) for packet in kept]
@@ -163,14 +154,13 @@ class DctEncoder:
             self._quantised(coefficients[channel], self._smallest[channel], *ranges[channel], zeros)
             for channel in sounding
         ]
-        head = ffi.new("uint8_t[]", PACKET_HEAD_BYTES)
-        packet = bytes(ffi.buffer(head, library().vc_packet_head_write(head, self._sequence, True)))
+        packet = varint(2 * self._sequence + 1)
         packet += b"".join(code.to_bytes(2, "little") for both in ranges for code in both)
         if values:
             coder = self._range_code if self._range_coded else _huffman_code
             packet += coder(np.array(values), zeros)
         if len(packet) > MAX_PACKET_BYTES:
-            raise _does_not_fit(self.packet_samples)
+            raise does_not_fit(self.packet_samples)
         self._sequence += 1
         return packet
 
@@ -188,53 +178,8 @@ class DctEncoder:
         pointer = ffi.cast("const uint32_t *", flat.ctypes.data)
         length = library().vc_dct_range_encode(pointer, *flat.shape, self._logarithmic, zeros, output, MAX_PACKET_BYTES)
         if length < 0:
-            raise _does_not_fit(self.packet_samples)
+            raise does_not_fit(self.packet_samples)
         return bytes(ffi.buffer(output, length))
-
-
-class DctDecoder:
-    """Decoder of `dct`; see codec.interface.Decoder."""
-
-    delay_samples = 0
-
-    def __init__(self, configuration: bytes, channels: int) -> None:
-        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
-        _check_channels(channels)
-        core = library()
-        self.channels = channels
-        self._state = Structure(core.vc_dct_decoder_size(), "vc_dct_decoder *")
-        if core.vc_dct_decoder_init(self._state.pointer, configuration, len(configuration), channels) != core.VC_OK:
-            raise CodecError("the codec configuration is damaged or of another version")
-        self.packet_samples: int = core.vc_dct_decoder_packet_samples(self._state.pointer)
-
-    def decode(self, packet: bytes) -> Decoded:
-        """Decode a packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""
-        samples, pointer = self._output()
-        if library().vc_dct_decode(self._state.pointer, packet, len(packet), pointer) < 0:
-            raise CodecError("a packet that is damaged, or was not made by this codec")
-        return samples
-
-    def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last sound faded out, then silence."""
-        samples, pointer = self._output()
-        library().vc_dct_conceal(self._state.pointer, pointer)
-        return samples
-
-    def _output(self) -> tuple[Decoded, Any]:
-        samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
-        return samples, ffi.cast("int16_t *", samples.ctypes.data)
-
-
-def _check_channels(channels: int) -> None:
-    if not 1 <= channels <= MAX_CHANNELS:
-        raise CodecError(f"{channels} channels; dct codes 1 to {MAX_CHANNELS} in one stream")
-
-
-def _does_not_fit(packet_samples: int) -> CodecError:
-    return CodecError(
-        f"a packet of {packet_samples} samples does not fit {MAX_PACKET_BYTES} bytes; "
-        "ask for shorter packets or fewer levels"
-    )
 
 
 def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> slice:
@@ -255,7 +200,10 @@ def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
     name = word(setting, "threshold")
     if name == "off":
         return np.zeros((signal_format.channels, block))
-    rows = read_threshold(DETECTION_THRESHOLD if name == "on" else Path(name))
+    try:
+        rows = read_threshold(DETECTION_THRESHOLD if name == "on" else Path(name))
+    except CodecError as error:
+        raise CodecError(f"threshold is neither off nor on, and the file {error}") from error
     frequency_hz = np.arange(block) * signal_format.rate_hz / (2 * block)
     amplitude = threshold_amplitude(rows, frequency_hz, signal_format.unit) * 10 ** (number(setting, "b0_db") / 20)
     return np.array([amplitude * _coefficients_of(gain, block) for gain in signal_format.gains])
@@ -265,13 +213,13 @@ def _smallest(setting: Setting, signal_format: SignalFormat, block: int) -> list
     """Return S of the logarithmic quantiser for each channel, in the core's unit."""
     smallest = number(setting, "smallest")
     if smallest == 0 and signal_format.unit != "um":
-        return [SMALLEST_OF_RMS * rms * _UNIT for rms in signal_format.rms]
+        return [SMALLEST_OF_RMS * rms * UNIT for rms in signal_format.rms]
     return [(smallest or SMALLEST_HEIGHT_UM) * _coefficients_of(gain, block) for gain in signal_format.gains]
 
 
 def _coefficients_of(gain: float, block: int) -> float:
     """Return the coefficient, in the core's unit, of an amplitude of 1 in the signal's unit."""
-    return math.sqrt(block / 2) * _UNIT / gain
+    return math.sqrt(block / 2) * UNIT / gain
 
 
 def _huffman_code(values: NDArray[np.int64], zeros: bool) -> bytes:
@@ -291,10 +239,10 @@ def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing
     return DctEncoder(setting, signal_format, framing)
 
 
-def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> DctDecoder:
-    """Make a decoder. Raises CodecError as `DctDecoder`."""
+def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
+    """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
     assert tables is None, "takes_tables is not set"
-    return DctDecoder(configuration, channels)
+    return CoreDecoder(NAME, configuration, channels)
 
 
 LADDER_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)

@@ -1,7 +1,7 @@
 """The small interface that every codec fills: its setting, an encoder and a decoder of packets with their states."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
@@ -12,7 +12,10 @@ Signal = NDArray[np.float64]
 Decoded = NDArray[np.int16]
 Value: TypeAlias = float | str | tuple[float, ...]
 Setting: TypeAlias = Mapping[str, Value]
-"""A codec's parameters by name. A number that holds for every channel may also be a tuple of one for each."""
+"""A codec's parameters by name; a tuple is a number for each channel, of those that may differ between them."""
+
+MAX_CHANNELS = 16
+"""Channels in one stream."""
 
 
 class CodecError(ValueError):
@@ -24,7 +27,7 @@ class Parameter:
     """One parameter of a codec: what it means, its default, and what it may be.
 
     Either one of the words in `choices`, or any text if `text`, or a number from `low` to `high`, a whole one if
-    `whole`.
+    `whole`. `per_channel`: or a tuple of such numbers, one for each channel.
     """
 
     meaning: str
@@ -34,13 +37,16 @@ class Parameter:
     whole: bool = False
     choices: tuple[str, ...] = ()
     text: bool = False
+    per_channel: bool = False
 
     def checked(self, name: str, value: Value) -> Value:
         """Return the value, numbers in text read. Raises CodecError where it is none that the parameter may take."""
+        if isinstance(value, tuple):
+            if not self.per_channel:
+                raise CodecError(f"{name} is {value}; give one value, the same for every channel")
+            return tuple(self._number(name, part) for part in value)
         if self.text:
             return str(value)
-        if isinstance(value, tuple):
-            return tuple(self._number(name, part) for part in value)
         if self.choices:
             if value not in self.choices:
                 raise CodecError(f"{name} is {value!r}; choose one of {', '.join(self.choices)}")
@@ -88,6 +94,31 @@ def numbers(setting: Setting, name: str, channels: int) -> tuple[float, ...]:
 def word(setting: Setting, name: str) -> str:
     """Return a parameter that is a word in a checked setting."""
     return str(setting[name])
+
+
+def check_channels(channels: int) -> None:
+    """Raise CodecError for a channel count that no stream has."""
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise CodecError(f"{channels} channels; 1 to {MAX_CHANNELS} make one stream")
+
+
+def checked_parts(samples: Signal, channels: int, part_samples: int) -> Iterator[Signal]:
+    """Yield what an encoder is given, clipped to full scale, in parts of so many samples.
+
+    Raises CodecError on a wrong shape, NaN or infinity.
+    """
+    if samples.ndim != 2 or samples.shape[1] != channels:
+        raise CodecError(f"samples of shape {samples.shape}; (n, {channels}) is needed")
+    for start in range(0, len(samples), part_samples):
+        part = np.asarray(samples[start : start + part_samples], dtype=np.float64)
+        if not np.all(np.isfinite(part)):
+            raise CodecError("the signal holds NaN or infinity; repair the recording first")
+        yield np.clip(part, -1.0, 1.0)
+
+
+def varint(value: int) -> bytes:
+    """Return a number from 0 on as LEB128: seven bits a byte, the lowest first."""
+    return bytes((value,)) if value < 0x80 else bytes((value & 0x7F | 0x80,)) + varint(value >> 7)
 
 
 @dataclass(frozen=True)
@@ -176,9 +207,10 @@ class Decoder(Protocol):
 class Codec:
     """A codec by its name and by its number in stream headers; each codec's module defines its own.
 
-    `ladders`: named curves of settings, the coarsest first, for benchmarks; the first is also what a search for an SNR
-    or a rate tries, unless `searches_steps`: then it searches the parameters `step`, relative to each channel's RMS
-    value, and `thrift`. What a rung leaves out has its default. `physical_ladders`: those that need a physical unit.
+    `ladders`: named curves of settings ("rungs"), the coarsest first, for benchmarks; what a rung leaves out has its
+    default. A search for an SNR or a rate tries rungs of the first; with `searches_steps` (`mdct`), and nothing of the
+    setting given, it searches finer than rungs: the parameters `step`, relative to each channel's RMS value, and
+    `thrift`. `physical_ladders`: those that need a signal in a physical unit.
     `takes_tables`: a model image may bring its tables.
     `make_encoder(setting, format, framing, tables)`: the setting complete and checked.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image, None = built in.

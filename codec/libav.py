@@ -16,16 +16,19 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    check_channels,
+    checked_parts,
     number,
+    varint,
     word,
 )
 
 LABEL_HZ = 8000
 """The rate that samples of every stream are passed off as: speech codecs have no other, the rest do not mind."""
 
-_MAX_CHANNELS = 16
 _MAX_PACKET_SAMPLES = 65_535
 _MAX_SEQUENCE_BITS = 33
+_CHUNK_SAMPLES = 1 << 18
 _FADE_SAMPLES = 256
 _RISE_SAMPLES = 32
 _AMR_BITS_PER_SECOND = (4750, 5150, 5900, 6700, 7400, 7950, 10_200, 12_200)
@@ -120,7 +123,7 @@ class LibavEncoder:
 
         Raises CodecError on a channel count or packet length that a stream cannot have, or where libav is missing.
         """
-        _check_channels(channels)
+        check_channels(channels)
         self._library = library
         self._plan = plan
         self._packet_frames = -(-framing.packet_samples // plan.frame_samples)
@@ -129,7 +132,7 @@ class LibavEncoder:
         if not 1 <= self.packet_samples <= _MAX_PACKET_SAMPLES:
             raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {_MAX_PACKET_SAMPLES} are allowed")
         fields = (plan.delay_samples, plan.frame_samples, self._packet_frames, plan.frame_bytes)
-        self.configuration = b"".join(map(_varint, fields))
+        self.configuration = b"".join(map(varint, fields))
         self._contexts = [
             _open(library.encoder, "w", plan.options, sample_format=library.sample_format) for _ in range(channels)
         ]
@@ -140,15 +143,11 @@ class LibavEncoder:
 
     def encode(self, samples: Signal) -> list[bytes]:
         """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        channels = len(self._contexts)
-        if samples.ndim != 2 or samples.shape[1] != channels:
-            raise CodecError(f"samples of shape {samples.shape}; (n, {channels}) is needed")
-        if not np.all(np.isfinite(samples)):
-            raise CodecError("the signal holds NaN or infinity; repair the recording first")
-        self._taken_samples += len(samples)
         levels = 2 ** (self._plan.bits_per_sample - 1)
-        rounded = np.clip(np.rint(samples * levels), -levels, levels - 1).astype(np.int16)
-        self._code(rounded << (self._library.full_scale_bits - self._plan.bits_per_sample), ended=False)
+        for part in checked_parts(samples, len(self._contexts), _CHUNK_SAMPLES):
+            self._taken_samples += len(part)
+            rounded = np.minimum(np.rint(part * levels), levels - 1).astype(np.int16)
+            self._code(rounded << (self._library.full_scale_bits - self._plan.bits_per_sample), ended=False)
         return self._packets(ended=False)
 
     def finish(self) -> list[bytes]:
@@ -193,8 +192,8 @@ class LibavEncoder:
         packets = []
         for start in range(0, count, size):
             frames = [frame for coded in self._frames for frame in coded[start : start + size]]
-            lengths = [b"" if self._plan.frame_bytes else _varint(len(frame)) for frame in frames]
-            head = _varint(2 * self._sequence + 1)
+            lengths = [b"" if self._plan.frame_bytes else varint(len(frame)) for frame in frames]
+            head = varint(2 * self._sequence + 1)
             packets.append(head + b"".join(part for pair in zip(lengths, frames, strict=True) for part in pair))
             self._sequence += 1
         self._frames = [coded[count:] for coded in self._frames]
@@ -209,7 +208,7 @@ class LibavDecoder:
 
         Raises CodecError when they are not valid, or where libav is missing.
         """
-        _check_channels(channels)
+        check_channels(channels)
         self._library = library
         self.channels = channels
         reader = _Reader(configuration)
@@ -311,10 +310,6 @@ class _Reader:
         raise CodecError("a number in a packet or configuration is too large; it was damaged")
 
 
-def _varint(value: int) -> bytes:
-    return bytes((value,)) if value < 0x80 else bytes((value & 0x7F | 0x80,)) + _varint(value >> 7)
-
-
 def _av() -> Any:
     """Return the package `av`, imported at first need: it takes as long as all the rest. Raises CodecError."""
     try:
@@ -353,11 +348,6 @@ def _decoded(context: Any, frame: bytes) -> list[NDArray[np.int16]]:
     if any(part.format.name not in ("s16", "s16p") or part.layout.nb_channels != 1 for part in decoded):
         raise CodecError("a frame of another sample format or channel count; it was damaged")
     return [part.to_ndarray().ravel() for part in decoded]
-
-
-def _check_channels(channels: int) -> None:
-    if not 1 <= channels <= _MAX_CHANNELS:
-        raise CodecError(f"{channels} channels; 1 to {_MAX_CHANNELS} make one stream")
 
 
 def _codec(

@@ -8,32 +8,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import Structure, ffi, library
+from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
 from codec.interface import (
     Codec,
     CodecError,
-    Decoded,
     Framing,
     Parameter,
     Setting,
     Signal,
     SignalFormat,
+    check_channels,
+    checked_parts,
     number,
     numbers,
+    varint,
 )
 
 NAME = "mdct"
 IDENTIFIER = 1
 HOPS = (16, 32, 64)
-MAX_CHANNELS = 16
-MAX_PACKET_BYTES = 65_535
 MAX_PACKET_BLOCKS = 4095
 STEP_CODES = 21 * 64
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
 
-_UNIT = 32_768 * 256
-"""Full scale in the core's unit, 1/256 of a sample's least significant bit."""
 _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
 
@@ -49,16 +47,15 @@ def hop_samples(rate_hz: float) -> int:
 
 def step_code(step: float) -> int:
     """Return the code of the quantiser step nearest `step` (relative to full scale): 64 codes an octave."""
-    unit_step = min(max(step * _UNIT, 64.0), 127.0 * 2**20)
+    unit_step = min(max(step * UNIT, 64.0), 127.0 * 2**20)
     exponent = math.floor(math.log2(unit_step / 64))
     return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
 
 
 def configuration(hop: int, packet_blocks: int, step_codes: Sequence[int]) -> bytes:
     """Return the codec's bytes in the stream header."""
-    head = packet_blocks << 2 | HOPS.index(hop)
-    head_bytes = bytes((head,)) if head < 0x80 else bytes((head & 0x7F | 0x80, head >> 7))
-    return head_bytes + b"".join(code.to_bytes(2, "little") for code in step_codes)
+    head = varint(packet_blocks << 2 | HOPS.index(hop))
+    return head + b"".join(code.to_bytes(2, "little") for code in step_codes)
 
 
 def built_in_tables() -> bytes:
@@ -117,21 +114,22 @@ class MdctEncoder:
                 f"packets of {framing.packet_samples} samples; 1 to {MAX_PACKET_BLOCKS * self._hop} are allowed"
             )
         self._channels = len(steps)
-        _check_channels(self._channels)
+        check_channels(self._channels)
         self.configuration = configuration(self._hop, self._packet_blocks, [step_code(step) for step in steps])
         core = library()
         self._tables, table_arguments = _tables_arguments(tables)
         self._state = Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
-        status = core.vc_mdct_encoder_init(
-            self._state.pointer,
-            self.configuration,
-            len(self.configuration),
-            self._channels,
-            *table_arguments,
-            framing.refresh_packets,
-            round(LAMBDA * thrift),
+        check_made(
+            core.vc_mdct_encoder_init(
+                self._state.pointer,
+                self.configuration,
+                len(self.configuration),
+                self._channels,
+                *table_arguments,
+                framing.refresh_packets,
+                round(LAMBDA * thrift),
+            )
         )
-        _check_made(status)
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
         # The last hop samples, which the next block ends, then those that no block has begun.
         self._pending: Signal = np.zeros((self._hop, self._channels))
@@ -149,15 +147,9 @@ class MdctEncoder:
 
     def encode(self, samples: Signal) -> list[bytes]:
         """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        if samples.ndim != 2 or samples.shape[1] != self._channels:
-            raise CodecError(f"samples of shape {samples.shape}; (n, {self._channels}) is needed")
         packets: list[bytes] = []
-        chunk = max(1, _CHUNK_BLOCKS * self._hop // self._channels)
-        for start in range(0, len(samples), chunk):
-            part = np.asarray(samples[start : start + chunk], dtype=np.float64)
-            if not np.all(np.isfinite(part)):
-                raise CodecError("the signal holds NaN or infinity; repair the recording first")
-            self._pending = np.concatenate([self._pending, np.clip(part, -1.0, 1.0)])
+        for part in checked_parts(samples, self._channels, max(1, _CHUNK_BLOCKS * self._hop // self._channels)):
+            self._pending = np.concatenate([self._pending, part])
             self._begun = True
             packets += self._complete_packets()
         return packets
@@ -185,7 +177,7 @@ class MdctEncoder:
         if blocks <= 0:
             return []
         frames = np.lib.stride_tricks.sliding_window_view(self._pending, 2 * self._hop, axis=0)[:: self._hop][:blocks]
-        exact = frames @ analysis_matrix(self._hop) * _UNIT
+        exact = frames @ analysis_matrix(self._hop) * UNIT
         coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
         packets = [self._code(part) for part in np.split(coefficients, count)]
         self._pending = self._pending[blocks * self._hop :]
@@ -196,66 +188,28 @@ class MdctEncoder:
         pointer = ffi.cast("const int32_t *", coefficients.ctypes.data)
         length = library().vc_mdct_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
         if length < 0:
-            raise CodecError(
-                f"a packet of {self.packet_samples} samples does not fit {MAX_PACKET_BYTES} bytes; "
-                "ask for shorter packets or a coarser quality"
-            )
+            raise does_not_fit(self.packet_samples)
         return bytes(ffi.buffer(self._packet, length))
 
 
-class MdctDecoder:
+class MdctDecoder(CoreDecoder):
     """Decoder of `mdct`; see codec.interface.Decoder."""
 
     def __init__(self, configuration: bytes, channels: int, tables: bytes | None = None) -> None:
         """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
-        _check_channels(channels)
-        core = library()
-        self.channels = channels
         self._tables, table_arguments = _tables_arguments(tables)
-        self._state = Structure(core.vc_mdct_decoder_size(), "vc_mdct_decoder *")
-        status = core.vc_mdct_decoder_init(
-            self._state.pointer, configuration, len(configuration), channels, *table_arguments
-        )
-        _check_made(status)
-        self.packet_samples: int = core.vc_mdct_decoder_packet_samples(self._state.pointer)
-        self.delay_samples: int = core.vc_mdct_decoder_delay_samples(self._state.pointer)
-
-    def decode(self, packet: bytes) -> Decoded:
-        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it has no sequence."""
-        samples, pointer = self._output()
-        if library().vc_mdct_decode(self._state.pointer, packet, len(packet), pointer) < 0:
-            raise CodecError("a packet without a sequence number; it was not made by this codec")
-        return samples
-
-    def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last sound faded out, then silence."""
-        samples, pointer = self._output()
-        library().vc_mdct_conceal(self._state.pointer, pointer)
-        return samples
-
-    def _output(self) -> tuple[Decoded, Any]:
-        samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
-        return samples, ffi.cast("int16_t *", samples.ctypes.data)
+        super().__init__(NAME, configuration, channels, *table_arguments)
+        self.delay_samples = library().vc_mdct_decoder_delay_samples(self._state.pointer)
 
 
 def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
-    """Return the memory that must stay alive, and the core's two arguments."""
+    """Return the memory that must stay alive, and the core's two arguments. Raises CodecError on a wrong size."""
     if tables is None:
         return None, (ffi.NULL, 0)
+    if len(tables) != library().vc_mdct_tables_size():
+        raise CodecError(f"tables of the wrong size; mdct needs {library().vc_mdct_tables_size()} bytes")
     memory = ffi.new("uint8_t[]", tables)
     return memory, (memory, len(tables))
-
-
-def _check_channels(channels: int) -> None:
-    if not 1 <= channels <= MAX_CHANNELS:
-        raise CodecError(f"{channels} channels; mdct codes 1 to {MAX_CHANNELS} in one stream")
-
-
-def _check_made(status: int) -> None:
-    if status == library().VC_BAD_TABLES:
-        raise CodecError(f"tables of the wrong size; mdct needs {library().vc_mdct_tables_size()} bytes")
-    if status != library().VC_OK:
-        raise CodecError("the codec configuration is damaged or of another version")
 
 
 def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> MdctEncoder:
@@ -273,7 +227,7 @@ CODEC = Codec(
     identifier=IDENTIFIER,
     summary="low-delay MDCT, trellis-coded quantisation, trained and adaptive context mixing",
     parameters={
-        "step": Parameter("quantiser step relative to the RMS value", 0.25, low=SMALLEST_STEP),
+        "step": Parameter("quantiser step relative to the RMS value", 0.25, low=SMALLEST_STEP, per_channel=True),
         "thrift": Parameter("weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1),
     },
     # From some 2 dB of SNR to some 42.

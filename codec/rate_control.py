@@ -1,5 +1,6 @@
 """Coding to an asked quality or rate: searches for the setting that meets an SNR or a bit rate."""
 
+import bisect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ _DB_PER_OCTAVE = 20 * math.log10(2)
 _THRIFTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 _BALANCING_TRIALS = 20
 _STEP_BACK = 0.9
+_NEIGHBOURS = 3
+"""Rungs of a ladder tried on each side of where the excess changes its sign, as quality may fall on the way up."""
 
 
 def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
@@ -205,9 +208,28 @@ def _choose(
     tolerance: float,
     side: int,
 ) -> CodedSignal:
-    """Code at every rung, as quality may fall on the way up; return the one preferred as in `_search`."""
-    coded = [source.encode(rung) for rung in _rungs(source, setting)]
-    return min(coded, key=lambda each: _preference(excess(each), tolerance, side))
+    """Code at the rungs near which the excess, rising on the whole, changes its sign; at all if none of those will do.
+
+    Return the one preferred as in `_search`.
+    """
+    rungs = _rungs(source, setting)
+    tried: dict[int, tuple[CodedSignal, float]] = {}
+
+    def excess_at(rung: int) -> float:
+        if rung not in tried:
+            coded = source.encode(rungs[rung])
+            tried[rung] = coded, excess(coded)
+        return tried[rung][1]
+
+    def preference(rung: int) -> tuple[bool, float]:
+        return _preference(excess_at(rung), tolerance, side)
+
+    every = range(len(rungs))
+    crossing = bisect.bisect_left(every, 0.0, key=excess_at)
+    best = min(every[max(0, crossing - _NEIGHBOURS) : crossing + _NEIGHBOURS], key=preference)
+    if preference(best)[0]:
+        best = min(every, key=preference)
+    return tried[best][0]
 
 
 def _preference(excess: float, tolerance: float, side: int) -> tuple[bool, float]:

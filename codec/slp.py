@@ -6,21 +6,21 @@ of the standard, and reads none of its streams.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import Structure, ffi, library
+from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
 from codec.interface import (
     Codec,
     CodecError,
-    Decoded,
     Framing,
     Parameter,
     Setting,
     Signal,
     SignalFormat,
+    check_channels,
+    checked_parts,
     number,
 )
 from codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
@@ -29,15 +29,11 @@ NAME = "slp"
 IDENTIFIER = 3
 FRAMES = (32, 64, 128)
 MAX_ORDER = 16
-MAX_CHANNELS = 16
-MAX_PACKET_BYTES = 65_535
 MAX_PACKET_FRAMES = 4095
 STEP_CODES = 21 * 8
 LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
 
-_UNIT = 32_768 * 256
-"""Full scale in the core's unit, 1/256 of a sample's least significant bit."""
 _ANALYSIS_SAMPLES = 512
 """Samples that a predictor is fitted to: those up to the end of its frame."""
 _CHUNK_SAMPLES, _CHUNK_FRAMES = 16_384, 256
@@ -50,7 +46,7 @@ def relative_step(quality: float) -> float:
 
 def step_code(step: float) -> int:
     """Return the code of the step nearest `step` (relative to full scale), in 1/8 octaves."""
-    return min(max(round(8 * math.log2(max(step, 1e-30) * _UNIT / 8)), 0), STEP_CODES - 1)
+    return min(max(round(8 * math.log2(max(step, 1e-30) * UNIT / 8)), 0), STEP_CODES - 1)
 
 
 class SlpEncoder:
@@ -69,7 +65,7 @@ class SlpEncoder:
         if frame not in FRAMES:
             raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
         self._frame, self._order, self._channels = frame, order, signal_format.channels
-        _check_channels(self._channels)
+        check_channels(self._channels)
         self._packet_frames = -(-framing.packet_samples // frame)
         if not 1 <= self._packet_frames <= MAX_PACKET_FRAMES:
             raise CodecError(
@@ -87,7 +83,7 @@ class SlpEncoder:
         )
         core = library()
         self._state = Structure(core.vc_slp_encoder_size(), "vc_slp_encoder *")
-        _check_made(
+        check_made(
             core.vc_slp_encoder_init(
                 self._state.pointer,
                 self.configuration,
@@ -107,14 +103,9 @@ class SlpEncoder:
 
     def encode(self, samples: Signal) -> list[bytes]:
         """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        if samples.ndim != 2 or samples.shape[1] != self._channels:
-            raise CodecError(f"samples of shape {samples.shape}; (n, {self._channels}) is needed")
         packets: list[bytes] = []
-        for start in range(0, len(samples), _CHUNK_SAMPLES):
-            part = np.asarray(samples[start : start + _CHUNK_SAMPLES], dtype=np.float64)
-            if not np.all(np.isfinite(part)):
-                raise CodecError("the signal holds NaN or infinity; repair the recording first")
-            self._pending = np.concatenate([self._pending, np.clip(part, -1.0, 1.0)])
+        for part in checked_parts(samples, self._channels, _CHUNK_SAMPLES):
+            self._pending = np.concatenate([self._pending, part])
             packets += self._complete_packets()
         return packets
 
@@ -132,7 +123,7 @@ class SlpEncoder:
         frames = end // self._frame
         signal = self._pending[:end]
         codes = np.stack([self._analysed(channel) for channel in np.concatenate([self._before, signal]).T], axis=1)
-        units = np.rint(signal * _UNIT).astype(np.int32).reshape(frames, self._frame, self._channels).swapaxes(1, 2)
+        units = np.rint(signal * UNIT).astype(np.int32).reshape(frames, self._frame, self._channels).swapaxes(1, 2)
         packets = [self._code(*parts) for parts in zip(np.split(units, count), np.split(codes, count), strict=True)]
         self._before = np.concatenate([self._before, signal])[-len(self._before) :]
         self._pending = self._pending[end:]
@@ -159,53 +150,8 @@ class SlpEncoder:
             MAX_PACKET_BYTES,
         )
         if length < 0:
-            raise CodecError(
-                f"a packet of {self.packet_samples} samples does not fit {MAX_PACKET_BYTES} bytes; "
-                "ask for shorter packets or a coarser quality"
-            )
+            raise does_not_fit(self.packet_samples)
         return bytes(ffi.buffer(self._packet, length))
-
-
-class SlpDecoder:
-    """Decoder of `slp`; see codec.interface.Decoder."""
-
-    delay_samples = 0
-
-    def __init__(self, configuration: bytes, channels: int) -> None:
-        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
-        _check_channels(channels)
-        core = library()
-        self.channels = channels
-        self._state = Structure(core.vc_slp_decoder_size(), "vc_slp_decoder *")
-        _check_made(core.vc_slp_decoder_init(self._state.pointer, configuration, len(configuration), channels))
-        self.packet_samples: int = core.vc_slp_decoder_packet_samples(self._state.pointer)
-
-    def decode(self, packet: bytes) -> Decoded:
-        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it has no sequence."""
-        samples, pointer = self._output()
-        if library().vc_slp_decode(self._state.pointer, packet, len(packet), pointer) < 0:
-            raise CodecError("a packet without a sequence number; it was not made by this codec")
-        return samples
-
-    def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last sound faded out, then silence."""
-        samples, pointer = self._output()
-        library().vc_slp_conceal(self._state.pointer, pointer)
-        return samples
-
-    def _output(self) -> tuple[Decoded, Any]:
-        samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
-        return samples, ffi.cast("int16_t *", samples.ctypes.data)
-
-
-def _check_channels(channels: int) -> None:
-    if not 1 <= channels <= MAX_CHANNELS:
-        raise CodecError(f"{channels} channels; slp codes 1 to {MAX_CHANNELS} in one stream")
-
-
-def _check_made(status: int) -> None:
-    if status != library().VC_OK:
-        raise CodecError("the codec configuration is damaged or of another version")
 
 
 def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> SlpEncoder:
@@ -220,6 +166,11 @@ def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing
     )
 
 
+def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
+    """Make a decoder from the codec's bytes in the stream header; it takes no tables. Raises CodecError."""
+    return CoreDecoder(NAME, configuration, channels)
+
+
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
@@ -232,5 +183,5 @@ CODEC = Codec(
     },
     ladders={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
     make_encoder=make_encoder,
-    make_decoder=lambda configuration, channels, tables: SlpDecoder(configuration, channels),
+    make_decoder=make_decoder,
 )

@@ -189,6 +189,8 @@ def encode(
     given = chosen.checked(setting or {})
     open_quality = chosen.leaves_open(given)
     if not open_quality and (rate_bps is not None or snr_db is not None):
+        if not given:
+            raise codec.CodecError(f"{codec_name} has one quality only; leave out the rate or SNR")
         raise codec.CodecError("the setting fixes the quality; leave out the rate or SNR, or that part of the setting")
     tables = None
     if image is not None:

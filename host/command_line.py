@@ -128,6 +128,8 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
         name, sign, value = text.partition("=")
         if not (name and sign and value):
             raise click.BadParameter(f"{text!r} is not of the form NAME=VALUE.", ctx, param)
+        if name in setting:
+            raise click.BadParameter(f"{name} is given twice.", ctx, param)
         setting[name] = value
     return setting
 
@@ -253,7 +255,9 @@ def codecs(as_json: bool) -> None:
         }
         for known in codec.CODECS.values()
     }
-    show(facts, as_json)
+    # Parameters are named as --setting takes them.
+    lines = {name: [f"{key}: {text}" for key, text in about.items()] for name, about in facts.items()}
+    show(facts if as_json else lines, as_json)
 
 
 @main.command()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import textures
-from codec import mdct
+from codec import core, interface
 from device_protocol import coded_stream
 from textures import recording
 
@@ -42,8 +42,8 @@ def test_arrows_point_one_way(path: Path) -> None:
 
 def test_rooms_that_may_not_import_each_other_agree() -> None:
     assert textures.UNITS == coded_stream.UNITS
-    assert recording.MAX_CHANNELS == coded_stream.MAX_CHANNELS == mdct.MAX_CHANNELS
-    assert mdct.MAX_PACKET_BYTES == coded_stream.MAX_PACKET_BYTES
+    assert recording.MAX_CHANNELS == coded_stream.MAX_CHANNELS == interface.MAX_CHANNELS
+    assert core.MAX_PACKET_BYTES == coded_stream.MAX_PACKET_BYTES
 
 
 def tracked(*patterns: str) -> list[str]:

@@ -19,9 +19,7 @@ void *memset(void *destination, int value, size_t length);
 /* Packet head: sequence * 2 + refresh, LEB128. The reader returns the bytes taken, or 0 when there is no valid head;
  * the writer the bytes written, at most VC_PACKET_HEAD_BYTES. */
 size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);
-/* cffi: begin */
 size_t vc_packet_head_write(uint8_t *packet, uint32_t sequence, int refresh);
-/* cffi: end */
 
 /* One decision whose probability of 1, in 1/65536, adapts by 1/2^shift with what came. */
 void vc_adaptive_encode(vc_range_coder *coder, int bit, uint16_t *probability, unsigned shift);

@@ -15,7 +15,7 @@ enum vc_status {
     VC_CONCEALED = 1,          /* the packet could not be played: its time was filled by a fade or by silence */
     VC_BAD_CONFIGURATION = -1, /* configuration bytes or channel count outside the layout */
     VC_BAD_TABLES = -2,        /* tables of another size */
-    VC_BAD_PACKET = -3,        /* a packet without a sequence number; nothing was played */
+    VC_BAD_PACKET = -3,        /* a malformed packet; nothing was played */
     VC_PACKET_TOO_LARGE = -4   /* the coded packet does not fit the buffer; the encoder must be initialised again */
 };
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.fft import dct as reference_dct
 
 import codec
-from codec import CodecError, Framing, Setting, Signal, SignalFormat, dct
+from codec import CodecError, Decoder, Framing, Setting, Signal, SignalFormat, dct
 from codec.huffman import LONGEST_CODE, canonical_codes, code_lengths
 from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from device_protocol.coded_stream import unpack_file
@@ -209,9 +209,9 @@ def test_a_threshold_needs_a_physical_unit() -> None:
         coded(texture(600), {"threshold": "on"}, "full scale")
 
 
-def decoder_of(head: int, levels: int = 14, first: int = 0, end: int = 64, blocks: int = 1) -> dct.DctDecoder:
+def decoder_of(head: int, levels: int = 14, first: int = 0, end: int = 64, blocks: int = 1) -> Decoder:
     fields = b"".join(number.to_bytes(2, "little") for number in (blocks, levels, first, end))
-    return dct.DctDecoder(bytes((head,)) + fields + bytes(2 if head & 8 else 0), 1)
+    return dct.make_decoder(bytes((head,)) + fields + bytes(2 if head & 8 else 0), 1)
 
 
 @given(head=st.integers(0, 31), numbers=st.lists(st.integers(0, 2000), min_size=4, max_size=4))
@@ -256,7 +256,7 @@ def test_damage_stays_within_the_loudness_that_the_packet_states(damage: list[tu
     packet = bytearray(stream.packets[0])
     for position, flip in damage:
         packet[position % (len(packet) - 5) + 5] ^= flip
-    decoder = dct.DctDecoder(stream.configuration, 1)
+    decoder = dct.make_decoder(stream.configuration, 1)
     try:
         samples = decoder.decode(bytes(packet))
     except CodecError:
@@ -301,7 +301,7 @@ def test_packets_without_head_or_ranges_are_refused(packet: bytes) -> None:
 def test_a_missing_packet_fades_as_a_mirror_image_and_the_next_one_rises() -> None:
     stream = coded(texture(2048), {"levels": 200}, live=True)
     clean = codec.decode_integers(stream)[:, 0].astype(int)
-    decoder = dct.DctDecoder(stream.configuration, 1)
+    decoder = dct.make_decoder(stream.configuration, 1)
     decoder.decode(stream.packets[0])
     fade = decoder.conceal()[:, 0]
     mirror = clean[448:512][::-1] * (63 - np.arange(64)) / 64

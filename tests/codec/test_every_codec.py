@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import codec
 import textures
 from codec import CodecError, Decoder, Signal
+from codec.coding import Source
 from host import coding, end_to_end
 from host.controller import Controller
 from simulated_device.controller import Controller as SimulatedController
@@ -182,6 +183,9 @@ def test_bad_signals_and_settings_are_refused(name: str) -> None:
         assert described.checked(parameter, described.default) == described.default
         with pytest.raises(CodecError, match=parameter):
             codec.encode(texture(100), RATE_HZ, {parameter: "\x00 nothing of the kind"}, codec=name)
+        if not described.per_channel:
+            with pytest.raises(CodecError, match=parameter):
+                codec.encode(texture(100, 2), RATE_HZ, {parameter: (14, 16)}, codec=name)
 
 
 @every_codec
@@ -214,3 +218,34 @@ def test_a_quality_is_met_from_above_or_refused(name: str) -> None:
     assert encoding.snr_db is not None
     assert encoding.snr_db >= 8.0 - codec.SNR_TOLERANCE_DB
     assert (encoding.note is None) == (abs(encoding.snr_db - 8.0) <= codec.SNR_TOLERANCE_DB)
+
+
+LADDER_CODECS = [name for name, known in codec.CODECS.items() if known.parameters and not known.searches_steps]
+
+
+@pytest.mark.parametrize("target_db", [3.0, 12.0])
+@pytest.mark.parametrize("name", LADDER_CODECS)
+def test_a_search_finds_the_best_rung_without_trying_all(
+    name: str, target_db: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signal = texture(1400)
+    rungs = next(iter(codec.CODECS[name].ladders.values()))
+    coded_by_rung = [codec.encode(signal, RATE_HZ, rung, codec=name) for rung in rungs]
+    snrs_db = [codec.snr_db(signal, codec.decode(each)) or 0.0 for each in coded_by_rung]
+    trials: list[codec.Setting] = []
+    encode = Source.encode
+
+    def counted(source: Source, setting: codec.Setting) -> codec.CodedSignal:
+        trials.append(setting)
+        return encode(source, setting)
+
+    monkeypatch.setattr(Source, "encode", counted)
+    enough = [snr_db for snr_db in snrs_db if snr_db >= target_db - codec.SNR_TOLERANCE_DB]
+    if not enough:
+        with pytest.raises(CodecError, match=f"reaches {max(snrs_db):.1f} dB"):
+            codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name)
+        return
+    found = codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name)
+    nearest = min(range(len(rungs)), key=lambda rung: (snrs_db[rung] not in enough, abs(snrs_db[rung] - target_db)))
+    assert found.packets == coded_by_rung[nearest].packets
+    assert len(trials) <= min(len(rungs), 12)

@@ -28,7 +28,7 @@ def coded(signal: codec.Signal, framing: Framing, **given: float | str) -> tuple
 
 
 def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
-    decoder = slp.SlpDecoder(configuration, channels)
+    decoder = slp.make_decoder(configuration, channels)
     return np.concatenate([decoder.decode(packet) for packet in packets])
 
 
@@ -105,7 +105,7 @@ def test_every_code_gives_a_stable_filter(codes: list[int]) -> None:
 @settings(max_examples=60)
 def test_the_filter_of_any_stream_falls_silent(order: int, step_code: int, payload: bytes) -> None:
     """In the core's integers, from wherever any bytes drive it: packets without payload are silent frames."""
-    decoder = slp.SlpDecoder(bytes((1 << 5 | order, 125, 0, 0, 90, step_code)), 1)
+    decoder = slp.make_decoder(bytes((1 << 5 | order, 125, 0, 0, 90, step_code)), 1)
     decoder.decode(b"\x01" + payload)
     ringing = [decoder.decode(bytes((2 * sequence,))) for sequence in (1, 2)]
     assert not np.any(ringing[1])
@@ -217,7 +217,7 @@ def live_stream() -> tuple[bytes, list[bytes], codec.Decoded]:
 @settings(max_examples=40)
 def test_a_lost_packet_costs_at_most_one_interval_and_fades(lost: set[int]) -> None:
     configuration, packets, clean = live_stream()
-    decoder = slp.SlpDecoder(configuration, 1)
+    decoder = slp.make_decoder(configuration, 1)
     playing = True
     for index, packet in enumerate(packets):
         part = decoder.conceal() if index in lost else decoder.decode(packet)
@@ -233,7 +233,7 @@ def test_a_lost_packet_costs_at_most_one_interval_and_fades(lost: set[int]) -> N
 
 def test_concealment_fades_within_one_packet_and_stays_silent() -> None:
     configuration, packets = coded(texture(2000), Framing(128, 5))
-    decoder = slp.SlpDecoder(configuration, 1)
+    decoder = slp.make_decoder(configuration, 1)
     for packet in packets[:5]:
         last = decoder.decode(packet)
     fade = decoder.conceal().astype(float)
@@ -245,7 +245,7 @@ def test_concealment_fades_within_one_packet_and_stays_silent() -> None:
 
 def test_a_stream_joined_in_the_middle_rises() -> None:
     configuration, packets = coded(texture(2000), Framing(128, 5))
-    decoder = slp.SlpDecoder(configuration, 1)
+    decoder = slp.make_decoder(configuration, 1)
     assert not np.any(decoder.decode(packets[1])), "the first packet must be a refresh"
     joined = decoder.decode(packets[5]).astype(int)
     clean = decoded(configuration, packets, 1)[640:768].astype(int)
@@ -257,7 +257,7 @@ def test_a_stream_joined_in_the_middle_rises() -> None:
 @settings(max_examples=60)
 def test_any_bytes_decode_safely(channels: int, order: int, payloads: list[bytes]) -> None:
     for step_code in (0, slp.STEP_CODES - 1):
-        decoder = slp.SlpDecoder(bytes((1 << 5 | order, 3, 0, 255, 141, *[step_code] * channels)), channels)
+        decoder = slp.make_decoder(bytes((1 << 5 | order, 3, 0, 255, 141, *[step_code] * channels)), channels)
         for payload in payloads:
             assert decoder.decode(b"\x01" + payload).shape == (3 * 64, channels)
 
@@ -278,8 +278,8 @@ def test_any_bytes_decode_safely(channels: int, order: int, payloads: list[bytes
 )
 def test_configurations_out_of_range_are_refused(configuration: bytes) -> None:
     with pytest.raises(CodecError, match="configuration"):
-        slp.SlpDecoder(configuration, 1)
-    assert len(slp.SlpDecoder(bytes((8, 255, 15, 0, 141, 167)), 1).conceal()) == 4095 * 32
+        slp.make_decoder(configuration, 1)
+    assert len(slp.make_decoder(bytes((8, 255, 15, 0, 141, 167)), 1).conceal()) == 4095 * 32
 
 
 @pytest.mark.parametrize("framing", [Framing(0, 0), Framing(4096 * 64, 0)])
