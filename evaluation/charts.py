@@ -148,6 +148,7 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
         for cost, axes in zip(costs, panels_of_rate, strict=True):
             if cost in TIMES:
                 _set_time_axis(axes, [_cost(row) for row in rows if row.cost == cost])
+            axes.grid(axis="x", color="0.92")
             axes.grid(False, axis="y")
             shown = sorted((row for row in of_rate if row.cost == cost), key=lambda row: -(row.decoder_bytes or 0))
             for row in shown:
@@ -166,26 +167,29 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
 
 
 def plot_excesses(path: Path, rows: Sequence[Excess]) -> None:
-    """Draw a map, traces by codecs, of the excess bits; darker is more. Raises OSError."""
+    """Draw a map, traces by codecs, of the excess bits; darker is more, hatched has none. Raises OSError.
+
+    Of more than MAX_NUMBERED_ROWS traces only some are named, and no number is written.
+    """
     codecs = dict(sorted(by_codec(rows).items(), key=lambda group: median(row.excess_percent for row in group[1])))
     traces = sorted({row.trace for row in rows})
     cells = np.full((len(traces), len(codecs)), np.nan)
     for column, of_codec in enumerate(codecs.values()):
         for row in of_codec:
             cells[traces.index(row.trace), column] = row.excess_percent
-    numbered = len(traces) <= MAX_NUMBERED_ROWS
+    every = math.ceil(len(traces) / MAX_NUMBERED_ROWS)
     codecs_named = [name(of_codec[0]) for of_codec in codecs.values()]
-    traces_named = [_short(trace) for trace in traces] if numbered else []
+    traces_named = [_short(trace) for trace in traces[::every]]
     height_in = LABEL_IN * min(len(traces), MAX_NUMBERED_ROWS) * 1.25
     figure = _figure([height_in], left=traces_named, top=codecs_named, bottom_in=0.1)
     axes = figure.subplots()
     axes.imshow(np.sqrt(cells), cmap="Greys", vmin=0, vmax=math.sqrt(LARGEST_EXCESS_PERCENT), aspect="auto")
-    axes.set_facecolor("white")
+    axes.patch.set(facecolor="white", edgecolor="0.7", hatch="////")
     axes.set_xticks(range(len(codecs)), codecs_named, rotation=90)
     axes.xaxis.tick_top()
-    axes.set_yticks(range(len(traces_named)), traces_named)
+    axes.set_yticks(range(0, len(traces), every), traces_named)
     axes.tick_params(length=0)
-    if numbered:
+    if every == 1:
         for (row_number, column), excess in np.ndenumerate(cells):
             if math.isfinite(excess):
                 color = "white" if excess > LARGEST_EXCESS_PERCENT / 4 else "black"
@@ -235,12 +239,16 @@ def _mark_style(row: Mark, largest_bytes: int) -> dict[str, Any]:
         "facecolor": "white" if row.decoder_bytes is None else "0.7",
         "edgecolor": "0.5" if imported else "black",
         "linewidth": 0.8,
+        "clip_on": False,
     }
 
 
 def _short(text: str) -> str:
-    """Return a name of at most LONGEST_NAME characters, that matplotlib takes for nothing but text."""
-    short = text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 3]}..."
+    """Return a name of at most LONGEST_NAME characters, that matplotlib takes for nothing but text.
+
+    Its middle is left out: of a trace of IEEE P1918.1.1 the end tells the material and speed.
+    """
+    short = text if len(text) <= LONGEST_NAME else f"{text[:10]}...{text[13 - LONGEST_NAME :]}"
     return short.replace("$", r"\$")
 
 

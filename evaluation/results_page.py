@@ -305,7 +305,8 @@ def _excess_section(folder: Path, measurements: Measurements) -> str:
     return _paragraphs(
         "## Where each codec loses",
         f"Bits at {EQUAL_SNR_DB:g} dB SNR on each trace, in percent above those of the codec that needs the fewest "
-        "there: 0 is the best of the row, 100 twice its bits. Empty: the codec lacks points on both sides of that SNR.",
+        "there: 0 is the best of the row, 100 twice its bits, darker is more. Hatched: the codec lacks points on both "
+        "sides of that SNR.",
         _chart(
             folder,
             "excess_bits",

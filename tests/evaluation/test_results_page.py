@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from codec import CODECS
 from evaluation import results_page
 from evaluation.bd_rate import SNR
-from evaluation.charts import _set_time_axis
+from evaluation.charts import LONGEST_NAME, _set_time_axis, _short
 from evaluation.comparison import (
     Excess,
     MeanBdRate,
@@ -333,6 +333,12 @@ def test_times_that_are_alike_have_plain_ticks(encode_s: float) -> None:
     shown = [float(label) for label in labels if low <= float(label) <= high]
     assert 1 <= len(shown) <= 3
     assert not any(label.get_text() for label in axes.get_xticklabels(minor=True))
+
+
+def test_a_long_name_keeps_what_tells_traces_apart() -> None:
+    name = _short("Direct_-_1spike_Probe_-_polyesterPad_-_slow")
+    assert len(name) == LONGEST_NAME
+    assert name.startswith("Direct_-_1...") and name.endswith("esterPad_-_slow")
 
 
 def test_many_traces_still_fit(tmp_path: Path) -> None:
