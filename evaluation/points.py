@@ -166,6 +166,8 @@ def by_codec_and_trace(points: Iterable[Point]) -> dict[str, dict[str, list[Poin
 
 
 def _texts(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
+    if path.exists() and not path.is_file():  # a pipe waits for its writer, a device may never end
+        raise PointsError(f"{path}: no file; give a CSV file")
     with path.open(newline="", encoding="utf-8") as file:
         try:
             rows = csv.DictReader(file)

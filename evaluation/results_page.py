@@ -60,29 +60,39 @@ def write_results(
     costs: Sequence[CodecCost],
     failures: Sequence[Failure],
     description: Description,
+    progress: Callable[[float], object] = lambda part: None,
 ) -> None:
     """Write OUT/results.md and, in OUT/results, its charts and tables, each with its data as CSV, and the description.
 
-    Imported points count where no codec of that name was measured, on the traces that were. Raises OSError where a
-    file cannot be written.
+    Imported points count where no codec of that name was measured, on the traces that were. `progress` is called with
+    the part done, from 0 to 1. Raises OSError where a file cannot be written.
     """
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
     write_rows(folder / "description.csv", [description], Description)
     measurements = Measurements(points, timings, costs, failures)
-    sections = (
-        _head(measurements, description),
-        _advice_section(folder, measurements),
-        _rate_section(folder, measurements),
-        _ratio_section(folder, measurements),
-        _time_section(folder, measurements),
-        _delay_section(folder, measurements),
-        _bd_rate_section(folder, measurements),
-        _excess_section(folder, measurements),
-        _cost_section(folder, measurements),
-        _failure_section(measurements),
-        _files_section(),
+    makers = (
+        partial(_head, measurements, description),
+        *(
+            partial(section, folder, measurements)
+            for section in (
+                _advice_section,
+                _rate_section,
+                _ratio_section,
+                _time_section,
+                _delay_section,
+                _bd_rate_section,
+                _excess_section,
+                _cost_section,
+            )
+        ),
+        partial(_failure_section, measurements),
+        _files_section,
     )
+    sections = []
+    for number, make in enumerate(makers, 1):
+        sections.append(make())
+        progress(number / len(makers))
     (out / "results.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
 
 

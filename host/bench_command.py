@@ -120,7 +120,8 @@ def bench(
     machine = "a Dask cluster" if scheduler else f"{platform.machine()}, {workers.cores()} cores at work at once"
     command = shlex.join(["vibrocast", *sys.argv[1:]])
     description = results_page.Description(dataset.printable(data), machine, dataset.printable(command))
-    results_page.write_results(out, points, timings, costs, failures, description)
+    with progress.shown("drawing") as update:
+        results_page.write_results(out, points, timings, costs, failures, description, update)
     show(points, timings)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:

@@ -116,3 +116,8 @@ def test_figures_of_a_point() -> None:
     assert (point.bits_per_sample, point.bits_per_second, point.compression_ratio) == (2, 5600, 8)
     assert Point("a", "mdct", "", 1, 1, None).bits_per_second is None
     assert Timing("a", "mdct", "", 20.0, 5.0).real_time_factor(8000) == pytest.approx(0.2)
+
+
+def test_what_is_no_file_is_refused_before_it_is_read() -> None:
+    with pytest.raises(PointsError, match="no file"):
+        read_imported(Path("/dev/zero"))
