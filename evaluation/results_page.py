@@ -71,7 +71,7 @@ def write_results(
     folder.mkdir(parents=True, exist_ok=True)
     write_rows(folder / "description.csv", [description], Description)
     measurements = Measurements(points, timings, costs, failures)
-    makers = (
+    makers: tuple[Callable[[], str], ...] = (
         partial(_head, measurements, description),
         *(
             partial(section, folder, measurements)
