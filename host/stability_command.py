@@ -29,17 +29,17 @@ def stability(out: Path, codecs: tuple[str, ...], peers_edge: Path | None, quick
 
     Signals, settings, transport, speed of the hand and actuator. What fails is a result: the maps show it.
     """
-    from evaluation.stability import report
+    from evaluation.stability import page, report
     from evaluation.stability.maps import Scope
     from evaluation.stability.peers import PeersError, read_peers
 
     try:
         peers = read_peers(peers_edge) if peers_edge else []
-    except PeersError as error:
+        page.folder_in(out)  # what cannot be written is better known before than after
+    except (PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
-    out.mkdir(parents=True, exist_ok=True)
     with progress.shown("trying") as update:
         cells = report.make(out, Scope(codecs, quick), peers, update)
     outcomes = Counter(cell.outcome for cell in cells)
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
-    click.echo(f"{out / 'stability.md'}: {len(cells)} trials, {counts}")
+    click.echo(f"{out / page.PAGE}: {len(cells)} trials, {counts}")

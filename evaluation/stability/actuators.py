@@ -45,7 +45,7 @@ def measure_shift(actuator: Actuator, shift_percent: float) -> Measured:
     worst = int(np.argmax(np.abs(change_db)))
     error_db = float(np.abs(change_db[worst]))
     figures = {"error_db": error_db, "worst_hz": float(frequencies_hz[worst]), "change_db": float(change_db[worst])}
-    effect = f"{change_db[worst]:+.1f} dB at {frequencies_hz[worst]:.0f} Hz"
+    effect = f"{change_db[worst]:+z.1f} dB at {frequencies_hz[worst]:.0f} Hz"
     if error_db > FAR_DB:
         return Measured(Outcome.FAILS, figures, effect)
     return Measured(Outcome.HOLDS if error_db <= FELT_DB else Outcome.DEGRADED, figures, effect)
@@ -68,9 +68,11 @@ def measure_sine(actuator: Actuator, frequency_hz: float, amplitude_um: float, c
         "slew_limited": counts.slew_limited,
         "power_limited": counts.power_limited,
     }
-    figures = {"amplitude_error_db": error_db} | {f"{name}_share": each / len(codes) for name, each in shares.items()}
+    figures = {"error_db": abs(error_db), "change_db": error_db} | {
+        f"{name}_share": each / len(codes) for name, each in shares.items()
+    }
     limits = [f"{100 * each / len(codes):.0f} % {name.replace('_', ' ')}" for name, each in shares.items() if each]
-    effect = ", ".join([f"{error_db:+.1f} dB", *limits])
+    effect = ", ".join([f"{error_db:+z.1f} dB", *limits])
     if abs(error_db) > FAR_DB:
         return Measured(Outcome.FAILS, figures, effect)
     return Measured(Outcome.HOLDS if abs(error_db) <= FELT_DB else Outcome.DEGRADED, figures, effect)
@@ -119,9 +121,11 @@ def _draw_shift(path: Path, cells: Sequence[Cell]) -> None:
         curves.append(
             pictures.Curve(name, [cell.value or 0.0 for cell in own], [cell.figure("error_db") for cell in own], failed)
         )
-    lines = {FELT_DB: "felt above this", FAR_DB: "fails above this"}
-    title = f"largest change of the level from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz, dB"
-    pictures.curves(path, [pictures.Panel(title, "shift of the resonance, %", "dB", curves, lines=lines)])
+    title = (
+        f"largest change of the level from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz, dB; felt and failing above the lines"
+    )
+    panel = pictures.Panel(title, "shift of the resonance, %", "", curves, lines=(FELT_DB, FAR_DB))
+    pictures.curves(path, [panel])
 
 
 def _draw_sines(path: Path, cells: Sequence[Cell]) -> None:
@@ -140,7 +144,7 @@ RESONANCE = Map(
     "The resonance of an actuator lies elsewhere than its compensation assumes: largest change of the level from "
     f"{BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz. Holds up to {FELT_DB:g} dB (20 %, which is felt), fails above "
     f"{FAR_DB:g} dB.",
-    "% of shift",
+    "{} %",
     _shift_trials,
     _draw_shift,
 )
@@ -149,7 +153,7 @@ VOLTAGE = Map(
     "Inverse filter against the limits of the amplifier",
     f"A sine of {SINE_S:g} s for the piezo stack, with the inverse filter and without: amplitude of the displacement "
     f"against what was asked for. Holds within {FELT_DB:g} dB, fails beyond {FAR_DB:g} dB.",
-    "um",
+    "{} um",
     _sine_trials,
     _draw_sines,
 )

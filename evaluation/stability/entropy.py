@@ -76,7 +76,7 @@ def measure_silence(codec_name: str, setting: Setting) -> Measured:
 
 def judge(bits: float, needed: float) -> Measured:
     """Return the outcome of a rate against the entropy, both in bits per sample."""
-    figures = {"bits_per_sample": bits, "entropy_bits": needed, "excess_bits": bits - needed}
+    figures = {"excess_bits": bits - needed, "bits_per_sample": bits, "entropy_bits": needed}
     effect = f"{bits:.2f} bits per sample where {needed:.2f} would do"
     if bits - needed > FAILED_BITS:
         return Measured(Outcome.FAILS, figures, effect)

@@ -72,7 +72,7 @@ FILTERS = Map(
     f"Sparse predictors of generated wood, grating and stick-slip, fitted to {WINDOW_SAMPLES} samples as the codec "
     f"{CODEC} does, quantised in three forms: share of synthesis filters with a pole on or outside the unit circle. "
     f"Holds without any, fails above {100 * FEW:g} %.",
-    "bits",
+    "{} bits",
     _trials,
     _draw,
 )

@@ -12,7 +12,7 @@ import codec
 from codec.interface import Setting
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope, three_settings
-from evaluation.stability.signals import RATE_HZ, Signal, decoded
+from evaluation.stability.signals import ENOUGH_SNR_DB, FAILED_SNR_DB, RATE_HZ, Signal, decoded
 from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
 from textures.generate import rough, wood_surface
 
@@ -59,10 +59,10 @@ def measure(codec_name: str, setting: Setting, surface: str, speed_mm_s: float) 
         "upper_octave_level_db": level_db,
         "share_above_band": float(played[above].sum() / max(float(played.sum()), 1e-30)),
     }
-    effect = f"SNR {within_db:.1f} dB ({coded_db:.1f} dB at {CODED_MM_S:g} mm/s), upper octave {level_db:+.1f} dB"
-    if within_db < 0 or level_db < -20:
+    effect = f"SNR {within_db:z.1f} dB ({coded_db:z.1f} dB at {CODED_MM_S:g} mm/s), upper octave {level_db:+z.1f} dB"
+    if within_db < FAILED_SNR_DB or level_db < -20:
         return Measured(Outcome.FAILS, figures, effect)
-    holds = within_db >= coded_db - LOST_DB and abs(level_db) <= LOST_DB
+    holds = within_db >= min(coded_db - LOST_DB, ENOUGH_SNR_DB) and abs(level_db) <= LOST_DB
     return Measured(Outcome.HOLDS if holds else Outcome.DEGRADED, figures, effect)
 
 
@@ -112,9 +112,9 @@ HAND_SPEED = Map(
     "Speed of the hand",
     f"A generated surface, coded at each codec's finest setting as swept over at {CODED_MM_S:g} mm/s, played at "
     f"other speeds; SNR from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz at that speed, and the level of the upper octave "
-    f"of that band. Holds where neither loses more than {LOST_DB:g} dB; fails where the SNR is below 0 dB or the "
-    "octave 20 dB down.",
-    "mm/s",
+    f"of that band. Holds where neither loses more than {LOST_DB:g} dB, or the SNR is above {ENOUGH_SNR_DB:g} "
+    f"dB and the octave does not; fails where the SNR is below {FAILED_SNR_DB:g} dB or the octave 20 dB down.",
+    "{} mm/s",
     _trials,
     _draw,
 )

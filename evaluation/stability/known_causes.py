@@ -14,7 +14,6 @@ _UNKNOWN = {
     Outcome.REFUSED: ("it does not take this", "as the error says"),
     Outcome.DEGRADED: ("it is made for other conditions than this", "a finer setting, or another method"),
     Outcome.FAILS: ("it is not made for this", "another method"),
-    Outcome.NOT_TRIED: ("it would take too long", "cut the recording into parts"),
 }
 
 

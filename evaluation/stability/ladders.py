@@ -12,7 +12,7 @@ import codec
 from codec.interface import Setting
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope
-from evaluation.stability.signals import RATE_HZ, Signal, decoded
+from evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
 from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
 from textures import Recording
 from textures.generate import rough, stick_slip, wood, wood_surface
@@ -21,7 +21,6 @@ SECONDS = 1.0
 HAND_SPEED_MM_S = 50.0
 FALL_DB = 0.1
 """A fall of the SNR from one rung to the next that counts."""
-NEAR_DB = 1.0
 HALF_DB = 3.0
 
 SURFACES: dict[str, Callable[..., Recording]] = {"wood": wood_surface, "sandpaper": rough, "leather": stick_slip}
@@ -47,8 +46,8 @@ def measure(codec_name: str, setting: Setting, name: str) -> Measured:
     assert snr_db is not None, "a texture is not silent"
     bits = 8 * stream.size_bytes / samples.size
     figures = {"snr_db": snr_db, "st_sim_2800": quality.st_sim_2800, "bits_per_sample": bits}
-    outcome = Outcome.HOLDS if snr_db >= 0 else Outcome.FAILS
-    return Measured(outcome, figures, "" if outcome is Outcome.HOLDS else f"SNR {snr_db:.1f} dB")
+    outcome = Outcome.HOLDS if snr_db >= FAILED_SNR_DB else Outcome.FAILS
+    return Measured(outcome, figures, "" if outcome is Outcome.HOLDS else f"SNR {snr_db:z.1f} dB")
 
 
 def falls(cells: list[Cell]) -> list[Cell]:
@@ -59,7 +58,7 @@ def falls(cells: list[Cell]) -> list[Cell]:
         curve, snr_db = (cell.method, cell.case), cell.figure("snr_db")
         before_db = best.get(curve, -math.inf)
         if cell.outcome is Outcome.HOLDS and snr_db < before_db - FALL_DB:
-            effect = f"SNR {snr_db:.1f} dB, {before_db - snr_db:.1f} dB less than at a coarser setting"
+            effect = f"SNR {snr_db:z.1f} dB, {before_db - snr_db:.1f} dB less than at a coarser setting"
             cell = dataclasses.replace(cell, outcome=Outcome.DEGRADED, effect=effect)
         if not math.isnan(snr_db):
             best[curve] = max(before_db, snr_db)
@@ -68,7 +67,7 @@ def falls(cells: list[Cell]) -> list[Cell]:
 
 
 def near_best(cells: list[Cell]) -> list[Cell]:
-    """Return the cells, those degraded whose SNR is more than NEAR_DB below the best of the same curve."""
+    """Return the cells, those degraded whose SNR is more than HALF_DB below the best of the same curve."""
     best_db: dict[tuple[str, str], float] = {}
     for cell in cells:
         curve = (cell.method, cell.case)
@@ -76,9 +75,9 @@ def near_best(cells: list[Cell]) -> list[Cell]:
 
     def judged(cell: Cell) -> Cell:
         snr_db, best = cell.figure("snr_db"), best_db[cell.method, cell.case]
-        if cell.outcome is not Outcome.HOLDS or snr_db >= best - NEAR_DB:
+        if cell.outcome is not Outcome.HOLDS or snr_db >= best - HALF_DB:
             return cell
-        effect = f"SNR {snr_db:.1f} dB, {best:.1f} dB at the best"
+        effect = f"SNR {snr_db:z.1f} dB, {best:.1f} dB at the best"
         return dataclasses.replace(cell, outcome=Outcome.DEGRADED, effect=effect)
 
     return [judged(cell) for cell in cells]
@@ -87,7 +86,7 @@ def near_best(cells: list[Cell]) -> list[Cell]:
 def half_left(cells: list[Cell]) -> list[Cell]:
     """Return the cells, those degraded in which less than half of the power is left."""
     return [
-        dataclasses.replace(cell, outcome=Outcome.DEGRADED, effect=f"SNR {cell.figure('snr_db'):.1f} dB")
+        dataclasses.replace(cell, outcome=Outcome.DEGRADED, effect=f"SNR {cell.figure('snr_db'):z.1f} dB")
         if cell.outcome is Outcome.HOLDS and cell.figure("snr_db") < HALF_DB
         else cell
         for cell in cells
@@ -99,7 +98,8 @@ def _trials(scope: Scope) -> list[Trial]:
     for codec_name in scope.codecs:
         for ladder, rungs in codec.CODECS[codec_name].ladders.items():
             numbered = list(enumerate(rungs, 1))
-            trials += _of_settings(LADDERS.name, ladder, codec_name, numbered, scope)
+            if len(rungs) > 1:
+                trials += _of_settings(LADDERS.name, ladder, codec_name, numbered, scope)
     return trials
 
 
@@ -154,9 +154,9 @@ _TEXTURES_IN_WORDS = (
 LADDERS = Map(
     "ladders",
     "Settings from coarse to fine",
-    f"Every rung of every ladder on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {FALL_DB:g} dB below that "
-    "of a coarser rung; F: below 0 dB.",
-    "rung",
+    f"Every rung of every ladder that has more than one, on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is "
+    f"more than {FALL_DB:g} dB below that of a coarser rung; F: below {FAILED_SNR_DB:g} dB.",
+    "rung {}",
     _trials,
     _draw,
     falls,
@@ -187,8 +187,8 @@ DCT_LEVELS = Map(
     "dct_levels",
     "Levels of the DCT codec",
     f"Levels L of the linear and of the logarithmic quantiser, on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more "
-    f"than {FALL_DB:g} dB below that at fewer levels.",
-    "levels",
+    f"than {FALL_DB:g} dB below that at fewer levels; F: below {FAILED_SNR_DB:g} dB.",
+    "{} levels",
     partial(
         _dct_trials,
         "dct_levels",
@@ -203,8 +203,9 @@ DCT_THRESHOLD = Map(
     "dct_threshold",
     "Threshold cut of the DCT codec",
     "What lies below the detection threshold, moved by b0, is cut, and the rest kept in 16 bits, on "
-    f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is below {HALF_DB:g} dB, half of the power is cut; F: below 0 dB.",
-    "dB",
+    f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is below {HALF_DB:g} dB, half of the power is cut; F: below "
+    f"{FAILED_SNR_DB:g} dB.",
+    "b0 of {} dB",
     partial(_dct_trials, "dct_threshold", {"dct, cut": {"levels": FINEST_LEVELS, "threshold": "on"}}, "b0_db", B0_DB),
     partial(_draw_sweep, "b0, dB", False),
     half_left,
@@ -213,9 +214,9 @@ DCT_SMALLEST = Map(
     "dct_smallest",
     "Smallest magnitude of the logarithmic quantiser",
     f"S of the DCT codec's logarithmic quantiser, in the signal's unit, at {', '.join(map(str, S_LEVELS))} levels, "
-    f"on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {NEAR_DB:g} dB below the best on this curve; F: below "
-    "0 dB.",
-    "um or m/s^2",
+    f"on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {HALF_DB:g} dB below the best on this curve; F: below "
+    f"{FAILED_SNR_DB:g} dB.",
+    "S of {} um or m/s^2",
     partial(
         _dct_trials,
         "dct_smallest",

@@ -19,10 +19,10 @@ class Scope:
 
 @dataclass(frozen=True)
 class Map:
-    """One map. `name`: of its files. `varied`: what a cell's value is, with its unit; "" where cases are not numbers.
+    """One map. `name`: of its files. `varied`: how a cell's value is said, such as "{} dB"; "" without.
 
     `about`: what is tried and by which rules an outcome follows. `judged`: what makes of the cells those of the map,
-    where an outcome depends on others. `draw`: writes the picture. `in_summary`: whether the page begins with its rows.
+    where an outcome depends on others. `draw`: writes the picture. `in_summary`: whether the page begins with it.
     """
 
     name: str

@@ -7,27 +7,46 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from codec import CODECS
 from evaluation.stability.known_causes import explanation
 from evaluation.stability.maps import Map
 from evaluation.stability.trials import Cell, Outcome
 from host.output_files import whole_file
 
-FOLDER = "stability"
-_SUMMARY_HEADER = "| method | map | holds for | boundary | what a person gets | remedy |"
-_MAP_HEADER = "| method | outcome | where | what a person gets | cause | remedy |"
+PAGE, FOLDER = "stability.md", "stability"
+_TITLE = "# Where methods hold and where they fail"
+_WORST_HEADER = ("tried", "holds for", "the worst", "what a person gets", "remedy")
+_MAP_HEADER = ("method", "outcome", "where", "what a person gets", "cause", "remedy")
+_MOST_CASES = 6
+"""Cases that a row names; the CSV has all."""
 _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
 _LONGEST_EFFECT = 160
 
 Item = TypeVar("Item")
 
 
+class PageError(ValueError):
+    """The page cannot be written where it should be; the message says why."""
+
+
+def folder_in(out: Path) -> Path:
+    """Make the folder of the maps in `out` and return it. Raises PageError where a page of other origin stands there,
+    OSError where the folder cannot be made.
+    """
+    page = out / PAGE
+    if page.exists() and not page.read_bytes().startswith(_TITLE.encode()):
+        raise PageError(f"{page}: would be overwritten, but is no page of stability; choose another --out")
+    folder = out / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
     """Write stability.md into `out` and, into a folder there, each map's CSV and PNG files and stability.json.
 
-    Raises OSError.
+    Raises OSError, and as folder_in.
     """
-    folder = out / FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = folder_in(out)
     drawn = [(each, [cell for cell in cells if cell.map == each.name]) for each in maps]
     drawn = [(each, own) for each, own in drawn if own]
     for each, own in drawn:
@@ -36,7 +55,7 @@ def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
     with whole_file(folder / "stability.json") as partial:
         records = ",\n".join(json.dumps(_record(cell), allow_nan=False) for cell in cells)
         partial.write_text(f"[\n{records}\n]\n", "utf-8")
-    with whole_file(out / "stability.md") as partial:
+    with whole_file(out / PAGE) as partial:
         partial.write_text(markdown(drawn), "utf-8")
 
 
@@ -54,15 +73,17 @@ def write_csv(path: Path, cells: Sequence[Cell]) -> None:
 
 def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> str:
     """Return the page."""
+    summed_up = [(each, cells) for each, cells in maps if each.in_summary]
     lines = [
-        "# Where methods hold and where they fail",
+        _TITLE,
         "",
         "Written by `vibrocast stability`. Every boundary here is of that run, on generated signals and the simulated",
-        "controller; beside each picture lie its data, as CSV of the same name.",
+        "controller; beside each picture lie its data, as CSV of the same name. What each codec holds for, of what was",
+        "tried; then the worst that was found, by what was tried, and its remedy.",
         "",
-        _SUMMARY_HEADER,
-        "|---" * (_SUMMARY_HEADER.count("|") - 1) + "|",
-        *(row for each, cells in maps if each.in_summary for row in _summary_rows(each, cells)),
+        *_codecs_table(summed_up),
+        "",
+        *_table(_WORST_HEADER, [_worst_row(each, cells) for each, cells in summed_up]),
         "",
     ]
     for each, cells in maps:
@@ -72,27 +93,32 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> str:
         if held:
             lines += [f"Holds everywhere: {', '.join(held)}.", ""]
         if rows := _map_rows(each, cells):
-            lines += [_MAP_HEADER, "|---" * (_MAP_HEADER.count("|") - 1) + "|", *rows, ""]
+            lines += [*_table(_MAP_HEADER, rows), ""]
     return "\n".join(lines)
 
 
-def where(each: Map, cells: Sequence[Cell], method_cells: Sequence[Cell]) -> str:
-    """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings."""
-    if each.varied:
-        parts = []
-        for case, own in _grouped(cells, lambda cell: cell.case).items():
-            of_case = [cell.value or 0.0 for cell in method_cells if cell.case == case]
-            parts.append((ranges([cell.value or 0.0 for cell in own], of_case), case))
-        if len({cell.case for cell in method_cells}) == 1:
-            return f"{parts[0][0]} {each.varied}"
-        joined = _grouped(parts, lambda part: part[0])
-        return "; ".join(f"{', '.join(case for _, case in own)}: {text} {each.varied}" for text, own in joined.items())
-    settings: dict[str, list[str]] = {}
-    for case, own in _grouped(cells, lambda cell: cell.case).items():
-        levels = [cell.setting.partition(":")[0] for cell in own]
-        everywhere = len(own) == sum(cell.case == case for cell in method_cells)
-        settings.setdefault("" if everywhere else f" ({', '.join(levels)})", []).append(case)
-    return "; ".join(f"{', '.join(cases)}{levels}" for levels, cases in sorted(settings.items()))
+def where(each: Map, cells: Sequence[Cell], method_cells: Sequence[Cell], most: int = _MOST_CASES) -> str:
+    """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings.
+
+    No more than `most` cases are named, the others counted.
+    """
+    cases = list(_grouped(cells, lambda cell: cell.case).items())
+    named: dict[str, list[str]] = {}
+    for case, own in cases[:most]:
+        of_case = [cell for cell in method_cells if cell.case == case]
+        if each.varied:
+            values = each.varied.format(ranges(_values(own), _values(of_case)))
+        else:
+            values = "" if len(own) == len(of_case) else ", ".join(cell.setting.partition(":")[0] for cell in own)
+        named.setdefault(values, []).append(case)
+    if each.varied and len({cell.case for cell in method_cells}) == 1:
+        return next(iter(named))
+    parts = [f"{', '.join(some)} ({values})" if values else ", ".join(some) for values, some in sorted(named.items())]
+    return "; ".join(parts + [f"{len(cases) - most} more"] * (len(cases) > most))
+
+
+def _values(cells: Sequence[Cell]) -> list[float]:
+    return [cell.value or 0.0 for cell in cells]
 
 
 def _grouped(items: Sequence[Item], key: Callable[[Item], str]) -> dict[str, list[Item]]:
@@ -115,54 +141,77 @@ def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
     return ", ".join(f"{run[0]:g}" if len(run) == 1 else f"{run[0]:g} to {run[-1]:g}" for run in runs)
 
 
-def _summary_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
-    """Return a row for each set of methods with the same boundary."""
-    rows: dict[tuple[str, str, str], list[tuple[str, Cell | None]]] = {}
-    for method, own in _grouped(cells, lambda cell: cell.method).items():
-        bad = [cell for cell in own if not cell.sound]
-        boundary = "; ".join(
-            f"{outcome}: {where(each, some, own)}"
-            for outcome in _BAD_FIRST
-            if (some := [cell for cell in bad if cell.outcome is outcome])
-        )
-        held = f"{len(own) - len(bad)} of {len(own)}" if bad else "all"
-        key = (each.title, held, boundary or "none found")
-        rows.setdefault(key, []).append((method, min(bad, key=_worst_first, default=None)))
-    return [_row([*(method for method, _ in some)], key, [worst for _, worst in some]) for key, some in rows.items()]
+def _codecs_table(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> list[str]:
+    """Return a table of what each codec holds for, of the maps that all of them are on."""
+    methods = [(each, _grouped(cells, lambda cell: cell.method)) for each, cells in maps]
+    tried = [name for name in CODECS if any(name in of_map for _, of_map in methods)]
+    common = [(each, of_map) for each, of_map in methods if set(tried) <= set(of_map)]
+    header = ["codec", *(_link(each) for each, _ in common)]
+    return _table(header, [[name, *(_held(each, of_map[name]) for each, of_map in common)] for name in tried])
 
 
-def _map_rows(each: Map, cells: Sequence[Cell]) -> list[str]:
+def _held(each: Map, cells: Sequence[Cell]) -> str:
+    """Return in a few words for which of a method's cells it holds: a range, where all cases share it, or a count."""
+    held = [cell for cell in cells if cell.sound]
+    if not held or len(held) == len(cells):
+        return "all" if held else "none"
+    if each.varied and len({cell.case for cell in cells}) == 1:
+        return where(each, held, cells)
+    return f"{len(held)} of {len(cells)}"
+
+
+def _worst_row(each: Map, cells: Sequence[Cell]) -> list[str]:
+    """Return a map's row: how much of it holds, its worst method and where, what that gives, the remedy."""
+    bad = [cell for cell in cells if not cell.sound]
+    held = f"{len(cells) - len(bad)} of {len(cells)}"
+    if not bad:
+        return [_link(each), held, "none found", "", ""]
+    worst = min(bad, key=_worst_first)
+    alike = [cell for cell in bad if cell.method == worst.method and _kind(cell) == _kind(worst)]
+    alike.sort(key=lambda cell: cell.case != worst.case)
+    own = [cell for cell in cells if cell.method == worst.method]
+    boundary = f"{worst.method} {worst.outcome}: {where(each, alike, own, 1)}"
+    return [_link(each), held, boundary, _short(worst.effect), explanation(worst)[1]]
+
+
+def _kind(cell: Cell) -> tuple[Outcome, str]:
+    return cell.outcome, explanation(cell)[0]
+
+
+def _link(each: Map) -> str:
+    return f"[{each.title}](#{each.title.lower().replace(' ', '-')})"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)]
+
+
+def _map_rows(each: Map, cells: Sequence[Cell]) -> list[list[str]]:
     """Return a row for each cause, outcome and set of methods with the same boundary."""
-    rows: dict[tuple[str, str, str], list[tuple[str, Cell]]] = {}
-    for method, own in _grouped(cells, lambda cell: cell.method).items():
-        groups: dict[tuple[Outcome, str], list[Cell]] = {}
+    methods = _grouped(cells, lambda cell: cell.method)
+    rows: dict[tuple[Outcome, str, str], list[Cell]] = {}
+    for own in methods.values():
+        kinds: dict[tuple[Outcome, str], list[Cell]] = {}
         for cell in own:
             if cell.outcome is not Outcome.HOLDS:
-                groups.setdefault((cell.outcome, explanation(cell)[0]), []).append(cell)
-        for (outcome, cause), some in sorted(groups.items(), key=lambda group: _BAD_FIRST.index(group[0][0])):
-            key = (outcome, where(each, some, own), cause)
-            rows.setdefault(key, []).append((method, min(some, key=_worst_first)))
-    return [
-        _row([method for method, _ in some], key[:2], [worst for _, worst in some], key[2])
-        for key, some in rows.items()
-    ]
-
-
-def _row(methods: Sequence[str], columns: Sequence[str], worst: Sequence[Cell | None], *cause: str) -> str:
-    """Return a row of a table: what the worst cell of all methods gave, and the remedy."""
-    known = [cell for cell in worst if cell is not None]
-    effect, remedy = "", ""
-    if known:
-        cell = min(known, key=_worst_first)
-        effect, remedy = _short(cell.effect), explanation(cell)[1]
-        if len(methods) > 1 and not cell.to_be_refused:
-            effect += f" ({cell.method})"
-    return f"| {' | '.join([', '.join(methods), *columns, effect, *cause, remedy])} |"
+                kinds.setdefault(_kind(cell), []).append(cell)
+        for (outcome, cause), some in sorted(kinds.items(), key=lambda kind: _BAD_FIRST.index(kind[0][0])):
+            rows.setdefault((outcome, where(each, some, own), cause), []).append(min(some, key=_worst_first))
+    table = []
+    for (outcome, boundary, cause), of_methods in rows.items():
+        worst = min(of_methods, key=_worst_first)
+        names = [cell.method for cell in of_methods]
+        together = "all" if len(names) == len(methods) > 1 else ", ".join(names)
+        effect = _short(worst.effect) + (f" ({worst.method})" if len(names) > 1 and not worst.to_be_refused else "")
+        table.append([together, outcome, boundary, effect, cause, explanation(worst)[1]])
+    return table
 
 
 def _worst_first(cell: Cell) -> tuple[int, float]:
-    snr_db = cell.figure("snr_db")
-    return _BAD_FIRST.index(cell.outcome), math.inf if math.isnan(snr_db) else snr_db
+    """Return what sorts cells of a map by outcome, then by SNR, or where it has none by the first figure."""
+    first = next(iter(cell.figures), "")
+    height = cell.figure("snr_db") if "snr_db" in cell.figures else -cell.figure(first)
+    return _BAD_FIRST.index(cell.outcome), math.inf if math.isnan(height) else height
 
 
 def _short(effect: str) -> str:

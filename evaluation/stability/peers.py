@@ -8,7 +8,7 @@ from pathlib import Path
 
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map
-from evaluation.stability.signals import NEARLY_SILENT, SILENT
+from evaluation.stability.signals import FAILED_SNR_DB, NEARLY_SILENT, SILENT
 from evaluation.stability.trials import Cell, Measured, Outcome
 
 HELD_SNR_DB, FALL_DB = 3.0, 6.0
@@ -75,11 +75,11 @@ def _measured(row: dict[str, str], coarser_db: float) -> Measured:
         if largest > NEARLY_SILENT:
             return Measured(Outcome.FAILS, figures, f"noise of peak {largest:.2g}")
         return Measured(Outcome.DEGRADED if largest > SILENT else Outcome.HOLDS, figures)
-    if snr_db < 0:
-        return Measured(Outcome.FAILS, figures, f"SNR {snr_db:.1f} dB")
+    if snr_db < FAILED_SNR_DB:
+        return Measured(Outcome.FAILS, figures, f"SNR {snr_db:z.1f} dB")
     if snr_db < coarser_db - FALL_DB:
-        return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB, {coarser_db:.1f} dB at a coarser setting")
-    return Measured(Outcome.HOLDS if snr_db >= HELD_SNR_DB else Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB")
+        return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:z.1f} dB, {coarser_db:.1f} dB at a coarser setting")
+    return Measured(Outcome.HOLDS if snr_db >= HELD_SNR_DB else Outcome.DEGRADED, figures, f"SNR {snr_db:z.1f} dB")
 
 
 def _draw(path: Path, cells: Sequence[Cell]) -> None:
@@ -96,8 +96,8 @@ PEERS = Map(
     "peers",
     "Other codecs, imported",
     "As others measured them, each codec's settings from coarse to fine. D: the SNR is below "
-    f"{HELD_SNR_DB:g} dB, or more than {FALL_DB:g} dB below that of a coarser setting. F: below 0 dB, not finite, or "
-    f"the program died. Silence as above. R: the program ends with an error.",
+    f"{HELD_SNR_DB:g} dB, or more than {FALL_DB:g} dB below that of a coarser setting. F: below "
+    f"{FAILED_SNR_DB:g} dB, not finite, or the program died. Silence as above. R: the program ends with an error.",
     "",
     lambda scope: [],
     _draw,

@@ -2,11 +2,13 @@
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -27,11 +29,15 @@ DASHES: tuple[tuple[str, str], ...] = (
     ("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"), ("-", "v"),
     ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
 )  # fmt: skip
-_LABEL_DISTANCE = 0.045  # of an axis' height, for each line
-_LABEL_CHARACTERS = 28
+_WIDTH_IN, _PANEL_IN, _LEGEND_IN, _ROW_IN, _COLUMN_IN = 7.2, 2.6, 3.2, 0.18, 0.185
+"""Of a page, so that letters of _POINTS are so large in print, and heights and widths of what is drawn."""
+_POINTS = 8
+_DPI = 120
+_LABEL_DISTANCE = 0.07  # of an axis' height, for each line
+_LABEL_CHARACTERS = {1: 40, 2: 20, 3: 13}
+"""By how many panels are beside each other."""
 _SAME_HEIGHT = 0.004
-_LEAST_TICK_DISTANCE = 0.07  # of its width
-_DPI = 90
+_LEAST_TICK_DISTANCE = 0.13  # of its width
 
 
 @dataclass(frozen=True)
@@ -46,14 +52,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes with curves. `lines`: levels drawn across, with what they mean. `least_span`: of the vertical axis."""
+    """Axes with curves. `lines`: levels drawn across. `least_span`: of the vertical axis."""
 
     title: str
     x_label: str
     y_label: str
     curves: Sequence[Curve]
     log_x: bool = False
-    lines: Mapping[float, str] = field(default_factory=dict)
+    lines: Sequence[float] = ()
     least_span: float = 0.0
 
 
@@ -67,77 +73,81 @@ def outcome_map(
     """Draw letters in cells; every group has as many columns of `outcomes` (rows, columns). Raises OSError."""
     columns = len(outcomes[0])
     each = columns // len(groups)
-    height = 0.24 * len(rows)
-    figure = Figure(figsize=(max(7.0, 3.2 + 0.3 * columns), height + 2.2), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    for y, row in enumerate(outcomes):
-        for x, outcome in enumerate(row):
-            shade, ink = SHADES[outcome]
-            axes.fill_between([x, x + 1], y, y + 1, color=shade, linewidth=0)
-            axes.text(x + 0.5, y + 0.52, outcome.letter, color=ink, ha="center", va="center", fontsize=9)
-    for x in range(columns + 1):
-        boundary = x % each == 0
-        axes.axvline(
-            x, color="black" if boundary and each > 1 else "0.8", linewidth=1 if boundary and each > 1 else 0.5
-        )
-    for y in range(len(rows) + 1):
-        axes.axhline(y, color="0.8", linewidth=0.5)
-    axes.set(xlim=(0, columns), ylim=(len(rows), 0))
-    axes.set_yticks(np.arange(len(rows)) + 0.5, rows, fontsize=9)
     upright = sum(map(len, groups)) > 3 * columns  # they would run into each other
-    axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, fontsize=9, rotation=90 if upright else 0)
-    axes.xaxis.tick_top()
-    axes.tick_params(length=0)
-    axes.set_title("H holds   D degraded   F fails   R refused   - not tried", fontsize=10, loc="left", pad=12)
-    figure.supxlabel(caption, fontsize=9)
-    with whole_file(path) as partial:
-        figure.savefig(partial)
+    above_in = 0.08 * max(map(len, groups)) if upright else 0.2
+    names_in = 0.075 * max(map(len, rows))
+    width_in = names_in + max(_LEGEND_IN, _COLUMN_IN * columns)
+    with _figure(path, width_in, 0.7 + above_in + _ROW_IN * len(rows)) as figure:
+        axes = figure.subplots()
+        for y, row in enumerate(outcomes):
+            for x, outcome in enumerate(row):
+                shade, ink = SHADES[outcome]
+                axes.fill_between([x, x + 1], y, y + 1, color=shade, linewidth=0)
+                axes.text(x + 0.5, y + 0.52, outcome.letter, color=ink, ha="center", va="center")
+        for x in range(columns + 1):
+            boundary = x % each == 0
+            axes.axvline(
+                x, color="black" if boundary and each > 1 else "0.8", linewidth=1 if boundary and each > 1 else 0.5
+            )
+        for y in range(len(rows) + 1):
+            axes.axhline(y, color="0.8", linewidth=0.5)
+        axes.set(xlim=(0, columns), ylim=(len(rows), 0))
+        axes.set_yticks(np.arange(len(rows)) + 0.5, rows)
+        axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, rotation=90 if upright else 0)
+        axes.xaxis.tick_top()
+        axes.tick_params(length=0)
+        axes.set_title("H holds   D degraded   F fails   R refused   - not tried", loc="left")
+        axes.set_xlabel(caption)
 
 
 def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
     """Draw panels of curves, `across` beside each other; marked points are ringed. Raises OSError."""
     across = min(across, len(panels))
     down = -(-len(panels) // across)
-    figure = Figure(figsize=(6.4 * across, 4.4 * down), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    places = figure.subplots(down, across, squeeze=False).ravel()
-    for panel, axes in zip(panels, places, strict=False):
-        _draw_panel(axes, panel)
-    for axes in places[len(panels) :]:
-        axes.set_visible(False)
-    with whole_file(path) as partial:
-        figure.savefig(partial)
+    with _figure(path, _WIDTH_IN, _PANEL_IN * down) as figure:
+        places = figure.subplots(down, across, squeeze=False).ravel()
+        for panel, axes in zip(panels, places, strict=False):
+            _draw_panel(axes, panel, _LABEL_CHARACTERS[across])
+        for axes in places[len(panels) :]:
+            axes.set_visible(False)
 
 
 def dots(
     path: Path, names: Sequence[str], values: Mapping[str, Sequence[float]], label: str, line: float | None
 ) -> None:
     """Draw named values, each series with its own marker, and a line that they should not pass. Raises OSError."""
-    figure = Figure(figsize=(7.5, 1.4 + 0.24 * len(names)), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    rows = np.arange(len(names))
-    for (series, numbers), (_, marker), shade in zip(values.items(), DASHES, ("black", "0.5"), strict=False):
-        axes.plot(numbers, rows, marker, color=shade, markerfacecolor=shade, label=series)
-    if line is not None:
-        axes.axvline(line, color="0.4", linestyle="--", linewidth=1)
-    axes.set_yticks(rows, names, fontsize=9)
-    axes.set(ylim=(len(names) - 0.5, -0.5), xlabel=label)
-    axes.grid(axis="y", color="0.9")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(values), frameon=False, fontsize=9)
-    with whole_file(path) as partial:
-        figure.savefig(partial)
+    with _figure(path, 0.8 * _WIDTH_IN, 0.9 + _ROW_IN * len(names)) as figure:
+        axes = figure.subplots()
+        rows = np.arange(len(names))
+        for (series, numbers), (_, marker), shade in zip(values.items(), DASHES, ("black", "0.5"), strict=False):
+            axes.plot(numbers, rows, marker, color=shade, markerfacecolor=shade, markersize=5, label=series)
+        if line is not None:
+            axes.axvline(line, color="0.4", linestyle="--", linewidth=1)
+        axes.set_yticks(rows, names)
+        axes.set(ylim=(len(names) - 0.5, -0.5), xlabel=label)
+        axes.grid(axis="y", color="0.9")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(values), frameon=False)
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
+@contextmanager
+def _figure(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
+    """Yield a figure to draw on, which is written when the block succeeds. Raises OSError."""
+    with rc_context({"font.size": _POINTS, "axes.titlesize": _POINTS}):
+        figure = Figure((width_in, height_in), dpi=_DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+        with whole_file(path) as partial:
+            figure.savefig(partial)
+
+
+def _draw_panel(axes: Axes, panel: Panel, label_characters: int) -> None:
     if panel.log_x:
         axes.set_xscale("log")
     ends: list[tuple[float, float, str]] = []
     for index, curve in enumerate(panel.curves):
         style, marker = DASHES[index % len(DASHES)]
         shade = ("black", "0.45")[index % 2]
-        axes.plot(curve.x, curve.y, linestyle=style, marker=marker, markersize=4, color=shade, linewidth=1.3)
+        axes.plot(curve.x, curve.y, linestyle=style, marker=marker, markersize=3, color=shade, linewidth=1.1)
         points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if math.isfinite(y)]
         if points:
             ends.append((*max(points), curve.name))
@@ -145,13 +155,10 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
             (x, y) for x, y, mark in zip(curve.x, curve.y, curve.marked, strict=False) if mark and math.isfinite(y)
         ]
         if ringed:
-            axes.plot(
-                *zip(*ringed, strict=True), "o", markersize=11, markerfacecolor="none", color="black", linewidth=0
-            )
-    for level, meaning in panel.lines.items():
-        axes.axhline(level, color="0.6", linestyle=(0, (1, 2)), linewidth=1)
-        axes.text(0.01, level, meaning, transform=axes.get_yaxis_transform(), fontsize=8, va="bottom", color="0.3")
-    axes.set_title(panel.title, fontsize=10, loc="left")
+            axes.plot(*zip(*ringed, strict=True), "o", markersize=8, markerfacecolor="none", color="black", linewidth=0)
+    for level in panel.lines:
+        axes.axhline(level, color="0.4", linestyle=(0, (1, 2)), linewidth=1)
+    axes.set_title(panel.title, loc="left")
     axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
     axes.grid(color="0.92")
     low, high = axes.get_ylim()
@@ -165,7 +172,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.minorticks_off()
     elif all(float(x).is_integer() for curve in panel.curves for x in curve.x):
         axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-    _name_ends(axes, ends)
+    _name_ends(axes, ends, label_characters)
 
 
 def _apart(ticks: Sequence[float]) -> list[float]:
@@ -177,7 +184,7 @@ def _apart(ticks: Sequence[float]) -> list[float]:
     return chosen
 
 
-def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]]) -> None:
+def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]], label_characters: int) -> None:
     """Name curves right of the axes, at the heights of their last points, moved apart where they would collide.
 
     Curves that end in the same point share a label.
@@ -187,7 +194,7 @@ def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]]) -> None:
     for x, y, name in ends:
         together.setdefault((round((y - low) / (high - low) / _SAME_HEIGHT), x), []).append((y, name))
     labels = [
-        (x, some[0][0], textwrap.fill(", ".join(name for _, name in some), _LABEL_CHARACTERS, break_on_hyphens=False))
+        (x, some[0][0], textwrap.fill(", ".join(name for _, name in some), label_characters, break_on_hyphens=False))
         for (_, x), some in sorted(together.items())
     ]
     rooms = [_LABEL_DISTANCE * (label.count("\n") + 1) for _, _, label in labels]
@@ -208,7 +215,6 @@ def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]]) -> None:
             (1.03, height),
             textcoords="axes fraction",
             va="center",
-            fontsize=8.5,
             annotation_clip=False,
             arrowprops={"arrowstyle": "-", "color": "0.75", "linewidth": 0.6, "relpos": (0, 0.5)},
         )

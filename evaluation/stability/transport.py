@@ -32,8 +32,8 @@ HELD_SHARE, FAILED_SHARE = 0.05, 0.5
 LARGEST_STEP_RATIO = 1.5
 STALLS_EVERY_S = 0.7
 
-LOSSES = (0.0001, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2)
-DAMAGES = (0.001, 0.01, 0.1, 0.2)
+LOSSES_PERCENT = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 20.0)
+DAMAGES_PERCENT = (0.1, 1.0, 10.0, 20.0)
 DRIFTS_PPM = (-10_000, -200, 200, 10_000)
 PACED_DRIFTS_PPM = (-10_000, -1000, 1000, 2000, 5000, 10_000)
 PACED_S, PACED_AHEAD_S = 60.0, 0.1
@@ -118,10 +118,13 @@ def judge(
         "reconnects": reconnects,
         "largest_step_ratio": float(steps[0] / steps[1]),
     }
-    effect = f"{100 * share:.1f} % of the signal off, {underruns} underruns" if share else ""
-    if share > FAILED_SHARE or figures["largest_step_ratio"] > LARGEST_STEP_RATIO:
-        click = figures["largest_step_ratio"]
-        return Measured(Outcome.FAILS, figures, f"{effect}, largest step {click:.1f} times that of the signal")
+    counted = "1 underrun" if underruns == 1 else f"{underruns} underruns"
+    effect = f"{100 * share:.1f} % of the signal off, {counted}" if share else ""
+    if figures["largest_step_ratio"] > LARGEST_STEP_RATIO:
+        effect += f", a click of {figures['largest_step_ratio']:.1f} times the signal's largest step"
+        return Measured(Outcome.FAILS, figures, effect)
+    if share > FAILED_SHARE:
+        return Measured(Outcome.FAILS, figures, effect)
     return Measured(Outcome.HOLDS if share <= HELD_SHARE else Outcome.DEGRADED, figures, effect)
 
 
@@ -167,7 +170,7 @@ def _trials(
     return [
         Trial(
             name,
-            codec_name,
+            codec_name if buffer_s == BUFFER_S else f"{codec_name}, buffer of {buffer_s:g} s",
             f"buffer of {buffer_s:g} s",
             setting_text(middle_setting(codec_name)),
             float(value),
@@ -182,14 +185,13 @@ def _trials(
 def _drift_trials(scope: Scope) -> list[Trial]:
     """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
     first = scope.codecs[0]
-    case = f"source with its own pace {PACED_AHEAD_S:g} s ahead"
     return [
         *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,), scope),
         *(
             Trial(
                 DRIFT.name,
-                first,
-                case,
+                f"{first}, its own pace",
+                f"source {PACED_AHEAD_S:g} s ahead",
                 setting_text(middle_setting(first)),
                 float(drift_ppm),
                 partial(measure_paced, first, drift_ppm),
@@ -201,25 +203,22 @@ def _drift_trials(scope: Scope) -> list[Trial]:
 
 def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Cell]) -> None:
     """Three panels over what is varied: the share that is off, the SNR, the largest step; a curve for each codec."""
-    cases = list(dict.fromkeys(cell.case for cell in cells))
     panels = []
     for figure, title, least_span in (
         ("off_share", "share of the signal that is off", 0.1),
         ("snr_db", "SNR of what is played, dB", 10.0),
-        ("largest_step_ratio", "largest step at the DAC, relative to the signal's own", 1.0),
+        ("largest_step_ratio", "largest step, relative to the signal's", 1.0),
     ):
         curves = []
         for method in dict.fromkeys(cell.method for cell in cells):
-            for case in cases:
-                own = [cell for cell in cells if (cell.method, cell.case) == (method, case)]
-                x = [cell.value or 0.0 for cell in own]
-                y = [cell.figure(figure) for cell in own]
-                y = [value if math.isfinite(value) else math.nan for value in y]
-                name = method if case == cases[0] else f"{method}, {case}"
-                curves.append(pictures.Curve(name, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
+            own = [cell for cell in cells if cell.method == method]
+            x = [cell.value or 0.0 for cell in own]
+            y = [cell.figure(figure) for cell in own]
+            y = [value if math.isfinite(value) else math.nan for value in y]
+            curves.append(pictures.Curve(method, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
         if any(math.isfinite(y) for curve in curves for y in curve.y):
             panels.append(pictures.Panel(title, x_label, "", curves, log_x, least_span=least_span))
-    pictures.curves(path, panels, across=3)
+    pictures.curves(path, panels)
 
 
 _RULES = (
@@ -233,24 +232,24 @@ LOSS = Map(
     "loss",
     "Lost frames",
     f"Frames are lost by chance, in both directions. {_RULES}",
-    "chance of a frame to be lost",
-    partial(_trials, "loss", LOSSES, lambda chance: Line(lost=chance), (BUFFER_S,)),
-    partial(_draw, "chance of a frame to be lost", True),
+    "{} %",
+    partial(_trials, "loss", LOSSES_PERCENT, lambda percent: Line(lost=percent / 100), (BUFFER_S,)),
+    partial(_draw, "frames that are lost, %", True),
 )
 FLIPS = Map(
     "bit_flips",
     "Damaged frames",
     f"One byte of a frame is changed by chance, in both directions; its CRC tells. {_RULES}",
-    "chance of a frame to be damaged",
-    partial(_trials, "bit_flips", DAMAGES, lambda chance: Line(flipped=chance), (BUFFER_S,)),
-    partial(_draw, "chance of a frame to be damaged", True),
+    "{} %",
+    partial(_trials, "bit_flips", DAMAGES_PERCENT, lambda percent: Line(flipped=percent / 100), (BUFFER_S,)),
+    partial(_draw, "frames that are damaged, %", True),
 )
 DRIFT = Map(
     "drift",
     "Clock drift",
     f"The controller's clock runs faster or slower than the host's. {_RULES} The source with its own pace, of the "
     f"first codec, sends packets for {PACED_S:g} s as its own clock says, whatever the controller's credit.",
-    "ppm",
+    "{} ppm",
     _drift_trials,
     partial(_draw, "drift of the controller's clock, ppm", False),
 )
@@ -259,7 +258,7 @@ JITTER = Map(
     "Buffer against stalls",
     f"Every {STALLS_EVERY_S:g} s or so nothing goes through for a while; other buffers than the usual one with the "
     f"first codec only. {_RULES}",
-    "s of stall",
+    "{} s",
     partial(_trials, "buffer", STALLS_S, lambda stall_s: Line(stall_s=stall_s), BUFFERS_S),
     partial(_draw, "length of a stall, s", True),
 )

@@ -1,8 +1,7 @@
 """Trials of a method in one hard condition each, run on all cores: whatever happens in one is its outcome."""
 
-import faulthandler
 import math
-import os
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,18 +12,18 @@ from codec.interface import Setting
 from device_protocol.coded_stream import StreamError
 from device_protocol.messages import MessageError
 from device_protocol.transports import TransportError
-from evaluation.workers import on_cores
+from evaluation.workers import cores, on_cores
 from host.controller import ControllerError
 from textures import TextureError
 
 LIMIT_S = 240.0
-"""A trial that takes longer hangs. Those that run take a few seconds at most, coding of an hour excepted."""
+"""A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""
 CLEAR_ERRORS = (CodecError, ControllerError, MessageError, StreamError, TextureError, TransportError)
 """Errors that tell a person what to do; any other that comes out of a trial is a crash."""
 
 
 class Outcome(StrEnum):
-    """What came of a trial, the best first."""
+    """What came of a trial, the best first; "not tried" is a place on a map that has none."""
 
     HOLDS = "holds"
     NOT_TRIED = "not tried"
@@ -116,12 +115,13 @@ def run(
 ) -> list[Cell]:
     """Return the cells of all trials, in their order, tried on all cores.
 
-    A process that a trial kills, or that is ended because the trial takes longer than `limit_s`, costs that cell only.
+    A process that a trial kills, or that is ended because the trial takes more than `limit_s` of a core, costs that
+    cell only.
     `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
     """
     cells: dict[int, Cell] = {}
     pieces = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
-    for number, outcome in on_cores(pieces, os.cpu_count() or 1):
+    for number, outcome in on_cores(pieces, cores()):
         cells[number] = outcome if isinstance(outcome, Cell) else _lost(trials[number], outcome, limit_s)
         progress(len(cells) / len(trials), f"{cells[number].map}: {cells[number].method}, {cells[number].case}")
     return [cells[number] for number in range(len(trials))]
@@ -129,22 +129,24 @@ def run(
 
 def _lost(trial: Trial, error: Exception, limit_s: float) -> Cell:
     """Return the cell of a trial whose process gave no answer."""
-    effect = f"CRASH: {error}, or took longer than {limit_s:g} s"
+    effect = f"CRASH: {error}, or took longer than {limit_s:g} s of a core"
     return _cell(trial, Measured(Outcome.FAILS, {}, effect))
 
 
 def _attempt_within(trial: Trial, limit_s: float) -> Cell:
-    """Run a trial; end this process, also out of a loop in C, if it takes longer."""
-    with open(os.devnull, "w") as nowhere:
-        faulthandler.dump_traceback_later(limit_s, exit=True, file=nowhere)
-        try:
-            return attempt(trial)
-        finally:
-            faulthandler.cancel_dump_traceback_later()
+    """Run a trial; the system ends this process, also out of a loop in C, if it takes more processor time."""
+    signal.setitimer(signal.ITIMER_PROF, limit_s)
+    try:
+        return attempt(trial)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
 
 
 def _cell(trial: Trial, measured: Measured) -> Cell:
-    figures = {name: None if value is None else round(float(value), 4) for name, value in measured.figures.items()}
+    # A zero is added because a small negative figure would be rounded to -0.0.
+    figures = {
+        name: None if value is None else round(float(value), 4) + 0.0 for name, value in measured.figures.items()
+    }
     return Cell(
         trial.map,
         trial.method,

@@ -52,7 +52,12 @@ def stumble() -> Measured:
 
 
 def hang() -> Measured:
-    time.sleep(600)
+    while True:
+        pass
+
+
+def wait() -> Measured:
+    time.sleep(1.5)
     return hold()
 
 
@@ -82,8 +87,9 @@ def test_what_must_be_refused_is_sound_only_then() -> None:
 
 def test_a_trial_that_hangs_costs_only_its_cell() -> None:
     told: list[float] = []
-    cells = run([trial(hang), trial(refuse)], 1.0, lambda part, _: told.append(part))
-    assert [each.outcome for each in cells] == [Outcome.FAILS, Outcome.REFUSED]
+    cells = run([trial(hang), trial(refuse), trial(wait)], 1.0, lambda part, _: told.append(part))
+    # A busy machine that keeps a trial waiting does not end it.
+    assert [each.outcome for each in cells] == [Outcome.FAILS, Outcome.REFUSED, Outcome.HOLDS]
     assert "longer than 1 s" in cells[0].effect
     assert told[-1] == 1.0
 
@@ -143,6 +149,7 @@ SINE = 0.5 * np.sin(np.arange(1000)).reshape(-1, 1)
         (2.1 * SINE, 5.0, Outcome.FAILS),
         (0.05 * SINE, 5.0, Outcome.DEGRADED),
         (-0.1 * SINE, 5.0, Outcome.FAILS),
+        (-0.001 * SINE, 5.0, Outcome.DEGRADED),
         (np.where(SINE > 0.49, np.nan, SINE), 5.0, Outcome.FAILS),
         (1.001 * SINE, 90.0, Outcome.HOLDS),
     ],
@@ -173,18 +180,18 @@ def test_pre_echo_falls_with_a_finer_setting() -> None:
     assert (coarse.outcome, fine.outcome) == (Outcome.DEGRADED, Outcome.HOLDS)
 
 
-def test_an_hour_that_takes_too_long_is_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signals, "LONGEST_CODING_S", 0.0)
-    assert signals.measure_hour("mdct", STEP).outcome is Outcome.NOT_TRIED
+def test_an_hour_is_judged_by_its_last_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(signals, "HOUR_S", 120)
+    assert signals.measure_hour("flac", {}).outcome is Outcome.HOLDS
 
 
 def test_a_fall_on_the_way_up_a_ladder_is_marked() -> None:
-    snrs_db = [1.0, 5.0, 4.0, 4.95, 8.0, math.nan]
+    snrs_db = [1.0, 5.0, 4.0, 4.95, 7.0, math.nan]
     cells = [dataclasses.replace(cell(Outcome.HOLDS), figures={"snr_db": each}) for each in snrs_db]
     judged = ladders.falls(cells)
     assert [each.outcome.letter for each in judged] == list("HHDHHH")
     assert judged[2].effect == "SNR 4.0 dB, 1.0 dB less than at a coarser setting"
-    assert [each.outcome.letter for each in ladders.near_best(cells[:5])] == list("DDDDH")
+    assert [each.outcome.letter for each in ladders.near_best(cells[:5])] == list("DHHHH")
     assert [each.outcome.letter for each in ladders.half_left(cells[:2])] == list("DH")
 
 
@@ -296,21 +303,57 @@ def test_ranges_join_neighbours_only() -> None:
     assert page.ranges([0.1, 0.2, 1.0], [0.0, 0.1, 0.2, 0.5, 1.0]) == "0.1 to 0.2, 1"
 
 
+def test_no_more_than_some_cases_are_named_and_the_others_counted() -> None:
+    cells = [cell(Outcome.FAILS, f"case {number}") for number in range(4)]
+    assert page.where(signals.SIGNALS, cells, cells, 3) == "case 0, case 1, case 2; 1 more"
+    assert page.where(signals.SIGNALS, cells, cells, 4) == "case 0, case 1, case 2, case 3"
+
+
+def test_the_page_begins_with_what_each_codec_holds_for_and_the_worst_of_each_map() -> None:
+    loss = dataclasses.replace(transport.LOSS, title="Lost frames")
+    outcomes = {"mdct": "HHD", "dct": "HHH", "mdct, buffer of 1 s": "DDF"}
+    letters = {outcome.letter: outcome for outcome in Outcome}
+    cells = [
+        dataclasses.replace(cell(letters[letter], value=value, method=method), map="loss")
+        for method, row in outcomes.items()
+        for letter, value in zip(row, (1.0, 3.0, 10.0), strict=True)
+    ]
+    lines = page.markdown([(loss, cells)]).splitlines()
+    assert "| codec | [Lost frames](#lost-frames) |" in lines
+    assert "| mdct | 1 to 3 % |" in lines
+    assert "| dct | all |" in lines
+    worst = "| [Lost frames](#lost-frames) | 5 of 9 | mdct, buffer of 1 s fails: 10 % | an effect | "
+    assert any(line.startswith(worst) for line in lines)
+
+
+def test_figures_have_no_negative_zero() -> None:
+    small = attempt(trial(partial(Measured, Outcome.HOLDS, {"louder_db": -0.00001})))
+    assert str(small.figures["louder_db"]) == "0.0"
+    assert signals.judge(SINE, -0.001 * SINE, 5.0).effect.startswith("SNR 0.0 dB")
+
+
+def test_a_page_of_other_origin_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "stability.md").write_text("mine")
+    result = CliRunner().invoke(stability, ["--out", str(tmp_path), "--codecs", "flac", "--quick"])
+    assert (result.exit_code, (tmp_path / "stability.md").read_text()) == (2, "mine")
+    assert "choose another --out" in result.output
+
+
 def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
-    swept = dataclasses.replace(signals.SIGNALS, name="loss", varied="of loss", title="A title")
+    swept = dataclasses.replace(signals.SIGNALS, name="loss", varied="{} % of loss", title="A title")
     values = ((0.0, Outcome.HOLDS), (0.1, Outcome.DEGRADED), (0.2, Outcome.DEGRADED))
     cells = [dataclasses.replace(cell(outcome, value=value), map="loss") for value, outcome in values]
     text = page.markdown([(swept, cells)])
-    assert "| fake | A title | 1 of 3 | degraded: 0.1 to 0.2 of loss | an effect |" in text
+    assert "| [A title](#a-title) | 1 of 3 | fake degraded: 0.1 to 0.2 % of loss | an effect |" in text
     cause, remedy = explanation(cells[1])
-    assert f"| fake | degraded | 0.1 to 0.2 of loss | an effect | {cause} | {remedy} |" in text
+    assert f"| fake | degraded | 0.1 to 0.2 % of loss | an effect | {cause} | {remedy} |" in text
     assert "](stability/loss.png)" in text
 
 
 def test_causes_are_about_maps_that_there_are() -> None:
     names = {each.name for each in report.MAPS} | {peers.PEERS.name}
     assert {cause.map for cause in known_causes()} <= names
-    assert all(len(explanation(cell(outcome))) == 2 for outcome in Outcome if outcome is not Outcome.HOLDS)
+    assert all(len(explanation(cell(outcome))) == 2 for outcome in (Outcome.REFUSED, Outcome.DEGRADED, Outcome.FAILS))
 
 
 @pytest.mark.usefixtures("played_once")
@@ -326,7 +369,7 @@ def test_every_map_on_a_tiny_grid(tmp_path: Path) -> None:
 
 def test_names_of_curves_do_not_collide(tmp_path: Path) -> None:
     same = [pictures.Curve(f"curve {number}", [1, 2], [5, 5], [False, True]) for number in range(12)]
-    pictures.curves(tmp_path / "same.png", [pictures.Panel("", "", "", same, lines={5: "here"})])
+    pictures.curves(tmp_path / "same.png", [pictures.Panel("", "", "", same, lines=(5,))])
     assert (tmp_path / "same.png").stat().st_size > 1000
 
 
