@@ -165,8 +165,9 @@ class ReferenceDecoder:
         for channel, both in enumerate(codes):
             if not any(both):
                 continue
-            ranges = magnitude(both[0]), magnitude(both[1])
-            smallest = magnitude(self.smallest[channel]) if self.logarithmic else 0.0
+            least = 1.0 if self.logarithmic else 0.0
+            ranges = max(least, magnitude(both[0])), max(least, magnitude(both[1]))
+            smallest = max(least, magnitude(self.smallest[channel])) if self.logarithmic else 0.0
             ranks: list[tuple[int, int]] | None = None
             for block in range(self.blocks):
                 if huffman:

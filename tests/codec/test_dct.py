@@ -59,6 +59,13 @@ def test_core_agrees_with_the_documented_decoder(
     assert np.max(np.abs(np.clip(exact, -32768, 32767) - codec.decode_integers(stream))) < 0.55
 
 
+def test_a_least_magnitude_below_what_a_range_code_holds() -> None:
+    stream = coded(np.abs(texture(1500)), {"quantiser": "log", "smallest": 1e-12, "block": "64"})
+    assert stream.configuration[-2:] == bytes(2)
+    exact = np.concatenate([ReferenceDecoder(stream.configuration, 1).samples(packet) for packet in stream.packets])
+    assert np.max(np.abs(np.clip(exact, -32768, 32767) - codec.decode_integers(stream))) < 0.55
+
+
 @given(
     seed=st.integers(0, 99),
     samples=st.integers(1, 900),
