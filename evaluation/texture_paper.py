@@ -210,8 +210,7 @@ def draw(path: Path, results: Sequence[Result]) -> None:
 
 
 def write(out: Path, results: Sequence[Result]) -> None:
-    """Write texture_paper.md, .csv and .png into a folder. Raises OSError."""
-    out.mkdir(parents=True, exist_ok=True)
+    """Write texture_paper.md, .csv and .png into a folder that there is. Raises OSError."""
     (out / "texture_paper.md").write_text(markdown(results), encoding="utf-8")
     with (out / "texture_paper.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
@@ -256,6 +255,7 @@ def _rounded(value: str | float) -> str | float:
 def main(out: Path, folder: Path | None) -> None:
     """Write the arithmetic of the paper on material-like textures beside the real bytes of the codec dct."""
     try:
+        out.mkdir(parents=True, exist_ok=True)
         profiles = generated_profiles()
         for path in sorted(folder.glob("*.csv")) if folder else ():
             profiles[path.stem] = textures.load_profile(path)
@@ -263,7 +263,7 @@ def main(out: Path, folder: Path | None) -> None:
     except (textures.TextureError, codec.CodecError) as error:
         raise click.ClickException(str(error)) from error
     except OSError as error:
-        raise click.ClickException(f"{out}: cannot be written: {error.strerror}") from error
+        raise click.ClickException(f"{error.filename}: {error.strerror}") from error
     click.echo(f"{out / 'texture_paper.md'}: {len(profiles)} profiles")
 
 

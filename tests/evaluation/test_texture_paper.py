@@ -69,3 +69,12 @@ def test_files_that_are_no_profile_are_refused(tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert "bad.csv" in done.output
     assert done.exception is None or isinstance(done.exception, SystemExit)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_measuring(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(texture_paper, "measure_all", lambda profiles: pytest.fail("measured"))
+    (tmp_path / "file").write_text("")
+    done = CliRunner().invoke(texture_paper.main, ["--out", str(tmp_path / "file" / "out")])
+    assert (done.exit_code, "Not a directory" in done.output) == (1, True)
