@@ -1,7 +1,6 @@
 """Writes what the trials showed: data and a picture for each map, and the page that names the boundaries."""
 
 import csv
-import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -42,7 +41,7 @@ def folder_in(out: Path) -> Path:
 
 
 def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
-    """Write stability.md into `out` and, into a folder there, each map's CSV and PNG files and stability.json.
+    """Write stability.md into `out` and, into a folder there, each map's CSV and PNG files.
 
     Raises OSError, and as folder_in.
     """
@@ -52,9 +51,6 @@ def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
     for each, own in drawn:
         write_csv(folder / f"{each.name}.csv", own)
         each.draw(folder / f"{each.name}.png", own)
-    with whole_file(folder / "stability.json") as partial:
-        records = ",\n".join(json.dumps(_record(cell), allow_nan=False) for cell in cells)
-        partial.write_text(f"[\n{records}\n]\n", "utf-8")
     with whole_file(out / PAGE) as partial:
         partial.write_text(markdown(drawn), "utf-8")
 
@@ -217,11 +213,3 @@ def _worst_first(cell: Cell) -> tuple[int, float]:
 def _short(effect: str) -> str:
     text = effect.replace("|", "/")
     return text if len(text) <= _LONGEST_EFFECT else text[: _LONGEST_EFFECT - 1] + "…"
-
-
-def _record(cell: Cell) -> dict[str, object]:
-    """Return a cell for JSON, which has no infinity: as text."""
-    figures = {
-        name: value if value is None or math.isfinite(value) else str(value) for name, value in cell.figures.items()
-    }
-    return {**vars(cell), "figures": figures}
