@@ -2,8 +2,6 @@
 
 import datetime
 import platform
-import shlex
-import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,7 +12,7 @@ import click
 
 from device_protocol.coded_stream import MAX_RATE_HZ
 from host import progress
-from host.options import INPUT, BadInput, recording_options
+from host.options import INPUT, BadInput, command_run, recording_options
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
     from evaluation.bench import Tally
@@ -118,8 +116,7 @@ def bench(
     bench.write(results, points, timings, costs, failures)
     data = folder.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
     machine = "a Dask cluster" if scheduler else f"{platform.machine()}, {workers.cores()} cores at work at once"
-    command = shlex.join(["vibrocast", *sys.argv[1:]])
-    description = results_page.Description(dataset.printable(data), machine, dataset.printable(command))
+    description = results_page.Description(dataset.printable(data), machine, command_run())
     with progress.shown("drawing") as update:
         results_page.write_results(out, points, timings, costs, failures, description, update)
     show(points, timings)

@@ -2,6 +2,8 @@
 
 import math
 import os
+import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,6 +13,11 @@ import click
 import textures
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def command_run() -> str:
+    """Return the command as it was given, with an escape in place of each byte that is no character."""
+    return shlex.join(["vibrocast", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
 
 
 class BadInput(click.ClickException):

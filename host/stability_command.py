@@ -7,7 +7,7 @@ import click
 
 import codec
 from host import progress
-from host.options import INPUT, BadInput
+from host.options import INPUT, BadInput, command_run
 
 
 def chosen_codecs(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
@@ -39,7 +39,7 @@ def stability(out: Path, codecs: tuple[str, ...], peers_edge: Path | None, quick
     except (PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
     with progress.shown("trying") as update:
-        cells = report.make(out, Scope(codecs, quick), peers, update)
+        cells = report.make(out, Scope(codecs, quick), command_run(), peers, update)
     outcomes = Counter(cell.outcome for cell in cells)
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
     click.echo(f"{out / page.PAGE}: {len(cells)} trials, {counts}")

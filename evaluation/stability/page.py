@@ -40,10 +40,10 @@ def folder_in(out: Path) -> Path:
     return folder
 
 
-def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
+def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell], command: str) -> None:
     """Write stability.md into `out` and, into a folder there, each map's CSV and PNG files.
 
-    Raises OSError, and as folder_in.
+    `command`: what was run. Raises OSError, and as folder_in.
     """
     folder = folder_in(out)
     drawn = [(each, [cell for cell in cells if cell.map == each.name]) for each in maps]
@@ -52,7 +52,7 @@ def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell]) -> None:
         write_csv(folder / f"{each.name}.csv", own)
         each.draw(folder / f"{each.name}.png", own)
     with whole_file(out / PAGE) as partial:
-        partial.write_text(markdown(drawn), "utf-8")
+        partial.write_text(markdown(drawn, command), "utf-8")
 
 
 def write_csv(path: Path, cells: Sequence[Cell]) -> None:
@@ -67,13 +67,13 @@ def write_csv(path: Path, cells: Sequence[Cell]) -> None:
             table.writerow([cell.method, cell.case, cell.setting, value, cell.outcome, *figures, cell.effect])
 
 
-def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> str:
+def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]], command: str) -> str:
     """Return the page."""
     summed_up = [(each, cells) for each, cells in maps if each.in_summary]
     lines = [
         _TITLE,
         "",
-        "Written by `vibrocast stability`. Every boundary here is of that run, on generated signals and the simulated",
+        f"Written by `{command}`. Every boundary here is of that run, on generated signals and the simulated",
         "controller; beside each picture lie its data, as CSV of the same name. What each codec holds for, of what was",
         "tried; then the worst that was found, by what was tried, and its remedy.",
         "",

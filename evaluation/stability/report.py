@@ -37,15 +37,16 @@ MAPS = (
 def make(
     out: Path,
     scope: Scope,
+    command: str,
     imported: Sequence[Cell] = (),
     progress: Callable[[float, str], None] = lambda part, details: None,
 ) -> list[Cell]:
     """Try every map, write them and the page into the folder `out`, return what was tried. Raises OSError.
 
-    `imported`: cells that were measured elsewhere, which join the page. `progress` is called with the part that is
+    `command`: what was run, for the page. `imported`: cells that were measured elsewhere, which join the page. `progress` is called with the part that is
     done, from 0 to 1, and what was tried last.
     """
     cells = run([trial for each in MAPS for trial in each.trials(scope)], progress=progress)
     judged = [cell for each in MAPS for cell in each.judged([cell for cell in cells if cell.map == each.name])]
-    page.write(out, [*MAPS, PEERS], [*judged, *imported])
+    page.write(out, [*MAPS, PEERS], [*judged, *imported], command)
     return judged

@@ -317,7 +317,8 @@ def test_the_page_begins_with_what_each_codec_holds_for_and_the_worst_of_each_ma
         for method, row in outcomes.items()
         for letter, value in zip(row, (1.0, 3.0, 10.0), strict=True)
     ]
-    lines = page.markdown([(loss, cells)]).splitlines()
+    lines = page.markdown([(loss, cells)], "vibrocast stability --quick").splitlines()
+    assert any("`vibrocast stability --quick`" in line for line in lines)
     assert "| codec | [Lost frames](#lost-frames) |" in lines
     assert "| mdct | 1 to 3 % |" in lines
     assert "| dct | all |" in lines
@@ -342,7 +343,7 @@ def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
     swept = dataclasses.replace(signals.SIGNALS, name="loss", varied="{} % of loss", title="A title")
     values = ((0.0, Outcome.HOLDS), (0.1, Outcome.DEGRADED), (0.2, Outcome.DEGRADED))
     cells = [dataclasses.replace(cell(outcome, value=value), map="loss") for value, outcome in values]
-    text = page.markdown([(swept, cells)])
+    text = page.markdown([(swept, cells)], "vibrocast stability")
     assert "| [A title](#a-title) | 1 of 3 | fake degraded: 0.1 to 0.2 % of loss | an effect |" in text
     cause, remedy = explanation(cells[1])
     assert f"| fake | degraded | 0.1 to 0.2 % of loss | an effect | {cause} | {remedy} |" in text
