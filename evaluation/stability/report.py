@@ -43,8 +43,8 @@ def make(
 ) -> list[Cell]:
     """Try every map, write them and the page into the folder `out`, return what was tried. Raises OSError.
 
-    `command`: what was run, for the page. `imported`: cells that were measured elsewhere, which join the page. `progress` is called with the part that is
-    done, from 0 to 1, and what was tried last.
+    `command`: what was run, for the page. `imported`: cells that were measured elsewhere, which join the page.
+    `progress` is called with the part that is done, from 0 to 1, and what was tried last.
     """
     cells = run([trial for each in MAPS for trial in each.trials(scope)], progress=progress)
     judged = [cell for each in MAPS for cell in each.judged([cell for cell in cells if cell.map == each.name])]
