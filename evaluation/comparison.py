@@ -30,8 +30,10 @@ MEAN = "(mean)"
 ANCHORS = ("mdct", "slp", "vcpwq")
 """What others are compared with: the project's own codec, one of the kind that the EVA paper compares with, and the
 reference of IEEE 1918.1.1."""
-RATES = (1.0, 2.0)
-"""Bits per sample at which time and delay are set against quality: most codecs have points on both sides of them."""
+RATES = (1.0, 2.0, 3.0)
+"""Bits per sample at which time and delay are set against quality: most codecs have points on both sides of one."""
+COSTED_RATE = 2.0
+"""Bits per sample near which the table of costs is timed."""
 EQUAL_SNR_DB = 12.0
 NEEDED_SNR_DB = 10.0
 NEAR_FEWEST = (1.1, 2.0)
@@ -413,8 +415,8 @@ def mean_bd_rates(rows: Iterable[TraceBdRate]) -> list[MeanBdRate]:
 
 
 def curve_costs(measurements: Measurements) -> list[CurveCost]:
-    """Return what each curve's codec costs, timed near the last of RATES."""
-    return [_curve_cost(measurements, codec, RATES[-1]) for codec in measurements.curves]
+    """Return what each curve's codec costs, timed near COSTED_RATE."""
+    return [_curve_cost(measurements, codec, COSTED_RATE) for codec in measurements.curves]
 
 
 def _curve_cost(measurements: Measurements, codec: str, rate: float) -> CurveCost:

@@ -12,6 +12,7 @@ from evaluation import charts
 from evaluation.bd_rate import CONFIDENCE, MIN_OVERLAP, MIN_POINTS, PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000
 from evaluation.charts import CodecRow, name, size
 from evaluation.comparison import (
+    COSTED_RATE,
     EQUAL_SNR_DB,
     NEEDED_SNR_DB,
     RATES,
@@ -334,7 +335,7 @@ def _cost_section(folder: Path, measurements: Measurements) -> str:
     write_rows(folder / "curve_costs.csv", rows, CurveCost)
     return _paragraphs(
         "## What each codec costs",
-        f"Times in seconds per million samples: medians over the traces at the setting nearest to {RATES[-1]:g} "
+        f"Times in seconds per million samples: medians over the traces at the setting nearest to {COSTED_RATE:g} "
         "bit/sample. Real time: seconds of encoding and decoding for each second of one channel at the traces' rate. "
         "Settings: how many were measured. What the decoder's bytes count is in [costs.csv](results/costs.csv).",
         _table(
@@ -447,7 +448,8 @@ def _interval(row: MeanBdRate) -> str:
 
 
 def _rates() -> str:
-    return " and ".join(f"{rate:g}" for rate in RATES)
+    *others, last = (f"{rate:g}" for rate in RATES)
+    return f"{', '.join(others)} and {last}"
 
 
 @click.command()
