@@ -23,12 +23,11 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
-    check_channels,
-    checked_parts,
     number,
     varint,
     word,
 )
+from codec.packetwise import PacketwiseEncoder
 from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 
 NAME = "dct"
@@ -46,7 +45,6 @@ SMALLEST_OF_RMS = 0.05
 
 _RANGE_CODES_PER_OCTAVE = 256
 _FIRST_CLASS = 16
-_CHUNK_SAMPLES = 1 << 18
 
 
 def range_code(magnitude: float) -> int:
@@ -75,7 +73,7 @@ def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: 
     return memory
 
 
-class DctEncoder:
+class DctEncoder(PacketwiseEncoder):
     """Encoder of `dct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
     def __init__(self, setting: Setting, signal_format: SignalFormat, framing: Framing) -> None:
@@ -83,13 +81,9 @@ class DctEncoder:
 
         Raises CodecError on a channel count, packet length, frequency limit or threshold that the codec does not have.
         """
-        check_channels(signal_format.channels)
-        self._channels = signal_format.channels
         self._block = int(word(setting, "block"))
-        self._packet_blocks = -(-framing.packet_samples // self._block)
-        longest = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
-        if not 1 <= self._packet_blocks <= longest:
-            raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {longest * self._block} are allowed")
+        most_blocks = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
+        super().__init__(signal_format.channels, framing, self._block, most_blocks)
         self._logarithmic = word(setting, "quantiser") == "log"
         self._range_coded = word(setting, "entropy") == "range"
         self._levels = int(number(setting, "levels"))
@@ -107,38 +101,11 @@ class DctEncoder:
             )
         )
         self._sequence = 0
-        self._pending: Signal = np.zeros((0, self._channels))
 
-    @property
-    def packet_samples(self) -> int:
-        """Samples per channel in every packet."""
-        return self._packet_blocks * self._block
-
-    @property
-    def delay_samples(self) -> int:
-        """Samples per channel by which decoded signal lags the input: none, as blocks do not overlap."""
-        return 0
-
-    def encode(self, samples: Signal) -> list[bytes]:
-        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        packets: list[bytes] = []
-        for part in checked_parts(samples, self._channels, _CHUNK_SAMPLES):
-            self._pending = np.concatenate([self._pending, part])
-            packets += self._complete_packets()
-        return packets
-
-    def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packet that remains, if samples do."""
-        missing = -len(self._pending) % self.packet_samples
-        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
-        return self._complete_packets()
-
-    def _complete_packets(self) -> list[bytes]:
+    def _code_packets(self, samples: Signal) -> list[bytes]:
         from scipy.fft import dct
 
-        count = len(self._pending) // self.packet_samples
-        complete, self._pending = np.split(self._pending, [count * self.packet_samples])
-        blocks = complete.reshape(count, self._packet_blocks, self._block, self._channels)
+        blocks = samples.reshape(-1, self._packet_blocks, self._block, self._channels)
         coefficients = dct(blocks, axis=2, norm="ortho")[:, :, self._bins] * UNIT
         kept = np.rint(coefficients)
         kept[np.abs(coefficients) < self._cuts.T] = 0

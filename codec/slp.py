@@ -19,11 +19,10 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
-    check_channels,
-    checked_parts,
     number,
 )
 from codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
+from codec.packetwise import PacketwiseEncoder
 
 NAME = "slp"
 IDENTIFIER = 3
@@ -36,7 +35,7 @@ LEVELS = 32
 
 _ANALYSIS_SAMPLES = 512
 """Samples that a predictor is fitted to: those up to the end of its frame."""
-_CHUNK_SAMPLES, _CHUNK_FRAMES = 16_384, 256
+_CHUNK_FRAMES = 256
 
 
 def relative_step(quality: float) -> float:
@@ -49,10 +48,8 @@ def step_code(step: float) -> int:
     return min(max(round(8 * math.log2(max(step, 1e-30) * UNIT / 8)), 0), STEP_CODES - 1)
 
 
-class SlpEncoder:
+class SlpEncoder(PacketwiseEncoder):
     """Encoder of `slp`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
-
-    delay_samples = 0
 
     def __init__(
         self, step: float, frame: int, order: int, shaping: float, signal_format: SignalFormat, framing: Framing
@@ -64,18 +61,13 @@ class SlpEncoder:
         """
         if frame not in FRAMES:
             raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
-        self._frame, self._order, self._channels = frame, order, signal_format.channels
-        check_channels(self._channels)
-        self._packet_frames = -(-framing.packet_samples // frame)
-        if not 1 <= self._packet_frames <= MAX_PACKET_FRAMES:
-            raise CodecError(
-                f"packets of {framing.packet_samples} samples; 1 to {MAX_PACKET_FRAMES * frame} are allowed"
-            )
+        super().__init__(signal_format.channels, framing, frame, MAX_PACKET_FRAMES)
+        self._frame, self._order = frame, order
         self.configuration = bytes(
             (
                 FRAMES.index(frame) << 5 | order,
-                self._packet_frames & 255,
-                self._packet_frames >> 8,
+                self._packet_blocks & 255,
+                self._packet_blocks >> 8,
                 min(round(256 * shaping), 255),
                 round(8 * math.log2(signal_format.rate_hz)),
                 *(step_code(step * rms) for rms in signal_format.rms),
@@ -94,39 +86,13 @@ class SlpEncoder:
         )
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
         self._before: Signal = np.zeros((_ANALYSIS_SAMPLES + order, self._channels))
-        self._pending: Signal = np.zeros((0, self._channels))
 
-    @property
-    def packet_samples(self) -> int:
-        """Samples per channel in every packet."""
-        return self._packet_frames * self._frame
-
-    def encode(self, samples: Signal) -> list[bytes]:
-        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        packets: list[bytes] = []
-        for part in checked_parts(samples, self._channels, _CHUNK_SAMPLES):
-            self._pending = np.concatenate([self._pending, part])
-            packets += self._complete_packets()
-        return packets
-
-    def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
-        missing = -len(self._pending) % self.packet_samples
-        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
-        return self._complete_packets()
-
-    def _complete_packets(self) -> list[bytes]:
-        count = len(self._pending) // self.packet_samples
-        if count == 0:
-            return []
-        end = count * self.packet_samples
-        frames = end // self._frame
-        signal = self._pending[:end]
+    def _code_packets(self, signal: Signal) -> list[bytes]:
+        count, frames = len(signal) // self.packet_samples, len(signal) // self._frame
         codes = np.stack([self._analysed(channel) for channel in np.concatenate([self._before, signal]).T], axis=1)
         units = np.rint(signal * UNIT).astype(np.int32).reshape(frames, self._frame, self._channels).swapaxes(1, 2)
         packets = [self._code(*parts) for parts in zip(np.split(units, count), np.split(codes, count), strict=True)]
         self._before = np.concatenate([self._before, signal])[-len(self._before) :]
-        self._pending = self._pending[end:]
         return packets
 
     def _analysed(self, signal: Signal) -> NDArray[np.int8]:
