@@ -75,8 +75,9 @@ class Cell:
 
     @property
     def names(self) -> tuple[str, str, str]:
-        """Trace, method and setting as they stand in tables, the last such as "levels=14 quantiser=log"."""
-        return self.trace, self.method.name, _text(self.setting)
+        """Trace, method and setting as they stand in tables."""
+        setting = self.setting if isinstance(self.setting, str) else setting_text(self.setting)
+        return self.trace, self.method.name, setting
 
     @property
     def key(self) -> str:
@@ -129,9 +130,8 @@ def _decode(file: bytes) -> Signal:
     return coding.Stream(header, tuple(packets)).decode()
 
 
-def _text(setting: Setting | str) -> str:
-    if isinstance(setting, str):
-        return setting
+def setting_text(setting: Setting) -> str:
+    """Return a codec's setting as text, such as "levels=14 quantiser=log"."""
     texts = {
         name: value if isinstance(value, str) else ",".join(f"{part:.6g}" for part in np.atleast_1d(value))
         for name, value in setting.items()

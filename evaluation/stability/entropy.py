@@ -9,10 +9,11 @@ import numpy as np
 from scipy.fft import idct
 
 from codec.interface import Setting
+from evaluation.cells import setting_text
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope, middle_setting
 from evaluation.stability.signals import RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial
 
 DCT = "dct"
 CODERS = ("huffman", "range")

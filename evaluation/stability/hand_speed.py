@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 import codec
 from codec.interface import Setting
+from evaluation.cells import setting_text
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope, three_settings
 from evaluation.stability.signals import ENOUGH_SNR_DB, FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial
 from textures.generate import rough, wood_surface
 
 CODED_MM_S = 50.0

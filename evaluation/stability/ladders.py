@@ -10,10 +10,11 @@ import numpy as np
 
 import codec
 from codec.interface import Setting
+from evaluation.cells import setting_text
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope
 from evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial
 from textures import Recording
 from textures.generate import rough, stick_slip, wood, wood_surface
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 import codec
 from codec.interface import Setting
+from evaluation.cells import setting_text
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope, middle_setting, three_settings
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial
 from host import coding
 from textures.generate import wood
 

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 import codec
 from device_protocol.messages import Configure, Start, Status, StreamData
+from evaluation.cells import setting_text
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope, middle_setting
 from evaluation.stability.signals import RATE_HZ, texture
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial, setting_text
+from evaluation.stability.trials import Cell, Measured, Outcome, Trial
 from host import coding
 from host.controller import Controller as Host
 from host.player import BUFFER_S, play

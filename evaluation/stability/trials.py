@@ -8,7 +8,6 @@ from enum import StrEnum
 from functools import partial
 
 from codec import CodecError
-from codec.interface import Setting
 from device_protocol.coded_stream import StreamError
 from device_protocol.messages import MessageError
 from device_protocol.transports import TransportError
@@ -88,13 +87,6 @@ class Cell:
         return math.nan if value is None else value
 
 
-def setting_text(setting: Setting) -> str:
-    """Return a codec's setting as text of names and values."""
-    return " ".join(
-        f"{name}={value:.4g}" if isinstance(value, float) else f"{name}={value}" for name, value in setting.items()
-    )
-
-
 def attempt(trial: Trial) -> Cell:
     """Run a trial in this process. An error that a person can act on is a refusal, any other a crash."""
     try:
@@ -116,8 +108,7 @@ def run(
     """Return the cells of all trials, in their order, tried on all cores.
 
     A process that a trial kills, or that is ended because the trial takes more than `limit_s` of a core, costs that
-    cell only.
-    `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
+    cell only. `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
     """
     cells: dict[int, Cell] = {}
     pieces = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
