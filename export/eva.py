@@ -1,0 +1,109 @@
+"""EVA in torch: analysis and synthesis transforms with GDN, and the gains that give one model all its rates."""
+
+from dataclasses import asdict, dataclass
+
+import torch
+from torch import Tensor, nn
+
+HOP_SAMPLES = 16
+"""Samples for each column of latents: the product of the down-samplings 4, 2 and 2."""
+REACH_SAMPLES = 28
+"""Samples on each side that one column of latents depends on, and acts on: 4 + 4 * 2 + 8 * 2."""
+_SMALLEST_BETA = 1e-6
+_PEDESTAL = 2.0**-36
+
+
+@dataclass(frozen=True)
+class EvaShape:
+    """What fixes a model's arrays: channels of the hidden layers, latent channels, and rates (gain vectors)."""
+
+    width: int = 128
+    latents: int = 128
+    rates: int = 8
+
+    def as_dict(self) -> dict[str, int]:
+        """Return the fields by name, as a checkpoint stores them."""
+        return asdict(self)
+
+
+class Gdn(nn.Module):
+    """Generalised divisive normalisation over channels, x_i / sqrt(beta_i + sum_j gamma_ij x_j^2), or its inverse.
+
+    Takes and returns (batch, channels, time). Ballé, Laparra and Simoncelli, "Density modeling of images using a
+    generalized normalization transformation", 2016; the parameters are kept positive by squaring, as there.
+    """
+
+    def __init__(self, channels: int, inverse: bool) -> None:
+        super().__init__()
+        self.inverse = inverse
+        self.root_beta = nn.Parameter(torch.sqrt(torch.ones(channels) + _PEDESTAL))
+        self.root_gamma = nn.Parameter(torch.sqrt(0.1 * torch.eye(channels) + _PEDESTAL))
+
+    @property
+    def beta(self) -> Tensor:
+        """The constant part of each channel's norm, (channels,)."""
+        return torch.clamp(self.root_beta**2 - _PEDESTAL, min=_SMALLEST_BETA)
+
+    @property
+    def gamma(self) -> Tensor:
+        """The weight of each channel's square in each norm, (channels, channels)."""
+        return torch.clamp(self.root_gamma**2 - _PEDESTAL, min=0.0)
+
+    def forward(self, x: Tensor) -> Tensor:
+        norm = torch.sqrt(nn.functional.conv1d(x * x, self.gamma[:, :, None], self.beta))
+        return x * norm if self.inverse else x / norm
+
+
+def analysis_transform(shape: EvaShape) -> nn.Sequential:
+    """Return the analysis transform, (batch, 1, 16 n) to (batch, latents, n): kernels 9, 5, 5, down 4, 2, 2, GDN each.
+
+    No layer has a bias, so that silence is silence and an inverted signal gives inverted latents.
+    """
+    return nn.Sequential(
+        nn.Conv1d(1, shape.width, 9, stride=4, padding=4, bias=False),
+        Gdn(shape.width, inverse=False),
+        nn.Conv1d(shape.width, shape.width, 5, stride=2, padding=2, bias=False),
+        Gdn(shape.width, inverse=False),
+        nn.Conv1d(shape.width, shape.latents, 5, stride=2, padding=2, bias=False),
+        Gdn(shape.latents, inverse=False),
+    )
+
+
+def synthesis_transform(shape: EvaShape) -> nn.Sequential:
+    """Return the synthesis transform, (batch, latents, n) to (batch, 1, 16 n): the analysis mirrored, inverse GDN."""
+    return nn.Sequential(
+        Gdn(shape.latents, inverse=True),
+        nn.ConvTranspose1d(shape.latents, shape.width, 5, stride=2, padding=2, output_padding=1, bias=False),
+        Gdn(shape.width, inverse=True),
+        nn.ConvTranspose1d(shape.width, shape.width, 5, stride=2, padding=2, output_padding=1, bias=False),
+        Gdn(shape.width, inverse=True),
+        nn.ConvTranspose1d(shape.width, 1, 9, stride=4, padding=4, output_padding=3, bias=False),
+    )
+
+
+class Eva(nn.Module):
+    """The transforms and the quantiser steps of each rate.
+
+    Signals are (batch, 1, 16 n), scaled to an RMS value of 1; latents (batch, latents, n). With one rate and steps of 1
+    this is the paper's model.
+    """
+
+    def __init__(self, shape: EvaShape) -> None:
+        super().__init__()
+        self.shape = shape
+        self.analysis = analysis_transform(shape)
+        self.synthesis = synthesis_transform(shape)
+        falling = torch.linspace(0.0, -0.5 * (shape.rates - 1), shape.rates)
+        self.log2_step = nn.Parameter(falling[:, None].repeat(1, shape.latents), requires_grad=shape.rates > 1)
+
+    def steps(self, quality: Tensor) -> Tensor:
+        """Return the quantiser steps (batch, latents, 1) at qualities (batch,) from 0 to rates - 1.
+
+        Between two rates the logarithm of the step is interpolated, as in Cui et al., "Asymmetric gained deep image
+        compression with continuous rate adaptation", 2021.
+        """
+        below = torch.clamp(torch.floor(quality), 0, max(0, self.shape.rates - 2)).long()
+        above = torch.clamp(below + 1, max=self.shape.rates - 1)
+        part = (quality - below)[:, None]
+        log2_step = (1 - part) * self.log2_step[below] + part * self.log2_step[above]
+        return torch.exp2(log2_step)[:, :, None]
