@@ -15,6 +15,7 @@ from codec.interface import (
     Decoder,
     Encoder,
     Framing,
+    Model,
     Setting,
     Signal,
     SignalFormat,
@@ -52,7 +53,7 @@ def codec_by_identifier(identifier: int) -> Codec:
 def decoder(identifier: int, configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
     """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit a codec."""
     codec = codec_by_identifier(identifier)
-    _check_tables(codec, tables)
+    _check_model(codec, tables is not None)
     return codec.make_decoder(configuration, channels, tables)
 
 
@@ -90,7 +91,7 @@ def encode(
     codec: str = mdct.NAME,
     unit: str = "full scale",
     live: bool = False,
-    tables: bytes | None = None,
+    model: Model | None = None,
     progress: Progress | None = None,
 ) -> CodedSignal:
     """Code samples (n, channels) in a physical unit by a codec's setting; what it leaves out has its default.
@@ -99,7 +100,7 @@ def encode(
     `progress` is called with the part done, from 0 to 1. Raises CodecError on an empty signal, NaN, infinity, a
     setting that the codec does not have, or a channel count, level or unit that cannot be coded.
     """
-    return Source(samples, rate_hz, codec, unit, live, tables, progress).encode(setting)
+    return Source(samples, rate_hz, codec, unit, live, model, progress).encode(setting)
 
 
 def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
@@ -138,9 +139,11 @@ def peak_of(channel: Signal) -> float:
     return max(float(np.max(channel, initial=0.0)), -float(np.min(channel, initial=0.0)))
 
 
-def _check_tables(codec: Codec, tables: bytes | None) -> None:
-    if tables is not None and not codec.takes_tables:
+def _check_model(codec: Codec, given: bool) -> None:
+    if given and not codec.takes_model:
         raise CodecError(f"the codec {codec.name} takes no model image; leave it out")
+    if codec.needs_model and not given:
+        raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")
 
 
 class Source:
@@ -156,7 +159,7 @@ class Source:
         codec: str,
         unit: str,
         live: bool,
-        tables: bytes | None,
+        model: Model | None,
         progress: Progress | None,
     ) -> None:
         if samples.ndim != 2 or samples.shape[1] < 1:
@@ -166,9 +169,9 @@ class Source:
         if not all(np.all(np.isfinite(samples[part])) for part in parts(len(samples))):
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
         self.codec = codec_by_name(codec)
-        _check_tables(self.codec, tables)
+        _check_model(self.codec, model is not None)
         self.samples = samples
-        self._tables = tables
+        self._model = model
         self._progress = progress or (lambda part: None)
         self._framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
@@ -184,7 +187,7 @@ class Source:
         framing = self._framing
         tried_samples = 0
         while True:
-            encoder = self.codec.make_encoder(setting, self.format, framing, self._tables)
+            encoder = self.codec.make_encoder(setting, self.format, framing, self._model)
             packets = self._packets(encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
             if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or as_short_as_can_be:

@@ -19,6 +19,7 @@ from codec.interface import (
     Codec,
     CodecError,
     Framing,
+    Model,
     Parameter,
     Setting,
     Signal,
@@ -200,15 +201,15 @@ def _huffman_code(values: NDArray[np.int64], zeros: bool) -> bytes:
     return pack_bits(np.concatenate([words, codes]), np.concatenate([sizes, np.array(lengths)[symbols] + low_bits]))
 
 
-def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> DctEncoder:
+def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> DctEncoder:
     """Make an encoder. Raises CodecError as `DctEncoder`."""
-    assert tables is None, "takes_tables is not set"
+    assert model is None, "takes_model is not set"
     return DctEncoder(setting, signal_format, framing)
 
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
     """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
-    assert tables is None, "takes_tables is not set"
+    assert tables is None, "takes_model is not set"
     return CoreDecoder(NAME, configuration, channels)
 
 

@@ -141,6 +141,18 @@ class SignalFormat:
 
 
 @dataclass(frozen=True)
+class Model:
+    """What a trained model gives an encoder.
+
+    `tables`: payload of the model image, all that a decoder needs. `analysis`: ONNX graph of the analysis transform,
+    where the codec has a learned one.
+    """
+
+    tables: bytes
+    analysis: bytes = b""
+
+
+@dataclass(frozen=True)
 class Framing:
     """How a stream is cut into packets.
 
@@ -211,9 +223,9 @@ class Codec:
     default. A search for an SNR or a rate tries rungs of the first; with `searches_steps` (`mdct`), and nothing of the
     setting given, it searches finer than rungs: the parameters `step`, relative to each channel's RMS value, and
     `thrift`. `physical_ladders`: those that need a signal in a physical unit.
-    `takes_tables`: a model image may bring its tables.
-    `make_encoder(setting, format, framing, tables)`: the setting complete and checked.
-    `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image, None = built in.
+    `takes_model`: a model may bring its tables; `needs_model`: there are none built in.
+    `make_encoder(setting, format, framing, model)`: the setting complete and checked.
+    `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
 
     name: str
@@ -221,10 +233,11 @@ class Codec:
     summary: str
     parameters: Mapping[str, Parameter]
     ladders: Mapping[str, tuple[Setting, ...]]
-    make_encoder: Callable[[Setting, SignalFormat, Framing, bytes | None], Encoder]
+    make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
     physical_ladders: frozenset[str] = frozenset()
-    takes_tables: bool = False
+    takes_model: bool = False
+    needs_model: bool = False
     searches_steps: bool = False
 
     def checked(self, setting: Setting) -> Setting:

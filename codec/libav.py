@@ -12,6 +12,7 @@ from codec.interface import (
     CodecError,
     Decoded,
     Framing,
+    Model,
     Parameter,
     Setting,
     Signal,
@@ -359,7 +360,7 @@ def _codec(
     ladder: tuple[Setting, ...],
 ) -> Codec:
     def make_encoder(
-        setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None
+        setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None
     ) -> LibavEncoder:
         return LibavEncoder(library, library.plan(setting, framing.packet_samples), framing, signal_format.channels)
 

@@ -13,6 +13,7 @@ from codec.interface import (
     Codec,
     CodecError,
     Framing,
+    Model,
     Parameter,
     Setting,
     Signal,
@@ -212,14 +213,16 @@ def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
     return memory, (memory, len(tables))
 
 
-def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> MdctEncoder:
+def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
     relative_steps = numbers(setting, "step", signal_format.channels)
     steps = [
         min(max(step * rms, SMALLEST_STEP), LARGEST_STEP)
         for step, rms in zip(relative_steps, signal_format.rms, strict=True)
     ]
-    return MdctEncoder(steps, signal_format.rate_hz, framing, tables, number(setting, "thrift"))
+    return MdctEncoder(
+        steps, signal_format.rate_hz, framing, model.tables if model else None, number(setting, "thrift")
+    )
 
 
 CODEC = Codec(
@@ -234,6 +237,6 @@ CODEC = Codec(
     ladders={NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1))},
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
-    takes_tables=True,
+    takes_model=True,
     searches_steps=True,
 )

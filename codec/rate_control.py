@@ -9,7 +9,7 @@ import numpy as np
 
 from codec import mdct
 from codec.coding import Progress, Source, decode, parts, peak_of
-from codec.interface import CodecError, CodedSignal, Setting, Signal
+from codec.interface import CodecError, CodedSignal, Model, Setting, Signal
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -56,7 +56,7 @@ def encode_to_snr(
     setting: Setting | None = None,
     unit: str = "full scale",
     live: bool = False,
-    tables: bytes | None = None,
+    model: Model | None = None,
     progress: Progress | None = None,
 ) -> CodedSignal:
     """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
@@ -66,9 +66,10 @@ def encode_to_snr(
     """
     if not math.isfinite(target_db):
         raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
-    source = Source(samples, rate_hz, codec, unit, live, tables, progress)
+    source = Source(samples, rate_hz, codec, unit, live, model, progress)
     if source.silent:
         return source.encode(_rungs(source, setting)[0])
+    tables = model.tables if model is not None else None
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Excess of each channel over the target; 0 for silent ones, which have none."""
@@ -155,7 +156,7 @@ def encode_to_rate(
     setting: Setting | None = None,
     unit: str = "full scale",
     live: bool = False,
-    tables: bytes | None = None,
+    model: Model | None = None,
     progress: Progress | None = None,
 ) -> CodedSignal:
     """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
@@ -166,7 +167,7 @@ def encode_to_rate(
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
-    source = Source(samples, rate_hz, codec, unit, live, tables, progress)
+    source = Source(samples, rate_hz, codec, unit, live, model, progress)
 
     def rate(coded: CodedSignal) -> float:
         return size_bytes(coded) * 8 * rate_hz / coded.samples

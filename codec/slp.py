@@ -15,6 +15,7 @@ from codec.interface import (
     Codec,
     CodecError,
     Framing,
+    Model,
     Parameter,
     Setting,
     Signal,
@@ -120,8 +121,8 @@ class SlpEncoder(PacketwiseEncoder):
         return bytes(ffi.buffer(self._packet, length))
 
 
-def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, tables: bytes | None) -> SlpEncoder:
-    """Make an encoder of a complete, checked setting; it takes no tables. Raises CodecError as `SlpEncoder`."""
+def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> SlpEncoder:
+    """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError as `SlpEncoder`."""
     return SlpEncoder(
         relative_step(number(setting, "quality")),
         int(str(setting["frame"])),

@@ -30,7 +30,7 @@ class _How(TypedDict):
     codec: str
     unit: str
     live: bool
-    tables: bytes | None
+    model: codec.Model | None
     progress: Callable[[float], None] | None
 
 
@@ -192,17 +192,17 @@ def encode(
         if not given:
             raise codec.CodecError(f"{codec_name} has one quality only; leave out the rate or SNR")
         raise codec.CodecError("the setting fixes the quality; leave out the rate or SNR, or that part of the setting")
-    tables = None
+    model = None
     if image is not None:
-        model = ModelImage.unpack(image)
-        if model.codec_identifier != chosen.identifier:
-            raise codec.CodecError(f"the model image {model.name} is not for the codec {codec_name}; give another")
-        tables = model.payload
+        unpacked = ModelImage.unpack(image)
+        if unpacked.codec_identifier != chosen.identifier:
+            raise codec.CodecError(f"the model image {unpacked.name} is not for the codec {codec_name}; give another")
+        model = codec.Model(unpacked.payload)
 
     def size_bytes(coded: codec.CodedSignal) -> int:
         return as_stream(coded, recording.unit, image).size_bytes
 
-    how: _How = {"codec": codec_name, "unit": recording.unit, "live": live, "tables": tables, "progress": progress}
+    how: _How = {"codec": codec_name, "unit": recording.unit, "live": live, "model": model, "progress": progress}
     if not open_quality:
         coded = codec.encode(samples, stream_rate_hz, given, **how)
     elif rate_bps is not None:

@@ -191,7 +191,7 @@ def test_bad_signals_and_settings_are_refused(name: str) -> None:
 @every_codec
 def test_tables_are_refused_where_none_are_taken(name: str) -> None:
     with pytest.raises(CodecError, match=r"image|tables"):
-        codec.encode(texture(100), RATE_HZ, middle_setting(name), codec=name, tables=bytes(10))
+        codec.encode(texture(100), RATE_HZ, middle_setting(name), codec=name, model=codec.Model(bytes(10)))
 
 
 @every_codec

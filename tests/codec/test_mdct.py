@@ -136,7 +136,7 @@ def test_other_tables_decode_what_they_coded() -> None:
     trainer = mdct.MdctEncoder([0.02], RATE_HZ, Framing(128, 0))
     trainer.encode(signal)
     tables = trainer.adapted_tables()
-    coded_signal = codec.encode(signal, RATE_HZ, {"step": 0.3}, tables=tables)
+    coded_signal = codec.encode(signal, RATE_HZ, {"step": 0.3}, model=codec.Model(tables))
     built_in = codec.encode(signal, RATE_HZ, {"step": 0.3})
     assert coded_signal.packets != built_in.packets
     assert not np.array_equal(codec.decode_integers(coded_signal), codec.decode_integers(coded_signal, tables))
