@@ -1,0 +1,57 @@
+"""Transforms of learned codecs in ONNX Runtime: graphs that come from elsewhere, checked, single-threaded, reused."""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.interface import CodecError
+
+SIGNAL = "signal"
+"""Name of the samples of a graph, float32 (batch, 1, 16 n)."""
+LATENTS = "latents"
+"""Name of the latents of a graph, float32 (batch, latents, n)."""
+_ADVICE = "give a graph that `vibrocast export` wrote"
+
+
+class Transform:
+    """A graph with one float32 input and one float32 output of three axes, ready to run on one thread."""
+
+    def __init__(self, graph: bytes, source: str, result: str) -> None:
+        """Load a graph from the input named `source` to the output named `result`.
+
+        Raises CodecError when the bytes are no such graph.
+        """
+        # Takes longer to load than all the rest, and most streams do not need it.
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # what goes wrong is raised
+        try:
+            self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+        except Exception as error:
+            # ONNX Runtime's exceptions have no common class of their own.
+            raise CodecError(f"this is no ONNX graph that can be run; {_ADVICE}") from error
+        ends = [*self._session.get_inputs(), *self._session.get_outputs()]
+        if [(end.name, end.type, len(end.shape)) for end in ends] != [
+            (name, "tensor(float)", 3) for name in (source, result)
+        ]:
+            found = ", ".join(f"{end.name} {end.type} {end.shape}" for end in ends)
+            raise CodecError(f"this ONNX graph has {found} in place of {source} and {result} of three axes; {_ADVICE}")
+        self._source, self._result = source, result
+        self.source_channels, self.result_channels = ends[0].shape[1], ends[1].shape[1]
+
+    def __call__(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Run on (batch, channels, time). Raises CodecError when the graph fails."""
+        try:
+            (result,) = self._session.run([self._result], {self._source: values})
+        except Exception as error:
+            raise CodecError(f"the ONNX graph fails on an array of shape {values.shape}; {_ADVICE}") from error
+        return np.asarray(result)
+
+
+@lru_cache(maxsize=8)
+def transform(graph: bytes, source: str, result: str) -> Transform:
+    """Return a loaded graph, the same one for the same bytes. Raises as `Transform`."""
+    return Transform(graph, source, result)

@@ -1,0 +1,63 @@
+"""Tests of the ONNX graphs: the same numbers as torch, the same bytes again, nothing that the checker minds."""
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from codec.graphs import LATENTS, SIGNAL, Transform
+from export import graphs
+from export.eva import Eva, EvaShape
+
+SHAPE = EvaShape(width=6, latents=5, rates=2)
+
+
+def model(seed: int = 1) -> Eva:
+    torch.manual_seed(seed)
+    return Eva(SHAPE)
+
+
+def test_graphs_equal_torch_at_every_length() -> None:
+    made = graphs.graphs_of(model(), (*range(1, 70), 10_000))
+    assert max(made.analysis_difference, made.synthesis_difference) <= graphs.PARITY
+
+
+def test_graphs_take_any_batch_and_any_time() -> None:
+    eva = model()
+    made = graphs.graphs_of(eva)
+    signal = np.random.default_rng(3).standard_normal((3, 1, 160)).astype(np.float32)
+    latents = Transform(made.analysis, SIGNAL, LATENTS)(signal)
+    assert latents.shape == (3, SHAPE.latents, 10)
+    with torch.no_grad():
+        np.testing.assert_allclose(latents, eva.analysis(torch.from_numpy(signal)).numpy(), atol=1e-5)
+    assert Transform(made.synthesis, LATENTS, SIGNAL)(latents).shape == signal.shape
+
+
+def test_the_same_model_gives_the_same_bytes() -> None:
+    first, again, other = graphs.graphs_of(model()), graphs.graphs_of(model()), graphs.graphs_of(model(2))
+    assert first == again
+    assert first.analysis != other.analysis and first.synthesis != other.synthesis
+
+
+def test_graphs_state_their_opset_and_producer() -> None:
+    made = graphs.graphs_of(model())
+    for graph in (made.analysis, made.synthesis):
+        loaded = onnx.load_from_string(graph)
+        onnx.checker.check_model(loaded, full_check=True)
+        assert [(opset.domain, opset.version) for opset in loaded.opset_import] == [("", graphs.OPSET)]
+        assert loaded.producer_name == "pytorch"
+        assert "vibrocast" in loaded.doc_string
+
+
+def test_graphs_that_differ_from_the_model_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graphs, "PARITY", 0.0)
+    with pytest.raises(graphs.GraphError, match="train it anew"):
+        graphs.graphs_of(model())
+
+
+def test_sessions_are_single_threaded() -> None:
+    session = Transform(graphs.graphs_of(model()).analysis, SIGNAL, LATENTS)._session
+    options = session.get_session_options()
+    assert isinstance(session, onnxruntime.InferenceSession)
+    assert (options.intra_op_num_threads, options.inter_op_num_threads) == (1, 1)
