@@ -1,0 +1,141 @@
+"""Checkpoints: a trained EVA with its prior, how it was trained, and what a cut training needs to go on."""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from export.eva import Eva, EvaShape
+from export.priors import PRIORS, Prior
+
+FORMAT, VERSION = "vibrocast-eva", 1
+LARGEST_BYTES = 256 * 2**20
+LARGEST_SHAPE = EvaShape(width=128, latents=128, rates=16)
+
+
+class ModelError(ValueError):
+    """A model, or a file of one, that cannot be used; the message says why and what to do."""
+
+
+@dataclass
+class Checkpoint:
+    """A model with its prior and its history.
+
+    `training`: the configuration, as plain tables. `progress`: `step`, `seconds`, `best_loss` and `best_step` so far.
+    `curves`: a record for each validation, see export.training. `optimiser`: the state of Adam, in a checkpoint that a
+    cut training goes on from.
+    """
+
+    model: Eva
+    prior: Prior
+    training: dict[str, Any]
+    progress: dict[str, Any] = field(default_factory=dict)
+    curves: list[dict[str, Any]] = field(default_factory=list)
+    optimiser: dict[str, Any] | None = None
+
+    @property
+    def shape(self) -> EvaShape:
+        """The shape of the model."""
+        return self.model.shape
+
+    def save(self, path: Path) -> None:
+        """Write the checkpoint, whole or not at all. Raises OSError."""
+        content = {
+            "format": FORMAT,
+            "version": VERSION,
+            "shape": self.shape.as_dict(),
+            "model": self.model.state_dict(),
+            "prior": {"kind": self.prior.kind, "state": self.prior.state_dict()},
+            "training": self.training,
+            "progress": self.progress,
+            "curves": self.curves,
+            "optimiser": self.optimiser,
+        }
+        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        try:
+            torch.save(content, partial)
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def load(path: Path) -> Checkpoint:
+    """Read a checkpoint onto the processor, in evaluation mode.
+
+    Raises ModelError for what is no checkpoint of this version, or holds arrays of other shapes than it states or
+    numbers that are not finite; OSError where the file cannot be read.
+    """
+    if not path.is_file():
+        raise ModelError(f"{path}: no such file; give a checkpoint that `vibrocast train` wrote, such as OUT/best.pt")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise ModelError(f"{path}: longer than any checkpoint, {LARGEST_BYTES} bytes; give another file")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
+    except Exception as error:  # damaged files make torch raise errors of many kinds
+        raise ModelError(
+            f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote, such as OUT/best.pt"
+        ) from error
+    try:
+        return _parsed(content)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+
+
+def _parsed(content: Any) -> Checkpoint:
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ModelError("not a checkpoint of EVA; give one that `vibrocast train` wrote")
+    if content.get("version") != VERSION:
+        raise ModelError(
+            f"a checkpoint of version {content.get('version')!r}, this program reads {VERSION}; train the model again, "
+            "or use the program that wrote it"
+        )
+    shape = _shape(content.get("shape"))
+    stored = _table(content, "prior")
+    kind = PRIORS.get(str(stored.get("kind")))
+    if kind is None:
+        raise ModelError(f"an unknown prior {stored.get('kind')!r}; known are {', '.join(PRIORS)}")
+    model, prior = Eva(shape), kind(shape.latents)
+    _fill(model, content.get("model"), "model")
+    _fill(prior, stored.get("state"), "prior")
+    curves, optimiser = content.get("curves"), content.get("optimiser")
+    if not isinstance(curves, list) or not all(isinstance(record, dict) for record in curves):
+        raise ModelError("its curves are no list of records; train the model again")
+    if optimiser is not None and not isinstance(optimiser, dict):
+        raise ModelError("its state of the optimiser is damaged; train the model again")
+    training, progress = _table(content, "training"), _table(content, "progress")
+    return Checkpoint(model.eval(), prior.eval(), training, progress, curves, optimiser)
+
+
+def _shape(stored: Any) -> EvaShape:
+    limits = LARGEST_SHAPE.as_dict()
+    if not isinstance(stored, dict) or stored.keys() != limits.keys():
+        raise ModelError("it does not state the shape of the model; train the model again")
+    for name, limit in limits.items():
+        if type(stored[name]) is not int or not 1 <= stored[name] <= limit:
+            raise ModelError(f"{name} {stored[name]!r} is not a number from 1 to {limit}; train a smaller model")
+    return EvaShape(**stored)
+
+
+def _table(content: dict[str, Any], name: str) -> dict[str, Any]:
+    table = content.get(name)
+    if not isinstance(table, dict):
+        raise ModelError(f"it lacks its table {name!r}; train the model again")
+    return table
+
+
+def _fill(module: nn.Module, state: Any, name: str) -> None:
+    wanted = {key: tensor.shape for key, tensor in module.state_dict().items()}
+    if not isinstance(state, dict) or state.keys() != wanted.keys():
+        raise ModelError(f"the arrays of its {name} are not those of its shape; train the model again")
+    for key, shape in wanted.items():
+        tensor = state[key]
+        if not isinstance(tensor, torch.Tensor) or tensor.dtype != torch.float32 or tensor.shape != shape:
+            raise ModelError(f"its array {key!r} is not float32 of shape {tuple(shape)}; train the model again")
+        if not torch.isfinite(tensor).all():
+            raise ModelError(f"its array {key!r} holds numbers that are not finite; train the model again")
+    module.load_state_dict(state)

@@ -1,0 +1,142 @@
+"""Priors: what the entropy coder is expected to know of the latents, as bits that training can lower."""
+
+from typing import ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+_LEAST_PROBABILITY = 2.0**-16
+_NEIGHBOURS = 2
+_COLUMNS = 3
+_AVERAGED_COLUMNS = 24
+_AVERAGE_FORGETS = 1 / 8
+_ESTIMATES = 4
+_LEAST_SCALE = 0.02
+
+
+class Prior(nn.Module):
+    """The probability of each latent. `kind` is its name in configurations, checkpoints and images."""
+
+    kind: ClassVar[str]
+
+    def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
+        """Return the bits of each of `values`, in steps, given the latents before it: all (batch, latents, columns).
+
+        `contexts` are the rounded latents, in steps, of which those before a latent are known when it is coded: its
+        column's lower channels and all earlier columns. `steps`: (batch, latents, 1). In training `values` hold noise
+        in place of rounding.
+        """
+        raise NotImplementedError
+
+
+class FactorisedPrior(Prior):
+    """A learned cumulative density for each channel, over latents that are not divided by the step.
+
+    A bin as wide as the step of the moment makes one prior serve all rates. Ballé, Minnen, Singh, Hwang and Johnston,
+    "Variational image compression with a scale hyperprior", 2018, appendix 6.1, with layers of three.
+    """
+
+    kind = "factorised"
+    _LAYERS = (1, 3, 3, 3, 1)
+    _INITIAL_SCALE = 10.0
+
+    def __init__(self, latents: int) -> None:
+        super().__init__()
+        scale = self._INITIAL_SCALE ** (1 / (len(self._LAYERS) - 1))
+        sizes = list(zip(self._LAYERS[:-1], self._LAYERS[1:], strict=True))
+        initial = [float(np.log(np.expm1(1 / scale / after))) for _, after in sizes]
+        self.matrices = nn.ParameterList(
+            torch.full((latents, after, before), value) for (before, after), value in zip(sizes, initial, strict=True)
+        )
+        self.biases = nn.ParameterList(torch.rand(latents, after, 1) - 0.5 for _, after in sizes)
+        self.factors = nn.ParameterList(torch.zeros(latents, after, 1) for _, after in sizes[:-1])
+
+    def logits(self, latents: Tensor) -> Tensor:
+        """Return the logit of the cumulative density at values (channels, n) of each channel."""
+        hidden = latents[:, None]
+        for layer, (matrix, bias) in enumerate(zip(self.matrices, self.biases, strict=True)):
+            hidden = nn.functional.softplus(matrix) @ hidden + bias
+            if layer < len(self.factors):
+                hidden = hidden + torch.tanh(self.factors[layer]) * torch.tanh(hidden)
+        return hidden[:, 0]
+
+    def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
+        channels_first = (values.shape[1], values.shape[0], values.shape[2])
+        edges = ((values + offset) * steps for offset in (-0.5, 0.5))
+        lower, upper = (self.logits(edge.transpose(0, 1).flatten(1)) for edge in edges)
+        # Of two values near one the difference is lost: mirrored, they are near zero.
+        mirror = -torch.sign(lower + upper).detach()
+        probability = torch.abs(torch.sigmoid(mirror * upper) - torch.sigmoid(mirror * lower))
+        return -torch.log2(probability.clamp(min=_LEAST_PROBABILITY)).reshape(channels_first).transpose(0, 1)
+
+
+class ContextPrior(Prior):
+    """A Laplace density whose scale follows the magnitudes coded before: a differentiable stand-in for adaptive coding.
+
+    Four weighted sums of neighbouring magnitudes - two lower channels of this column, five channels of the last three,
+    and a running average - each plus a constant, are combined as powers, with weights for each channel. The sums start
+    as the expected magnitude of firmware/core/mdct_model.c.
+    """
+
+    kind = "contexts"
+
+    def __init__(self, latents: int) -> None:
+        super().__init__()
+        # Channels k - 2 to k + 2 by columns t - 3 to t, of magnitudes and of their running average.
+        expected = torch.zeros(2, 2 * _NEIGHBOURS + 1, _COLUMNS + 1)
+        expected[0, :, 3] = torch.tensor([8.0, 28.0, 0.0, 0.0, 0.0])
+        expected[0, :, 2] = torch.tensor([1.0, 6.0, 21.0, 18.0, 2.0])
+        expected[0, :, 1] = torch.tensor([1.0, 1.0, 12.0, 3.0, 1.0])
+        expected[0, :, 0] = torch.tensor([1.0, 1.0, 3.0, 1.0, 1.0])
+        expected[1, :, 3] = torch.tensor([1.0, 2.0, 26.0, 2.0, 1.0])
+        spread = torch.tensor([0.25, 0.5, 1.0, 2.0])[:, None, None, None]
+        known = (expected > 0).float()
+        self.register_buffer("known", known, persistent=False)
+        self.root_weight = nn.Parameter(torch.sqrt((expected / 128) ** spread * known))
+        self.root_constant = nn.Parameter(torch.full((_ESTIMATES,), 0.4))
+        self.power = nn.Parameter(torch.tensor([0.1, 0.2, 0.6, 0.1])[:, None].repeat(1, latents))
+        self.offset = nn.Parameter(torch.zeros(latents))
+        self.step_power = nn.Parameter(torch.zeros(latents))
+        average = _AVERAGE_FORGETS * (1 - _AVERAGE_FORGETS) ** torch.arange(_AVERAGED_COLUMNS - 1, -1, -1)
+        self.register_buffer("average", average[None, None], persistent=False)
+
+    def scales(self, contexts: Tensor, steps: Tensor) -> Tensor:
+        """Return the expected magnitudes, in steps, of latents (batch, channels, columns) before they are known."""
+        batch, channels, columns = contexts.shape
+        magnitudes = torch.abs(contexts)
+        earlier = nn.functional.pad(magnitudes.reshape(-1, 1, columns), (_AVERAGED_COLUMNS, -1))
+        average = nn.functional.conv1d(earlier, self.get_buffer("average")).reshape(magnitudes.shape)
+        both = nn.functional.pad(torch.stack([magnitudes, average], 1), (_COLUMNS, 0, _NEIGHBOURS, _NEIGHBOURS))
+        weight = self.root_weight**2 * self.get_buffer("known")
+        sums = torch.log(nn.functional.conv2d(both, weight, self.root_constant**2 + 1e-3))
+        exponent = torch.einsum("bekt,ek->bkt", sums, self.power)
+        exponent = exponent + (self.offset + self.step_power * torch.log(steps[:, :, 0]))[:, :, None]
+        return torch.exp(exponent.clamp(max=20.0)) + _LEAST_SCALE
+
+    def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
+        scale = self.scales(contexts, steps)
+        magnitude = torch.abs(values)
+        # The Laplace density over a bin of one step, on one side of zero and around it.
+        beyond = (magnitude - 0.5).clamp(min=0) / scale + torch.log(-2 / torch.expm1(-1 / scale))
+        inside = torch.exp((magnitude.clamp(max=0.5) - 0.5) / scale) + torch.exp(-(magnitude + 0.5) / scale)
+        around = -torch.log1p(-0.5 * inside.clamp(max=2 - 1e-6))
+        return torch.where(magnitude >= 0.5, beyond, around) / float(np.log(2))
+
+
+PRIORS: dict[str, type[Prior]] = {prior.kind: prior for prior in (FactorisedPrior, ContextPrior)}
+
+
+def probabilities(prior: FactorisedPrior, step: NDArray[np.float64], limit: int) -> NDArray[np.float64]:
+    """Return the probability of each integer -limit .. limit of each channel: float64 (latents, 2 limit + 1).
+
+    `step`: float64 (latents,), the quantiser steps of a rate. What lies beyond the limits is left out, so that a row may
+    sum up to less than one.
+    """
+    with torch.no_grad():
+        double = FactorisedPrior(len(step)).double()
+        double.load_state_dict(prior.state_dict())
+        edges = torch.from_numpy(step)[:, None] * (torch.arange(-limit, limit + 2, dtype=torch.float64) - 0.5)
+        cumulative = torch.sigmoid(double.logits(edges))
+        return torch.diff(cumulative, dim=1).numpy()
