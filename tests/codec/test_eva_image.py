@@ -1,0 +1,67 @@
+"""The payload of EVA's model images: what is packed is unpacked, and any other bytes are refused."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec import CodecError
+from codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime, without_graph
+from tests.codec.eva_models import random_image
+
+PACKED = random_image(1).pack()
+
+
+@given(st.integers(0, 99), st.integers(1, 128), st.integers(1, 128), st.integers(1, 16), st.sampled_from(PRIOR_KINDS))
+@settings(max_examples=15)
+def test_what_is_packed_is_unpacked(seed: int, width: int, latents: int, rates: int, prior: PriorKind) -> None:
+    image = random_image(seed, width, latents, min(rates, 14), prior)
+    packed = replace(image, graph=b"a graph", runtime="onnx").pack()
+    read = EvaImage.unpack(packed)
+    assert (read.width, read.latents, read.rates, read.prior_kind) == (width, latents, min(rates, 14), prior)
+    assert read.pack() == packed
+    assert read.network is not None and image.network is not None
+    for found, expected in zip(read.network.convolutions, image.network.convolutions, strict=True):
+        np.testing.assert_array_equal(found.weights, expected.weights)
+    assert EvaImage.unpack(without_graph(packed)).graph == b""
+
+
+def test_steps_are_those_of_the_rates_and_between_them_on_the_way() -> None:
+    image = replace(random_image(1, latents=1), step_codes=np.array([[640], [576]], dtype=np.uint16))
+    assert [int(image.steps(code)[0]) for code in (0, 8, 16, 40)] == [64 << 10, (64 + 32) << 9, 64 << 9, 64 << 9]
+
+
+@given(st.integers(0, len(PACKED)), st.binary(max_size=40))
+@settings(max_examples=60)
+def test_shortened_and_lengthened_payloads_are_refused(length: int, tail: bytes) -> None:
+    if PACKED[:length] + tail != PACKED:
+        with pytest.raises(CodecError):
+            EvaImage.unpack(PACKED[:length] + tail)
+
+
+@given(st.dictionaries(st.integers(0, len(PACKED) - 1), st.integers(0, 255), min_size=1, max_size=4))
+def test_damaged_payloads_are_refused_or_read(damage: dict[int, int]) -> None:
+    damaged = bytearray(PACKED)
+    for position, byte in damage.items():
+        damaged[position] = byte
+    with suppress(CodecError):
+        assert EvaImage.unpack(bytes(damaged)).pack() == damaged
+
+
+def test_a_runtime_without_what_it_needs_is_refused() -> None:
+    with pytest.raises(CodecError, match="no ONNX graph"):
+        with_runtime(PACKED, "onnx")
+    graph_only = replace(EvaImage.unpack(PACKED), network=None, graph=b"a graph", runtime="onnx").pack()
+    with pytest.raises(CodecError, match="no integer network"):
+        without_graph(graph_only)
+    with pytest.raises(CodecError, match="there is no runtime"):
+        with_runtime(PACKED, "abacus")
+    both = replace(EvaImage.unpack(PACKED), graph=b"a graph").pack()
+    assert EvaImage.unpack(with_runtime(both, "onnx")).runtime == "onnx"
+    with pytest.raises(CodecError, match="layout 2"):
+        EvaImage.unpack(b"\x02" + PACKED[1:])
+    with pytest.raises(CodecError, match="damaged"):
+        replace(EvaImage.unpack(PACKED), fraction_bits=16).pack()
