@@ -5,6 +5,7 @@
 #include "common.h"
 
 #define VC_MAX_HOP 64
+#define VC_MAX_BINS 128 /* of a block that is coded by this model: a spectrum, or a column of EVA's latents */
 #define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
 /* Coefficients, in 1/256 of a sample's least significant bit, stay within this: 64 * sqrt(64) times full scale. */
@@ -33,10 +34,10 @@ typedef struct {
 
 /* Magnitudes coded so far in one channel, which make the contexts. Rows have two bins of padding on each side. */
 typedef struct {
-    uint8_t rows[4][VC_MAX_HOP + 4];  /* this block, the last one, and the two before */
-    uint16_t average[VC_MAX_HOP + 4]; /* running average of each bin, in 1/256 */
-    uint32_t block_sum;               /* of the last block */
-    uint8_t silent_history;           /* of the last two blocks, one bit each */
+    uint8_t rows[4][VC_MAX_BINS + 4];  /* this block, the last one, and the two before */
+    uint16_t average[VC_MAX_BINS + 4]; /* running average of each bin, in 1/256 */
+    uint32_t block_sum;                /* of the last block */
+    uint8_t silent_history;            /* of the last two blocks, one bit each */
 } vc_history;
 
 /* Contexts of one coefficient: what all its decisions share. */
@@ -96,11 +97,13 @@ static inline uint32_t vc_level_of(uint32_t index, unsigned quantiser)
     return index == 0 ? 0 : 2 * index - quantiser;
 }
 
-/* Coefficient, in 1/256 of a least significant bit, that a level stands for. */
-static inline int32_t vc_reconstruct(uint32_t level, int32_t step)
+/* Coefficient, in 1/256 of a least significant bit, that a level with its sign stands for. */
+static inline int32_t vc_reconstruct(int32_t level, int32_t step)
 {
     int64_t value = (int64_t)level * step;
-    return value > VC_MAX_COEFFICIENT ? VC_MAX_COEFFICIENT : (int32_t)value;
+    return (int32_t)(value > VC_MAX_COEFFICIENT    ? VC_MAX_COEFFICIENT
+                     : value < -VC_MAX_COEFFICIENT ? -VC_MAX_COEFFICIENT
+                                                   : value);
 }
 
 extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */

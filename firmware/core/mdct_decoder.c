@@ -1,11 +1,10 @@
 /* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets miss. */
-#include "mdct.h"
+#include "block_coder.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
 
 typedef struct {
-    vc_history history;
-    unsigned state;               /* of dependent quantisation */
+    vc_block_state block;
     int32_t spectrum[VC_MAX_HOP]; /* of the last block, in 1/256 of a least significant bit */
     int32_t overlap[VC_MAX_HOP];  /* windowed second half of the last block, in the same unit */
 } channel_state;
@@ -121,50 +120,13 @@ static void synthesise(channel_state *channel, uint32_t hop, int16_t *samples, u
     }
 }
 
-static int decode_decision(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned decision,
-                           unsigned quantiser)
-{
-    vc_prediction prediction;
-    int bit = vc_range_decode(coder, vc_predict(model, contexts, decision, quantiser, &prediction));
-    vc_update(&prediction, bit);
-    return bit;
-}
-
-static uint32_t decode_index(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned quantiser)
-{
-    uint32_t index = 0;
-    while (index < VC_UNARY_LIMIT && decode_decision(coder, model, contexts, index, quantiser))
-        index++;
-    return index < VC_UNARY_LIMIT ? index : index + vc_golomb_decode(coder);
-}
-
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, channel_state *channel, int32_t step)
 {
     const uint32_t hop = decoder->configuration.hop;
-    vc_history *history = &channel->history;
-    vc_model *model = &decoder->model;
-    uint32_t k, block_sum = 0;
-    int silent = vc_range_decode(coder, vc_silence_predict(model, history));
-    vc_silence_update(model, history, silent);
-    history->silent_history = (uint8_t)((history->silent_history << 1 | silent) & 3);
-    if (silent) {
-        memset(channel->spectrum, 0, sizeof channel->spectrum);
-        channel->state = 0;
-    }
-    for (k = 0; k < hop && !silent; k++) {
-        unsigned quantiser = vc_quantiser_of(channel->state);
-        vc_contexts contexts;
-        uint32_t index, level;
-        int32_t value;
-        vc_contexts_find(&contexts, history, hop, k, block_sum);
-        index = decode_index(coder, model, &contexts, quantiser);
-        level = vc_level_of(index, quantiser);
-        value = vc_reconstruct(level, step);
-        channel->spectrum[k] = index != 0 && vc_range_decode(coder, VC_EVEN_ODDS) ? -value : value;
-        channel->state = vc_next_state(channel->state, index);
-        block_sum += vc_history_set(history, k, level);
-    }
-    vc_history_next_block(history, hop);
+    uint32_t k;
+    vc_block_decode(coder, &decoder->model, &channel->block, hop, channel->spectrum);
+    for (k = 0; k < hop; k++)
+        channel->spectrum[k] = vc_reconstruct(channel->spectrum[k], step);
 }
 
 int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
@@ -183,10 +145,8 @@ int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t lengt
     }
     if (refresh)
         vc_model_reset(&decoder->model, decoder->tables);
-    for (channel = 0; channel < configuration->channels && refresh; channel++) {
-        vc_history_reset(&decoder->channels[channel].history);
-        decoder->channels[channel].state = 0;
-    }
+    for (channel = 0; channel < configuration->channels && refresh; channel++)
+        vc_block_reset(&decoder->channels[channel].block);
     decoder->in_sequence = 1;
     decoder->next_sequence = sequence + 1;
     vc_range_decoder_init(&coder, packet + head, length - head);

@@ -1,0 +1,33 @@
+/* The block coder: values of one block to bits and back, by dependent quantisation and the context model of mdct.h.
+ *
+ * A block is the spectrum of `mdct`, or a column of EVA's latents. */
+#ifndef VIBROCAST_BLOCK_CODER_H
+#define VIBROCAST_BLOCK_CODER_H
+
+#include "mdct.h"
+
+/* What is known of one channel's blocks so far. */
+typedef struct {
+    vc_history history;
+    unsigned state; /* of dependent quantisation */
+} vc_block_state;
+
+/* The best way into each state of dependent quantisation, for each bin. */
+typedef struct {
+    uint32_t chosen[VC_MAX_BINS][4]; /* index that leads into a state */
+    uint8_t origin[VC_MAX_BINS][4];  /* and the state that it leads from */
+    uint32_t indices[VC_MAX_BINS];
+} vc_block_search;
+
+/* At a refresh. */
+void vc_block_reset(vc_block_state *state);
+
+/* Decodes the next block of a channel: levels[0..bins), in quantiser steps, within +-2^26. */
+void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *state, uint32_t bins, int32_t *levels);
+
+/* Chooses the levels of a block for the least squared error + lambda * bits, and encodes them. `magnitudes`: in 1/256
+ * step, at most 2^30. `values`: their signs are those of the levels. `lambda`: in 1/256 of a squared step. */
+void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
+                     uint32_t bins, const uint32_t *magnitudes, const int32_t *values, uint32_t lambda);
+
+#endif

@@ -1,0 +1,161 @@
+/* Encoder of blocks: a search for the levels of least distortion + lambda * rate, then the decoder's steps mirrored;
+ * see block_coder.h. */
+#include "block_coder.h"
+
+#define STATES 4
+#define UNREACHED INT64_MAX
+#define MAX_DIFFERENCE (1 << 27)
+
+/* The best way into a state of dependent quantisation after one bin. */
+typedef struct {
+    int64_t cost; /* squared error + lambda * rate, in 1/65536 of a squared step */
+    uint32_t level, level_below;
+} path;
+
+/* What the search for one block needs of its surroundings. */
+typedef struct {
+    const vc_model *model;
+    const vc_history *history;
+    vc_block_search *search;
+    uint32_t bins, lambda;
+} task;
+
+/* Estimated rate of an index in 1/256 bit: by the first context's adaptive probabilities alone, not mixed. */
+static int64_t estimated_cost(const vc_model *model, unsigned quantiser, unsigned context, uint32_t index)
+{
+    int64_t cost = index > 0 ? 256 : 0;
+    uint32_t decision;
+    for (decision = 0; decision <= index && decision < VC_UNARY_LIMIT; decision++) {
+        unsigned kind = decision < VC_DECISIONS ? decision : VC_DECISIONS - 1;
+        unsigned probability = model->probability[kind][quantiser][0][context] >> 5;
+        cost += vc_cost[index > decision ? probability : 2047 - probability];
+    }
+    if (index >= VC_UNARY_LIMIT)
+        cost += 256 * (1 + 2 * (int64_t)vc_floor_log2(index - VC_UNARY_LIMIT + 1));
+    return cost;
+}
+
+/* Squared difference of a magnitude (in 1/256 step) and what the level is reconstructed to, in 1/65536 of a squared
+ * step. */
+static int64_t distortion(uint32_t magnitude, uint32_t level)
+{
+    int64_t difference = (int64_t)magnitude - (int64_t)level * 256;
+    if (difference > MAX_DIFFERENCE) /* then the sum over a block stays below 2^62 */
+        difference = MAX_DIFFERENCE;
+    return difference * difference;
+}
+
+/* Extends one path by bin k, trying the indices around the magnitude and zero. */
+static void extend(const task *task, uint32_t k, uint32_t magnitude, unsigned state, const path *from, path *paths)
+{
+    const unsigned quantiser = vc_quantiser_of(state);
+    const unsigned context = vc_first_context(task->history, task->bins, k, from->level, from->level_below);
+    const uint32_t nearest = (magnitude / 256 + quantiser) / 2;
+    uint32_t candidates[4];
+    unsigned count = 0, i;
+    candidates[count++] = nearest;
+    candidates[count++] = nearest + 1;
+    if (nearest > 0)
+        candidates[count++] = nearest - 1;
+    if (nearest == 2)
+        candidates[count++] = 0;
+    for (i = 0; i < count; i++) {
+        uint32_t index = candidates[i], level = vc_level_of(index, quantiser);
+        unsigned next = vc_next_state(state, index);
+        int64_t cost = from->cost + distortion(magnitude, level) +
+                       task->lambda * estimated_cost(task->model, quantiser, context, index);
+        if (cost < paths[next].cost) {
+            paths[next].cost = cost;
+            paths[next].level = vc_kept_magnitude(level);
+            paths[next].level_below = from->level;
+            task->search->chosen[k][next] = index;
+            task->search->origin[k][next] = (uint8_t)state;
+        }
+    }
+}
+
+/* Chooses the indices of one block (Viterbi search from a state of dependent quantisation on); returns 1 when the block
+ * is best left silent. */
+static int search_block(const task *task, unsigned first_state, const uint32_t *magnitudes)
+{
+    const uint32_t silence = vc_silence_predict(task->model, task->history) >> 5;
+    path paths[2][STATES];
+    path *now = paths[0], *next = paths[1];
+    int64_t silent_cost = (int64_t)task->lambda * vc_cost[silence];
+    uint32_t k, largest = 0, any = 0;
+    unsigned state, best = 0;
+    for (k = 0; k < task->bins; k++)
+        if (magnitudes[k] > largest)
+            largest = magnitudes[k];
+    if (largest < 128)
+        return 1;
+    for (state = 0; state < STATES; state++)
+        now[state].cost = UNREACHED;
+    now[first_state].cost = (int64_t)task->lambda * vc_cost[2047 - silence];
+    now[first_state].level = now[first_state].level_below = 0;
+    for (k = 0; k < task->bins; k++) {
+        path *swap = now;
+        silent_cost += distortion(magnitudes[k], 0);
+        for (state = 0; state < STATES; state++)
+            next[state].cost = UNREACHED;
+        for (state = 0; state < STATES; state++)
+            if (now[state].cost != UNREACHED)
+                extend(task, k, magnitudes[k], state, &now[state], next);
+        now = next;
+        next = swap;
+    }
+    for (state = 1; state < STATES; state++)
+        if (now[state].cost < now[best].cost)
+            best = state;
+    if (silent_cost < now[best].cost)
+        return 1;
+    for (k = task->bins; k-- > 0; best = task->search->origin[k][best]) {
+        task->search->indices[k] = task->search->chosen[k][best];
+        any |= task->search->indices[k];
+    }
+    return any == 0;
+}
+
+static void encode_decision(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned decision,
+                            unsigned quantiser, int bit)
+{
+    vc_prediction prediction;
+    vc_range_encode(coder, bit, vc_predict(model, contexts, decision, quantiser, &prediction));
+    vc_update(&prediction, bit);
+}
+
+static void encode_index(vc_range_coder *coder, vc_model *model, const vc_contexts *contexts, unsigned quantiser,
+                         uint32_t index)
+{
+    uint32_t decision;
+    for (decision = 0; decision <= index && decision < VC_UNARY_LIMIT; decision++)
+        encode_decision(coder, model, contexts, decision, quantiser, index > decision);
+    if (index >= VC_UNARY_LIMIT)
+        vc_golomb_encode(coder, index - VC_UNARY_LIMIT);
+}
+
+void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
+                     uint32_t bins, const uint32_t *magnitudes, const int32_t *values, uint32_t lambda)
+{
+    vc_history *history = &state->history;
+    const task task = {model, history, search, bins, lambda};
+    uint32_t k, block_sum = 0;
+    int silent = search_block(&task, state->state, magnitudes);
+    vc_range_encode(coder, silent, vc_silence_predict(model, history));
+    vc_silence_update(model, history, silent);
+    history->silent_history = (uint8_t)((history->silent_history << 1 | silent) & 3);
+    if (silent)
+        state->state = 0;
+    for (k = 0; k < bins && !silent; k++) {
+        unsigned quantiser = vc_quantiser_of(state->state);
+        uint32_t index = search->indices[k];
+        vc_contexts contexts;
+        vc_contexts_find(&contexts, history, bins, k, block_sum);
+        encode_index(coder, model, &contexts, quantiser, index);
+        if (index != 0)
+            vc_range_encode(coder, values[k] < 0, VC_EVEN_ODDS);
+        state->state = vc_next_state(state->state, index);
+        block_sum += vc_history_set(history, k, vc_level_of(index, quantiser));
+    }
+    vc_history_next_block(history, bins);
+}
