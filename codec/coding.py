@@ -47,7 +47,7 @@ def codec_by_identifier(identifier: int) -> Codec:
     for codec in CODECS.values():
         if codec.identifier == identifier:
             return codec
-    raise CodecError(f"the stream needs codec number {identifier}, which this version does not have")
+    raise CodecError(f"codec number {identifier} is needed, which this version does not have")
 
 
 def decoder(identifier: int, configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
@@ -55,6 +55,14 @@ def decoder(identifier: int, configuration: bytes, channels: int, tables: bytes 
     codec = codec_by_identifier(identifier)
     _check_model(codec, tables is not None)
     return codec.make_decoder(configuration, channels, tables)
+
+
+def check_tables(identifier: int, tables: bytes) -> None:
+    """Raise CodecError where the payload of a model image is not what a codec's decoders take."""
+    codec = codec_by_identifier(identifier)
+    _check_model(codec, given=True)
+    assert codec.check_tables is not None, f"{codec.name} takes a model"
+    codec.check_tables(tables)
 
 
 def live_framing(rate_hz: int) -> Framing:

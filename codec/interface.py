@@ -22,6 +22,10 @@ class CodecError(ValueError):
     """A signal, parameter, configuration or packet that the codec refuses; the message says why and what to do."""
 
 
+class OutOfReach(CodecError):
+    """An SNR or a rate that this signal cannot be coded at; another codec or model may."""
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of a codec: what it means, its default, and what it may be.
@@ -223,7 +227,8 @@ class Codec:
     default. A search for an SNR or a rate tries rungs of the first; with `searches_steps` (`mdct`), and nothing of the
     setting given, it searches finer than rungs: the parameters `step`, relative to each channel's RMS value, and
     `thrift`. `physical_ladders`: those that need a signal in a physical unit.
-    `takes_model`: a model may bring its tables; `needs_model`: there are none built in.
+    `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
+    CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
     `make_encoder(setting, format, framing, model)`: the setting complete and checked.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
@@ -235,6 +240,7 @@ class Codec:
     ladders: Mapping[str, tuple[Setting, ...]]
     make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
+    check_tables: Callable[[bytes], None] | None = None
     physical_ladders: frozenset[str] = frozenset()
     takes_model: bool = False
     needs_model: bool = False

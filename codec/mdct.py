@@ -213,6 +213,11 @@ def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
     return memory, (memory, len(tables))
 
 
+def check_tables(tables: bytes) -> None:
+    """Raise CodecError where the payload of a model image is no tables of this codec."""
+    _tables_arguments(tables)
+
+
 def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
     relative_steps = numbers(setting, "step", signal_format.channels)
@@ -237,6 +242,7 @@ CODEC = Codec(
     ladders={NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1))},
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
+    check_tables=check_tables,
     takes_model=True,
     searches_steps=True,
 )

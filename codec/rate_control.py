@@ -9,7 +9,7 @@ import numpy as np
 
 from codec import mdct
 from codec.coding import Progress, Source, decode, parts, peak_of
-from codec.interface import CodecError, CodedSignal, Model, Setting, Signal
+from codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -61,8 +61,8 @@ def encode_to_snr(
 ) -> CodedSignal:
     """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
 
-    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as
-    `encode`, and when `target_db` is out of reach, with the best that there is. A silent signal meets every target.
+    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as `encode`, OutOfReach with
+    the best that there is. A silent signal meets every target.
     """
     if not math.isfinite(target_db):
         raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
@@ -87,7 +87,7 @@ def encode_to_snr(
         best = _choose(source, setting, lambda coded: min(excesses_db(coded)), SNR_TOLERANCE_DB, side=1)
         least = excesses_db(best)
     if min(least) < -SNR_TOLERANCE_DB:
-        raise CodecError(
+        raise OutOfReach(
             f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
             f"with {source.codec.name}: ask for less, or give another setting"
         )
@@ -162,8 +162,7 @@ def encode_to_rate(
     """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
 
     `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: what of it is given and
-    not searched for. Raises CodecError as `encode`, and when `bits_per_second` is below the least that the signal
-    takes, with that rate.
+    not searched for. Raises CodecError as `encode`, OutOfReach with the least rate that the signal takes.
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
@@ -181,7 +180,7 @@ def encode_to_rate(
     else:
         best = _choose(source, setting, excess, tolerance, side=-1)
     if excess(best) > tolerance:
-        raise CodecError(
+        raise OutOfReach(
             f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
             f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
         )

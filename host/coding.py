@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import codec
+import models
 import textures
 from device_protocol import coded_stream
 from device_protocol.coded_stream import StreamError, StreamHeader
@@ -17,6 +19,7 @@ from device_protocol.model_image import ModelImage, sha256
 from host.input_files import read_input
 from host.output_files import whole_file
 
+DEFAULT_CODEC = "mdct"
 DEFAULT_SNR_DB = 15.0
 DEFAULT_STREAM_RATE_HZ = 2800
 MAX_SAMPLES = 2**29
@@ -48,7 +51,7 @@ class Stream:
     def __post_init__(self) -> None:
         if self.image is not None and image_hash(self.image) != self.header.image_hash:
             raise codec.CodecError(
-                "the stream was not coded for this model image; leave out --image, or give the other"
+                "the stream was not coded for this model image; leave out --model, or give the other"
             )
         decoder = self.decoder()
         if not self.packets or self.samples < 1:
@@ -88,19 +91,30 @@ class Stream:
         return codec.codec_by_identifier(self.header.codec_identifier).name
 
     @property
+    def model_name(self) -> str | None:
+        """Name of the model image, None where there is none or it is not here."""
+        return None if self.image is None else ModelImage.unpack(self.image).name
+
+    @property
     def tables(self) -> bytes | None:
         """The codec's tables, None = built in. Raises CodecError when they are in a model image that is not here."""
         if self.image is not None:
             return ModelImage.unpack(self.image).payload
         if self.header.image_hash:
             raise codec.CodecError(
-                f"the stream was coded for the model image {self.header.image_hash.hex()}; give its file with --image"
+                f"the stream was coded for the model image {self.header.image_hash.hex()}, which is none of those that "
+                "ship; give its folder or its file with --model"
             )
         return None
 
     def decoder(self) -> codec.Decoder:
-        """Return a decoder with the built-in tables, for what it says of the packets. Raises CodecError."""
-        return codec.decoder(self.header.codec_identifier, self.header.configuration, self.header.channels)
+        """Return a decoder, for what it says of the packets. Raises CodecError.
+
+        Where the codec has built-in tables it has those, so that a stream whose image is not here can be looked at.
+        """
+        identifier = self.header.codec_identifier
+        tables = self.tables if codec.codec_by_identifier(identifier).needs_model else None
+        return codec.decoder(identifier, self.header.configuration, self.header.channels, tables)
 
     def decode_integers(self, progress: Callable[[float], None] | None = None) -> NDArray[np.int16]:
         """Return what a controller decodes: int16 (packets * packet_samples, channels).
@@ -144,6 +158,7 @@ class Stream:
             "refresh_packets": refreshes,
             "packet_samples": decoder.packet_samples,
             "delay_samples": decoder.delay_samples,
+            "model": self.model_name,
             "model_image": self.header.image_hash.hex() or None,
         }
 
@@ -166,55 +181,104 @@ class Encoding:
 def encode(
     recording: textures.Recording,
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
-    codec_name: str = "mdct",
+    codec_name: str | None = None,
     rate_bps: float | None = None,
     snr_db: float | None = None,
     setting: codec.Setting | None = None,
-    image: bytes | None = None,
+    model: models.Model | None = None,
     live: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
-    `rate_bps` counts the bits of the whole .vct file. `setting`: what is given of the codec's setting; one that leaves
-    nothing to search for is used as it is. `image`: packed model image whose tables are used, None = those
-    built in. `live` adds refresh packets, for a link that may lose some. `progress` is called with the part of the
-    search that is done, from 0 to 1. Raises CodecError (also when the asked rate or SNR cannot be met),
-    ModelImageError, StreamError or TextureError, with what to do.
+    `codec_name`: None = that of the model, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
+    `setting`: what is given of the codec's setting; one that leaves nothing to search for is used as it is. `model`:
+    None = the tables built in or, for a codec without such, the smallest model that ships and can do what is asked.
+    `live` adds refresh packets, for a link that may lose some. `progress` is called with the part of the search that is
+    done, from 0 to 1. Raises CodecError (also when the asked rate or SNR cannot be met), ModelError, ModelImageError,
+    StreamError or TextureError, with what to do.
     """
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
     _check_length(samples.size)
+    if codec_name is None:
+        codec_name = DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
     chosen = codec.codec_by_name(codec_name)
     given = chosen.checked(setting or {})
-    open_quality = chosen.leaves_open(given)
-    if not open_quality and (rate_bps is not None or snr_db is not None):
-        if not given:
-            raise codec.CodecError(f"{codec_name} has one quality only; leave out the rate or SNR")
-        raise codec.CodecError("the setting fixes the quality; leave out the rate or SNR, or that part of the setting")
-    model = None
-    if image is not None:
-        unpacked = ModelImage.unpack(image)
-        if unpacked.codec_identifier != chosen.identifier:
-            raise codec.CodecError(f"the model image {unpacked.name} is not for the codec {codec_name}; give another")
-        model = codec.Model(unpacked.payload)
+    if not chosen.leaves_open(given):
+        if rate_bps is not None or snr_db is not None:
+            if not given:
+                raise codec.CodecError(f"{codec_name} has one quality only; leave out the rate or SNR")
+            raise codec.CodecError(
+                "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
+            )
+    elif rate_bps is None and snr_db is None:
+        snr_db = DEFAULT_SNR_DB
+    if model is not None and model.codec_identifier != chosen.identifier:
+        raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another")
+    candidates = [model] if model or not chosen.needs_model else smallest_first(chosen)
+    for number, candidate in enumerate(candidates):
+        tell = None if progress is None else partial(_tell_of_part, progress, number, len(candidates))
+        try:
+            return _encode(resampled, chosen, given, rate_bps, snr_db, candidate, live, tell)
+        except codec.OutOfReach:
+            if number + 1 == len(candidates):
+                raise
+    raise models.ModelError(f"no model for the codec {codec_name} ships; train one, and give its folder with --model")
+
+
+def smallest_first(chosen: codec.Codec) -> list[models.Model]:
+    """Return the models that ship for a codec and reach more than one quality, the smallest image first.
+
+    Raises as `models.shipped`.
+    """
+    return [
+        model
+        for model in models.shipped()
+        if model.codec_identifier == chosen.identifier and model.family == model.name
+    ]
+
+
+def _tell_of_part(progress: Callable[[float], None], number: int, count: int, done: float) -> None:
+    """Tell how much is done when it is so much of the part of this number among equal ones."""
+    progress((number + done) / count)
+
+
+def _encode(
+    recording: textures.Recording,
+    chosen: codec.Codec,
+    given: codec.Setting,
+    rate_bps: float | None,
+    snr_db: float | None,
+    model: models.Model | None,
+    live: bool,
+    progress: Callable[[float], None] | None,
+) -> Encoding:
+    """Code a recording at its own rate with a model, or the tables built in. Raises as `encode`."""
+    samples, rate_hz = recording.samples, round(recording.rate_hz)
+    image = None if model is None else model.image
+    how: _How = {
+        "codec": chosen.name,
+        "unit": recording.unit,
+        "live": live,
+        "model": None if model is None else codec.Model(model.tables, model.analysis),
+        "progress": progress,
+    }
 
     def size_bytes(coded: codec.CodedSignal) -> int:
         return as_stream(coded, recording.unit, image).size_bytes
 
-    how: _How = {"codec": codec_name, "unit": recording.unit, "live": live, "model": model, "progress": progress}
-    if not open_quality:
-        coded = codec.encode(samples, stream_rate_hz, given, **how)
-    elif rate_bps is not None:
-        coded = codec.encode_to_rate(samples, stream_rate_hz, rate_bps, size_bytes, setting=given, **how)
+    if rate_bps is not None:
+        coded = codec.encode_to_rate(samples, rate_hz, rate_bps, size_bytes, setting=given, **how)
+    elif snr_db is not None:
+        coded = codec.encode_to_snr(samples, rate_hz, snr_db, setting=given, **how)
     else:
-        snr_db = DEFAULT_SNR_DB if snr_db is None else snr_db
-        coded = codec.encode_to_snr(samples, stream_rate_hz, snr_db, setting=given, **how)
+        coded = codec.encode(samples, rate_hz, given, **how)
     stream = as_stream(coded, recording.unit, image)
     decoded = stream.decode()
     reached_db = _finite(codec.snr_db(samples, decoded))
     each_db = tuple(map(_finite, codec.channel_snrs_db(samples, decoded)))
-    return Encoding(stream, resampled, reached_db, each_db, _shortfall(stream, each_db, rate_bps, snr_db))
+    return Encoding(stream, recording, reached_db, each_db, _shortfall(stream, each_db, rate_bps, snr_db))
 
 
 def as_stream(coded: codec.CodedSignal, unit: str, image: bytes | None = None) -> Stream:
@@ -264,7 +328,7 @@ def _check_length(samples: int) -> None:
 
 
 def read(path: Path, image: bytes | None = None) -> Stream:
-    """Read a .vct file, coded for a packed model image or for the built-in tables.
+    """Read a .vct file, coded for the built-in tables or for a packed model image; None = of a model that ships.
 
     Raises InputFileError when it is no such file, StreamError when it is damaged, CodecError for another image or
     codec, OSError when it cannot be read.
@@ -272,6 +336,8 @@ def read(path: Path, image: bytes | None = None) -> Stream:
     data = read_input(path, "coded stream (.vct file)", coded_stream.MAGIC, MAX_FILE_BYTES)
     try:
         header, packets = coded_stream.unpack_file(data)
+        if image is None and header.image_hash and (model := models.by_hash(header.image_hash)):
+            image = model.image
         return Stream(header, tuple(packets), image)
     except StreamError as error:
         raise StreamError(f"{path}: {error}") from error

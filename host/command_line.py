@@ -14,18 +14,19 @@ from typing import Any, NoReturn
 import click
 
 import codec
+import models
 import textures
 from device_protocol.coded_stream import MAX_RATE_HZ, StreamError
 from device_protocol.messages import MessageError
-from device_protocol.model_image import MAGIC as IMAGE_MAGIC
-from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImageError
+from device_protocol.model_image import ModelImageError
 from device_protocol.transports import TransportError
 from host import coding, devices, flasher, player, progress
 from host.bench_command import bench
 from host.controller import ControllerError
 from host.entry import INTERRUPTED
-from host.input_files import InputFileError, read_input
-from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, options, recording_options
+from host.input_files import InputFileError
+from host.models_command import list_models
+from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, chosen_model, options, recording_options
 from host.output_files import whole_file
 from host.report import Report
 from host.stability_command import stability
@@ -37,6 +38,7 @@ INPUT_ERRORS = (
     InputFileError,
     StreamError,
     ModelImageError,
+    models.ModelError,
     OSError,
     MemoryError,
 )
@@ -134,11 +136,19 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
     return setting
 
 
-image_option = click.option(
-    "--image", "image_path", type=INPUT, help="Model image with the codec's tables, instead of those built in."
+model_option = click.option(
+    "--model",
+    callback=chosen_model,
+    metavar="NAME|FOLDER|IMAGE",
+    help="A trained model that `vibrocast models` lists, a folder that `vibrocast export` wrote, or a model image.",
 )
 quality_options = options(
-    click.option("--codec", "codec_name", type=click.Choice(sorted(codec.CODECS)), default="mdct", show_default=True),
+    click.option(
+        "--codec",
+        "codec_name",
+        type=click.Choice(sorted(codec.CODECS)),
+        help=f"That of --model if not given, else {coding.DEFAULT_CODEC}.",
+    ),
     click.option("--rate-bps", type=POSITIVE, help="Size of the whole coded file, in bits per second of signal."),
     click.option(
         "--snr-db", type=Finite(), help=f"Signal-to-noise ratio; {coding.DEFAULT_SNR_DB:g} if neither is given."
@@ -157,7 +167,7 @@ quality_options = options(
         metavar="NAME=VALUE",
         help="Parameter of the codec, instead of searching for it; `vibrocast codecs` lists them.",
     ),
-    image_option,
+    model_option,
 )
 device_option = click.option(
     "--device",
@@ -196,7 +206,7 @@ def play(
     """Play a recording or a .vct file on a controller."""
     from host import end_to_end, picture
 
-    refuse_overwriting([report_path, plot_path], [file, choices["image_path"]])
+    refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
     if file.suffix.lower() == ".vct":
         source: coding.Stream | textures.Recording = coded_already(file, choices)
     else:
@@ -233,12 +243,14 @@ def play(
 @recording_options
 def encode(file: Path, out: Path, **choices: Any) -> None:
     """Code a recording into a .vct file."""
-    refuse_overwriting([out], [file, choices["image_path"]])
+    refuse_overwriting([out], [file, *files_of(choices["model"])])
     quality = quality_of(choices)
     encoding = encoded(textures.load(file, **choices), quality, live=False)
     coding.write(out, encoding.stream)
     snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
-    click.echo(f"{out}: {encoding.stream.size_bytes} bytes, {encoding.stream.bits_per_second:.0f} bit/s, {snr}")
+    stream = encoding.stream
+    model = f", model {stream.model_name}" if stream.image else ""
+    click.echo(f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s, {snr}{model}")
 
 
 @main.command()
@@ -264,15 +276,15 @@ def codecs(as_json: bool) -> None:
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".wav"))
 @click.option("--format", "sample_format", type=click.Choice(("float", "16-bit")), default="float", show_default=True)
-@image_option
-def decode(file: Path, out: Path, sample_format: str, image_path: Path | None) -> None:
+@model_option
+def decode(file: Path, out: Path, sample_format: str, model: models.Model | None) -> None:
     """Decode a .vct file into a WAV file.
 
     As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
     its unit and full scale in its comment, from which this program knows them again.
     """
-    refuse_overwriting([out], [file, image_path])
-    stream = coding.read(file, packed_image(image_path) if image_path else None)
+    refuse_overwriting([out], [file, *files_of(model)])
+    stream = coding.read(file, model.image if model else None)
     with progress.shown("decoding") as update:
         full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit", progress=update)
     header = stream.header
@@ -282,9 +294,10 @@ def decode(file: Path, out: Path, sample_format: str, image_path: Path | None) -
 @main.command()
 @click.argument("file", type=INPUT)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def info(file: Path, as_json: bool) -> None:
+@model_option
+def info(file: Path, as_json: bool, model: models.Model | None) -> None:
     """Show what a .vct file holds."""
-    show(coding.read(file).facts(), as_json)
+    show(coding.read(file, model.image if model else None).facts(), as_json)
 
 
 @main.command()
@@ -331,18 +344,17 @@ def list_devices() -> None:
 
 
 @main.command()
-@click.argument("image", type=INPUT)
+@click.argument("model", callback=chosen_model)
 @device_option
-def flash(image: Path, address: str) -> None:
-    """Flash a model image into a controller.
+def flash(model: models.Model, address: str) -> None:
+    """Flash a model into a controller: by its name, from its folder, or a model image.
 
     It is transferred, verified by reading it back, started on trial and confirmed. Cut off, the same command goes on
     where it stopped, and the controller keeps running the image before.
     """
-    packed = packed_image(image)
     with devices.connect(address) as controller, progress.shown("flashing") as update:
-        slot = flasher.flash(controller, packed, progress=lambda done, total: update(done / total))
-    click.echo(f"{image.name}: {slot.name} {slot.version} runs from slot {slot.slot}, confirmed")
+        slot = flasher.flash(controller, model.image, progress=lambda done, total: update(done / total))
+    click.echo(f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed")
 
 
 @main.command()
@@ -379,25 +391,26 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
         threading.Event().wait()
 
 
+main.add_command(list_models)
 main.add_command(stability)
 
 
 def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:
-    """Read a .vct file to play, to which no option of the two groups applies but the image."""
-    image_path = choices.pop("image_path")
-    given = [name for name, value in choices.items() if value not in (None, {}, coding.DEFAULT_STREAM_RATE_HZ, "mdct")]
+    """Read a .vct file to play, to which no option of the two groups applies but the model."""
+    model = choices.pop("model")
+    given = [name for name, value in choices.items() if value not in (None, {}, coding.DEFAULT_STREAM_RATE_HZ)]
     if given:
         raise click.UsageError(f"{file} is coded already: drop --{given[0].replace('_', '-')}.")
-    return coding.read(file, packed_image(image_path) if image_path else None)
+    return coding.read(file, model.image if model else None)
 
 
 def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
     """Take the options of the quality group out of all choices; return them as `coding.encode` takes them."""
-    quality = {name: choices.pop(name) for name in ("codec_name", "rate_bps", "snr_db", "setting", "stream_rate_hz")}
+    names = ("codec_name", "rate_bps", "snr_db", "setting", "model", "stream_rate_hz")
+    quality = {name: choices.pop(name) for name in names}
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
-    image_path = choices.pop("image_path")
-    return {**quality, "image": packed_image(image_path) if image_path else None}
+    return quality
 
 
 def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) -> coding.Encoding:
@@ -409,9 +422,9 @@ def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) 
     return encoding
 
 
-def packed_image(path: Path) -> bytes:
-    """Return the bytes of a model image file. Raises InputFileError or OSError."""
-    return read_input(path, "model image", IMAGE_MAGIC, MAXIMUM_IMAGE_BYTES)
+def files_of(model: models.Model | None) -> list[Path]:
+    """Return the files that a model was read from, as far as another could be written over them."""
+    return [model.path] if model else []
 
 
 def playing(update: progress.Update, bits_per_second: float) -> Callable[[player.Progress], None]:
@@ -435,7 +448,8 @@ def summary(report: Report) -> dict[str, object]:
     return {
         "played": f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {report.loops} time(s)",
         "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
-        f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}",
+        f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
+        + (f", model {report.model}" if report.model else ""),
         "SNR": "none" if report.snr_db is None else f"{report.snr_db:.2f} dB",
         "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "

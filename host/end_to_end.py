@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from device_protocol.messages import ActuatorDescription
-from host import player
+from device_protocol.model_image import sha256
+from host import flasher, player
 from host.coding import Encoding, Stream
-from host.controller import Controller
-from host.devices import model_images
+from host.controller import Controller, ControllerError
+from host.devices import SIMULATED, model_images
 from host.picture import Trace
 from host.report import ActuatorUse, DeviceDescription, Latency, Report
 from simulated_device.actuator import ACTUATORS, Actuator
@@ -50,11 +51,13 @@ def play(
     """Play a stream to its end and compare what was decoded and what went to the DAC with the same computed here.
 
     Both are read back from the controller, unless it captures nothing or there would be more than MAX_COMPARED_SAMPLES:
-    then nothing is compared, and the skin is computed from one pass.
+    then nothing is compared, and the skin is computed from one pass. A simulated controller of this session is flashed
+    with the stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before. `file_name` and
     `address` are for the report. Raises CodecError, and whatever `player.play` raises.
     """
     header, decoder = stream.header, stream.decoder()
+    _provide_model(controller, address, stream)
     offline = stream.decode_integers()
     capture = controller.description.limits.capture_samples > 0 and loops * offline.size <= MAX_COMPARED_SAMPLES
     result = player.play(
@@ -80,6 +83,7 @@ def play(
         version=version("vibrocast"),
         file=file_name,
         codec=stream.codec_name,
+        model=stream.model_name,
         channels=header.channels,
         stream_rate_hz=header.rate_hz,
         loops=loops,
@@ -136,6 +140,21 @@ def play(
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
     caption = f"skin: the DAC's codes, {source}, through the model of the actuator {actuator.name}"
     return Outcome(report, caption, tuple(traces))
+
+
+def _provide_model(controller: Controller, address: str, stream: Stream) -> None:
+    """See to it that the controller runs the stream's model: flash a simulated one, or raise ControllerError."""
+    running = flasher.running(controller)
+    if stream.image is None or (running is not None and running.sha256 == sha256(stream.image)):
+        return
+    if address in SIMULATED:
+        flasher.flash(controller, stream.image)
+        return
+    wanted, found = stream.model_name, running.name if running else "none"
+    raise ControllerError(
+        f"the stream needs the model {wanted} (image {stream.header.image_hash.hex()}), the controller runs {found}: "
+        f"flash it first, `vibrocast flash {wanted} --device {address}`"
+    )
 
 
 def actuator_model(description: ActuatorDescription) -> Actuator:

@@ -79,6 +79,12 @@ def flash(
     return _confirm(controller, described(slot, SlotState.CONFIRMED))
 
 
+def running(controller: Controller) -> ImageDescription | None:
+    """Return the model image that the controller said in its last hello that it runs, None if it runs none."""
+    found = {image.state: image for image in controller.description.images}
+    return next((found[state] for state in _RUNNING if state in found), None)
+
+
 def _free_slot(controller: Controller) -> int:
     """Return the slot to flash: one whose transfer was cut first, so that it is resumed."""
     free = [image for image in controller.description.images if image.state not in _RUNNING]

@@ -10,7 +10,9 @@ from typing import Any, TypeVar
 
 import click
 
+import models
 import textures
+from device_protocol.model_image import ModelImageError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -52,6 +54,14 @@ class Finite(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
+    """Return the model of that name, folder or image file, or raise click.BadParameter with what to do."""
+    try:
+        return None if value is None else models.find(value)
+    except (models.ModelError, ModelImageError) as error:
+        raise click.BadParameter(str(error), ctx, param) from error
 
 
 def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:

@@ -51,6 +51,7 @@ class Report:
     version: str
     file: str
     codec: str
+    model: str | None
     channels: int
     stream_rate_hz: int
     loops: int

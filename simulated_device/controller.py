@@ -100,8 +100,7 @@ class Controller:
         self._boot()
 
     def _boot(self) -> None:
-        identifiers = frozenset(known.identifier for known in codec.CODECS.values())
-        self._store = ImageStore(self._flash, self.settings.hardware, identifiers)
+        self._store = ImageStore(self._flash, self.settings.hardware, codec.check_tables)
         self._playback: Playback | None = None
         self._state_without_stream = State.IDLE
         self._opened_by: int | None = None

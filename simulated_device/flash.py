@@ -2,9 +2,11 @@
 
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from codec import CodecError
 from device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
 from device_protocol.model_image import ModelImage, ModelImageError, sha256
 from simulated_device.refusal import Refusal
@@ -95,11 +97,14 @@ class ImageStore:
     # Data is programmed again from a multiple of this on after a cut, over bytes that may be half done.
     _PAGE_BYTES = 256
 
-    def __init__(self, flash: FlashMemory, hardware: str, codec_identifiers: frozenset[int]) -> None:
-        """Boot: start a slot that was put on trial, or fall back from one whose trial was not confirmed."""
+    def __init__(self, flash: FlashMemory, hardware: str, check_payload: Callable[[int, bytes], None]) -> None:
+        """Boot: start a slot that was put on trial, or fall back from one whose trial was not confirmed.
+
+        `check_payload` raises CodecError where the codec of a number cannot use an image's payload.
+        """
         self._flash = flash
         self._hardware = hardware
-        self._codec_identifiers = codec_identifiers
+        self._check_payload = check_payload
         self.slot_bytes = (len(flash) // flash.sector_bytes - 2) // SLOTS * flash.sector_bytes
         self._counter, self._slots = self._read_record()
         self.running: ModelImage | None = None
@@ -154,11 +159,10 @@ class ImageStore:
             if sha256(data) != slot.sha256:
                 raise ModelImageError("what was written has another SHA-256 than announced: flash it again")
             image = ModelImage.unpack(data)
-            if image.codec_identifier not in self._codec_identifiers:
-                raise ModelImageError(f"the image is for codec {image.codec_identifier}, which is not supported here")
             if image.hardware not in ("", self._hardware):
                 raise ModelImageError(f"the image is for {image.hardware}, this controller is {self._hardware}")
-        except ModelImageError as error:
+            self._check_payload(image.codec_identifier, image.payload)
+        except (ModelImageError, CodecError) as error:
             self._set({number: _Slot()})
             raise Refusal(ErrorCode.IMAGE_REFUSED, str(error)) from error
         self._set({number: replace(slot, state=SlotState.VERIFIED)})

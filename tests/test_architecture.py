@@ -16,10 +16,11 @@ ALLOWED = {
     "textures": set[str](),
     "device_protocol": set[str](),
     "codec": set[str](),
+    "models": {"device_protocol"},
     "simulated_device": {"codec", "device_protocol"},
     "export": {"codec", "textures", "device_protocol"},
-    "evaluation": {"codec", "device_protocol", "export", "host", "simulated_device", "textures"},
-    "host": {"codec", "device_protocol", "evaluation", "export", "simulated_device", "textures"},
+    "evaluation": {"codec", "device_protocol", "export", "host", "models", "simulated_device", "textures"},
+    "host": {"codec", "device_protocol", "evaluation", "export", "models", "simulated_device", "textures"},
 }
 SOURCES = [path for room in ALLOWED for path in sorted((ROOT / room).rglob("*.py"))]
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import models
 import textures
 from codec import CodecError
 from device_protocol.coded_stream import StreamError, StreamHeader, pack_file
@@ -18,7 +19,7 @@ from device_protocol.model_image import ModelImage, ModelImageError
 from host import coding
 from host.input_files import InputFileError
 
-IMAGE = (Path(__file__).parents[2] / "models" / "mdct-textures.vcmi").read_bytes()
+MODEL = models.find("mdct-textures")
 
 
 def noise(seconds: float = 0.5, channels: int = 1, rate_hz: float = 2800, unit: str = "m/s^2") -> textures.Recording:
@@ -187,20 +188,34 @@ def test_names_the_channel_furthest_from_the_asked_quality() -> None:
 
 def test_an_image_is_named_by_the_stream_and_needed_to_decode(tmp_path: Path) -> None:
     recording = noise()
-    stream = coding.encode(recording, image=IMAGE).stream
-    assert stream.header.image_hash == coding.image_hash(IMAGE)
+    own = replace(MODEL, image=ModelImage(1, "own", "1", "", MODEL.tables).pack())
+    stream = coding.encode(recording, model=own).stream
+    assert stream.header.image_hash == coding.image_hash(own.image)
     coding.write(tmp_path / "noise.vct", stream)
-    assert coding.read(tmp_path / "noise.vct", IMAGE).decode().shape == recording.samples.shape
-    with pytest.raises(CodecError, match="give its file with --image"):
-        coding.read(tmp_path / "noise.vct").decode()
+    assert coding.read(tmp_path / "noise.vct", own.image).decode().shape == recording.samples.shape
+    unnamed = coding.read(tmp_path / "noise.vct")
+    assert unnamed.facts()["model"] is None
+    with pytest.raises(CodecError, match=f"{coding.image_hash(own.image).hex()}, which is none of those that ship"):
+        unnamed.decode()
     with pytest.raises(CodecError, match="not coded for this model image"):
-        coding.read(tmp_path / "noise.vct", IMAGE + b"x")
+        coding.read(tmp_path / "noise.vct", MODEL.image)
 
 
-def test_an_image_that_does_not_fit_is_refused() -> None:
+def test_a_model_that_ships_is_found_by_the_streams_hash(tmp_path: Path) -> None:
+    stream = coding.encode(noise(), model=MODEL).stream
+    coding.write(tmp_path / "noise.vct", stream)
+    found = coding.read(tmp_path / "noise.vct")
+    assert found.facts()["model"] == "mdct-textures"
+    np.testing.assert_array_equal(found.decode(), stream.decode())
+
+
+def test_a_model_that_does_not_fit_is_refused() -> None:
+    path = Path("other.vcmi")
     with pytest.raises(ModelImageError):
-        coding.encode(noise(), image=b"nonsense")
-    with pytest.raises(CodecError, match="not for the codec"):
-        coding.encode(noise(), image=ModelImage(9, "other", "1", "", b"").pack())
-    with pytest.raises(CodecError):
-        coding.encode(noise(), image=ModelImage(1, "short", "1", "", b"too short").pack())
+        coding.encode(noise(), model=models.Model("none", path, b"nonsense"))
+    with pytest.raises(CodecError, match="codec number 99"):
+        coding.encode(noise(), model=models.Model("other", path, ModelImage(99, "other", "1", "", b"").pack()))
+    with pytest.raises(CodecError, match="not for the codec slp"):
+        coding.encode(noise(), codec_name="slp", model=MODEL)
+    with pytest.raises(CodecError, match="wrong size"):
+        coding.encode(noise(), model=models.Model("short", path, ModelImage(1, "short", "1", "", b"too short").pack()))

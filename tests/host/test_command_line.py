@@ -19,8 +19,10 @@ import soundfile
 from click.testing import CliRunner, Result
 
 import codec
+import models
 import textures
 from device_protocol.messages import State
+from device_protocol.model_image import ModelImage
 from host import devices
 from host.command_line import main
 from host.report import Report
@@ -30,7 +32,7 @@ from simulated_device.pty_port import PtyPort
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT / ".." / "shared" / "data"
-IMAGE = str(ROOT / "models" / "mdct-textures.vcmi")
+IMAGE = str(ROOT / "models" / "mdct-textures" / "mdct-textures.vcmi")
 RATE_HZ = 2800
 
 
@@ -245,13 +247,42 @@ def test_devices_and_status() -> None:
 
 def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, watched: Watched) -> None:
     coded_path = tmp_path / "image.vct"
-    succeeds("encode", texture, coded_path, "--image", IMAGE)
-    assert "flash it first" in fails(1, "play", coded_path, "--image", IMAGE, "--device", watched.address)
-    assert "confirmed" in succeeds("flash", IMAGE, "--device", watched.address)
+    assert "model mdct-textures" in succeeds("encode", texture, coded_path, "--model", IMAGE)
+    refusal = fails(1, "play", coded_path, "--device", watched.address)
+    assert "runs none: flash it first" in refusal
+    command = re.search("`vibrocast (flash .*)`", refusal)
+    assert command is not None
+    assert "confirmed" in succeeds(*command.group(1).split())
     assert "mdct-textures" in succeeds("status", "--device", watched.address)
-    assert "DAC as computed" in succeeds("play", coded_path, "--image", IMAGE, "--device", watched.address)
-    assert "--image" in fails(2, "decode", coded_path, tmp_path / "out.wav")
-    succeeds("decode", coded_path, tmp_path / "out.wav", "--image", IMAGE)
+    assert "DAC as computed" in succeeds("play", coded_path, "--device", watched.address)
+
+
+def test_a_simulated_controller_is_flashed_with_the_model_that_it_plays(texture: Path, tmp_path: Path) -> None:
+    report_path = tmp_path / "report.json"
+    output = succeeds("play", texture, "--model", "mdct-textures", "--report", report_path)
+    assert "codec mdct, model mdct-textures" in output
+    report = json.loads(report_path.read_text())
+    assert report["model"] == "mdct-textures"
+    assert "confirmed" in report["device"]["model_images"][0]
+
+
+def test_a_model_of_ones_own_is_named_by_its_file(texture: Path, tmp_path: Path) -> None:
+    shipped, own, coded_path = models.find("mdct-textures"), tmp_path / "own.vcmi", tmp_path / "own.vct"
+    own.write_bytes(ModelImage(1, "own", "1", "", shipped.tables).pack())
+    succeeds("encode", texture, coded_path, "--model", own)
+    for command in (("decode", coded_path, tmp_path / "out.wav"), ("play", coded_path)):
+        assert "give its folder or its file with --model" in fails(2, *command)
+        succeeds(*command, "--model", own)
+    assert "not coded for" in fails(2, "decode", coded_path, tmp_path / "out.wav", "--model", "mdct-textures")
+    assert json.loads(succeeds("info", coded_path, "--json"))["model"] is None
+    assert json.loads(succeeds("info", coded_path, "--json", "--model", own))["model"] == "own"
+
+
+def test_models_lists_what_ships() -> None:
+    assert re.search(r"mdct-textures +mdct +\d+", succeeds("models"))
+    cards = json.loads(succeeds("models", "--json"))
+    assert list(cards) == [model.name for model in models.shipped()]
+    assert cards["mdct-textures"]["training"]["seed"] == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
@@ -391,7 +422,7 @@ def test_refuses_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path
     named_json, linked = tmp_path / "image.json", tmp_path / "linked.json"
     named_json.write_bytes(Path(IMAGE).read_bytes())
     linked.hardlink_to(texture)
-    assert "same file" in fails(2, "play", coded, "--image", named_json, "--report", named_json)
+    assert "same file" in fails(2, "play", coded, "--model", named_json, "--report", named_json)
     assert "same file" in fails(2, "play", texture, "--report", linked)
     looped = tmp_path / "again.vct"
     looped.symlink_to(texture)
@@ -451,8 +482,8 @@ def test_refuses_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
     assert "no file" in fails(2, "info", "/dev/zero")
     assert "no file" in fails(2, "decode", "/dev/zero", tmp_path / "out.wav")
     assert "no file" in fails(2, "flash", "/dev/zero")
-    assert "no file" in fails(2, "encode", texture, out, "--image", "/dev/zero")
-    assert "model image" in fails(2, "encode", texture, out, "--image", coded)
+    assert "no file" in fails(2, "encode", texture, out, "--model", "/dev/zero")
+    assert "model image" in fails(2, "encode", texture, out, "--model", coded)
     fails(2, "flash", tmp_path / "missing.vcmi")
     assert not out.exists()
 

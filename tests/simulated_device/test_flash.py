@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from codec import CodecError
 from device_protocol.messages import ErrorCode, SlotState
 from device_protocol.model_image import ModelImage, sha256
 from simulated_device.flash import FlashMemory, ImageStore, PowerCut
@@ -20,8 +21,13 @@ def blank_flash(path: Path | None = None) -> FlashMemory:
     return FlashMemory(2 * 128 + 2 * 768, sector_bytes=128, path=path)
 
 
+def check_payload(codec_identifier: int, payload: bytes) -> None:
+    if codec_identifier != 1 or payload.startswith(b"corrupt"):
+        raise CodecError("tables that the codec does not take")
+
+
 def boot(flash: FlashMemory) -> ImageStore:
-    return ImageStore(flash, HARDWARE, frozenset([1]))
+    return ImageStore(flash, HARDWARE, check_payload)
 
 
 def write_image(store: ImageStore, slot: int, image: bytes) -> None:
@@ -271,7 +277,13 @@ def test_requests_that_are_refused(request_: Callable[[ImageStore], object], cod
 
 
 @pytest.mark.parametrize(
-    "image", [ModelImage(9, "a", "1", "", b"").pack(), ModelImage(1, "a", "1", "other", b"").pack(), b"not an image"]
+    "image",
+    [
+        ModelImage(9, "a", "1", "", b"").pack(),
+        ModelImage(1, "a", "1", "other", b"").pack(),
+        b"not an image",
+        ModelImage(1, "a", "1", "", b"corrupt tables").pack(),
+    ],
 )
 def test_image_of_another_kind_is_refused_and_the_slot_is_empty(image: bytes) -> None:
     store = boot(blank_flash())

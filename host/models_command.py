@@ -1,0 +1,45 @@
+"""The subcommand `vibrocast models`: the trained models that ship, and what their cards say."""
+
+import json
+from typing import Any
+
+import click
+
+import models
+from device_protocol.model_image import sha256
+
+_COLUMNS = ("name", "codec", "width", "image bytes", "rates", "SNR dB", "bit/sample")
+
+
+@click.command("models")
+@click.option("--json", "as_json", is_flag=True, help="Print their cards as JSON.")
+def list_models(as_json: bool) -> None:
+    """List the trained models that ship, with what their cards say."""
+    if as_json:
+        cards = {model.name: {**model.card, "image_sha256": sha256(model.image).hex()} for model in models.shipped()}
+        click.echo(json.dumps(cards, indent=2, allow_nan=False))
+        return
+    rows = [_COLUMNS, *map(_row, models.shipped())]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]
+    for row in rows:
+        click.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _row(model: models.Model) -> tuple[str, ...]:
+    """Return a model's cells in the table; the last two are ranges, on the recordings that were held back."""
+    card = model.card
+    shape = card.get("shape", {})
+    points = card.get("results", {}).get("points", [])
+    return (
+        model.name,
+        str(card["codec"]),
+        str(shape.get("width", "")),
+        str(len(model.image)),
+        str(shape.get("rates", "")),
+        _range([point["snr_db"] for point in points]),
+        _range([point["bits_per_sample"] for point in points]),
+    )
+
+
+def _range(values: list[Any]) -> str:
+    return f"{min(values):.1f} to {max(values):.1f}" if values else ""

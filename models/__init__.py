@@ -1,0 +1,133 @@
+"""Trained models, those that ship and those in folders of one's own: by name, by the hash of an image, from a path."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImage, ModelImageError, sha256
+
+CARD = "card.json"
+ANALYSIS = "analysis.onnx"
+IMAGE_SUFFIX = ".vcmi"
+_FOLDER = Path(__file__).parent
+
+
+class ModelError(ValueError):
+    """There is no such model, or its files are damaged; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained model.
+
+    `name`: of the image. `path`: of the image's file. `image`: the packed model image, what is flashed. `analysis`:
+    ONNX graph of the analysis transform, empty where the codec has no learned one or a lone image was given. `card`:
+    what card.json says, see models/README.md; empty for a lone image.
+    """
+
+    name: str
+    path: Path
+    image: bytes
+    analysis: bytes = b""
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def family(self) -> str:
+        """Models of one family make one curve of quality against rate; one that makes a curve alone is its own."""
+        return str(self.card.get("family", self.name))
+
+    @property
+    def tables(self) -> bytes:
+        """The payload of the image: all that a decoder needs."""
+        return ModelImage.unpack(self.image).payload
+
+    @property
+    def codec_identifier(self) -> int:
+        """The number of its codec in stream headers."""
+        return ModelImage.unpack(self.image).codec_identifier
+
+    @property
+    def argument(self) -> str:
+        """What a person gives to ask for it: its name if it ships, else its file or folder."""
+        if self.path.parent.parent == _FOLDER:
+            return self.name
+        return str(self.path.parent if self.card else self.path)
+
+
+def names() -> list[str]:
+    """Return the names of the models that ship."""
+    return sorted(card.parent.name for card in _FOLDER.glob(f"*/{CARD}"))
+
+
+@cache
+def shipped() -> tuple[Model, ...]:
+    """Return the models that ship, the smallest image first. Raises as `load` where their files are damaged."""
+    return tuple(sorted((load(_FOLDER / name) for name in names()), key=lambda model: len(model.image)))
+
+
+def by_hash(beginning: bytes) -> Model | None:
+    """Return the model that ships whose image's SHA-256 begins so, None if there is none. Raises as `shipped`."""
+    return next((model for model in shipped() if sha256(model.image).startswith(beginning)), None)
+
+
+def find(text: str) -> Model:
+    """Return the model that ships by a name, or else that of a path. Raises as `load`."""
+    if text in names():
+        return load(_FOLDER / text)
+    if not Path(text).exists():
+        raise ModelError(
+            f"{text}: no model of that name, no folder and no file; give one of {', '.join(names())}, or a folder that "
+            "`vibrocast export` wrote, or a model image"
+        )
+    return load(Path(text))
+
+
+def load(path: Path) -> Model:
+    """Return the model in a folder that `vibrocast export` wrote, or the lone one of an image file.
+
+    Raises ModelError for what is neither or damaged, ModelImageError for such an image, OSError for a file that cannot
+    be read.
+    """
+    if not path.is_dir():
+        return _of_image(path, _read(path))
+    if not (path / CARD).exists():
+        raise ModelError(f"{path}: no folder of a model, for it has no {CARD}; give one that `vibrocast export` wrote")
+    text = _read(path / CARD)
+    try:
+        card = json.loads(text)
+        image_file = f"{card['name']}{IMAGE_SUFFIX}"
+        hashes = {file: about["sha256"] for file, about in card["files"].items()}
+        image_hash = hashes[image_file]
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise ModelError(f"{path / CARD}: not the card of a model; export the model again") from error
+    model = _of_image(path / image_file, _checked(path / image_file, image_hash))
+    analysis = _checked(path / ANALYSIS, hashes[ANALYSIS]) if ANALYSIS in hashes else b""
+    return replace(model, analysis=analysis, card=card)
+
+
+def _of_image(path: Path, image: bytes) -> Model:
+    try:
+        return Model(ModelImage.unpack(image).name, path, image)
+    except ModelImageError as error:
+        raise ModelImageError(f"{path}: {error}") from error
+
+
+def _checked(path: Path, expected: str) -> bytes:
+    """Return the bytes of a file with this SHA-256."""
+    data = _read(path)
+    if hashlib.sha256(data).hexdigest() != expected:
+        raise ModelError(f"{path}: not the file that {CARD} beside it describes; export the model again, all of it")
+    return data
+
+
+def _read(path: Path) -> bytes:
+    # Opening a pipe would wait for its writer, and a device may never end.
+    if path.exists() and not path.is_file():
+        raise ModelError(f"{path}: no file; give a model's name, its folder or its image")
+    if path.stat().st_size > MAXIMUM_IMAGE_BYTES:
+        raise ModelError(f"{path}: longer than any file of a model, {MAXIMUM_IMAGE_BYTES} bytes; give another")
+    return path.read_bytes()

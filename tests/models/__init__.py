@@ -1,0 +1,1 @@
+"""Tests of the models that ship and of folders of models."""

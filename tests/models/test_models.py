@@ -1,0 +1,127 @@
+"""Models by name, by hash and from a path: what ships is whole, what is damaged is refused with its name."""
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import codec
+import models
+from device_protocol.model_image import ModelImage, ModelImageError, sha256
+
+LARGEST_BYTES = 1_000_000
+
+
+def folder(path: Path, **changes: Any) -> Path:
+    """Write a folder in the shape of those that ship, its card changed so."""
+    path.mkdir()
+    contents = {"own.vcmi": ModelImage(1, "own", "1", "", b"tables").pack(), models.ANALYSIS: b"graph"}
+    for file, data in contents.items():
+        (path / file).write_bytes(data)
+    files = {file: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()} for file, data in contents.items()}
+    (path / models.CARD).write_text(json.dumps({"name": "own", "family": "kin", "files": files, **changes}))
+    return path
+
+
+@pytest.mark.parametrize("name", models.names())
+def test_what_ships_is_whole(name: str) -> None:
+    model = models.find(name)
+    assert model.name == name == model.card["name"]
+    assert model.argument == name
+    assert models.by_hash(sha256(model.image)[:8]) == model
+    codec.check_tables(model.codec_identifier, model.tables)
+    assert model.card["codec"] == codec.codec_by_identifier(model.codec_identifier).name
+    for file, about in model.card["files"].items():
+        data = (model.path.parent / file).read_bytes()
+        assert (about["bytes"], about["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
+        assert len(data) < LARGEST_BYTES
+    assert {"data", "held_back", "command", "seed"} <= model.card["training"].keys()
+
+
+def test_what_ships_is_listed_from_the_smallest_on() -> None:
+    sizes = [len(model.image) for model in models.shipped()]
+    assert sizes == sorted(sizes)
+    assert "mdct-textures" in models.names()
+
+
+def test_an_unknown_hash_has_no_model() -> None:
+    assert models.by_hash(b"\xab" * 8) is None
+
+
+def test_a_folder_of_ones_own(tmp_path: Path) -> None:
+    path = folder(tmp_path / "mine")
+    model = models.find(str(path))
+    assert (model.name, model.family, model.tables, model.analysis) == ("own", "kin", b"tables", b"graph")
+    assert model.argument == str(path)
+    lone = models.find(str(path / "own.vcmi"))
+    assert (lone.name, lone.family, lone.analysis, lone.card) == ("own", "own", b"", {})
+    assert lone.argument == str(path / "own.vcmi")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "other"}, "not the card"),
+        ({"name": 3}, "not the card"),
+        ({"files": {}}, "not the card"),
+        ({"files": ["own.vcmi"]}, "not the card"),
+        ({"files": {"own.vcmi": {"sha256": "00"}}}, "not the file that card.json beside it describes"),
+    ],
+)
+def test_cards_that_do_not_fit_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    path = folder(tmp_path / "mine", **changes)
+    with pytest.raises(models.ModelError, match=message):
+        models.load(path)
+
+
+def test_damaged_files_are_refused(tmp_path: Path) -> None:
+    path = folder(tmp_path / "mine")
+    (path / models.ANALYSIS).write_bytes(b"another graph")
+    with pytest.raises(models.ModelError, match=r"analysis.onnx: not the file"):
+        models.load(path)
+    (path / models.ANALYSIS).unlink()
+    with pytest.raises(FileNotFoundError):
+        models.load(path)
+    (path / models.CARD).write_bytes(b"\xff" * 10)
+    with pytest.raises(models.ModelError, match="not the card"):
+        models.load(path)
+    (path / models.CARD).unlink()
+    with pytest.raises(models.ModelError, match="no folder of a model"):
+        models.load(path)
+
+
+def test_what_is_no_model_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(models.ModelError, match=r"give one of .*mdct-textures"):
+        models.find(str(tmp_path / "missing"))
+    (tmp_path / "text.vcmi").write_text("no image")
+    with pytest.raises(ModelImageError, match=r"text.vcmi: this is no model image"):
+        models.find(str(tmp_path / "text.vcmi"))
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(models.ModelError, match="no file"):
+        models.find(str(tmp_path / "pipe"))
+    with (tmp_path / "long.vcmi").open("wb") as file:
+        file.truncate(2**24 + 1)
+    with pytest.raises(models.ModelError, match="longer than any"):
+        models.find(str(tmp_path / "long.vcmi"))
+
+
+@settings(deadline=None)
+@given(
+    card=st.recursive(
+        st.none() | st.integers() | st.text(max_size=5),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(st.sampled_from(["name", "files", "own.vcmi", "sha256"]), inner, max_size=4)
+        ),
+    )
+)
+def test_no_card_raises_anything_else(card: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = folder(tmp_path_factory.mktemp("card") / "mine")
+    (path / models.CARD).write_text(json.dumps(card))
+    with pytest.raises((models.ModelError, FileNotFoundError)):
+        models.load(path)
