@@ -13,6 +13,7 @@ from codec.coding import (
     live_framing,
 )
 from codec.interface import (
+    RUNTIMES,
     Codec,
     CodecError,
     CodedSignal,
@@ -32,6 +33,7 @@ from codec.rate_control import RATE_TOLERANCE, SNR_TOLERANCE_DB, channel_snrs_db
 __all__ = [
     "CODECS",
     "RATE_TOLERANCE",
+    "RUNTIMES",
     "SNR_TOLERANCE_DB",
     "Codec",
     "CodecError",

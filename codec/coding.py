@@ -50,10 +50,17 @@ def codec_by_identifier(identifier: int) -> Codec:
     raise CodecError(f"codec number {identifier} is needed, which this version does not have")
 
 
-def decoder(identifier: int, configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
-    """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit a codec."""
+def decoder(
+    identifier: int, configuration: bytes, channels: int, tables: bytes | None = None, runtime: str | None = None
+) -> Decoder:
+    """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit a codec.
+
+    `runtime`: one of RUNTIMES, for tables that can be decoded by either; None = as they say.
+    """
     codec = codec_by_identifier(identifier)
     _check_model(codec, tables is not None)
+    if runtime is not None and tables is not None and codec.with_runtime is not None:
+        tables = codec.with_runtime(tables, runtime)
     return codec.make_decoder(configuration, channels, tables)
 
 

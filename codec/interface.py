@@ -16,6 +16,8 @@ Setting: TypeAlias = Mapping[str, Value]
 
 MAX_CHANNELS = 16
 """Channels in one stream."""
+RUNTIMES = ("core", "onnx")
+"""What can decode a learned codec: the integer core, or ONNX Runtime."""
 
 
 class CodecError(ValueError):
@@ -229,6 +231,8 @@ class Codec:
     `thrift`. `physical_ladders`: those that need a signal in a physical unit.
     `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
     CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
+    `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, or raises
+    CodecError; None where there is no choice.
     `make_encoder(setting, format, framing, model)`: the setting complete and checked.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
@@ -241,6 +245,7 @@ class Codec:
     make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
     check_tables: Callable[[bytes], None] | None = None
+    with_runtime: Callable[[bytes, str], bytes] | None = None
     physical_ladders: frozenset[str] = frozenset()
     takes_model: bool = False
     needs_model: bool = False

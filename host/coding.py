@@ -41,12 +41,14 @@ class _How(TypedDict):
 class Stream:
     """A whole coded stream in memory: what a .vct file holds, and the packed model image that it needs, if any.
 
+    `runtime`: one of codec.RUNTIMES, by which it is decoded where the model leaves the choice; None = as the image says.
     Raises CodecError for another image or codec, StreamError unless the packets hold just the samples of the header.
     """
 
     header: StreamHeader
     packets: tuple[bytes, ...]
     image: bytes | None = None
+    runtime: str | None = None
 
     def __post_init__(self) -> None:
         if self.image is not None and image_hash(self.image) != self.header.image_hash:
@@ -114,7 +116,7 @@ class Stream:
         """
         identifier = self.header.codec_identifier
         tables = self.tables if codec.codec_by_identifier(identifier).needs_model else None
-        return codec.decoder(identifier, self.header.configuration, self.header.channels, tables)
+        return codec.decoder(identifier, self.header.configuration, self.header.channels, tables, self.runtime)
 
     def decode_integers(self, progress: Callable[[float], None] | None = None) -> NDArray[np.int16]:
         """Return what a controller decodes: int16 (packets * packet_samples, channels).
@@ -122,7 +124,9 @@ class Stream:
         `progress` is called with the part done, from 0 to 1. Raises CodecError.
         """
         header = self.header
-        decoder = codec.decoder(header.codec_identifier, header.configuration, header.channels, self.tables)
+        decoder = codec.decoder(
+            header.codec_identifier, header.configuration, header.channels, self.tables, self.runtime
+        )
         decoded = np.empty((len(self.packets), decoder.packet_samples, decoder.channels), dtype=np.int16)
         for number, packet in enumerate(self.packets):
             decoded[number] = decoder.decode(packet)

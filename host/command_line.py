@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
@@ -142,6 +143,11 @@ model_option = click.option(
     metavar="NAME|FOLDER|IMAGE",
     help="A trained model that `vibrocast models` lists, a folder that `vibrocast export` wrote, or a model image.",
 )
+runtime_option = click.option(
+    "--runtime",
+    type=click.Choice(codec.RUNTIMES),
+    help="Decode by the integer core or by ONNX Runtime, where the model can be decoded by either; else as it says.",
+)
 quality_options = options(
     click.option(
         "--codec",
@@ -198,10 +204,17 @@ main.add_command(bench)
 @click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
 @click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
+@runtime_option
 @quality_options
 @recording_options
 def play(
-    file: Path, address: str, loops: int, report_path: Path | None, plot_path: Path | None, **choices: Any
+    file: Path,
+    address: str,
+    loops: int,
+    report_path: Path | None,
+    plot_path: Path | None,
+    runtime: str | None,
+    **choices: Any,
 ) -> None:
     """Play a recording or a .vct file on a controller."""
     from host import end_to_end, picture
@@ -212,7 +225,7 @@ def play(
     else:
         quality = quality_of(choices)
         source = textures.load(file, **choices)
-    with devices.connect(address) as controller:
+    with devices.connect(address, runtime) as controller:
         # What the controller cannot play need not be encoded first.
         if isinstance(source, coding.Stream):
             player.check_limits(controller, source.header.channels, source.header.rate_hz)
@@ -223,7 +236,8 @@ def play(
             stream = encoding.stream
         with progress.shown("playing") as update:
             tell = playing(update, stream.bits_per_second)
-            outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, tell)
+            as_asked = replace(stream, runtime=runtime)
+            outcome = end_to_end.play(controller, address, file.name, as_asked, encoding, loops, tell)
     if report_path:
         outcome.report.write(report_path)
     if plot_path:
@@ -277,14 +291,15 @@ def codecs(as_json: bool) -> None:
 @click.argument("out", type=OutputFile(".wav"))
 @click.option("--format", "sample_format", type=click.Choice(("float", "16-bit")), default="float", show_default=True)
 @model_option
-def decode(file: Path, out: Path, sample_format: str, model: models.Model | None) -> None:
+@runtime_option
+def decode(file: Path, out: Path, sample_format: str, model: models.Model | None, runtime: str | None) -> None:
     """Decode a .vct file into a WAV file.
 
     As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
     its unit and full scale in its comment, from which this program knows them again.
     """
     refuse_overwriting([out], [file, *files_of(model)])
-    stream = coding.read(file, model.image if model else None)
+    stream = replace(coding.read(file, model.image if model else None), runtime=runtime)
     with progress.shown("decoding") as update:
         full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit", progress=update)
     header = stream.header
@@ -371,7 +386,8 @@ def status(address: str, as_json: bool) -> None:
 @click.option("--actuator", type=click.Choice(sorted(ACTUATORS)), default=PIEZO_STACK.name, show_default=True)
 @click.option("--drift-ppm", type=click.IntRange(-10_000, 10_000), default=0, show_default=True, help="Of its clock.")
 @click.option("--flash-file", type=OutputFile(), help="Keeps the model images; without it they last until the end.")
-def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
+@runtime_option
+def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: str | None) -> None:
     """Run a simulated controller until Ctrl-C.
 
     It is behind a pseudo-terminal, whose address is printed; other programs open it as a serial port.
@@ -384,7 +400,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None) -> None:
     if flash_file and flash_file.exists() and not (flash_file.is_file() and flash_file.stat().st_size == FLASH_BYTES):
         raise BadInput(f"{flash_file}: not the {FLASH_BYTES} bytes of this flash memory; give a name for a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
-    settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm)
+    settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm, runtime=runtime)
     with PtyPort(SimulatedController(settings, flash_memory)) as port:
         click.echo(f"serial:{port.name}")
         sys.stdout.flush()

@@ -29,22 +29,26 @@ ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
 
 
 @contextlib.contextmanager
-def connect(address: str) -> Iterator[Controller]:
+def connect(address: str, runtime: str | None = None) -> Iterator[Controller]:
     """Open a session with the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
 
-    A simulated controller lives as long as the session. Raises TransportError and ControllerError.
+    A simulated controller lives as long as the session; `runtime` is that of its settings. Raises TransportError and ControllerError.
     """
     with contextlib.ExitStack() as stack:
         transport: Transport
         if address in SIMULATED:
             # Takes longer to load than all the rest, and only here is it needed.
             from simulated_device.controller import Controller as SimulatedController
+            from simulated_device.controller import Settings
             from simulated_device.pty_port import PtyPort
             from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
         if address == "sim":
-            transport = SerialTransport(stack.enter_context(PtyPort(SimulatedController())).name)
+            transport = SerialTransport(
+                stack.enter_context(PtyPort(SimulatedController(Settings(runtime=runtime)))).name
+            )
         elif address == "sim-usb":
-            transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(UsbPort(SimulatedController())))
+            port = UsbPort(SimulatedController(Settings(runtime=runtime)))
+            transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(port))
         else:
             transport = open_transport(address)
         yield Controller(stack.enter_context(transport))

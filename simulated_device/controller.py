@@ -46,7 +46,7 @@ from simulated_device.playback import Playback
 from simulated_device.refusal import Refusal
 
 BUILD = "simulated controller 0.1.0"
-FLASH_BYTES = 514 * 1024  # two sectors of state, two slots of 253 KiB
+FLASH_BYTES = 2056 * 1024  # two sectors of state, two slots of 1 MiB
 STATUS_INTERVAL_US = 100_000
 MINIMUM_RATE_HZ, MAXIMUM_RATE_HZ = 100, 48_000
 
@@ -63,11 +63,16 @@ _ACTIVE = (State.ARMED, State.PLAYING, State.PAUSED)
 
 @dataclass(frozen=True)
 class Settings:
-    """What kind of controller this is. `drift_ppm`: how much faster than true time its clock runs."""
+    """What kind of controller this is.
+
+    `drift_ppm`: how much faster than true time its clock runs. `runtime`: one of codec.RUNTIMES, by which it decodes
+    models that leave the choice; None = as the image says.
+    """
 
     actuator: Actuator = PIEZO_STACK
     hardware: str = "simulated"
     drift_ppm: int = 0
+    runtime: str | None = None
     channels: int = 8
     buffer_samples: int = 1 << 15
     capture_samples: int = 1 << 19
@@ -361,7 +366,9 @@ class Controller:
                     f"codec {header.codec_identifier}",
                 )
             tables = image.payload
-        return lambda: codec.decoder(header.codec_identifier, header.configuration, header.channels, tables)
+        return lambda: codec.decoder(
+            header.codec_identifier, header.configuration, header.channels, tables, self.settings.runtime
+        )
 
     def _stream_in(self, *states: State) -> Playback:
         if self._playback is None or self._playback.state not in states:
