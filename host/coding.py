@@ -41,8 +41,9 @@ class _How(TypedDict):
 class Stream:
     """A whole coded stream in memory: what a .vct file holds, and the packed model image that it needs, if any.
 
-    `runtime`: one of codec.RUNTIMES, by which it is decoded where the model leaves the choice; None = as the image says.
-    Raises CodecError for another image or codec, StreamError unless the packets hold just the samples of the header.
+    `runtime`: one of codec.RUNTIMES, by which it is decoded where the model leaves the choice; None = as the image
+    says. Raises CodecError for another image or codec, StreamError unless the packets hold just the samples of the
+    header.
     """
 
     header: StreamHeader

@@ -32,7 +32,8 @@ ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
 def connect(address: str, runtime: str | None = None) -> Iterator[Controller]:
     """Open a session with the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
 
-    A simulated controller lives as long as the session; `runtime` is that of its settings. Raises TransportError and ControllerError.
+    A simulated controller lives as long as the session; `runtime` is that of its settings. Raises TransportError and
+    ControllerError.
     """
     with contextlib.ExitStack() as stack:
         transport: Transport
