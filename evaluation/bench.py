@@ -12,9 +12,9 @@ from typing import Any, TypeAlias
 import textures
 from evaluation.cells import BenchError, Cell, Measured, Method
 from evaluation.cost import CodecCost
-from evaluation.dataset import Trace, printable
 from evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
 from host.output_files import whole_file
+from textures.dataset import Trace, printable
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
 _POINTS_CSV, _POINTS_JSON = "points.csv", "points.json"

@@ -4,19 +4,17 @@ python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a con
 python -m export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
 """
 
-import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
 import numpy as np
 from rich.progress import track
-from scipy import signal
 
 from codec import Framing, Signal
 from codec.mdct import IDENTIFIER, MdctEncoder, untrained_tables
 from device_protocol.model_image import ModelImage
-from textures import Recording, TextureError, resample
+from export.training_data import archive_recordings
+from textures import TextureError
 
 RATE_HZ = 2800
 STEPS_PER_RECORDING = 3
@@ -26,29 +24,6 @@ EXCERPT_S = 1.5
 PASSES = 2
 _STEP = 2.0**-9
 _BUILT_IN_SOURCE = Path(__file__).parents[1] / "firmware" / "core" / "builtin_tables.c"
-
-
-def recordings(archive: Path, drop_s: float, high_pass_hz: float) -> Iterator[Signal]:
-    """Yield each recording of an NPZ archive with a `rate_hz`: its start dropped, high-passed, at 2800 Hz.
-
-    Raises TextureError when it is no archive of arrays, or has no rate.
-    """
-    try:
-        loaded = np.load(archive, allow_pickle=False)
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise TextureError(f"{archive} is no NPZ archive that can be read; save one with numpy.savez") from error
-    if not isinstance(loaded, np.lib.npyio.NpzFile):
-        raise TextureError(f"{archive} holds one array; save an archive of recordings with numpy.savez")
-    with loaded as arrays:
-        if "rate_hz" not in arrays:
-            raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
-        rate_hz = float(arrays["rate_hz"])
-        high_pass = signal.butter(2, high_pass_hz, "highpass", fs=rate_hz, output="sos")
-        for name in arrays.files:
-            samples = arrays[name].astype(np.float64)
-            if samples.ndim == 1 and len(samples) > 2 * drop_s * rate_hz:
-                steady = signal.sosfilt(high_pass, samples[int(drop_s * rate_hz) :])
-                yield resample(Recording(steady[:, None], rate_hz, "full scale", name), RATE_HZ).samples
 
 
 def train(textures: list[Signal], seed: int, tables: bytes) -> bytes:
@@ -97,7 +72,11 @@ def main(
 ) -> None:
     """Train the initial tables of `mdct` on NPZ archives of recordings."""
     try:
-        textures = [texture for archive in archives for texture in recordings(archive, drop_s, high_pass_hz)]
+        textures = [
+            samples[:, None]
+            for archive in archives
+            for _, samples in archive_recordings(archive, drop_s, high_pass_hz, RATE_HZ)
+        ]
     except TextureError as error:
         raise click.ClickException(str(error)) from error
     if not textures:

@@ -104,7 +104,7 @@ class ContextPrior(Prior):
 
     def scales(self, contexts: Tensor, steps: Tensor) -> Tensor:
         """Return the expected magnitudes, in steps, of latents (batch, channels, columns) before they are known."""
-        batch, channels, columns = contexts.shape
+        columns = contexts.shape[2]
         magnitudes = torch.abs(contexts)
         earlier = nn.functional.pad(magnitudes.reshape(-1, 1, columns), (_AVERAGED_COLUMNS, -1))
         average = nn.functional.conv1d(earlier, self.get_buffer("average")).reshape(magnitudes.shape)
@@ -131,7 +131,7 @@ PRIORS: dict[str, type[Prior]] = {prior.kind: prior for prior in (FactorisedPrio
 def probabilities(prior: FactorisedPrior, step: NDArray[np.float64], limit: int) -> NDArray[np.float64]:
     """Return the probability of each integer -limit .. limit of each channel: float64 (latents, 2 limit + 1).
 
-    `step`: float64 (latents,), the quantiser steps of a rate. What lies beyond the limits is left out, so that a row may
+    `step`: float64 (latents,), the quantiser steps of a rate. What lies beyond the limits is left out, so a row may
     sum up to less than one.
     """
     with torch.no_grad():

@@ -79,8 +79,9 @@ def bench(
     Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
     the exit code is 1.
     """
-    from evaluation import bench, cells, cost, dataset, external, results_page, workers
+    from evaluation import bench, cells, cost, external, results_page, workers
     from evaluation.points import Failure, PointsError, read_imported
+    from textures import dataset
 
     try:
         programs = external.read_programs(program_list) if program_list else []

@@ -31,6 +31,7 @@ from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, chosen_m
 from host.output_files import whole_file
 from host.report import Report
 from host.stability_command import stability
+from host.train_command import train
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK
 
 INPUT_ERRORS = (
@@ -409,6 +410,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
 
 main.add_command(list_models)
 main.add_command(stability)
+main.add_command(train)
 
 
 def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:

@@ -18,10 +18,10 @@ from codec import CodecError
 from evaluation import bench, cells, metrics, workers
 from evaluation.bench import Journal, Tally
 from evaluation.cells import BenchError, Cell, Measured, Method
-from evaluation.dataset import Trace, load, traces
 from evaluation.points import Failure, Point, Timing, read_rows
 from host import coding
 from textures import Recording
+from textures.dataset import Trace, load, traces
 from textures.generate import rough, wood
 
 METHODS = [Method("mdct", ({"step": 1.0}, {"step": 0.25}), "mdct"), Method("flac", ({},), "flac")]

@@ -1,4 +1,4 @@
-"""A folder of recordings as the traces of a benchmark, and its seeded split into a training and a test part."""
+"""A folder of recordings as single traces, and its seeded split into a training and a test part."""
 
 import hashlib
 import re

@@ -1,4 +1,4 @@
-"""Tests of a folder as the traces of a benchmark: what is a trace, and the seeded split."""
+"""Tests of a folder as single traces: what is a trace, and the seeded split."""
 
 import os
 from pathlib import Path
@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import textures
-from evaluation.dataset import DatasetError, Trace, load, split, traces
 from textures import TextureError
+from textures.dataset import DatasetError, Trace, load, split, traces
 from textures.generate import wood
 
 REFERENCE = [

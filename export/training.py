@@ -1,0 +1,277 @@
+"""Trains EVA: bits + lambda * distortion, from a seed to checkpoints, validated on materials that are held back."""
+
+import math
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from codec.threshold import read_threshold, threshold_amplitude
+from export import training_data
+from export.checkpoint import Checkpoint, ModelError, load
+from export.configuration import Augmentation, Configuration
+from export.eva import Eva, EvaShape
+from export.lapped_start import start_lapped
+from export.priors import PRIORS
+from export.training_data import Excerpts
+
+BEST, LAST = "best.pt", "last.pt"
+_EXPLODED = 100.0
+_MEMORY = 0.02
+_LAST_LEARNING_RATE = 0.02
+_UNVARIED = Augmentation(gain_db=0, rate_octaves=0, polarity=False, tilt_db_per_octave=0, filter_share=0, noise_share=0)
+
+
+class TrainingError(RuntimeError):
+    """A training that cannot begin, or go on; the message says why and what to do."""
+
+
+class Tell(Protocol):
+    """Takes the part of the training that is done, from 0 to 1, and how it goes."""
+
+    def __call__(self, part: float, details: str = "", /) -> None: ...
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Of each excerpt (batch,): bits per sample, mean squared error as in the loss, and that of the plain signal."""
+
+    bits: Tensor
+    distortion: Tensor
+    squared_error: Tensor
+
+
+@dataclass
+class _Average:
+    """What was told since the last validation, and a running mean of the loss."""
+
+    losses: list[float] = field(default_factory=list)
+    loss: float = math.nan
+    bits: float = math.nan
+    snr_db: float = math.nan
+
+    def add(self, loss: float, bits: float, snr_db: float) -> None:
+        self.losses.append(loss)
+        begun = not math.isnan(self.loss)
+        for name, value in (("loss", loss), ("bits", bits), ("snr_db", snr_db)):
+            before = getattr(self, name) if begun else value
+            setattr(self, name, before + _MEMORY * (value - before))
+
+
+class Perception:
+    """The perceptual transform g_p: none, or a weight of each frequency by how little of it can be felt."""
+
+    LOWEST_HZ = 20.0
+    """Below, the threshold is taken as here: recordings hold little but drift."""
+
+    def __init__(self, kind: str, rate_hz: float, samples: int, device: torch.device) -> None:
+        self._gain: Tensor | None = None
+        if kind != "plain":
+            frequency_hz = np.maximum(np.fft.rfftfreq(samples, 1 / rate_hz), self.LOWEST_HZ)
+            unit = {"acceleration": "m/s^2", "displacement": "um"}[kind]
+            gain = 1 / threshold_amplitude(read_threshold(), frequency_hz, unit)
+            self._gain = torch.from_numpy(gain / np.sqrt(np.mean(gain**2))).float().to(device)
+
+    def mean_square(self, error: Tensor) -> Tensor:
+        """Return the mean square (batch,) of what the transform, which is linear, makes of errors (batch, 1, n)."""
+        if self._gain is not None:
+            error = torch.fft.irfft(torch.fft.rfft(error) * self._gain, error.shape[-1])
+        return torch.mean(error**2, dim=(1, 2))
+
+
+class Training:
+    """A training under way: model, prior, optimiser and data."""
+
+    def __init__(self, configuration: Configuration, data_folder: Path, device: torch.device) -> None:
+        """Load the data and begin a model. Raises TextureError for data that cannot be used."""
+        self.configuration, self._device = configuration, device
+        self._schedule = schedule = configuration.training
+        traces = training_data.load(configuration.sources, data_folder, schedule.rate_hz)
+        trained, held_back = training_data.split(traces, configuration.held_back, configuration.seed)
+        self._excerpts = Excerpts(
+            trained, schedule.excerpt_samples, schedule.rate_hz, configuration.augmentation, configuration.seed
+        )
+        unseen = Excerpts(held_back, schedule.excerpt_samples, schedule.rate_hz, _UNVARIED, configuration.seed)
+        self._validation = self._signals(unseen.batch(0, schedule.validation_excerpts))
+        self._perception = Perception(schedule.distortion, schedule.rate_hz, schedule.excerpt_samples, device)
+        choice = configuration.model
+        self._lambdas = torch.tensor(choice.lambdas, device=device)
+        torch.manual_seed(configuration.seed)
+        model = Eva(EvaShape(choice.width, choice.latents, len(choice.lambdas)))
+        if choice.start == "lapped":
+            start_lapped(model, choice.lambdas)
+        self.state = Checkpoint(
+            model.to(device),
+            PRIORS[choice.prior](choice.latents).to(device),
+            configuration.as_dict(),
+            {"step": 0, "seconds": 0.0, "best_loss": math.inf, "best_step": 0},
+        )
+        self._begin_optimiser()
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint. Raises ModelError for one that is damaged, or of another training; OSError."""
+        state = load(path)
+        ours = self.configuration.as_dict()
+        # The schedule may be changed on the way: more steps, or a lower rate after an explosion.
+        if other := [name for name in ours if name != "training" and state.training.get(name) != ours[name]]:
+            raise ModelError(f"{path}: was trained with another {other[0]}; choose another --out, or undo the change")
+        if state.shape != self.state.shape or state.prior.kind != self.state.prior.kind or state.optimiser is None:
+            raise ModelError(f"{path}: not a checkpoint of this training to go on from; choose another --out")
+        if not state.progress.keys() >= self.state.progress.keys():
+            raise ModelError(f"{path}: does not say how far it is; choose another --out")
+        state.model.to(self._device)
+        state.prior.to(self._device)
+        state.training = ours
+        self.state = state
+        self._begin_optimiser()
+        try:
+            self._optimiser.load_state_dict(state.optimiser)
+        except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+            raise ModelError(f"{path}: its state of the optimiser is damaged; choose another --out") from error
+
+    def run(self, out: Path, tell: Tell) -> str:
+        """Train to the end, or until validation no longer improves; return which. Writes BEST and LAST into a folder.
+
+        Raises TrainingError where the loss is not a number or explodes, OSError where nothing can be written.
+        """
+        schedule, progress = self._schedule, self.state.progress
+        average, since_s = _Average(), time.monotonic() - progress["seconds"]
+        for module in (self.state.model, self.state.prior):
+            module.train()
+        while progress["step"] < schedule.steps:
+            if self._validations_without_gain() >= schedule.patience:
+                return f"stopped early, {schedule.patience} validations after the best"
+            self._step(progress["step"], average)
+            progress["step"] += 1
+            tell(
+                progress["step"] / schedule.steps,
+                f"step {progress['step']}, {average.bits:.3f} bit/sample, {average.snr_db:.2f} dB, "
+                f"loss {average.loss:.4f}, best on held-back materials {progress['best_loss']:.4f}",
+            )
+            if progress["step"] % schedule.validate_every == 0 or progress["step"] == schedule.steps:
+                progress["seconds"] = time.monotonic() - since_s
+                self._validate(float(np.mean(average.losses)))
+                average = _Average()
+                if progress["best_step"] == progress["step"]:
+                    self.state.save(out / BEST)
+                self.state.optimiser = self._optimiser.state_dict()
+                self.state.save(out / LAST)
+                self.state.optimiser = None
+        return "all steps done"
+
+    def _begin_optimiser(self) -> None:
+        self._parameters = [*self.state.model.parameters(), *self.state.prior.parameters()]
+        self._optimiser = torch.optim.Adam(self._parameters, lr=self._schedule.learning_rate)
+
+    def _signals(self, excerpts: Any) -> Tensor:
+        return torch.from_numpy(excerpts)[:, None].to(self._device)
+
+    def _learning_rate(self, step: int) -> float:
+        """Return a rate that warms up linearly and falls by half a cosine."""
+        schedule = self._schedule
+        falling = _LAST_LEARNING_RATE + (1 - _LAST_LEARNING_RATE) * 0.5 * (
+            1 + math.cos(math.pi * step / schedule.steps)
+        )
+        return schedule.learning_rate * falling * min(1.0, (step + 1) / (schedule.warm_up_steps + 1))
+
+    def _step(self, step: int, average: _Average) -> None:
+        """Take one step; all that is random in it depends on seed and step alone."""
+        generator = torch.Generator().manual_seed(2**31 * self.configuration.seed + step)
+        signals = self._signals(self._excerpts.batch(step, self._schedule.batch))
+        top = len(self._lambdas) - 1
+        quality = (torch.rand(len(signals), generator=generator) * top).to(self._device)
+        below = torch.floor(quality).long().clamp(max=max(0, top - 1))
+        above = (below + 1).clamp(max=top)
+        log_lambdas = torch.log(self._lambdas)
+        weight = torch.exp(torch.lerp(log_lambdas[below], log_lambdas[above], quality - below))
+        measured = self._measure(signals, quality, generator)
+        loss = torch.mean(measured.bits + weight * measured.distortion)
+        self._optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        norm = nn.utils.clip_grad_norm_(self._parameters, self._schedule.gradient_norm)
+        for group in self._optimiser.param_groups:
+            group["lr"] = self._learning_rate(step)
+        value = loss.item()
+        if not math.isfinite(value) or not math.isfinite(norm.item()) or value > _EXPLODED * average.loss:
+            raise TrainingError(
+                f"the loss is {value:.3g} at step {step + 1}, {average.loss:.3g} before; the last good checkpoint is "
+                "kept: lower [training] learning_rate and go on with --resume"
+            )
+        self._optimiser.step()
+        average.add(value, measured.bits.mean().item(), _mean_snr_db(signals, measured.squared_error))
+
+    def _measure(self, signals: Tensor, quality: Tensor, generator: torch.Generator | None) -> Measured:
+        """Code signals (batch, 1, n) at qualities (batch,): with rounding alone, or as in training with a generator."""
+        model = self.state.model
+        steps = model.steps(quality)
+        latents = model.analysis(signals) / steps
+        # What is shrunk before it is rounded has a dead zone around zero.
+        latents = torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
+        rounded = torch.round(latents).detach()
+        values = used = rounded
+        if generator is not None:
+            noise = torch.rand(latents.shape, generator=generator).to(self._device) - 0.5
+            values = used = latents + noise
+            if self._schedule.rounding == "straight-through":
+                used = latents + (rounded - latents).detach()
+        bits = self.state.prior.bits(values, rounded, steps).sum(dim=(1, 2)) / signals.shape[-1]
+        error = model.synthesis(used * steps) - signals
+        return Measured(bits, self._perception.mean_square(error), torch.mean(error**2, dim=(1, 2)))
+
+    def _validate(self, training_loss: float) -> None:
+        """Measure every rate on held-back materials, and note it in the curves."""
+        rates, losses = [], []
+        with torch.no_grad():
+            for rate, weight in enumerate(self._lambdas.tolist()):
+                quality = torch.full((len(self._validation),), float(rate), device=self._device)
+                measured = self._measure(self._validation, quality, None)
+                losses.append((measured.bits + weight * measured.distortion).mean().item())
+                snr_db = _mean_snr_db(self._validation, measured.squared_error)
+                rates.append({"lambda": weight, "bits_per_sample": measured.bits.mean().item(), "snr_db": snr_db})
+        progress, loss = self.state.progress, float(np.mean(losses))
+        record = {
+            "step": progress["step"],
+            "seconds": progress["seconds"],
+            "training_loss": training_loss,
+            "loss": loss,
+        }
+        self.state.curves.append({**record, "rates": rates})
+        if loss < progress["best_loss"]:
+            progress.update(best_loss=loss, best_step=progress["step"])
+
+    def _validations_without_gain(self) -> int:
+        return sum(record["step"] > self.state.progress["best_step"] for record in self.state.curves)
+
+
+def train(
+    configuration: Configuration, data_folder: Path, out: Path, resume: bool, tell: Tell, threads: int | None = None
+) -> str:
+    """Run one training, on a GPU where there is one; return a line on its outcome.
+
+    The folder `out` gets BEST, the checkpoint to export, and LAST, from which `resume` goes on. `threads`: of torch;
+    None for all cores. Raises TrainingError, ModelError, TextureError and OSError.
+    """
+    last = out / LAST
+    if last.exists() and not resume:
+        raise TrainingError(f"{out}: holds a training; go on with it by --resume, or choose another --out")
+    if threads:
+        torch.set_num_threads(threads)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    training = Training(configuration, data_folder, device)
+    if last.exists():
+        training.resume(last)
+    out.mkdir(parents=True, exist_ok=True)
+    outcome = training.run(out, tell)
+    progress = training.state.progress
+    best = next(record for record in training.state.curves if record["step"] == progress["best_step"])
+    curve = ", ".join(f"{rate['bits_per_sample']:.2f} bit/sample at {rate['snr_db']:.1f} dB" for rate in best["rates"])
+    return f"{out / BEST}: {outcome}, best at step {progress['best_step']} of {progress['step']}: {curve}"
+
+
+def _mean_snr_db(signals: Tensor, squared_error: Tensor) -> float:
+    with torch.no_grad():
+        return (10 * torch.log10(torch.mean(signals**2, dim=(1, 2)) / squared_error.clamp(min=1e-12))).mean().item()

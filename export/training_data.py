@@ -1,0 +1,219 @@
+"""What models are trained on: recordings of many sources, split by material, as excerpts that are varied at random."""
+
+import re
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+import textures
+from export.configuration import ArchiveSource, Augmentation, FolderSource, GeneratorSource, HeldBack, Source
+from textures import Recording, TextureError, dataset
+from textures.recording import Signal
+
+_MARGIN_SAMPLES = 128
+"""On each side of an excerpt, cut off again: its filters take it for periodic."""
+_TILT_REFERENCE_HZ = 250.0
+_HIGH_PASS_HZ = (10.0, 150.0)
+_LOW_PASS_HZ = (200.0, 1400.0)
+_NOISE_DB = (-40.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One channel to train on: float32 (n,) at the rate of the training, and the material it was recorded on."""
+
+    source: str
+    material: str
+    samples: NDArray[np.float32]
+
+
+def archive_recordings(
+    archive: Path, drop_s: float, high_pass_hz: float, rate_hz: float
+) -> Iterator[tuple[str, Signal]]:
+    """Yield name and samples (n,) of each recording of an NPZ archive that states a `rate_hz`, at a rate in hertz.
+
+    The start is dropped, the rest high-passed. Raises TextureError when it is no archive of arrays, or has no rate.
+    """
+    try:
+        loaded = np.load(archive, allow_pickle=False)
+    except (ValueError, OSError, zipfile.BadZipFile) as error:
+        raise TextureError(f"{archive} is no NPZ archive that can be read; save one with numpy.savez") from error
+    if not isinstance(loaded, np.lib.npyio.NpzFile):
+        raise TextureError(f"{archive} holds one array; save an archive of recordings with numpy.savez")
+    with loaded as arrays:
+        if "rate_hz" not in arrays:
+            raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
+        own_rate_hz = float(arrays["rate_hz"])
+        for name in arrays.files:
+            samples = arrays[name].astype(np.float64)
+            if samples.ndim == 1 and len(samples) > 2 * drop_s * own_rate_hz:
+                steady = _high_passed(samples[int(drop_s * own_rate_hz) :], own_rate_hz, high_pass_hz)
+                yield (
+                    name,
+                    textures.resample(Recording(steady[:, None], own_rate_hz, "full scale", name), rate_hz).samples[
+                        :, 0
+                    ],
+                )
+
+
+def load(sources: Sequence[Source], folder: Path, rate_hz: float) -> list[Trace]:
+    """Return the traces of all sources, whose paths start at a folder; none is silent.
+
+    Raises TextureError for what cannot be read or holds nothing to train on.
+    """
+    traces: list[Trace] = []
+    for source in sources:
+        found = [
+            Trace(source.name, f"{source.name}/{material}", samples.astype(np.float32))
+            for material, samples in _recordings(source, folder, rate_hz)
+            if np.any(samples)
+        ]
+        if not found:
+            raise TextureError(f"{source.name}: holds no recording to train on; leave it out, or drop less of each")
+        traces += found
+    return traces
+
+
+def split(traces: Sequence[Trace], held_back: HeldBack, seed: int) -> tuple[list[Trace], list[Trace]]:
+    """Return the traces to train on and those held back: of the named materials, or of a seeded share of each source's.
+
+    Raises TextureError for a material that there is not, and where nothing would be left on one side.
+    """
+    materials = sorted({trace.material for trace in traces})
+    chosen = set(held_back.materials)
+    if unknown := sorted(chosen - set(materials)):
+        raise TextureError(f"no material {unknown[0]!r} to hold back; there are {', '.join(materials)}")
+    if not chosen:
+        lots = np.random.default_rng(seed).permutation(len(materials))
+        shuffled = [materials[lot] for lot in lots]
+        for source in sorted({trace.source for trace in traces}):
+            own = [material for material in shuffled if material.startswith(f"{source}/")]
+            chosen |= set(own[: round(held_back.share * len(own))])
+    parts = (
+        [trace for trace in traces if trace.material not in chosen],
+        [trace for trace in traces if trace.material in chosen],
+    )
+    if not all(parts):
+        raise TextureError(
+            f"{len(materials)} materials leave none to {'train on' if parts[1] else 'hold back'}; "
+            "give more recordings, or name the materials under [held_back]"
+        )
+    return parts
+
+
+def _recordings(source: Source, folder: Path, rate_hz: float) -> Iterator[tuple[str, Signal]]:
+    """Yield material and samples of each channel of a source."""
+    if isinstance(source, ArchiveSource):
+        for name, samples in archive_recordings(folder / source.archive, source.drop_s, source.high_pass_hz, rate_hz):
+            yield re.sub(r"_[^_]*$", "", name), samples
+    elif isinstance(source, FolderSource):
+        yield from _of_folder(source, folder / source.folder, rate_hz)
+    else:
+        yield from _generated(source, rate_hz)
+
+
+def _of_folder(source: FolderSource, folder: Path, rate_hz: float) -> Iterator[tuple[str, Signal]]:
+    options = {name: value for name, value in source.options.items() if value is not None}
+    try:
+        chosen = dataset.split(dataset.traces(folder), source.part, source.seed, source.split_by == "material")
+    except dataset.DatasetError as error:
+        raise TextureError(str(error)) from error
+    for trace in chosen:
+        recording = textures.resample(dataset.load(trace, round(rate_hz), **options), rate_hz)
+        try:
+            material = trace.material
+        except dataset.DatasetError:  # then each recording counts as a material of its own
+            material = trace.name
+        steady = recording.samples[int(source.drop_s * rate_hz) :]
+        for channel in _high_passed(steady.T, rate_hz, source.high_pass_hz):
+            yield material, channel
+
+
+def _generated(source: GeneratorSource, rate_hz: float) -> Iterator[tuple[str, Signal]]:
+    generator = np.random.default_rng(source.seed)
+    for kind in source.kinds:
+        for _ in range(source.recordings):
+            mean_mm_s = 50.0 * 2.0 ** generator.uniform(-1.5, 1.5)
+            speed_mm_s = textures.varying_speed(source.seconds, rate_hz, mean_mm_s, generator.uniform(0, 0.5))
+            seed = int(generator.integers(2**31))
+            recording = textures.GENERATORS[kind](
+                seed=seed, seconds=source.seconds, hand_speed_mm_s=speed_mm_s, rate_hz=rate_hz
+            )
+            yield kind, _high_passed(recording.samples[:, 0], rate_hz, source.high_pass_hz)
+
+
+def _high_passed(samples: Signal, rate_hz: float, corner_hz: float) -> Signal:
+    """Filter along the last axis by a Butterworth high-pass of second order; a corner of 0 leaves all as it is."""
+    if corner_hz <= 0:
+        return samples
+    high_pass = signal.butter(2, corner_hz, "highpass", fs=rate_hz, output="sos")
+    filtered: Signal = signal.sosfilt(high_pass, samples)
+    return filtered
+
+
+class Excerpts:
+    """Draws excerpts, of every source and within it every material alike, and varies them.
+
+    The excerpts of a step depend on seed and step alone, so a training that was cut goes on as if it had not been.
+    """
+
+    def __init__(
+        self, traces: Sequence[Trace], samples: int, rate_hz: float, augmentation: Augmentation, seed: int
+    ) -> None:
+        self._samples, self._rate_hz, self._augmentation, self._seed = samples, rate_hz, augmentation, seed
+        grouped: dict[str, dict[str, list[NDArray[np.float32]]]] = {}
+        for trace in traces:
+            grouped.setdefault(trace.source, {}).setdefault(trace.material, []).append(trace.samples)
+        self._sources = [list(materials.values()) for materials in grouped.values()]
+
+    def batch(self, step: int, size: int) -> NDArray[np.float32]:
+        """Return excerpts, float32 (size, samples), each of RMS 1 up to the augmentation's gain."""
+        generator = np.random.default_rng([self._seed, step])
+        return np.stack([self._excerpt(generator) for _ in range(size)])
+
+    def _excerpt(self, generator: np.random.Generator) -> NDArray[np.float32]:
+        while True:
+            materials = self._sources[generator.integers(len(self._sources))]
+            recordings = materials[generator.integers(len(materials))]
+            recording = recordings[generator.integers(len(recordings))]
+            varied = self._varied(recording, generator)
+            if np.any(varied):
+                varied /= np.sqrt(np.mean(np.square(varied)))
+                if generator.uniform() < self._augmentation.noise_share:
+                    decibels = generator.uniform(*_NOISE_DB)
+                    varied += 10 ** (decibels / 20) * generator.standard_normal(len(varied))
+                    varied /= np.sqrt(np.mean(np.square(varied)))
+                decibels = self._augmentation.gain_db * generator.uniform(-1, 1)
+                return (varied * 10 ** (decibels / 20)).astype(np.float32)
+
+    def _varied(self, recording: NDArray[np.float32], generator: np.random.Generator) -> Signal:
+        """Return an excerpt at another speed, perhaps inverted, tilted and filtered; all in one discrete spectrum."""
+        chosen = self._augmentation
+        wanted = self._samples + 2 * _MARGIN_SAMPLES
+        taken = round(wanted * 2 ** (chosen.rate_octaves * generator.uniform(-1, 1)))
+        start = int(generator.integers(max(1, len(recording) - taken + 1)))
+        piece = recording[start : start + taken]
+        if len(piece) < taken:
+            piece = np.pad(piece, (0, taken - len(piece)))
+        spectrum = np.zeros(wanted // 2 + 1, dtype=np.complex128)
+        own = np.fft.rfft(piece)[: len(spectrum)]
+        spectrum[: len(own)] = own
+        frequency_hz = np.fft.rfftfreq(wanted, 1 / self._rate_hz)
+        frequency_hz[0] = frequency_hz[1]
+        tilt_db = chosen.tilt_db_per_octave * generator.uniform(-1, 1)
+        gain = (frequency_hz / _TILT_REFERENCE_HZ) ** (tilt_db / (20 * np.log10(2)))
+        high_pass_hz, low_pass_hz = (
+            np.exp(generator.uniform(*np.log(corners))) for corners in (_HIGH_PASS_HZ, _LOW_PASS_HZ)
+        )
+        if generator.uniform() < chosen.filter_share:
+            gain /= np.sqrt(1 + (high_pass_hz / frequency_hz) ** 4)
+        if generator.uniform() < chosen.filter_share:
+            gain /= np.sqrt(1 + (frequency_hz / low_pass_hz) ** 4)
+        polarity = -1 if chosen.polarity and generator.uniform() < 0.5 else 1
+        varied: Signal = np.fft.irfft(polarity * gain * spectrum, wanted)
+        return varied[_MARGIN_SAMPLES:-_MARGIN_SAMPLES]
