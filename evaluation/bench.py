@@ -7,18 +7,17 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import textures
 from evaluation.cells import BenchError, Cell, Measured, Method
-from evaluation.cost import CodecCost
+from evaluation.comparison import TABLES, Measurements
 from evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
 from host.output_files import whole_file
-from textures.dataset import Trace, printable
+from textures.dataset import Trace
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
-_POINTS_CSV, _POINTS_JSON = "points.csv", "points.json"
-_TABLES = {_POINTS_CSV: Point, "timings.csv": Timing, "costs.csv": CodecCost, "failures.csv": Failure}
+_POINTS_JSON = "points.json"
 
 
 class Journal:
@@ -108,7 +107,7 @@ def run(
             try:
                 cells = _cells(trace, load(trace), chosen, repeats)
             except Exception as error:  # whatever one file does, the others are wanted
-                note(next(places), Failure(trace.name, "", "", _reason(error)), cells_of_trace)
+                note(next(places), Failure.of(error, trace.name), cells_of_trace)
                 continue
             tally.cells -= cells_of_trace - len(cells)
             for cell in cells:
@@ -126,23 +125,17 @@ def run(
                 journal.add(cell, outcome)
                 note(place, outcome)
             else:
-                note(place, Failure(*cell.names, _reason(outcome)))
+                note(place, Failure.of(outcome, *cell.names))
     return [results[place] for place in sorted(results)]
 
 
 def _cells(trace: Trace, recording: textures.Recording, chosen: Sequence[Method], repeats: int) -> list[Cell]:
     return [
-        Cell(trace.name, recording, method, setting, repeats)
+        Cell(trace.name, recording, method, setting, repeats, model)
         for method in chosen
         if not method.physical or recording.unit != "full scale"
-        for setting in method.settings
+        for setting, model in method.rungs
     ]
-
-
-def _reason(error: Exception) -> str:
-    """Return an error in one line; what Python itself raises tells little without its name."""
-    text = printable(" ".join(str(error).split()))
-    return f"{type(error).__name__}: {text}".removesuffix(": ") if type(error).__module__ == "builtins" else text
 
 
 def results_folder(out: Path) -> Path:
@@ -151,8 +144,8 @@ def results_folder(out: Path) -> Path:
     Raises BenchError where files of other origin would be overwritten, OSError where it cannot be made.
     """
     results = out / "results"
-    if not (results / JOURNAL).exists() and not _is_ours(results / _POINTS_CSV):
-        for path in (out / PAGE, *(results / name for name in (*_TABLES, _POINTS_JSON))):
+    if not (results / JOURNAL).exists() and not _is_ours(results / "points.csv"):
+        for path in (out / PAGE, results / _POINTS_JSON, *(results / f"{name}.csv" for name in TABLES)):
             if path.exists():
                 raise BenchError(f"{path}: would be overwritten, but is not of a benchmark; choose another --out")
     results.mkdir(parents=True, exist_ok=True)
@@ -167,16 +160,15 @@ def _is_ours(points: Path) -> bool:
     return True
 
 
-def write(
-    results: Path, points: list[Point], timings: list[Timing], costs: list[CodecCost], failures: list[Failure]
-) -> None:
+def write(results: Path, measurements: Measurements) -> None:
     """Write all figures into a folder as CSV, the points as JSON too, each file whole or not at all. Raises OSError."""
-    tables: tuple[Sequence[Any], ...] = points, timings, costs, failures
-    for (name, kind), rows in zip(_TABLES.items(), tables, strict=True):
-        with whole_file(results / name) as partial:
-            write_rows(partial, rows, kind)
+    for name, kind in TABLES.items():
+        with whole_file(results / f"{name}.csv") as partial:
+            write_rows(partial, getattr(measurements, name), kind)
     with whole_file(results / _POINTS_JSON) as partial:
+        points = measurements.points
         records = [{**asdict(point), "bits_per_sample": point.bits_per_sample} for point in points]
         # JSON has no infinity, the SNR of an exact copy.
-        texts = [{name: "inf" if value == math.inf else value for name, value in record.items()} for record in records]
+        infinities = {math.inf: "inf", -math.inf: "-inf"}
+        texts = [{name: infinities.get(value, value) for name, value in record.items()} for record in records]
         partial.write_text(json.dumps(texts, indent=1, allow_nan=False) + "\n", encoding="utf-8")

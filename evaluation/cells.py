@@ -1,10 +1,11 @@
 """The cells of a benchmark, one trace at one setting of one codec: what they are, how each is measured."""
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from importlib.metadata import version
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,21 @@ import codec
 import textures
 from codec import Setting, Signal
 from device_protocol import coded_stream
-from evaluation import cost, external, metrics
+from evaluation import cost, external, metrics, trained
 from evaluation.points import MEASURED, PROGRAM, Point, Timing
 from host import coding
+from models import Model
 
 DECIMALS = 6
 """Of a quality, so that the arithmetic of another machine gives the same file."""
 
-_LIBRARIES = ("vibrocast", "av", "numpy", "scipy", "vibromaf")
+_LIBRARIES = ("vibrocast", "av", "numpy", "onnxruntime", "scipy", "vibromaf")
 _ROOT = Path(__file__).parents[1]
 _SOURCES = (
     "codec/*.py",
     "codec/data/*",
     "device_protocol/coded_stream.py",
+    "device_protocol/model_image.py",
     "host/coding.py",
     "evaluation/cells.py",
     "evaluation/cost.py",
@@ -43,13 +46,20 @@ class BenchError(ValueError):
 class Method:
     """One curve: the settings of a codec, by its name, or of a program that the user has.
 
-    `physical`: it is for traces in a physical unit, and left out for others.
+    `physical`: it is for traces in a physical unit, and left out for others. `models`: the trained model of each
+    setting; none where the codec uses its built-in tables.
     """
 
     name: str
     settings: tuple[Setting | str, ...]
     coder: str | external.Program
     physical: bool = False
+    models: tuple[Model, ...] = ()
+
+    @property
+    def rungs(self) -> Iterator[tuple[Setting | str, Model | None]]:
+        """Each setting with its model, if any."""
+        return zip_longest(self.settings, self.models)
 
 
 @dataclass(frozen=True)
@@ -72,20 +82,21 @@ class Cell:
     method: Method
     setting: Setting | str
     repeats: int
+    model: Model | None = None
 
     @property
     def names(self) -> tuple[str, str, str]:
-        """Trace, method and setting as they stand in tables."""
-        setting = self.setting if isinstance(self.setting, str) else setting_text(self.setting)
-        return self.trace, self.method.name, setting
+        """Trace, method and setting as they stand in tables; with the model, where the method has several."""
+        return self.trace, self.method.name, rung_text(self.method, self.setting, self.model)
 
     @property
     def key(self) -> str:
-        """A hash of all that decides the figures: name and signal of the trace, method, setting, `repeats`, program."""
+        """A hash of all that decides the figures: name and signal of the trace, method, setting, model, program."""
         recording = self.recording
         digest = hashlib.sha256(recording.samples.tobytes())
         signal_format = recording.samples.shape, recording.rate_hz, recording.unit
-        work = self.method.name, self.method.coder, self.setting, self.repeats
+        model = self.model and (self.model.name, trained.digest(self.model))
+        work = self.method.name, self.method.coder, self.setting, model, self.repeats
         digest.update(repr((self.trace, signal_format, work, program_version(), _core())).encode())
         return digest.hexdigest()
 
@@ -103,12 +114,13 @@ class Cell:
             times = coded.encode_s * 1e6 / samples.size, coded.decode_s * 1e6 / samples.size
         else:
             assert not isinstance(self.setting, str), "codecs have parameters"
-            encode = partial(_encode, recording, coder, self.setting)
+            encode = partial(encode_file, recording, coder, self.setting, self.model)
+            decode = partial(decode_file, model=self.model)
             file = encode()
-            decoded, size_bytes = _decode(file), len(file)
-            delay_ms = cost.delay_ms(coder, self.setting, rate_hz, recording.channels, recording.unit)
+            decoded, size_bytes = decode(file), len(file)
+            delay_ms = cost.delay_ms(coder, self.setting, rate_hz, recording.channels, recording.unit, self.model)
             if self.repeats:
-                times = cost.time_coding(encode, _decode, samples.size, self.repeats)
+                times = cost.time_coding(encode, decode, samples.size, self.repeats)
         figures = {**asdict(metrics.measure(samples, decoded, rate_hz)), "delay_ms": delay_ms}
         rounded: dict[str, Any] = {
             name: None if value is None else round(value, DECIMALS) for name, value in figures.items()
@@ -118,16 +130,31 @@ class Cell:
         return Measured(point, Timing(*self.names, *times, source) if times and self.repeats else None)
 
 
-def _encode(recording: textures.Recording, codec_name: str, setting: Setting) -> bytes:
+def encode_file(recording: textures.Recording, codec_name: str, setting: Setting, model: Model | None) -> bytes:
+    """Return a recording coded at a setting, by a trained model if given, as the bytes of a .vct file.
+
+    Raises CodecError.
+    """
+    image, tables = (model.image, trained.for_encoder(model)) if model else (None, None)
     rate_hz = round(recording.rate_hz)
-    coded = codec.encode(recording.samples, rate_hz, setting, codec=codec_name, unit=recording.unit)
-    stream = coding.as_stream(coded, recording.unit)
+    coded = codec.encode(recording.samples, rate_hz, setting, codec=codec_name, unit=recording.unit, model=tables)
+    stream = coding.as_stream(coded, recording.unit, image)
     return coded_stream.pack_file(stream.header, stream.packets)
 
 
-def _decode(file: bytes) -> Signal:
+def decode_file(file: bytes, model: Model | None, runtime: str | None = None) -> Signal:
+    """Return what the bytes of a .vct file decode to, in their unit; by one of codec.RUNTIMES, or as the model prefers.
+
+    Raises CodecError, or StreamError.
+    """
     header, packets = coded_stream.unpack_file(file)
-    return coding.Stream(header, tuple(packets)).decode()
+    return coding.Stream(header, tuple(packets), model.image if model else None, runtime).decode()
+
+
+def rung_text(method: Method, setting: Setting | str, model: Model | None) -> str:
+    """Return a setting of a method as text; with the model, where the method has several."""
+    text = setting if isinstance(setting, str) else setting_text(setting)
+    return f"{text} model={model.name}" if model and len({each.name for each in method.models}) > 1 else text
 
 
 def setting_text(setting: Setting) -> str:
@@ -139,25 +166,62 @@ def setting_text(setting: Setting) -> str:
     return " ".join(f"{name}={text}" for name, text in texts.items())
 
 
-def methods(names: Collection[str], programs: Sequence[external.Program] = ()) -> list[Method]:
-    """Return the methods of these names, in a fixed order, then the programs.
+def methods(
+    names: Collection[str], programs: Sequence[external.Program] = (), models: Sequence[Model] = ()
+) -> list[Method]:
+    """Return the methods of these names, in a fixed order: ladders of codecs, families of models, then the programs.
 
-    A name is that of a codec, which stands for all its ladders, or of a ladder; no name at all stands for all codecs.
-    A ladder that needs a physical unit is left out of traces without one, unless it is named. Raises BenchError for
-    unknown names, and for a program that is called like a codec or ladder.
+    A name is that of a codec, which stands for all its ladders and families, or of one of these; no name at all stands
+    for all codecs. A ladder that needs a physical unit is left out of traces without one, unless it is named. Raises
+    BenchError for unknown names, for those of codecs that need a model where there is none, and for programs or
+    families that are called like a codec or ladder.
     """
-    owners = {ladder: known for known in codec.CODECS.values() for ladder in known.ladders}
-    known_names = sorted({*owners, *codec.CODECS})
-    if unknown := sorted(set(names) - set(known_names)):
-        raise BenchError(f"there is no codec or ladder {unknown[0]!r}; choose from {', '.join(known_names)}")
-    if taken := [program.name for program in programs if program.name in known_names]:
-        raise BenchError(f"a codec or ladder is called {taken[0]!r}; give the program another name")
-    ladders = [
-        Method(name, owner.ladders[name], owner.name, name in owner.physical_ladders and name not in names)
-        for name, owner in owners.items()
-        if not names or name in names or owner.name in names
+    of_codecs = [
+        Method(ladder, settings, known.name, ladder in known.physical_ladders and ladder not in names)
+        for known in codec.CODECS.values()
+        if not known.needs_model
+        for ladder, settings in known.ladders.items()
     ]
-    return [*ladders, *(Method(program.name, program.settings, program) for program in programs)]
+    taken = {*codec.CODECS, *(method.name for method in of_codecs)}
+    every = [*of_codecs, *families(models)]
+    for kind, own in (("family of models", every[len(of_codecs) :]), ("program", programs)):
+        for each in own:
+            if each.name in taken:
+                raise BenchError(f"a codec, ladder or family is called {each.name!r}; give the {kind} another name")
+            taken.add(each.name)
+    coders = {method.coder for method in every}
+    for name in sorted(names):
+        if name in codec.CODECS and name not in coders:
+            raise BenchError(f"the codec {name} needs a model, and there is none; give a folder of models: --models")
+        if name not in {*coders, *(method.name for method in every)}:
+            known_names = sorted({*codec.CODECS, *(method.name for method in every)})
+            raise BenchError(f"there is no codec or ladder {name!r}; choose from {', '.join(known_names)}")
+    chosen = [method for method in every if not names or method.name in names or method.coder in names]
+    return [*chosen, *(Method(program.name, program.settings, program) for program in programs)]
+
+
+def families(models: Sequence[Model]) -> list[Method]:
+    """Return a method for each family of models, in their order: of each model the rungs of its codec that it takes."""
+    grouped: dict[tuple[str, str], list[tuple[Setting, Model]]] = {}
+    for model in models:
+        ladder = next(iter(codec.CODECS[trained.codec_name(model)].ladders.values()))
+        own = grouped.setdefault((model.family, trained.codec_name(model)), [])
+        # Where it takes none, the reason stands among the failures.
+        own += [(setting, model) for setting in filter(partial(trained.takes, model), ladder)] or [(ladder[0], model)]
+    return [
+        Method(family, tuple(setting for setting, _ in rungs), coder, models=tuple(model for _, model in rungs))
+        for (family, coder), rungs in grouped.items()
+    ]
+
+
+def coders(chosen: Sequence[Method]) -> dict[str, tuple[str, list[Model]]]:
+    """Return the codecs of methods, each by its own name, with the models of a family by that of the family."""
+    found: dict[str, tuple[str, list[Model]]] = {}
+    for method in chosen:
+        if isinstance(method.coder, str):
+            own = {model.name: model for model in method.models}
+            found[method.name if own else method.coder] = method.coder, list(own.values())
+    return found
 
 
 @cache

@@ -1,10 +1,11 @@
 """Charts of the tables of evaluation.comparison, to be read in grey print: every line and mark named beside it."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -13,10 +14,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import isotonic_regression
 
 from evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from evaluation.comparison import MEAN, TIMES, Excess, Mark, MeanPoint, RatioPoint
+from evaluation.comparison import MEAN, TIMES, WANTED_PERCENT, Excess, Mark, MeanPoint, RatioPoint, TraceBdRate
+from evaluation.labels import spread
 from evaluation.points import IMPORTED, MEASURED, Record
 
 WIDTH_IN, DPI = 8.0, 150
@@ -30,7 +31,7 @@ LONGEST_NAME = 32
 
 LOWEST_RATE, HIGHEST_RATE = 0.25, 4.0
 TIME_FLOOR_S = 1e-6  # a time axis is logarithmic and has no zero
-TIME_MARGIN = 2.0
+LOG_MARGIN = 2.0
 LONG_AXIS = 300.0  # from its end to its beginning, where ticks at 2 and 5 would touch
 SATURATING = {ST_SIM_2800: (0.5, 0.998), ST_SIM_8000: (0.5, 0.998), SPQI: (0.1, 0.995)}
 """Qualities whose axis is spread towards 1, with its limits."""
@@ -42,11 +43,14 @@ MARKERS = ("o", "x", "^")
 GREYS = ("black", "0.4", "0.6")
 MARK_AREAS = (12.0, 400.0)
 LARGEST_EXCESS_PERCENT = 300.0
+FAR_PERCENT = 150.0
 MAX_NUMBERED_ROWS = 80
+LOGARITHMIC = (*TIMES, "flash_bytes")
 COST_LABELS = {
     "encode_s_per_megasample": "encoding, s per million samples",
     "decode_s_per_megasample": "decoding, s per million samples",
     "delay_ms": "algorithmic delay, ms",
+    "flash_bytes": "code and model, bytes",
 }
 
 
@@ -110,8 +114,10 @@ def plot_quality_against_rate(path: Path, rows: Sequence[MeanPoint], scale: Scal
     figure.savefig(path)
 
 
-def plot_quality_against_ratio(path: Path, rows: Sequence[RatioPoint], scales: Sequence[Scale]) -> None:
-    """Draw every trace's points and the mean curves, a panel for each quality. Raises OSError."""
+def plot_quality_against_ratio(
+    path: Path, rows: Sequence[RatioPoint], scales: Sequence[Scale], every_trace: Sequence[str]
+) -> None:
+    """Draw the mean curves, of some codecs every trace's points too, a panel for each quality. Raises OSError."""
     codecs = list(by_codec(rows))
     figure = _figure([MIN_PANEL_IN] * len(scales), [name(row) for row in rows])
     panels = figure.subplots(len(scales), squeeze=False, sharex=True).ravel()
@@ -120,9 +126,11 @@ def plot_quality_against_ratio(path: Path, rows: Sequence[RatioPoint], scales: S
         _set_quality_axis(axes, scale)
         labels = []
         for codec, points in by_codec(row for row in rows if row.quality == scale.field).items():
-            grey, marker, dashes = (cycle[codecs.index(codec) % len(cycle)] for cycle in (GREYS, MARKERS, DASHES))
-            ratios, values = np.transpose([(row.compression_ratio, row.value) for row in points if row.trace != MEAN])
-            axes.scatter(ratios, _within(axes, values), s=9, marker=marker, color=grey, linewidth=0.6, alpha=0.7)
+            grey, marker, dashes = (forms[codecs.index(codec) % len(forms)] for forms in (GREYS, MARKERS, DASHES))
+            if codec in every_trace:
+                pairs = [(row.compression_ratio, row.value) for row in points if row.trace != MEAN]
+                ratios, values = np.transpose(pairs)
+                axes.scatter(ratios, _within(axes, values), s=9, marker=marker, color=grey, linewidth=0.6, alpha=0.7)
             means = sorted((row.compression_ratio, row.value) for row in points if row.trace == MEAN)
             if means:
                 end = _draw_line(axes, *np.transpose(means), color=grey, linewidth=2.5, linestyle=dashes)
@@ -134,23 +142,23 @@ def plot_quality_against_ratio(path: Path, rows: Sequence[RatioPoint], scales: S
 def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
     """Draw quality over each cost, a row of panels for each rate, with their Pareto fronts. Raises OSError.
 
-    A mark's area is proportional to the bytes of the decoder; it is hollow where they are not known, and a diamond
-    where the figures are imported.
+    A mark's area is proportional to the bytes of decoder and model; it is hollow where they are not known, and a
+    diamond where the figures are imported.
     """
     rates, costs = sorted({row.bits_per_sample for row in rows}), list(dict.fromkeys(row.cost for row in rows))
     of_rates = [[row for row in rows if row.bits_per_sample == rate] for rate in rates]
     heights = [max(MIN_PANEL_IN / 2, LABEL_IN * len(by_codec(of_rate))) for of_rate in of_rates]
-    largest_bytes = max((row.decoder_bytes or 0 for row in rows), default=0) or 1
+    largest_bytes = max((row.flash_bytes or 0 for row in rows), default=0) or 1
     figure = _figure(heights, [_name_and_bytes(row) for row in rows])
     panels = figure.subplots(len(rates), len(costs), squeeze=False, sharex="col", sharey="row", height_ratios=heights)
     for of_rate, panels_of_rate in zip(of_rates, panels, strict=True):
         _set_quality_axis(panels_of_rate[0], scale, [row.quality for row in of_rate])
         for cost, axes in zip(costs, panels_of_rate, strict=True):
-            if cost in TIMES:
-                _set_time_axis(axes, [_cost(row) for row in rows if row.cost == cost])
+            if cost in LOGARITHMIC:
+                _set_log_axis(axes, [_cost(row) for row in rows if row.cost == cost])
             axes.grid(axis="x", color="0.92")
             axes.grid(False, axis="y")
-            shown = sorted((row for row in of_rate if row.cost == cost), key=lambda row: -(row.decoder_bytes or 0))
+            shown = sorted((row for row in of_rate if row.cost == cost), key=lambda row: -(row.flash_bytes or 0))
             for row in shown:
                 axes.axhline(_within(axes, row.quality), color="0.85", linewidth=0.6, zorder=0)
                 axes.scatter(_cost(row), _within(axes, row.quality), zorder=2, **_mark_style(row, largest_bytes))
@@ -163,6 +171,39 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
         right = last.get_xlim()[1]
         marks = [of_codec[0] for of_codec in by_codec(of_rate).values()]
         _write_labels(last, [_Label(right, row.quality, row, _name_and_bytes(row)) for row in marks])
+    figure.savefig(path)
+
+
+def plot_bd_rates(path: Path, rows: Sequence[TraceBdRate], scales: Sequence[Scale], kinds: Mapping[str, str]) -> None:
+    """Draw a line of marks for each codec, a mark for each trace, its form by kind; a bar is the mean. Raises OSError.
+
+    What is beyond FAR_PERCENT stands on the edge.
+    """
+    codecs = by_codec(rows)
+    forms = dict(zip(dict.fromkeys(kinds.get(row.trace, "") for row in rows), cycle(MARKERS), strict=False))
+    height_in = 2 * LABEL_IN * len(codecs)
+    figure = _figure([height_in], left=[name(of_codec[0]) for of_codec in codecs.values()], bottom_in=0.9)
+    panels = figure.subplots(1, len(scales), squeeze=False, sharey=True).ravel()
+    for scale, axes in zip(scales, panels, strict=True):
+        for place, of_codec in enumerate(codecs.values()):
+            own = [row for row in of_codec if row.quality == scale.field]
+            for kind, marker in forms.items():
+                of_kind = [row.percent for row in own if kinds.get(row.trace, "") == kind]
+                places = np.clip(of_kind, -FAR_PERCENT, FAR_PERCENT), [place] * len(of_kind)
+                axes.scatter(*places, s=18, marker=marker, color="0.35", facecolor="none" if marker != "x" else None)
+            if own:
+                mean = np.clip(fmean(row.percent for row in own), -FAR_PERCENT, FAR_PERCENT)
+                axes.plot([mean, mean], [place - 0.35, place + 0.35], color="black", linewidth=2)
+        axes.axvline(0, color="black", linewidth=0.8)
+        axes.axvline(WANTED_PERCENT, color="0.6", linewidth=0.8, linestyle=(0, (5, 2)))
+        axes.set_title(scale.label.split(",")[0], fontsize=FONT_POINTS, loc="left")
+        axes.grid(axis="x", color="0.92")
+        axes.set_axisbelow(True)
+    panels[0].set_yticks(range(len(codecs)), [name(of_codec[0]) for of_codec in codecs.values()])
+    panels[0].set_ylim(len(codecs) - 0.5, -0.5)
+    words = {"o": "rings", "x": "crosses", "^": "triangles"}
+    named = "; ".join(f"{words[marker]}: {kind}" for kind, marker in forms.items() if kind)
+    figure.supxlabel("\n".join(filter(None, ("% of bits beyond the anchor's", named))), fontsize=FONT_POINTS)
     figure.savefig(path)
 
 
@@ -216,7 +257,7 @@ def _name_and_rate(row: MeanPoint) -> str:
 
 
 def _name_and_bytes(row: Mark) -> str:
-    return name(row) if row.decoder_bytes is None else f"{name(row)}, {size(row.decoder_bytes)}"
+    return name(row) if row.flash_bytes is None else f"{name(row)}, {size(row.flash_bytes)}"
 
 
 def size(count: int | None) -> str:
@@ -234,9 +275,9 @@ def _mark_style(row: Mark, largest_bytes: int) -> dict[str, Any]:
     imported = row.source == IMPORTED
     least, largest = MARK_AREAS
     return {
-        "s": max(least, largest * (row.decoder_bytes or 0) / largest_bytes),
+        "s": max(least, largest * (row.flash_bytes or 0) / largest_bytes),
         "marker": "D" if imported else "o",
-        "facecolor": "white" if row.decoder_bytes is None else "0.7",
+        "facecolor": "white" if row.flash_bytes is None else "0.7",
         "edgecolor": "0.5" if imported else "black",
         "linewidth": 0.8,
         "clip_on": False,
@@ -284,9 +325,9 @@ def _set_rate_axis(axes: Axes, label: str) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _set_time_axis(axes: Axes, times_s: Sequence[float]) -> None:
-    """Show these times, with room for a tick or two where they are all alike."""
-    low, high = min(times_s) / TIME_MARGIN, max(times_s) * TIME_MARGIN
+def _set_log_axis(axes: Axes, values: Sequence[float]) -> None:
+    """Show these values, with room for a tick or two where they are all alike."""
+    low, high = min(values) / LOG_MARGIN, max(values) * LOG_MARGIN
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     axes.xaxis.set_major_locator(LogLocator(subs=(1,) if high / low > LONG_AXIS else (1, 2, 5)))
@@ -338,17 +379,14 @@ def _draw_line(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], **sty
 
 def _write_labels(axes: Axes, labels: Sequence[_Label]) -> None:
     """Write labels down the right margin, as near to the height of their points as they fit without overlap."""
-    if not labels:
-        return
     width, height = axes.get_window_extent().size
-    step = min(LABEL_IN * DPI / height, 1 / len(labels))
     to_axes = axes.transData + axes.transAxes.inverted()
-    placed = sorted(((float(to_axes.transform((label.x, label.y))[1]), label) for label in labels), key=_by_height)
-    # Heights that fall by at least a step, nearest in squares to the wanted ones, within 0 to 1.
-    steps = step * np.arange(len(placed))
-    wanted = np.array([height for height, _ in placed]) + steps
-    heights = np.clip(isotonic_regression(wanted, increasing=False).x, steps[-1], 1) - steps
-    for label_height, (_, label) in zip(heights, placed, strict=True):
+    wanted = sorted(
+        ((float(to_axes.transform((label.x, label.y))[1]), label) for label in labels),
+        key=lambda placed: (placed[0], -placed[1].x),
+    )
+    heights = spread([height for height, _ in wanted], [LABEL_IN * DPI / height] * len(wanted))
+    for label_height, (_, label) in zip(heights, wanted, strict=True):
         axes.annotate(
             label.text,
             (label.x, label.y),
@@ -369,8 +407,3 @@ def _write_labels(axes: Axes, labels: Sequence[_Label]) -> None:
                 "shrinkB": 0,
             },
         )
-
-
-def _by_height(placed: tuple[float, _Label]) -> tuple[float, float]:
-    height, label = placed
-    return -height, label.x

@@ -1,7 +1,7 @@
 """Tables that compare codecs over all traces, one for each chart, computed from measured rows alone."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from statistics import fmean, median
@@ -10,6 +10,7 @@ import numpy as np
 
 import codec as codecs
 from evaluation.bd_rate import (
+    PSNR,
     SCALES,
     SNR,
     SPQI,
@@ -17,6 +18,7 @@ from evaluation.bd_rate import (
     BdRate,
     Curve,
     Scale,
+    Summary,
     bd_rates,
     bits_per_sample_at,
     monotone_envelope,
@@ -24,16 +26,19 @@ from evaluation.bd_rate import (
     summary,
 )
 from evaluation.cost import CodecCost
-from evaluation.points import IMPORTED, Failure, Point, Timing, by_codec_and_trace
+from evaluation.kinds import TraceKind
+from evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
+from evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
 
 MEAN = "(mean)"
 ANCHORS = ("mdct", "slp", "vcpwq")
 """What others are compared with: the project's own codec, one of the kind that the EVA paper compares with, and the
 reference of IEEE 1918.1.1."""
-RATES = (1.0, 2.0, 3.0)
-"""Bits per sample at which time and delay are set against quality: most codecs have points on both sides of one."""
-COSTED_RATE = 2.0
-"""Bits per sample near which the table of costs is timed."""
+REFERENCE = "slp"
+"""The anchor of the EVA paper's kind, which learned codecs are held against."""
+WANTED_PERCENT = -15.0
+"""BD-rate of the paper's best claims, rounded: 14.98 % less at equal PSNR, 13.08 % at equal ST-SIM."""
+LEARNED_SCALES = (PSNR, ST_SIM_2800, SPQI)
 EQUAL_SNR_DB = 12.0
 NEEDED_SNR_DB = 10.0
 NEAR_FEWEST = (1.1, 2.0)
@@ -41,6 +46,15 @@ COPY_SNR_DB = 60.0
 """SNR of a copy; rounding to 16 bits leaves some 80 dB."""
 SPREAD_PERCENT = (10.0, 90.0)
 TIMES = ("encode_s_per_megasample", "decode_s_per_megasample")
+TABLES = {
+    "points": Point,
+    "timings": Timing,
+    "costs": CodecCost,
+    "failures": Failure,
+    "speeds": Speed,
+    "kinds": TraceKind,
+}
+"""The rows of each of Measurements' fields, which lie in a CSV file of this name."""
 _RATE_GRID = tuple(2 ** (eighth / 8) for eighth in range(-40, 41))
 
 
@@ -76,7 +90,7 @@ class RatioPoint:
 class Mark:
     """A codec at a fixed rate: its mean quality, what that costs, and whether no other measured one beats it in both.
 
-    `cost`: encode_s_per_megasample, decode_s_per_megasample or delay_ms: the median over the traces.
+    `cost`: a field of CurveCost. `flash_bytes`: of decoder and model.
     """
 
     bits_per_sample: float
@@ -85,7 +99,7 @@ class Mark:
     quality: float
     cost: str
     value: float
-    decoder_bytes: int | None
+    flash_bytes: int | None
     on_front: bool
 
 
@@ -101,59 +115,78 @@ class Excess:
 
 
 @dataclass(frozen=True)
-class TraceBdRate:
-    """The BD-rate of a codec relative to an anchor on one trace, as evaluation.bd_rate.BdRate."""
+class _Pair:
+    """Whose rate is compared with whose, at which quality."""
 
     quality: str
     anchor: str
     codec: str
     source: str
-    trace: str
-    percent: float
-    akima_percent: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
-class MeanBdRate:
-    """The BD-rate of a codec relative to an anchor over the traces, as evaluation.bd_rate.Summary."""
+class TraceBdRate(BdRate, _Pair):
+    """The BD-rate of a codec relative to an anchor on one trace."""
 
-    quality: str
-    anchor: str
-    codec: str
-    source: str
-    mean: float
-    interval_low: float | None
-    interval_high: float | None
-    median: float
-    lowest: float
-    highest: float
-    akima_mean: float
-    traces: int
-    low: float
-    high: float
-    whole_window_traces: int
+    trace: str
+
+
+@dataclass(frozen=True)
+class MeanBdRate(Summary, _Pair):
+    """The BD-rate of a codec relative to an anchor over the traces of a kind, "" for all of them.
+
+    `won`: the traces of which the codec needs fewer bits.
+    """
+
+    won: int
+    kind: str = ""
 
 
 @dataclass(frozen=True)
 class CurveCost:
-    """What a curve's codec costs: medians over the traces, timed at the settings nearest to a rate.
+    """What a curve's codec costs near a rate, by a runtime that it has. None where not measured.
 
-    `real_time_factor`: seconds of encoding and decoding for each second of one channel. None where not measured.
+    Times of codecs measured here are of one signal made of all traces, of others medians over the traces.
+    `real_time_factor`: seconds of encoding and decoding for each second of one channel.
     """
 
     codec: str
     source: str
+    runtime: str
     settings: int
-    bits_per_sample: float
+    setting: str
+    bits_per_sample: float | None
+    snr_db: float | None
     encode_s_per_megasample: float | None
     decode_s_per_megasample: float | None
     real_time_factor: float | None
     delay_ms: float | None
     decoder_bytes: int | None
+    model_bytes: int | None
+    flash_bytes: int | None
     peak_memory_bytes: int | None
+    width: int | None
     note: str
+
+
+@dataclass(frozen=True)
+class Price:
+    """What one more decibel costs a measured codec near BITS_PER_SAMPLE.
+
+    `snr_db`: mean over the traces at that rate. `bytes_percent`: more bytes for one decibel more by a finer setting.
+    The others: for each decibel that it gains over `than`, the best of those that decode faster; None where it gains
+    none.
+    """
+
+    codec: str
+    runtime: str
+    snr_db: float
+    bytes_percent: float | None
+    than: str
+    gained_db: float | None
+    encode_s_per_megasample: float | None
+    decode_s_per_megasample: float | None
+    flash_bytes: float | None
 
 
 @dataclass(frozen=True)
@@ -166,25 +199,37 @@ class Advice:
     encode_s_per_megasample: float | None
     decode_s_per_megasample: float | None
     delay_ms: float | None
-    decoder_bytes: int | None
+    flash_bytes: int | None
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that was measured or imported: points, times, costs of codecs, failures."""
+    """All that was measured or imported: points, times, costs of codecs, failures, speeds, kinds of textures."""
 
     points: Sequence[Point]
     timings: Sequence[Timing]
     costs: Sequence[CodecCost]
     failures: Sequence[Failure]
+    speeds: Sequence[Speed] = ()
+    kinds: Sequence[TraceKind] = ()
 
     @cached_property
     def curves(self) -> dict[str, dict[str, list[Point]]]:
-        """The points by codec and trace. Imported ones only of codecs not measured here, and of traces that are."""
+        """The points by codec and trace. Imported ones only of codecs not measured here, and of traces that are.
+
+        PSNR of an imported one that lacks it follows from its SNR: on one trace they differ by its crest factor.
+        """
         measured = [point for point in self.points if point.source != IMPORTED]
         traces, names = {point.trace for point in measured}, {point.codec for point in measured}
+        crests_db = {
+            point.trace: point.psnr_db - point.snr_db
+            for point in measured
+            if point.psnr_db is not None and point.snr_db is not None and math.isfinite(point.snr_db)
+        }
         imported = [
-            point
+            replace(point, psnr_db=point.snr_db + crests_db[point.trace])
+            if point.psnr_db is None and point.snr_db is not None and point.trace in crests_db
+            else point
             for point in self.points
             if point.source == IMPORTED and point.codec not in names and (point.trace in traces or not measured)
         ]
@@ -214,6 +259,17 @@ class Measurements:
         """Those of ANCHORS that have points; without any, the first codec that has."""
         return [name for name in ANCHORS if name in self.curves] or list(self.curves)[:1]
 
+    @cached_property
+    def kind_of(self) -> dict[str, str]:
+        """The kinds of textures by trace."""
+        return {row.trace: row.kind for row in self.kinds}
+
+    @cached_property
+    def learned(self) -> list[str]:
+        """The curves of trained models."""
+        with_models = {cost.codec for cost in self.costs if cost.model_bytes is not None}
+        return [codec for codec in self.curves if codec in with_models]
+
     def of(self, codec: str, scale: Scale) -> dict[str, Curve]:
         """Return a codec's rate and quality by trace, of the compared traces on which it has that quality."""
         curves = {trace: scale.curve(self.curves[codec].get(trace, [])) for trace in self.compared}
@@ -231,8 +287,12 @@ class Measurements:
     def cost(self, codec: str) -> CodecCost | None:
         """Return the cost of the codec that a curve belongs to: the one of that name, or the one with that ladder."""
         by_name = {cost.codec: cost for cost in self.costs}
-        owners = (name for name, known in codecs.CODECS.items() if codec in known.ladders)
-        return by_name.get(codec) or by_name.get(next(owners, ""))
+        return by_name.get(codec) or by_name.get(self.owner(codec))
+
+    def owner(self, codec: str) -> str:
+        """Return the name of the codec whose ladder or family of models a curve is; "" for others' curves."""
+        owners = [cost.coder for cost in self.costs if cost.codec == codec and cost.coder]
+        return next(iter([*owners, *(name for name, known in codecs.CODECS.items() if codec in known.ladders)]), "")
 
     def delay_ms(self, codec: str) -> float | None:
         """Return the median delay of a codec's points; None where none says."""
@@ -303,11 +363,11 @@ def _mean_and_spread(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> list[RatioPoint]:
-    """Return the qualities of the anchors over the compression ratio: of every trace, and in the mean."""
+    """Return qualities over the compression ratio, of anchors and learned codecs: of every trace, and in the mean."""
     rows = []
     for scale in scales:
         means = mean_curves(measurements, scale)
-        for codec in measurements.anchors:
+        for codec in dict.fromkeys([*measurements.anchors, *measurements.learned]):
             source = measurements.source(codec)
             pairs = [
                 *((trace, *pair) for trace, curve in measurements.of(codec, scale).items() for pair in curve),
@@ -321,37 +381,25 @@ def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> list[Ra
     return rows
 
 
-def time_marks(measurements: Measurements, scale: Scale) -> list[Mark]:
-    """Return each codec's mean quality at each of RATES with its times at the nearest rate that was timed."""
-
-    def times(codec: str, rate: float) -> dict[str, float | None]:
-        timings = measurements.timings_near(codec, rate).values()
-        return {name: _median(getattr(timing, name) for timing in timings) for name in TIMES}
-
-    return _marks(measurements, scale, times)
-
-
-def delay_marks(measurements: Measurements, scale: Scale) -> list[Mark]:
-    """Return each codec's mean quality at each of RATES with its algorithmic delay."""
-    return _marks(measurements, scale, lambda codec, rate: {"delay_ms": measurements.delay_ms(codec)})
-
-
-def _marks(
-    measurements: Measurements, scale: Scale, costs: Callable[[str, float], Mapping[str, float | None]]
-) -> list[Mark]:
+def cost_marks(measurements: Measurements, scale: Scale, names: Sequence[str]) -> list[Mark]:
+    """Return each codec's mean quality at each of RATES with these of its costs, by each runtime that it has."""
     rows = []
     for rate in RATES:
-        marks = []
-        for codec, quality in _means_at(measurements, scale, rate).items():
-            cost = measurements.cost(codec)
-            decoder_bytes = None if cost is None else cost.decoder_bytes
-            marks += [
-                Mark(rate, codec, measurements.source(codec), quality, name, value, decoder_bytes, False)
-                for name, value in costs(codec, rate).items()
-                if value is not None
-            ]
+        costs, means = curve_costs(measurements, rate), _means_at(measurements, scale, rate)
+        marks = [
+            Mark(rate, with_runtime(cost), cost.source, means[cost.codec], name, value, cost.flash_bytes, False)
+            for cost in costs
+            if cost.codec in means
+            for name in names
+            if (value := getattr(cost, name)) is not None
+        ]
         rows += [replace(mark, on_front=_on_front(mark, marks)) for mark in marks]
     return rows
+
+
+def with_runtime(row: CurveCost | Price) -> str:
+    """Return the name of a curve, with what decodes it where there is a choice."""
+    return f"{row.codec} ({row.runtime})" if row.runtime else row.codec
 
 
 def _means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str, float]:
@@ -393,42 +441,92 @@ def excesses(measurements: Measurements) -> list[Excess]:
 def trace_bd_rates(measurements: Measurements) -> list[TraceBdRate]:
     """Return the BD-rate of every codec relative to each anchor on every trace at every quality."""
     return [
-        TraceBdRate(scale.field, anchor, codec, measurements.source(codec), trace, **asdict(rate))
+        row
         for anchor in measurements.anchors
         for scale in SCALES
         for codec in measurements.curves
         if codec != anchor
-        for trace, rate in bd_rates(measurements.of(anchor, scale), measurements.of(codec, scale), scale).items()
+        for row in pair_bd_rates(measurements, anchor, codec, scale)
     ]
 
 
-def mean_bd_rates(rows: Iterable[TraceBdRate]) -> list[MeanBdRate]:
-    """Sum up BD-rates over the traces, fewest bits first for each anchor and quality."""
-    groups: dict[tuple[str, str, str, str], list[BdRate]] = {}
+def pair_bd_rates(measurements: Measurements, anchor: str, codec: str, scale: Scale) -> list[TraceBdRate]:
+    """Return the BD-rate of one codec relative to another on every trace at one quality."""
+    pair = scale.field, anchor, codec, measurements.source(codec)
+    rates = bd_rates(measurements.of(anchor, scale), measurements.of(codec, scale), scale)
+    return [TraceBdRate(*pair, **asdict(rate), trace=trace) for trace, rate in rates.items()]
+
+
+def mean_bd_rates(rows: Iterable[TraceBdRate], kinds: Mapping[str, str] | None = None) -> list[MeanBdRate]:
+    """Sum up BD-rates over the traces, and over those of each kind, fewest bits first for each anchor and quality."""
+    groups: dict[tuple[str, str, str, str, str], list[TraceBdRate]] = {}
     for row in rows:
-        rate = BdRate(row.percent, row.akima_percent, row.low, row.high)
-        groups.setdefault((row.quality, row.anchor, row.codec, row.source), []).append(rate)
+        for kind in ("", kinds[row.trace]) if kinds and row.trace in kinds else ("",):
+            groups.setdefault((row.quality, row.anchor, row.codec, row.source, kind), []).append(row)
     scales = {scale.field: scale for scale in SCALES}
-    means = [MeanBdRate(*key, **asdict(summary(rates, scales[key[0]]))) for key, rates in groups.items()]
+    means = []
+    for (quality, anchor, codec, source, kind), rates in groups.items():
+        figures = asdict(summary(rates, scales[quality]))
+        won = sum(rate.percent < 0 for rate in rates)
+        means.append(
+            MeanBdRate(quality=quality, anchor=anchor, codec=codec, source=source, won=won, kind=kind, **figures)
+        )
     order = {(row.anchor, row.quality): index for index, row in reversed(list(enumerate(means)))}
-    return sorted(means, key=lambda row: (order[row.anchor, row.quality], row.mean))
+    return sorted(means, key=lambda row: (order[row.anchor, row.quality], row.kind, row.mean))
 
 
-def curve_costs(measurements: Measurements) -> list[CurveCost]:
-    """Return what each curve's codec costs, timed near COSTED_RATE."""
-    return [_curve_cost(measurements, codec, COSTED_RATE) for codec in measurements.curves]
+def rival_bd_rates(measurements: Measurements) -> list[MeanBdRate]:
+    """Return the BD-rate of every learned codec relative to every other curve, over all traces and of each kind."""
+    rows = [
+        row
+        for scale in LEARNED_SCALES
+        for learned in measurements.learned
+        for rival in measurements.curves
+        if rival != learned
+        for row in pair_bd_rates(measurements, rival, learned, scale)
+    ]
+    return mean_bd_rates(rows, measurements.kind_of)
+
+
+def curve_costs(measurements: Measurements, rate: float = BITS_PER_SAMPLE) -> list[CurveCost]:
+    """Return what each curve's codec costs near a rate, a row for each runtime that it has."""
+    rows = []
+    for codec in measurements.curves:
+        cost = _curve_cost(measurements, codec, rate)
+        speeds = [speed for speed in measurements.speeds if (speed.codec, speed.rate) == (codec, rate)]
+        rows += [_at_speed(measurements, cost, speed) for speed in speeds] or [cost]
+    return rows
+
+
+def _at_speed(measurements: Measurements, cost: CurveCost, speed: Speed) -> CurveCost:
+    rates_hz = [point.rate_hz for points in measurements.curves[cost.codec].values() for point in points]
+    seconds = speed.encode_s_per_megasample + speed.decode_s_per_megasample
+    return replace(
+        cost,
+        runtime=speed.runtime,
+        setting=speed.setting,
+        bits_per_sample=speed.bits_per_sample,
+        snr_db=speed.snr_db,
+        encode_s_per_megasample=speed.encode_s_per_megasample,
+        decode_s_per_megasample=speed.decode_s_per_megasample,
+        real_time_factor=seconds * rates_hz[0] / 1e6 if rates_hz and rates_hz[0] else None,
+    )
 
 
 def _curve_cost(measurements: Measurements, codec: str, rate: float) -> CurveCost:
     points = [point for points in measurements.curves[codec].values() for point in points]
     timings = measurements.timings_near(codec, rate)
+    timed = {(timing.trace, timing.setting) for timing in timings.values()}
     cost = measurements.cost(codec)
     encode_s, decode_s = (_median(getattr(timing, name) for timing in timings.values()) for name in TIMES)
     return CurveCost(
         codec,
         measurements.source(codec),
+        "",
         len({point.setting for point in points}),
-        rate,
+        "",
+        _median(point.bits_per_sample for point in points if (point.trace, point.setting) in timed),
+        None,
         encode_s,
         decode_s,
         _median(
@@ -438,9 +536,49 @@ def _curve_cost(measurements: Measurements, codec: str, rate: float) -> CurveCos
         ),
         measurements.delay_ms(codec),
         cost.decoder_bytes if cost else None,
+        cost.model_bytes if cost else None,
+        cost.flash_bytes if cost else None,
         cost.peak_memory_bytes if cost else None,
+        cost.width if cost else None,
         cost.note if cost else "",
     )
+
+
+def prices(measurements: Measurements) -> list[Price]:
+    """Return what one more decibel costs each codec measured here, the fastest decoder first."""
+    means = _means_at(measurements, SNR, BITS_PER_SAMPLE)
+    rows = [row for row in curve_costs(measurements) if row.codec in means and row.source == MEASURED]
+    timed = [row for row in rows if row.decode_s_per_megasample is not None]
+    timed.sort(key=lambda row: row.decode_s_per_megasample or 0.0)
+    found: list[Price] = []
+    best: CurveCost | None = None
+    for row in timed:
+        snr_db = means[row.codec]
+        gained_db = None if best is None else snr_db - means[best.codec]
+        extras: list[float | None] = [None] * 3
+        if best is not None and gained_db is not None and gained_db > 0:
+            extras = [_per_decibel(row, best, name, gained_db) for name in (*TIMES, "flash_bytes")]
+        than = "" if best is None else with_runtime(best)
+        finer = _finer_percent(measurements, row.codec, snr_db)
+        found.append(Price(row.codec, row.runtime, snr_db, finer, than, gained_db, *extras))
+        if gained_db is None or gained_db > 0:
+            best = row
+    return found
+
+
+def _per_decibel(row: CurveCost, than: CurveCost, name: str, gained_db: float) -> float | None:
+    more, less = getattr(row, name), getattr(than, name)
+    return None if more is None or less is None else (more - less) / gained_db
+
+
+def _finer_percent(measurements: Measurements, codec: str, snr_db: float) -> float | None:
+    """Return by how much a codec's bytes grow for one decibel more, around a mean SNR."""
+    curves = measurements.everywhere(codec, SNR) or []
+    ratios = []
+    for curve in curves:
+        below, above = bits_per_sample_at(curve, (snr_db - 0.5, snr_db + 0.5))
+        ratios.append(float(above / below))
+    return 100 * (fmean(ratios) - 1) if ratios and all(map(math.isfinite, ratios)) else None
 
 
 def bits_to_reach(measurements: Measurements, snr_db: float) -> dict[str, float]:
@@ -470,7 +608,7 @@ def advice(measurements: Measurements) -> list[Advice]:
     decode_s = {codec: cost.decode_s_per_megasample for codec, cost in costs.items()}
     encode_s = {codec: cost.encode_s_per_megasample for codec, cost in costs.items()}
     delay_ms = {codec: cost.delay_ms for codec, cost in costs.items()}
-    decoder_bytes = {codec: cost.decoder_bytes for codec, cost in costs.items()}
+    flash_bytes = {codec: cost.flash_bytes for codec, cost in costs.items()}
     snr = f"{NEEDED_SNR_DB:g} dB SNR or more"
     # The words for a need, the rates of the codecs that it admits, and that of which the best has the least.
     needs: list[tuple[str, Mapping[str, float], Mapping[str, float | None]]]
@@ -483,7 +621,7 @@ def advice(measurements: Measurements) -> list[Advice]:
         ]
     needs += [
         (f"the shortest delay at {snr}", bits, delay_ms),
-        (f"the smallest decoder, of those counted, at {snr}", bits, decoder_bytes),
+        (f"the smallest decoder and model, of those counted, at {snr}", bits, flash_bytes),
     ]
     for scale in (SPQI, ST_SIM_2800):
         means = _means_at(measurements, scale, RATES[0])
@@ -505,7 +643,7 @@ def _least(
     _, rate, codec = min(ranked)
     cost = _curve_cost(measurements, codec, rate)
     times = cost.encode_s_per_megasample, cost.decode_s_per_megasample
-    return Advice(need, codec, rate, *times, cost.delay_ms, cost.decoder_bytes)
+    return Advice(need, codec, rate, *times, cost.delay_ms, cost.flash_bytes)
 
 
 def _median(values: Iterable[float | None]) -> float | None:

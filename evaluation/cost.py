@@ -9,9 +9,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
@@ -25,7 +25,9 @@ import numpy as np
 
 import codec
 from codec import Framing, Setting, SignalFormat
+from evaluation import trained
 from host.output_files import whole_file
+from models import Model
 
 T = TypeVar("T")
 
@@ -58,12 +60,25 @@ class DecoderSize:
 
 @dataclass(frozen=True)
 class CodecCost:
-    """What a codec costs whatever the signal; None where that is not known. `note`: what `decoder_bytes` counts."""
+    """What a codec, or `coder` with a family of models, costs whatever the signal; None where that is not known.
+
+    `decoder_bytes`: of the decoder's code, `note` says what they count. `model_bytes`: of the images of a family of
+    models without their ONNX graphs, which no microcontroller runs; None for a codec without models. `width`: channels
+    of a model's hidden layers.
+    """
 
     codec: str
     decoder_bytes: int | None
     peak_memory_bytes: int | None
     note: str
+    model_bytes: int | None = None
+    coder: str = ""
+    width: int | None = None
+
+    @property
+    def flash_bytes(self) -> int | None:
+        """What a controller holds to decode: code and models."""
+        return None if self.decoder_bytes is None else self.decoder_bytes + (self.model_bytes or 0)
 
 
 def time_coding(
@@ -92,7 +107,14 @@ def _processor_seconds(work: Callable[[], object], repeats: int) -> float:
     return median(timer.repeat(repeats, runs)) / runs
 
 
-def delay_ms(codec_name: str, setting: Setting, rate_hz: int, channels: int = 1, unit: str = "full scale") -> float:
+def delay_ms(
+    codec_name: str,
+    setting: Setting,
+    rate_hz: int,
+    channels: int = 1,
+    unit: str = "full scale",
+    model: Model | None = None,
+) -> float:
     """Return the algorithmic delay: from a sample's arrival to its play-out, were computing and transport instant.
 
     The codec's shortest packet, whose first sample waits for its last, and the samples by which decoded signal lags
@@ -101,11 +123,13 @@ def delay_ms(codec_name: str, setting: Setting, rate_hz: int, channels: int = 1,
     """
     signal_format = SignalFormat(rate_hz, unit, gains=(1.0,) * channels, rms=(1.0,) * channels)
     plug_in = codec.codec_by_name(codec_name)
-    encoder = plug_in.make_encoder(plug_in.complete(setting), signal_format, Framing(1, 1), None)
+    encoder = plug_in.make_encoder(
+        plug_in.complete(setting), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None
+    )
     return 1e3 * (encoder.packet_samples + encoder.delay_samples) / rate_hz
 
 
-def peak_memory_bytes(codec_name: str) -> int | None:
+def peak_memory_bytes(codec_name: str, model: Model | None = None) -> int | None:
     """Return the resident memory that coding adds at its peak to a fresh process; None on Windows.
 
     The process encodes and decodes 100 s of Gaussian noise, RMS 0.1, one channel at 2800 Hz, at the codec's default
@@ -115,15 +139,17 @@ def peak_memory_bytes(codec_name: str) -> int | None:
         return None
     # Not "spawn": on Linux what a large process starts begins with its peak; what the fork server starts does not.
     with ProcessPoolExecutor(1, multiprocessing.get_context("forkserver")) as fresh:
-        return fresh.submit(_memory_added, codec_name).result()
+        return fresh.submit(_memory_added, codec_name, model).result()
 
 
-def _memory_added(codec_name: str) -> int:
+def _memory_added(codec_name: str, model: Model | None) -> int:
     noise = np.random.default_rng(0).normal(0, 0.1, (MEMORY_SECONDS * MEMORY_RATE_HZ, 1))
     before = 0
     for part in (noise[: MEMORY_RATE_HZ // 10], noise):
         before = _peak_resident_bytes()
-        codec.decode(codec.encode(part, MEMORY_RATE_HZ, {}, codec=codec_name))
+        for_encoder = trained.for_encoder(model) if model else None
+        coded = codec.encode(part, MEMORY_RATE_HZ, {}, codec=codec_name, model=for_encoder)
+        codec.decode(coded, model.tables if model else None)
     return _peak_resident_bytes() - before
 
 
@@ -139,15 +165,28 @@ def decoder_bytes(codec_name: str) -> int | None:
     return _decoder_size(codec_name).bytes
 
 
-def measure_costs(codec_names: Iterable[str]) -> list[CodecCost]:
-    """Return what each codec costs; where one fails to code, its note says so, and its memory is None."""
+def measure_costs(
+    wanted: Mapping[str, tuple[str, Sequence[Model]]],
+    progress: Callable[[float, str], None] = lambda part, details: None,
+) -> list[CodecCost]:
+    """Return what each of these costs, a codec and perhaps a family of models by a name of its own.
+
+    Where one fails to code, its note says so, and its memory is None. `progress` is called with the part done, from 0
+    to 1, and the name of what was measured.
+    """
     costs = []
-    for name in codec_names:
-        size = _decoder_size(name)
+    for place, (name, (codec_name, models)) in enumerate(wanted.items(), 1):
+        size = _decoder_size(codec_name)
+        cost = CodecCost(name, size.bytes, None, size.note, coder=codec_name)
+        if models:
+            note = f"{size.note}; model: {len(models)} images" if len(models) > 1 else size.note
+            model_bytes = sum(map(trained.flash_bytes, models))
+            cost = replace(cost, model_bytes=model_bytes, note=note, width=trained.width(models[0]))
         try:
-            costs.append(CodecCost(name, size.bytes, peak_memory_bytes(name), size.note))
+            costs.append(replace(cost, peak_memory_bytes=peak_memory_bytes(codec_name, models[0] if models else None)))
         except Exception as error:  # whatever one codec raises, the others' costs are wanted
-            costs.append(CodecCost(name, size.bytes, None, f"{size.note}; memory not measured: {error}"))
+            costs.append(replace(cost, note=f"{cost.note}; memory not measured: {error}"))
+        progress(place / len(wanted), name)
     return costs
 
 

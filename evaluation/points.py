@@ -5,7 +5,9 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar, get_type_hints
+from typing import Any, ClassVar, Protocol, Self, TypeVar, get_type_hints
+
+from textures.dataset import printable
 
 MEASURED, PROGRAM, IMPORTED = "measured", "program", "imported"
 """Where figures come from: a codec here, a program of the user's here, a table of others' figures."""
@@ -93,6 +95,13 @@ class Failure:
     codec: str
     setting: str
     reason: str
+
+    @classmethod
+    def of(cls, error: Exception, trace: str, codec: str = "", setting: str = "") -> Self:
+        """Return an error as a failure, in one line; what Python itself raises tells little without its name."""
+        text = printable(" ".join(str(error).split()))
+        named = f"{type(error).__name__}: {text}".removesuffix(": ") if type(error).__module__ == "builtins" else text
+        return cls(trace, codec, setting, named)
 
 
 class Record(Protocol):

@@ -1,21 +1,23 @@
 """The page of results: charts and tables of measured rows; `python -m evaluation.results_page OUT` draws it again."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
 import codec as codecs
-from evaluation import charts
-from evaluation.bd_rate import CONFIDENCE, MIN_OVERLAP, MIN_POINTS, PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000
-from evaluation.charts import CodecRow, name, size
+from evaluation import charts, learned_page
+from evaluation.bd_rate import CONFIDENCE, MIN_OVERLAP, MIN_POINTS, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000
+from evaluation.charts import name, size
 from evaluation.comparison import (
-    COSTED_RATE,
     EQUAL_SNR_DB,
+    LEARNED_SCALES,
     NEEDED_SNR_DB,
-    RATES,
+    TABLES,
+    TIMES,
     Advice,
     CurveCost,
     Excess,
@@ -27,22 +29,24 @@ from evaluation.comparison import (
     TraceBdRate,
     advice,
     bits_to_reach,
+    cost_marks,
     curve_costs,
-    delay_marks,
     excesses,
     mean_bd_rates,
     mean_curves,
     ratio_points,
-    time_marks,
     trace_bd_rates,
 )
-from evaluation.cost import CodecCost
-from evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, Point, PointsError, Timing, read_rows, write_rows
+from evaluation.page_parts import chart, code, count, listed, number, paragraphs, percent, table
+from evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, PointsError, read_rows, write_rows
+from evaluation.speed import BITS_PER_SAMPLE, RATES, RATIO
 
 RATE_SCALES = (SNR, ST_SIM_2800, ST_SIM_8000, SPQI)
-RATIO_SCALES = (PSNR, ST_SIM_2800)
 COST_SCALES = (SNR, SPQI)
 MAX_LISTED_FAILURES = 20
+PAPER_CPU = "Intel Core i7-8700"
+PAPER_SPEEDS = (("EVA (paper)", 24.99, 21.42), ("PVC-SLP (paper)", 7.14, 3.57))
+"""Seconds per million samples at RATIO, encoding and decoding, as the EVA paper states them."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +60,7 @@ class Description:
 
 def write_results(
     out: Path,
-    points: Sequence[Point],
-    timings: Sequence[Timing],
-    costs: Sequence[CodecCost],
-    failures: Sequence[Failure],
+    measurements: Measurements,
     description: Description,
     progress: Callable[[float], object] = lambda part: None,
 ) -> None:
@@ -71,30 +72,29 @@ def write_results(
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
     write_rows(folder / "description.csv", [description], Description)
-    measurements = Measurements(points, timings, costs, failures)
     makers: tuple[Callable[[], str], ...] = (
         partial(_head, measurements, description),
         *(
             partial(section, folder, measurements)
             for section in (
+                learned_page.section,
                 _advice_section,
                 _rate_section,
                 _ratio_section,
-                _time_section,
-                _delay_section,
+                _speed_section,
+                partial(_cost_section, description.machine),
                 _bd_rate_section,
                 _excess_section,
-                _cost_section,
             )
         ),
         partial(_failure_section, measurements),
         _files_section,
     )
     sections = []
-    for number, make in enumerate(makers, 1):
+    for place, make in enumerate(makers, 1):
         sections.append(make())
-        progress(number / len(makers))
-    (out / "results.md").write_text("\n\n".join(sections) + "\n", encoding="utf-8")
+        progress(place / len(makers))
+    (out / "results.md").write_text("\n\n".join(filter(None, sections)) + "\n", encoding="utf-8")
 
 
 def _head(measurements: Measurements, description: Description) -> str:
@@ -104,10 +104,10 @@ def _head(measurements: Measurements, description: Description) -> str:
     at_rates = f" at {', '.join(f'{rate:g}' for rate in rates)} Hz" if rates else ""
     of_source: dict[str, list[str]] = {}
     for codec in measurements.curves:
-        of_source.setdefault(measurements.source(codec), []).append(_code(codec))
-    paragraphs = [
+        of_source.setdefault(measurements.source(codec), []).append(code(codec))
+    parts = [
         "# Results",
-        f"Data: {_code(description.data)}, {_count(len(measurements.traces), 'trace')}, {samples} samples{at_rates}. "
+        f"Data: {code(description.data)}, {count(len(measurements.traces), 'trace')}, {samples} samples{at_rates}. "
         f"Times: {description.machine}. Made by the command below, and drawn again from the CSV files in `results` by "
         "`python -m evaluation.results_page` with the folder of this page.",
         f"    {description.command}",
@@ -116,35 +116,35 @@ def _head(measurements: Measurements, description: Description) -> str:
         "drawn beyond its points; a mean is given only where a codec has a value on every trace.",
     ]
     if len(rates) > 1:
-        paragraphs.append(
+        parts.append(
             "The traces are of different rates, so bits per sample mean another thing on each, and some codecs may "
             "have no range in common: `--stream-rate-hz` codes all at one rate."
         )
-    if unlike := [_code(trace) for trace in measurements.traces if trace not in measurements.compared]:
-        paragraphs.append(f"Shorter than a block of ST-SIM, or without change, and so in no mean: {', '.join(unlike)}.")
-    paragraphs.append(_codec_list(measurements))
+    if unlike := [code(trace) for trace in measurements.traces if trace not in measurements.compared]:
+        parts.append(f"Shorter than a block of ST-SIM, or without change, and so in no mean: {', '.join(unlike)}.")
+    parts.append(_codec_list(measurements))
     if programs := of_source.get(PROGRAM):
-        paragraphs.append(
+        parts.append(
             f"Programs: codecs of the user's, run here: {', '.join(programs)}. Their times are wall-clock time with "
             "process start: an order of magnitude."
         )
     if imported := of_source.get(IMPORTED):
-        paragraphs.append(
+        parts.append(
             "Imported: figures that other programs reached on the same traces, taken from a table: "
             f"{', '.join(imported)}. Their times are wall-clock time with process start: an order of magnitude."
         )
     if measurements.failures:
-        paragraphs.append(f"**{_count(len(measurements.failures), 'failure')}**, listed [below](#failures).")
-    return _paragraphs(*paragraphs)
+        parts.append(f"**{count(len(measurements.failures), 'failure')}**, listed [below](#failures).")
+    return paragraphs(*parts)
 
 
 def _codec_list(measurements: Measurements) -> str:
-    """Say what each measured codec is, all its ladders in one line."""
+    """Say what each measured codec is, all its ladders and families of models in one line."""
     measured = [codec for codec in measurements.curves if measurements.source(codec) == MEASURED]
     lines = []
     for known in codecs.CODECS.values():
-        if ladders := [_code(codec) for codec in measured if codec in known.ladders]:
-            lines.append(f"- {', '.join(ladders)}: {known.summary}")
+        if curves := [code(codec) for codec in measured if measurements.owner(codec) == known.name]:
+            lines.append(f"- {', '.join(curves)}: {known.summary}")
     return "\n".join(lines)
 
 
@@ -152,25 +152,25 @@ def _advice_section(folder: Path, measurements: Measurements) -> str:
     rows = advice(measurements)
     write_rows(folder / "advice.csv", rows, Advice)
     ranking = ", ".join(
-        f"{_code(codec)} {bits:.2f}{' (imported)' * (measurements.source(codec) == IMPORTED)}"
+        f"{code(codec)} {bits:.2f}{' (imported)' * (measurements.source(codec) == IMPORTED)}"
         for codec, bits in bits_to_reach(measurements, NEEDED_SNR_DB).items()
     )
-    return _paragraphs(
+    return paragraphs(
         "## Which codec when",
         f"Mean bits per sample for {NEEDED_SNR_DB:g} dB SNR or more on every trace: {ranking or 'no codec does it'}.",
         "Chosen by rule among the codecs measured here that have a value on every trace. Beside each what it costs: "
-        "mean bits, median times in seconds per million samples, delay, size of the decoder.",
-        _table(
-            ("if you need", "take", "bit/sample", "encode, s", "decode, s", "delay, ms", "decoder"),
+        "mean bits, median times in seconds per million samples, delay, size of decoder and model.",
+        table(
+            ("if you need", "take", "bit/sample", "encode, s", "decode, s", "delay, ms", "code and model"),
             [
                 (
                     row.need,
-                    _code(row.codec),
-                    _number(row.bits_per_sample),
-                    _number(row.encode_s_per_megasample),
-                    _number(row.decode_s_per_megasample),
-                    _number(row.delay_ms),
-                    size(row.decoder_bytes),
+                    code(row.codec),
+                    number(row.bits_per_sample),
+                    number(row.encode_s_per_megasample),
+                    number(row.decode_s_per_megasample),
+                    number(row.delay_ms),
+                    size(row.flash_bytes),
                 )
                 for row in rows
             ],
@@ -180,14 +180,14 @@ def _advice_section(folder: Path, measurements: Measurements) -> str:
 
 def _rate_section(folder: Path, measurements: Measurements) -> str:
     anchors = measurements.anchors
-    return _paragraphs(
+    return paragraphs(
         "## Quality against rate",
         f"Means over the traces at equal rate: above what was measured, below in grey what is imported. Heavy: "
-        f"{', '.join(map(_code, anchors[:1]))}; shaded: from the 10th to the 90th percentile of the traces, of "
-        f"{' and '.join(map(_code, anchors[:2]))}; the band across: the window of BD-rate. A mark is a codec of one "
+        f"{', '.join(map(code, anchors[:1]))}; shaded: from the 10th to the 90th percentile of the traces, of "
+        f"{' and '.join(map(code, anchors[:2]))}; the band across: the window of BD-rate. A mark is a codec of one "
         "setting; on the edge, it lies beyond. The axes of ST-SIM and SPQI are spread towards 1.",
         *(
-            _chart(
+            chart(
                 folder,
                 f"quality_against_rate_{scale.field}",
                 mean_curves(measurements, scale),
@@ -202,59 +202,49 @@ def _rate_section(folder: Path, measurements: Measurements) -> str:
 
 
 def _ratio_section(folder: Path, measurements: Measurements) -> str:
-    return _paragraphs(
-        "## Every trace, against compression ratio",
-        "The form of the EVA paper's Fig. 3, taken to be this: each trace's points and the mean curve of each codec, "
-        f"PSNR and ST-SIM over the compression ratio. Shown: {', '.join(map(_code, measurements.anchors))}; what is on "
-        "the edge lies beyond. The peak of PSNR is the largest magnitude of the trace; the paper does not name its "
-        "own.",
-        _chart(
+    shown = list(dict.fromkeys([*measurements.anchors, *measurements.learned]))
+    every_trace = [*measurements.learned[-1:], *reversed(measurements.anchors)][:2]
+    return paragraphs(
+        "## Quality against compression ratio",
+        "The form of the EVA paper's Fig. 2 to 4, taken to be this: PSNR, ST-SIM and SPQI over the compression ratio "
+        f"against 16 bits per sample, mean curves, and of {listed(list(map(code, every_trace)))} every trace's points. "
+        f"Shown: {', '.join(map(code, shown))}; what is on the edge lies beyond. The peak of PSNR is the largest "
+        "magnitude of the trace; the paper does not name its own.",
+        chart(
             folder,
             "quality_against_ratio",
-            ratio_points(measurements, RATIO_SCALES),
+            ratio_points(measurements, LEARNED_SCALES),
             RatioPoint,
-            partial(charts.plot_quality_against_ratio, scales=RATIO_SCALES),
-            "PSNR and ST-SIM of every trace against compression ratio",
-            measurements.anchors,
+            partial(charts.plot_quality_against_ratio, scales=LEARNED_SCALES, every_trace=every_trace),
+            "PSNR, ST-SIM and SPQI against compression ratio",
+            shown,
         ),
     )
 
 
-def _time_section(folder: Path, measurements: Measurements) -> str:
-    return _paragraphs(
-        "## Quality against time",
-        f"At {_rates()} bit/sample: mean quality over the traces, median time at the setting nearest to that rate. "
-        "Processor time of one core without process start; of programs and those imported, wall-clock time with "
-        "process start. The line joins the codecs that no other measured one beats in both (Pareto front). Area of a "
-        "mark: bytes of the decoder; hollow: not known; diamond: imported.",
+def _speed_section(folder: Path, measurements: Measurements) -> str:
+    rates = listed([f"{rate:g}" for rate in RATES])
+    return paragraphs(
+        "## Speed against accuracy",
+        f"Mean quality over the traces at {rates} bit/sample (compression ratios {16 / RATES[0]:g} and "
+        f"{16 / RATES[-1]:.3g}) against what that costs: times of all traces coded as one signal at the setting "
+        "nearest to that rate, processor time of one core without process start; of programs and those imported, "
+        "medians over the traces of wall-clock time with process start. A trained model is there once for each "
+        "runtime: the integer core, and ONNX Runtime. The line joins the codecs that no other measured one beats in "
+        "both (Pareto front). Area of a mark: bytes of decoder and model; hollow: not known; diamond: imported.",
         *(
-            _chart(
+            chart(
                 folder,
-                f"quality_against_time_{scale.field}",
-                time_marks(measurements, scale),
+                f"quality_against_{stem}_{scale.field}",
+                cost_marks(measurements, scale, costs),
                 Mark,
                 partial(charts.plot_marks, scale=scale),
-                f"{scale.label} at fixed rates against time",
-                measurements.curves,
+                f"{scale.label} at fixed rates against {words}",
+                (),
             )
-            for scale in COST_SCALES
-        ),
-    )
-
-
-def _delay_section(folder: Path, measurements: Measurements) -> str:
-    return _paragraphs(
-        "## Quality against delay",
-        f"At {_rates()} bit/sample: mean quality over the traces against algorithmic delay. Line and marks as above.",
-        *(
-            _chart(
-                folder,
-                f"quality_against_delay_{scale.field}",
-                delay_marks(measurements, scale),
-                Mark,
-                partial(charts.plot_marks, scale=scale),
-                f"{scale.label} at fixed rates against delay",
-                measurements.curves,
+            for stem, words, costs in (
+                ("time", "time", TIMES),
+                ("delay", "delay and size", ("delay_ms", "flash_bytes")),
             )
             for scale in COST_SCALES
         ),
@@ -263,62 +253,61 @@ def _delay_section(folder: Path, measurements: Measurements) -> str:
 
 def _bd_rate_section(folder: Path, measurements: Measurements) -> str:
     rows = trace_bd_rates(measurements)
-    means = mean_bd_rates(rows)
+    means = mean_bd_rates(rows, measurements.kind_of)
     write_rows(folder / "bd_rate_traces.csv", rows, TraceBdRate)
     write_rows(folder / "bd_rate.csv", means, MeanBdRate)
     windows = "; ".join(f"{scale.label} {scale.low:g} to {scale.high:g}" for scale in SCALES)
     parts = [
         "## BD-rate",
-        "Bits relative to an anchor's at equal quality: -50 % is half the bits. Of each trace by pchip, with akima as "
-        f"a check, on the monotone envelopes of at least {MIN_POINTS} points each, over what both cover of a fixed "
-        f"window ({windows}), if that is {MIN_OVERLAP:.0%} of it or more. The interval of the mean, "
-        f"{CONFIDENCE:.0%}, is by bootstrap over the traces. `whole` counts the traces on which the whole window is "
-        "covered.",
+        "Bits relative to an anchor's at equal quality: -50 % is half the bits; mean over the traces. Of each trace by "
+        f"pchip, with akima as a check, on the monotone envelopes of at least {MIN_POINTS} points each, over what both "
+        f"cover of a fixed window ({windows}), if that is {MIN_OVERLAP:.0%} of it or more. The interval of the mean, "
+        f"{CONFIDENCE:.0%}, is by bootstrap over the traces; beside a mean in brackets the traces that could be "
+        "compared, where not all could. Median, akima, spread at every quality, kinds of textures and what part of "
+        "the window is covered: [bd_rate.csv](results/bd_rate.csv); each trace: "
+        "[bd_rate_traces.csv](results/bd_rate_traces.csv).",
     ]
     for anchor in measurements.anchors:
-        parts.append(f"### Relative to {_code(anchor)}")
-        for scale in SCALES:
-            of_scale = [row for row in means if (row.anchor, row.quality) == (anchor, scale.field)]
-            if of_scale:
-                parts += [
-                    f"<details{' open' * (scale == SNR)}><summary>At equal {scale.label.split(',')[0]}</summary>",
-                    _bd_rate_table(of_scale),
-                    "</details>",
-                ]
-        compared = {row.codec for row in means if row.anchor == anchor} | {anchor}
+        of_anchor = [row for row in means if row.anchor == anchor and not row.kind]
+        parts += [f"### Relative to {code(anchor)}", _bd_rate_table(of_anchor, len(measurements.compared))]
+        compared = {row.codec for row in of_anchor} | {anchor}
         if missing := [codec for codec in measurements.curves if codec not in compared]:
-            parts.append(f"Too few points or too little in common on every trace: {', '.join(map(_code, missing))}.")
-    parts.append(
-        "Data: [bd_rate.csv](results/bd_rate.csv), and of each trace [bd_rate_traces.csv](results/bd_rate_traces.csv)."
-    )
-    return _paragraphs(*parts)
+            parts.append(f"Too few points or too little in common on every trace: {', '.join(map(code, missing))}.")
+    return paragraphs(*parts)
 
 
-def _bd_rate_table(rows: Sequence[MeanBdRate]) -> str:
-    return _table(
-        ("codec", "mean", "interval", "median", "lowest", "highest", "akima", "traces", "compared over", "whole"),
-        [
+def _bd_rate_table(rows: Sequence[MeanBdRate], traces: int) -> str:
+    by_codec = charts.by_codec(sorted(rows, key=lambda row: (row.quality != SNR.field, row.mean)))
+    lines = []
+    for of_codec in by_codec.values():
+        found = {row.quality: row for row in of_codec}
+        snr = found.get(SNR.field)
+        lines.append(
             (
-                name(row),
-                _percent(row.mean),
-                _interval(row),
-                *map(_percent, (row.median, row.lowest, row.highest, row.akima_mean)),
-                str(row.traces),
-                f"{row.low:.3g} to {row.high:.3g}",
-                str(row.whole_window_traces),
+                name(of_codec[0]),
+                *(_mean(found.get(scale.field), traces) for scale in SCALES[:1]),
+                _interval(snr),
+                f"{snr.lowest:+.1f} to {snr.highest:+.1f}" if snr else "",
+                *(_mean(found.get(scale.field), traces) for scale in SCALES[1:]),
             )
-            for row in rows
-        ],
-    )
+        )
+    names = [scale.label.split(",")[0] for scale in SCALES]
+    return table(("codec", names[0], "interval", "lowest to highest", *names[1:]), lines)
+
+
+def _mean(row: MeanBdRate | None, traces: int) -> str:
+    if row is None:
+        return ""
+    return percent(row.mean) + (f" ({row.traces})" if row.traces < traces else "")
 
 
 def _excess_section(folder: Path, measurements: Measurements) -> str:
-    return _paragraphs(
+    return paragraphs(
         "## Where each codec loses",
         f"Bits at {EQUAL_SNR_DB:g} dB SNR on each trace, in percent above those of the codec that needs the fewest "
         "there: 0 is the best of the row, 100 twice its bits, darker is more. Hatched: the codec lacks points on both "
         "sides of that SNR.",
-        _chart(
+        chart(
             folder,
             "excess_bits",
             excesses(measurements),
@@ -330,26 +319,31 @@ def _excess_section(folder: Path, measurements: Measurements) -> str:
     )
 
 
-def _cost_section(folder: Path, measurements: Measurements) -> str:
+def _cost_section(machine: str, folder: Path, measurements: Measurements) -> str:
     rows = curve_costs(measurements)
     write_rows(folder / "curve_costs.csv", rows, CurveCost)
-    return _paragraphs(
+    return paragraphs(
         "## What each codec costs",
-        f"Times in seconds per million samples: medians over the traces at the setting nearest to {COSTED_RATE:g} "
-        "bit/sample. Real time: seconds of encoding and decoding for each second of one channel at the traces' rate. "
-        "Settings: how many were measured. What the decoder's bytes count is in [costs.csv](results/costs.csv).",
-        _table(
-            ("codec", "settings", "encode, s", "decode, s", "real time", "delay, ms", "memory", "decoder"),
+        f"Seconds per million samples near {BITS_PER_SAMPLE:g} bit/sample, compression ratio {RATIO:g}, taken as above "
+        "at the setting nearest to it; what that took in bits stands beside. Real time: seconds of encoding and "
+        "decoding for each second of one channel at the traces' rate. Memory: what coding 100 s adds to a process. "
+        "Code and model: what a Cortex-M4 holds to decode, where that can be told; see [costs.csv](results/costs.csv).",
+        f"Here: {machine}. The EVA paper's own figures, at the same ratio, are of an {PAPER_CPU} and other recordings, "
+        "and how many cores worked is not known here: an order of magnitude beside these, not like for like.",
+        table(
+            ("codec", "bit/sample", "encode, s", "decode, s", "real time", "delay, ms", "memory", "code", "model"),
             [
                 (
-                    name(row),
-                    str(row.settings),
-                    *map(_number, (row.encode_s_per_megasample, row.decode_s_per_megasample, row.real_time_factor)),
-                    _number(row.delay_ms),
-                    size(row.peak_memory_bytes),
-                    size(row.decoder_bytes),
+                    " ".join(filter(None, (name(row), row.runtime))),
+                    *map(number, (row.bits_per_sample, row.encode_s_per_megasample, row.decode_s_per_megasample)),
+                    *map(number, (row.real_time_factor, row.delay_ms)),
+                    *map(size, (row.peak_memory_bytes, row.decoder_bytes, row.model_bytes)),
                 )
                 for row in rows
+            ]
+            + [
+                (f"{codec}, {PAPER_CPU}", number(BITS_PER_SAMPLE), f"{encode_s:g}", f"{decode_s:g}", *[""] * 5)
+                for codec, encode_s, decode_s in PAPER_SPEEDS
             ],
         ),
         "Data: [curve_costs.csv](results/curve_costs.csv).",
@@ -364,92 +358,30 @@ def _failure_section(measurements: Measurements) -> str:
         (reason, codec, str(len(failures)), " ".join(filter(None, (failures[0].trace, failures[0].setting))))
         for (codec, reason), failures in groups.items()
     ]
-    return _paragraphs(
+    return paragraphs(
         "## Failures",
-        f"{_count(len(measurements.failures), 'failure')}, all in [failures.csv](results/failures.csv). "
+        f"{count(len(measurements.failures), 'failure')}, all in [failures.csv](results/failures.csv). "
         "What failed has no point; without a codec, it is the trace that cannot be read."
         + (f" The first {MAX_LISTED_FAILURES} kinds:" if len(rows) > MAX_LISTED_FAILURES else "")
         if rows
         else "None.",
-        _table(("reason", "codec", "failures", "the first of them"), rows[:MAX_LISTED_FAILURES]),
+        table(("reason", "codec", "failures", "the first of them"), rows[:MAX_LISTED_FAILURES]),
     )
 
 
 def _files_section() -> str:
-    return _paragraphs(
+    return paragraphs(
         "## Files",
         "All rows: [points.csv](results/points.csv) and the same as [JSON](results/points.json), "
-        "[timings.csv](results/timings.csv), [costs.csv](results/costs.csv), [failures.csv](results/failures.csv).",
+        "[timings.csv](results/timings.csv), [speeds.csv](results/speeds.csv), [costs.csv](results/costs.csv), "
+        "[kinds.csv](results/kinds.csv), [failures.csv](results/failures.csv).",
     )
 
 
-def _chart(
-    folder: Path,
-    stem: str,
-    rows: Sequence[CodecRow],
-    kind: type[CodecRow],
-    plot: Callable[[Path, Sequence[CodecRow]], None],
-    title: str,
-    expected: Iterable[str],
-) -> str:
-    """Write a chart and its data, and return its place on the page; without data only that there is none."""
-    image = folder / f"{stem}.png"
-    write_rows(folder / f"{stem}.csv", rows, kind)
-    if not rows:
-        image.unlink(missing_ok=True)
-        return f"{title}: no codec has the values."
-    plot(image, rows)
-    drawn = {row.codec for row in rows}
-    missing = [_code(codec) for codec in expected if codec not in drawn]
-    return _paragraphs(
-        f"![{title}](results/{stem}.png)",
-        f"*{title}; data: [{stem}.csv](results/{stem}.csv).*"
-        + (f" Without the values on every trace, and not drawn: {', '.join(missing)}." if missing else ""),
-    )
-
-
-def _paragraphs(*parts: str) -> str:
-    return "\n\n".join(part for part in parts if part)
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table, its first column to the left; without rows, nothing."""
-    if not rows:
-        return ""
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *([_text(cell) for cell in row] for row in rows)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _text(cell: str) -> str:
-    """Return text that a Markdown table shows as it is."""
-    return " ".join(cell.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").split())
-
-
-def _code(text: str) -> str:
-    return f"`{text.replace('`', '')}`"
-
-
-def _count(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
-
-
-def _percent(value: float) -> str:
-    return f"{value:+.1f} %"
-
-
-def _interval(row: MeanBdRate) -> str:
-    if row.interval_low is None or row.interval_high is None:
+def _interval(row: MeanBdRate | None) -> str:
+    if row is None or row.interval_low is None or row.interval_high is None:
         return ""
     return f"{row.interval_low:+.1f} to {row.interval_high:+.1f}"
-
-
-def _rates() -> str:
-    *others, last = (f"{rate:g}" for rate in RATES)
-    return f"{', '.join(others)} and {last}"
 
 
 @click.command()
@@ -461,14 +393,8 @@ def main(out: Path) -> None:
         described = read_rows(folder / "description.csv", Description)
         if len(described) != 1:
             raise PointsError(f"{folder / 'description.csv'}: {len(described)} rows; it must have one")
-        write_results(
-            out,
-            read_rows(folder / "points.csv", Point),
-            read_rows(folder / "timings.csv", Timing),
-            read_rows(folder / "costs.csv", CodecCost),
-            read_rows(folder / "failures.csv", Failure),
-            described[0],
-        )
+        tables: dict[str, Any] = {name: read_rows(folder / f"{name}.csv", kind) for name, kind in TABLES.items()}
+        write_results(out, Measurements(**tables), described[0])
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a benchmark") from error
     except PointsError as error:

@@ -1,7 +1,6 @@
 """`vibrocast bench`: measures every codec on a folder of recordings and writes figures, charts and a page."""
 
 import datetime
-import platform
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,13 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from codec import CodecError
 from device_protocol.coded_stream import MAX_RATE_HZ
+from device_protocol.model_image import ModelImageError
 from host import progress
 from host.options import INPUT, BadInput, command_run, recording_options
+from models import ModelError
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
     from evaluation.bench import Tally
-    from evaluation.points import Failure, Point, Timing
+    from evaluation.comparison import Measurements
+    from evaluation.points import Failure
 
 SNRS_DB = (5.0, 10.0, 15.0, 20.0)
 SHOWN_FAILURES = 10
@@ -42,8 +45,18 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     metavar="NAME,NAME,...",
     help="Codecs, or single ladders of their settings; all if not given.",
 )
+@click.option(
+    "--models",
+    "model_folders",
+    type=INPUT,
+    multiple=True,
+    help="Folder of a model of your own, as `vibrocast export` writes it, beside those that ship; may be repeated.",
+)
 @click.option("--programs", "program_list", type=INPUT, help="TOML file that lists codecs in programs of your own.")
 @click.option("--peers", type=INPUT, help="CSV of others' points on the same traces, to compare with.")
+@click.option(
+    "--kinds", "kinds_table", type=INPUT, help="CSV of file, kind: textures to tell apart; known sets if not given."
+)
 @click.option(
     "--split", "part", type=click.Choice(("all", "train", "test")), default="all", show_default=True, help="Which part."
 )
@@ -64,8 +77,10 @@ def bench(
     folder: Path,
     out: Path,
     names: list[str],
+    model_folders: tuple[Path, ...],
     program_list: Path | None,
     peers: Path | None,
+    kinds_table: Path | None,
     part: str,
     split_by: str,
     seed: int,
@@ -74,19 +89,24 @@ def bench(
     fresh: bool,
     **options: Any,
 ) -> None:
-    """Measure codecs on every recording of FOLDER.
+    """Measure codecs, and trained models of theirs, on every recording of FOLDER.
 
     Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
     the exit code is 1.
     """
-    from evaluation import bench, cells, cost, external, results_page, workers
+    from evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
+    from evaluation.cells import BenchError
+    from evaluation.comparison import Measurements
+    from evaluation.external import ProgramError
     from evaluation.points import Failure, PointsError, read_imported
     from textures import dataset
+    from textures.dataset import DatasetError, Trace
 
     try:
         programs = external.read_programs(program_list) if program_list else []
-        chosen = cells.methods(names, programs)
+        chosen = cells.methods(names, programs, trained.known_models(model_folders))
         traces = dataset.split(dataset.traces(folder), part, seed, split_by == "material")
+        kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
         mine = {trace.name for trace in traces}
         imported = read_imported(peers) if peers else ([], [])
         if peers and not mine & {point.trace for point in imported[0]}:
@@ -98,29 +118,36 @@ def bench(
             work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
         with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.shown("measuring") as update:
             tell = told(update)
-            measured = bench.run(traces, partial(dataset.load, **options), chosen, repeats, journal, work, tell)
+            load: Callable[[Trace], Any] = partial(dataset.load, **options)
+            measured = bench.run(traces, load, chosen, repeats, journal, work, tell)
     except workers.WorkersError as error:
         raise click.ClickException(str(error)) from error
-    except (cells.BenchError, dataset.DatasetError, external.ProgramError, PointsError) as error:
+    except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PointsError, ProgramError) as error:
         raise BadInput(str(error)) from error
 
     failures = [each for each in measured if isinstance(each, Failure)]
     good = [each for each in measured if isinstance(each, cells.Measured)]
     points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
     timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
-    coders = sorted({method.coder for method in chosen if isinstance(method.coder, str)})
-    costs = []
     with progress.shown("measuring memory") as update:
-        for number, coder in enumerate(coders, 1):
-            costs += cost.measure_costs([coder])
-            update(number / len(coders), coder)
-    bench.write(results, points, timings, costs, failures)
+        costs = cost.measure_costs(cells.coders(chosen), update)
+    timed: list[speed.Speed | Failure] = []
+    if repeats:
+        with progress.shown("measuring speed") as update:
+            measured_traces = {each.point.trace for each in good}
+            recordings = (load(trace) for trace in traces if trace.name in measured_traces)
+            timed = speed.measure(chosen, points, recordings, repeats, update)
+    failures += [each for each in timed if isinstance(each, Failure)]
+    speeds = [each for each in timed if not isinstance(each, Failure)]
+    measurements = Measurements(points, timings, costs, failures, speeds, kinds_of)
+    bench.write(results, measurements)
     data = folder.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
-    machine = "a Dask cluster" if scheduler else f"{platform.machine()}, {workers.cores()} cores at work at once"
+    cells_on = "a Dask cluster" if scheduler else f"{workers.cores()} cores at work at once"
+    machine = f"{speed.cpu_name()}; of single cells {cells_on}"
     description = results_page.Description(dataset.printable(data), machine, command_run())
     with progress.shown("drawing") as update:
-        results_page.write_results(out, points, timings, costs, failures, description, update)
-    show(points, timings)
+        results_page.write_results(out, measurements, description, update)
+    show(measurements)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
         click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
@@ -147,7 +174,7 @@ def told(update: progress.Update) -> "Callable[[Tally], None]":
     return tell
 
 
-def show(points: "Sequence[Point]", timings: "Sequence[Timing]") -> None:
+def show(measurements: "Measurements") -> None:
     """Print a table of the curves: mean bits per sample at some SNRs, median times and delay."""
     from statistics import fmean, median
 
@@ -156,7 +183,6 @@ def show(points: "Sequence[Point]", timings: "Sequence[Timing]") -> None:
     from rich.table import Table
 
     from evaluation.bd_rate import SNR, bits_per_sample_at
-    from evaluation.comparison import Measurements
 
     table = Table(
         box=SIMPLE, pad_edge=False, title="Mean bits per sample at an SNR; delay, ms; seconds per million samples"
@@ -164,12 +190,11 @@ def show(points: "Sequence[Point]", timings: "Sequence[Timing]") -> None:
     table.add_column("codec", no_wrap=True)
     for title in (*(f"{snr_db:g} dB" for snr_db in SNRS_DB), "delay", "encode", "decode"):
         table.add_column(title, justify="right")
-    measurements = Measurements(points, timings, [], [])
     for name, curves in measurements.curves.items():
         bits = [bits_per_sample_at(curve, SNRS_DB) for curve in measurements.everywhere(name, SNR) or [()]]
         delays_ms = [point.delay_ms for curve in curves.values() for point in curve if point.delay_ms is not None]
         source = measurements.source(name)
-        times = [timing for timing in timings if (timing.codec, timing.source) == (name, source)]
+        times = [timing for timing in measurements.timings if (timing.codec, timing.source) == (name, source)]
         figures = [
             *(f"{mean:.2f}" for mean in map(fmean, zip(*bits, strict=True))),
             f"{median(delays_ms):.1f}" if delays_ms else "",

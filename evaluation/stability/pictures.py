@@ -14,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from evaluation.labels import spread
 from evaluation.stability.trials import Outcome
 from host.output_files import whole_file
 
@@ -198,16 +199,7 @@ def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]], label_chara
         for (_, x), some in sorted(together.items())
     ]
     rooms = [_LABEL_DISTANCE * (label.count("\n") + 1) for _, _, label in labels]
-    shrink = min(1.0, 1 / max(sum(rooms), _LABEL_DISTANCE))
-    # Upwards each so far above the one below that both have room, then downwards from the top.
-    placed: list[float] = []
-    for index, (_, y, _) in enumerate(labels):
-        least = placed[-1] + shrink * (rooms[index] + rooms[index - 1]) / 2 if placed else 0.0
-        placed.append(max((y - low) / (high - low), least))
-    ceiling = 1.0
-    for index in reversed(range(len(labels))):
-        placed[index] = min(placed[index], ceiling)
-        ceiling = placed[index] - shrink * (rooms[index] + rooms[index - 1]) / 2
+    placed = spread([(y - low) / (high - low) for _, y, _ in labels], rooms)
     for (x, y, label), height in zip(labels, placed, strict=True):
         axes.annotate(
             label,

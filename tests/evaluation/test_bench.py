@@ -18,6 +18,7 @@ from codec import CodecError
 from evaluation import bench, cells, metrics, workers
 from evaluation.bench import Journal, Tally
 from evaluation.cells import BenchError, Cell, Measured, Method
+from evaluation.comparison import Measurements
 from evaluation.points import Failure, Point, Timing, read_rows
 from host import coding
 from textures import Recording
@@ -71,7 +72,7 @@ def run(
 def written(results: Path, measured: Results) -> dict[str, bytes]:
     points = [each.point for each in measured if isinstance(each, Measured)]
     failures = [each for each in measured if isinstance(each, Failure)]
-    bench.write(results, points, [], [], failures)
+    bench.write(results, Measurements(points, [], [], failures))
     return {name: (results / name).read_bytes() for name in ("points.csv", "points.json", "failures.csv")}
 
 
@@ -216,7 +217,7 @@ def test_silence_has_no_quality_and_an_exact_copy_has_infinite_snr(results: Path
     samples = np.random.default_rng(0).integers(-32768, 32768, (600, 2)) / 32768
     copy = Cell("copy", Recording(samples, 2800.0, "full scale", "copy"), METHODS[1], {}, 0).measure()
     assert copy.point.snr_db == np.inf and copy.point.samples == 1200
-    bench.write(results, [copy.point], [], [], [])
+    bench.write(results, Measurements([copy.point], [], [], []))
     assert json.loads((results / "points.json").read_text())[0]["snr_db"] == "inf"
     assert read_rows(results / "points.csv", Point) == [copy.point]
 
@@ -226,7 +227,7 @@ def test_times_are_measured_where_they_are_asked_for(folder: Path, results: Path
     timings = [each.timing for each in measured if isinstance(each, Measured) and each.timing]
     assert [(each.trace, each.setting) for each in timings][:2] == [("rough", "step=1"), ("rough", "step=0.25")]
     assert all(each.encode_s_per_megasample > 0 and each.decode_s_per_megasample > 0 for each in timings)
-    bench.write(results, [], timings, [], [])
+    bench.write(results, Measurements([], timings, [], []))
     assert read_rows(results / "timings.csv", Timing) == timings
     assert run(folder, results, partial(cut_after, 0), METHODS[:1], repeats=1) == measured
 
@@ -289,7 +290,7 @@ def test_files_of_other_origin_are_left_alone(tmp_path: Path, name: str) -> None
 
 
 def test_results_without_their_journal_are_known_again(results: Path) -> None:
-    bench.write(results, [], [], [], [])
+    bench.write(results, Measurements([], [], [], []))
     assert bench.results_folder(results.parent) == results
 
 

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 import codec
 from codec import Framing, SignalFormat
 from evaluation import cost
+from models import Model
 
 CORE = Path(__file__).parents[2] / "firmware" / "core"
 needs_ziglang = pytest.mark.skipif(
@@ -95,13 +96,13 @@ def test_memory_is_that_of_coding_alone() -> None:
 
 
 def test_costs_of_a_codec_that_fails_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def peak_memory_bytes(name: str) -> int:
+    def peak_memory_bytes(name: str, model: Model | None) -> int:
         if name == "broken":
             raise codec.CodecError("no such library")
         return 7
 
     monkeypatch.setattr(cost, "peak_memory_bytes", peak_memory_bytes)
-    broken, mdct = cost.measure_costs(["broken", "mdct"])
+    broken, mdct = cost.measure_costs({"broken": ("broken", []), "mdct": ("mdct", [])})
     assert (broken.decoder_bytes, broken.peak_memory_bytes) == (None, None)
     assert broken.note == "decoder not counted; memory not measured: no such library"
     assert (mdct.codec, mdct.decoder_bytes, mdct.peak_memory_bytes) == ("mdct", cost.decoder_bytes("mdct"), 7)

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 
 import codec
 import textures
-from evaluation import bench, cost, results_page, workers
+from evaluation import bench, cost, results_page, speed, workers
 from evaluation.points import Failure, Point, Timing, read_rows
 from host.command_line import main
 from textures.generate import rough, wood
@@ -53,7 +53,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Measure in this process, without the memory that codecs take, and draw no page."""
     monkeypatch.setattr(workers, "on_cores", here)
     monkeypatch.setattr(results_page, "write_results", lambda *_: None)
-    monkeypatch.setattr(cost, "measure_costs", lambda names: [])
+    monkeypatch.setattr(cost, "measure_costs", lambda *_: [])
+    monkeypatch.setattr(speed, "measure", lambda *_: [])
 
 
 @pytest.fixture
@@ -154,8 +155,8 @@ def test_a_silent_trace_leaves_the_means_of_the_others(folder: Path, tmp_path: P
 def test_a_part_of_the_traces(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
     for material in ("cork", "felt", "foam"):
-        for speed in ("slow", "fast"):
-            name = f"Direct_-_1spike_Probe_-_{material}_-_{speed}_X.txt"
+        for pace in ("slow", "fast"):
+            name = f"Direct_-_1spike_Probe_-_{material}_-_{pace}_X.txt"
             np.savetxt(tmp_path / "set" / name, wood(1, 0.1).samples)
     parts = {}
     for part in ("train", "test"):

@@ -1,0 +1,36 @@
+"""Kinds of textures, such as "fingertip": which of them a trace is, by a table of files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from evaluation.points import read_rows
+from textures.dataset import Trace
+
+TABLE = Path(__file__).parent / "data" / "kinds.csv"
+"""Kinds by the names that the recordings of known sets have."""
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of texture, such as "fingertip", and which files hold it: the end of their paths, or a pattern of it."""
+
+    file: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class TraceKind:
+    """The kind of texture that a trace is of."""
+
+    trace: str
+    kind: str
+
+
+def kinds(everything: list[Trace], table: Path = TABLE) -> list[TraceKind]:
+    """Return the kinds of those traces of which a CSV file with columns `file` and `kind` tells; its first row counts.
+
+    Raises PointsError where it is no such file, OSError where it cannot be read.
+    """
+    rows = [row for row in read_rows(table, FileKind) if row.file]
+    found = ((trace, next((row.kind for row in rows if trace.path.match(row.file)), "")) for trace in everything)
+    return [TraceKind(trace.name, kind) for trace, kind in found if kind]

@@ -1,0 +1,208 @@
+"""The page's section on trained models: where they win and lose, what they take in time, bytes and flash."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from evaluation import charts
+from evaluation.bd_rate import PSNR, ST_SIM_2800, Scale
+from evaluation.comparison import (
+    LEARNED_SCALES,
+    REFERENCE,
+    WANTED_PERCENT,
+    CurveCost,
+    MeanBdRate,
+    Measurements,
+    Price,
+    TraceBdRate,
+    curve_costs,
+    pair_bd_rates,
+    prices,
+    rival_bd_rates,
+    with_runtime,
+)
+from evaluation.page_parts import chart, code, listed, number, paragraphs, percent, table
+from evaluation.points import write_rows
+from evaluation.speed import BITS_PER_SAMPLE, RATIO
+
+OWN = "mdct"
+"""The project's codec without learning, which the learned ones have to beat."""
+TARGETS_S = {128: 1.0, 16: 0.1}
+"""Seconds per million samples that a model of so many channels should not exceed, encoding or decoding."""
+MOST_NAMED = 6
+
+
+def section(folder: Path, measurements: Measurements) -> str:
+    """Return the section, its charts and tables written into a folder; "" without trained models. Raises OSError."""
+    if not measurements.learned:
+        return ""
+    rivals = rival_bd_rates(measurements)
+    write_rows(folder / "learned_bd_rate.csv", rivals, MeanBdRate)
+    return paragraphs(
+        "## Trained models",
+        f"Curves of trained models: {', '.join(map(code, measurements.learned))}.",
+        _targets(measurements, rivals),
+        _speed_targets(measurements),
+        "### Where they win and lose",
+        "BD-rate of each relative to every other codec, mean over the traces; in brackets the traces on which it needs "
+        "fewer bits, of those compared.",
+        "\n".join(_verdict(rivals, learned) for learned in measurements.learned),
+        _kinds_table(measurements, rivals),
+        _spread_chart(folder, measurements),
+        "All pairs: [learned_bd_rate.csv](results/learned_bd_rate.csv).",
+        "### What one more decibel costs",
+        _prices(folder, measurements),
+    )
+
+
+def _targets(measurements: Measurements, rivals: Sequence[MeanBdRate]) -> str:
+    """Say how the best learned codec stands against the reference and the project's own."""
+    sentences = []
+    against = {(row.codec, row.quality): row for row in rivals if row.anchor == REFERENCE and not row.kind}
+    both = {
+        learned: [against[learned, scale.field].mean for scale in (PSNR, ST_SIM_2800)]
+        for learned in measurements.learned
+        if (learned, PSNR.field) in against and (learned, ST_SIM_2800.field) in against
+    }
+    if both:
+        best = min(both, key=lambda learned: max(both[learned]))
+        verdict = "met" if max(both[best]) <= WANTED_PERCENT else "missed"
+        sentences.append(
+            f"Wanted: {-WANTED_PERCENT:g} % fewer bits than {code(REFERENCE)} at equal PSNR and at equal ST-SIM, as "
+            f"the EVA paper has it against PVC-SLP. **{verdict.capitalize()}**: the best, {code(best)}, stands at "
+            f"{percent(both[best][0])} and {percent(both[best][1])}."
+        )
+    own = [row for row in rivals if row.anchor == OWN and row.quality == PSNR.field and row.codec != OWN]
+    if own:
+        won = [f"{row.kind} by {code(row.codec)} ({percent(row.mean)})" for row in own if row.kind and row.mean < 0]
+        nearest = min((row for row in own if not row.kind), key=lambda row: row.mean, default=None)
+        sentences.append(
+            f"Wanted beyond that: fewer bits than {code(OWN)} on some kind of texture. "
+            + (f"**Met** at equal PSNR: {listed(won)}." if won else "**Missed** at equal PSNR.")
+            + (f" Over all traces the nearest is {code(nearest.codec)}: {percent(nearest.mean)}." if nearest else "")
+        )
+    return " ".join(sentences)
+
+
+def _speed_targets(measurements: Measurements) -> str:
+    """Say which models are as fast as they should be."""
+    sentences = []
+    for row in curve_costs(measurements):
+        times_s = row.encode_s_per_megasample, row.decode_s_per_megasample
+        if row.codec in measurements.learned and row.width in TARGETS_S and None not in times_s:
+            target_s = TARGETS_S[row.width]
+            verdict = "met" if max(filter(None, times_s), default=0.0) <= target_s else "missed"
+            sentences.append(
+                f"{code(row.codec)}, {row.width} channels, decoded by {_runtime(row)}: {number(times_s[0])} s to "
+                f"encode and {number(times_s[1])} s to decode, wanted {target_s:g}: **{verdict}**"
+            )
+    return (
+        f"Speed, for a million samples near compression ratio {RATIO:g}: {'; '.join(sentences)}." if sentences else ""
+    )
+
+
+def _runtime(row: CurveCost | Price) -> str:
+    return {"onnx": "ONNX Runtime", "core": "the integer core"}.get(row.runtime, row.runtime)
+
+
+def _prices(folder: Path, measurements: Measurements) -> str:
+    rows = prices(measurements)
+    write_rows(folder / "prices.csv", rows, Price)
+    return paragraphs(
+        f"At {BITS_PER_SAMPLE:g} bit/sample, compression ratio {RATIO:g}, the fastest decoder first. By a finer "
+        "setting of the same codec: what one decibel more adds to the bytes. By another codec: what each decibel "
+        "costs that it gains at equal bytes over the best of those that decode faster, in seconds per million samples "
+        "and in flash (decoder's code, and model without its ONNX graph). Where it gains nothing, the time is lost.",
+        table(
+            (
+                "codec",
+                "SNR, dB",
+                "1 dB in bytes",
+                "gains, dB",
+                "over",
+                "1 dB in encoding, s",
+                "in decoding, s",
+                "in flash",
+            ),
+            [
+                (
+                    with_runtime(row),
+                    number(row.snr_db),
+                    percent(row.bytes_percent),
+                    "" if row.gained_db is None else f"{row.gained_db:+.2f}",
+                    row.than,
+                    *map(number, (row.encode_s_per_megasample, row.decode_s_per_megasample)),
+                    "" if row.flash_bytes is None else f"{row.flash_bytes / 1000:+.1f} kB",
+                )
+                for row in rows
+            ],
+        ),
+        "Data: [prices.csv](results/prices.csv); charts: [speed against accuracy](#speed-against-accuracy).",
+    )
+
+
+def _verdict(rivals: Sequence[MeanBdRate], learned: str) -> str:
+    """Say in one item what a learned codec wins and loses against, in all and by kind of texture."""
+    own = [row for row in rivals if row.codec == learned]
+    parts = []
+    for scale in LEARNED_SCALES:
+        of_scale = [row for row in own if row.quality == scale.field and not row.kind]
+        lost, won = _named(of_scale, lost=True), _named(of_scale, lost=False)
+        if of_scale:
+            parts.append(f"at equal {_short(scale)} it loses to {lost or 'none'}; it wins against {won or 'none'}")
+    for kind in sorted({row.kind for row in own} - {""}):
+        of_kind = [row for row in own if row.kind == kind and row.quality == PSNR.field]
+        parts.append(f"on {kind} textures it loses at equal PSNR to {_named(of_kind, lost=True) or 'none'}")
+    return f"- {code(learned)}: " + (". ".join(part[0].upper() + part[1:] for part in parts) or "not comparable") + "."
+
+
+def _named(rows: Sequence[MeanBdRate], lost: bool) -> str:
+    """Return whom rows are won or lost against, the nearest first."""
+    chosen = sorted(
+        (row for row in rows if (row.mean >= 0) == lost), key=lambda row: -abs(row.mean) if lost else row.mean
+    )
+    chosen = chosen if lost else chosen[::-1]
+    texts = [f"{code(row.anchor)} {percent(row.mean)} ({row.won} of {row.traces})" for row in chosen]
+    more = [f"{len(texts) - MOST_NAMED} more"] if len(texts) > MOST_NAMED else []
+    return listed(texts[:MOST_NAMED] + more)
+
+
+def _short(scale: Scale) -> str:
+    return scale.label.split(",")[0]
+
+
+def _kinds_table(measurements: Measurements, rivals: Sequence[MeanBdRate]) -> str:
+    """Return BD-rates at equal PSNR relative to the anchors, over all traces and by kind."""
+    kinds = ["", *sorted(set(measurements.kind_of.values()))]
+    found = {(row.codec, row.anchor, row.kind): row for row in rivals if row.quality == PSNR.field}
+    lines = []
+    for learned in measurements.learned:
+        for anchor in measurements.anchors:
+            cells = [found.get((learned, anchor, kind)) for kind in kinds]
+            if any(cells) and anchor != learned:
+                texts = [f"{percent(row.mean)} ({row.won} of {row.traces})" if row else "" for row in cells]
+                lines.append((learned, anchor, *texts))
+    return table(("bits at equal PSNR", "relative to", *(kind or "all" for kind in kinds)), lines)
+
+
+def _spread_chart(folder: Path, measurements: Measurements) -> str:
+    anchor = REFERENCE if REFERENCE in measurements.anchors else measurements.anchors[0]
+    shown = [*measurements.learned, *(other for other in measurements.anchors if other != anchor)]
+    rows = [
+        row
+        for learned in shown
+        for scale in LEARNED_SCALES
+        for row in pair_bd_rates(measurements, anchor, learned, scale)
+    ]
+    return paragraphs(
+        f"Each trace relative to {code(anchor)}; a bar is the mean, the dashed line {WANTED_PERCENT:g} %.",
+        chart(
+            folder,
+            "learned_bd_rate_traces",
+            rows,
+            TraceBdRate,
+            partial(charts.plot_bd_rates, scales=LEARNED_SCALES, kinds=measurements.kind_of),
+            f"BD-rate relative to {anchor} on every trace",
+            shown,
+        ),
+    )

@@ -1,0 +1,138 @@
+"""The speed table: what each method needs for a million samples, all coded as one signal near a fixed ratio."""
+
+import math
+import platform
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import fmean
+
+import numpy as np
+
+import codec
+import textures
+from codec import Setting
+from evaluation import trained
+from evaluation.cells import Method, decode_file, encode_file, rung_text
+from evaluation.cost import time_coding
+from evaluation.points import Failure, Point
+from models import Model
+
+RATIO = 10.0
+"""Compression ratio against 16 bits per sample at which the EVA paper states its times."""
+BITS_PER_SAMPLE = 16 / RATIO
+RATES = (BITS_PER_SAMPLE, 3.0)
+"""Bits per sample near which methods are timed: the paper's ratio, and a rate that nearly all codecs reach."""
+SAMPLES = 1 << 17
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What a method takes for each million samples: processor seconds of one core, without process start.
+
+    `rate`: bits per sample that were wished for, of which its setting comes nearest. `runtime`: what decodes where a
+    model leaves the choice, of codec.RUNTIMES; "" for codecs without. `snr_db`: of this signal as that runtime decodes
+    it.
+    """
+
+    codec: str
+    rate: float
+    runtime: str
+    setting: str
+    samples: int
+    bits_per_sample: float
+    snr_db: float | None
+    encode_s_per_megasample: float
+    decode_s_per_megasample: float
+
+
+def cpu_name() -> str:
+    """Return what the system calls its processor."""
+    described = Path("/proc/cpuinfo")
+    lines = described.read_text(encoding="utf-8").splitlines() if described.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return (names or [platform.processor() or platform.machine()])[0]
+
+
+def measure(
+    methods: Sequence[Method],
+    points: Sequence[Point],
+    recordings: Iterable[textures.Recording],
+    repeats: int,
+    progress: Callable[[float, str], None] = lambda part, details: None,
+) -> list[Speed | Failure]:
+    """Time each codec's method at the settings whose points lie nearest to each of RATES in the mean.
+
+    A codec that raises costs its own speed only. `progress` is called with the part done, from 0 to 1, and the name of
+    the method.
+    """
+    recording = one_signal(recordings)
+    if recording is None:
+        return []
+    found: list[Speed | Failure] = []
+    for place, method in enumerate(methods, 1):
+        bits: dict[str, list[float]] = {}
+        for point in points:
+            if point.codec == method.name:
+                bits.setdefault(point.setting, []).append(point.bits_per_sample)
+        means = {text: fmean(of_setting) for text, of_setting in bits.items()}
+        rungs = [rung for rung in method.rungs if rung_text(method, *rung) in means]
+        for rate in RATES if rungs and isinstance(method.coder, str) else ():
+            nearest = min(rungs, key=lambda rung: abs(math.log2(means[rung_text(method, *rung)] / rate)))
+            try:
+                found += _speeds(method, *nearest, rate, recording, repeats)
+            except Exception as error:  # whatever one codec raises, the others' speeds are wanted
+                found.append(Failure.of(error, recording.name, method.name, rung_text(method, *nearest)))
+        progress(place / len(methods), method.name)
+    return found
+
+
+def one_signal(recordings: Iterable[textures.Recording], samples: int = SAMPLES) -> textures.Recording | None:
+    """Return the first channels of recordings of one rate, each with a peak of 1, one after another and repeated.
+
+    None where all are silent.
+    """
+    parts: list[codec.Signal] = []
+    rate_hz = None
+    for recording in recordings:
+        channel = recording.samples[:, :1]
+        peak = np.abs(channel).max(initial=0.0)
+        rate_hz = rate_hz or recording.rate_hz
+        if peak > 0 and recording.rate_hz == rate_hz:
+            parts.append(channel / peak)
+        if sum(map(len, parts)) >= samples:
+            break
+    if not parts or rate_hz is None:
+        return None
+    return textures.Recording(np.resize(np.concatenate(parts), (samples, 1)), rate_hz, "full scale", "all traces")
+
+
+def _speeds(
+    method: Method,
+    setting: Setting | str,
+    model: Model | None,
+    rate: float,
+    recording: textures.Recording,
+    repeats: int,
+) -> list[Speed]:
+    """Return what a codec takes at one setting, by each runtime that it has."""
+    assert isinstance(method.coder, str) and not isinstance(setting, str), "programs have no speed"
+    encode = partial(encode_file, recording, method.coder, setting, model)
+    file = encode()
+    speeds = []
+    for runtime in trained.runtimes(model) if model else ("",):
+        decode = partial(decode_file, model=model, runtime=runtime or None)
+        speeds.append(
+            Speed(
+                method.name,
+                rate,
+                runtime,
+                rung_text(method, setting, model),
+                recording.samples.size,
+                8 * len(file) / recording.samples.size,
+                codec.snr_db(recording.samples, decode(file)),
+                *time_coding(encode, decode, recording.samples.size, repeats),
+            )
+        )
+    return speeds

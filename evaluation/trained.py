@@ -1,0 +1,75 @@
+"""What the judge wants to know of a trained model: which settings it takes, its runtimes, sizes and identity."""
+
+import hashlib
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import codec
+import models
+from codec import CodecError, Framing, Setting, SignalFormat
+from codec.mdct import built_in_tables
+from models import Model
+
+_FORMAT = SignalFormat(2800, "full scale", (1.0,), (0.5,))
+
+
+def known_models(folders: Iterable[Path]) -> list[Model]:
+    """Return the models that ship, and those in folders of a person's own; none whose tables are built in anyway.
+
+    Raises ModelError or ModelImageError for what is no model, OSError for what cannot be read, CodecError for one of
+    a codec that this version does not have.
+    """
+    every = [*models.shipped(), *map(models.load, folders)]
+    every = [model for model in every if model.tables != built_in_tables()]
+    for model in every:
+        codec.codec_by_identifier(model.codec_identifier)
+    return every
+
+
+def codec_name(model: Model) -> str:
+    """Return the name of the codec that a model is for."""
+    return codec.codec_by_identifier(model.codec_identifier).name
+
+
+def for_encoder(model: Model) -> codec.Model:
+    """Return what an encoder gets of a model."""
+    return codec.Model(model.tables, model.analysis)
+
+
+def digest(model: Model) -> str:
+    """Return a hash of all of a model that figures depend on."""
+    return hashlib.sha256(model.image + model.analysis).hexdigest()
+
+
+def takes(model: Model, setting: Setting) -> bool:
+    """Return whether a model has this setting of its codec: one of a single rate has few of a ladder."""
+    known = codec.CODECS[codec_name(model)]
+    try:
+        known.make_encoder(known.complete(setting), _FORMAT, Framing(64, 0), for_encoder(model))
+    except CodecError:
+        return False
+    return True
+
+
+def runtimes(model: Model) -> tuple[str, ...]:
+    """Return which of codec.RUNTIMES can decode with a model; "" where there is no choice."""
+    switched = codec.CODECS[codec_name(model)].with_runtime
+    if switched is None:
+        return ("",)
+    found = []
+    for runtime in codec.RUNTIMES:
+        with suppress(CodecError):
+            switched(model.tables, runtime)
+            found.append(runtime)
+    return tuple(found)
+
+
+def width(model: Model) -> int | None:
+    """Return the channels of the hidden layers of a model's learned transform; None where it has none."""
+    return None
+
+
+def flash_bytes(model: Model) -> int:
+    """Return the bytes of a model's image without an ONNX graph, which no microcontroller runs."""
+    return len(model.image)
