@@ -1,5 +1,6 @@
 """Checkpoints: a trained EVA with its prior, how it was trained, and what a cut training needs to go on."""
 
+import io
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,10 +73,9 @@ def load(path: Path) -> Checkpoint:
         raise ModelError(f"{path}: no such file; give a checkpoint that `vibrocast train` wrote, such as OUT/best.pt")
     if path.stat().st_size > LARGEST_BYTES:
         raise ModelError(f"{path}: longer than any checkpoint, {LARGEST_BYTES} bytes; give another file")
+    stored = io.BytesIO(path.read_bytes())
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError:
-        raise
+        content = torch.load(stored, map_location="cpu", weights_only=True)
     except Exception as error:  # damaged files make torch raise errors of many kinds
         raise ModelError(
             f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote, such as OUT/best.pt"

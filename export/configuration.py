@@ -117,7 +117,7 @@ class Augmentation:
     polarity: bool = True
     tilt_db_per_octave: float = within(0, 12, 3.0)
     filter_share: float = within(0, 1, 0.3)
-    noise_share: float = within(0, 1, 0.0)
+    noise_share: float = within(0, 1, 0.15)
 
 
 @dataclass(frozen=True)

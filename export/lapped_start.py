@@ -12,7 +12,7 @@ _PASSED_ON = (4, 8, HOP_SAMPLES)
 """Channels of each layer that carry the signal: as many as the samples between two of its columns."""
 _SPARE = 0.3
 """Of their usual size, the weights of all other channels."""
-_OWN_GAMMA, _SHARED_GAMMA = 0.009, 0.016
+_OWN_GAMMA, _SHARED_GAMMA = 0.001, 0.001
 
 
 def start_lapped(model: Eva, lambdas: Sequence[float]) -> None:
@@ -35,9 +35,12 @@ def start_lapped(model: Eva, lambdas: Sequence[float]) -> None:
             if isinstance(module, Gdn):
                 channels = len(module.root_beta)
                 module.root_gamma.copy_(torch.sqrt(_OWN_GAMMA * torch.eye(channels) + _SHARED_GAMMA / channels))
+        log2_step = 0.5 * torch.log2(12 / (2 * torch.log(torch.tensor(2.0)) * torch.tensor(lambdas)))
         if model.shape.rates > 1:
-            log2_step = 0.5 * torch.log2(12 / (2 * torch.log(torch.tensor(2.0)) * torch.tensor(lambdas)))
             model.log2_step.copy_(log2_step[:, None].expand_as(model.log2_step))
+        else:  # its step is one
+            down[-1].weight /= torch.exp2(log2_step)
+            up[-1].weight *= torch.exp2(log2_step)
 
 
 def _kernels() -> list[torch.Tensor]:

@@ -93,7 +93,8 @@ def split(traces: Sequence[Trace], held_back: HeldBack, seed: int) -> tuple[list
         shuffled = [materials[lot] for lot in lots]
         for source in sorted({trace.source for trace in traces}):
             own = [material for material in shuffled if material.startswith(f"{source}/")]
-            chosen |= set(own[: round(held_back.share * len(own))])
+            if len(own) > 1:
+                chosen |= set(own[: max(1, round(held_back.share * len(own)))])
     parts = (
         [trace for trace in traces if trace.material not in chosen],
         [trace for trace in traces if trace.material in chosen],

@@ -1,0 +1,329 @@
+"""Training of the learned codec, at a tiny width: it learns, resumes as if uncut, and refuses what it cannot use."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner, Result
+
+import textures
+from export import checkpoint, configuration, training, training_data
+from export.checkpoint import Checkpoint, ModelError
+from export.configuration import ConfigurationError, HeldBack
+from export.eva import Eva, EvaShape
+from export.lapped_start import start_lapped
+from export.priors import PRIORS, ContextPrior, FactorisedPrior, Prior, probabilities
+from export.training_data import Excerpts, Trace
+from host.command_line import main
+from textures import TextureError
+
+TINY = """
+name = "tiny"
+[model]
+width = 16
+latents = 16
+lambdas = [1, 30]
+prior = "contexts"
+start = "lapped"
+[training]
+steps = 40
+batch = 4
+excerpt_samples = 256
+validate_every = 10
+validation_excerpts = 8
+warm_up_steps = 5
+learning_rate = 5e-3
+[generator]
+kinds = ["rough", "taps", "wood"]
+recordings = 2
+seconds = 0.5
+"""
+
+
+def untold(part: float, details: str = "", /) -> None:
+    """Tell nothing."""
+
+
+def configured(path: Path, text: str = TINY) -> configuration.Configuration:
+    (path / "tiny.toml").write_text(text)
+    return configuration.read(path / "tiny.toml")
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["train", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    training.train(configured(folder), folder, folder / "uncut", False, untold, 1)
+    return folder / "uncut"
+
+
+def test_the_loss_falls_and_the_curves_say_so(trained: Path) -> None:
+    last = checkpoint.load(trained / training.LAST)
+    losses = [record["loss"] for record in last.curves]
+    assert [record["step"] for record in last.curves] == [10, 20, 30, 40]
+    assert losses[-1] < 0.95 * losses[0]
+    for rate in last.curves[-1]["rates"]:
+        assert rate.keys() == {"lambda", "bits_per_sample", "snr_db"}
+    best = checkpoint.load(trained / training.BEST)
+    assert best.progress["best_loss"] == min(losses)
+    assert best.optimiser is None
+
+
+def test_a_cut_training_goes_on_as_if_uncut(trained: Path, tmp_path: Path) -> None:
+    class Cut(Exception):
+        pass
+
+    def cutting(part: float, details: str = "", /) -> None:
+        if part >= 0.6:
+            raise Cut
+
+    chosen = configured(tmp_path)
+    with pytest.raises(Cut):
+        training.train(chosen, tmp_path, tmp_path / "cut", False, cutting, 1)
+    assert checkpoint.load(tmp_path / "cut" / training.LAST).progress["step"] == 20
+    training.train(chosen, tmp_path, tmp_path / "cut", True, untold, 1)
+    uncut, resumed = (checkpoint.load(folder / training.LAST) for folder in (trained, tmp_path / "cut"))
+    for module in ("model", "prior"):
+        for name, values in getattr(uncut, module).state_dict().items():
+            torch.testing.assert_close(getattr(resumed, module).state_dict()[name], values, rtol=0, atol=0)
+    assert [record["loss"] for record in resumed.curves] == [record["loss"] for record in uncut.curves]
+
+
+def test_a_training_ends_early_where_validation_no_longer_improves(tmp_path: Path) -> None:
+    chosen = configured(tmp_path)
+    # A rate so low that no step changes a weight: all validations are alike, and only the first is the best.
+    schedule = replace(chosen.training, learning_rate=1e-20, patience=2)
+    outcome = training.train(replace(chosen, training=schedule), tmp_path, tmp_path / "out", False, untold, 1)
+    assert "stopped early" in outcome
+    assert checkpoint.load(tmp_path / "out" / training.LAST).progress["step"] == 30
+
+
+def test_a_loss_that_explodes_stops_the_training_with_the_last_good_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    excerpts: Callable[..., Any] = Excerpts.batch
+    monkeypatch.setattr(
+        Excerpts, "batch", lambda self, step, size: excerpts(self, step, size) * (np.nan if step == 25 else 1)
+    )
+    with pytest.raises(training.TrainingError, match=r"nan at step 26.*learning_rate"):
+        training.train(configured(tmp_path), tmp_path, tmp_path / "out", False, untold, 1)
+    assert checkpoint.load(tmp_path / "out" / training.LAST).progress["step"] == 20
+
+
+def test_the_paper_s_loss_and_the_perceptual_one_train_too(tmp_path: Path) -> None:
+    chosen = configured(tmp_path)
+    model = replace(chosen.model, lambdas=(10.0,), prior="factorised")
+    for distortion in ("plain", "acceleration", "displacement"):
+        schedule = replace(chosen.training, steps=20, distortion=distortion)
+        one = replace(chosen, model=model, training=schedule)
+        training.train(one, tmp_path, tmp_path / distortion, False, untold, 1)
+        curves = checkpoint.load(tmp_path / distortion / training.LAST).curves
+        assert curves[-1]["loss"] < curves[0]["loss"]
+
+
+@pytest.mark.parametrize("lambdas", [(1.0, 100.0), (30.0,)])
+def test_the_lapped_start_reconstructs_and_orders_channels_by_frequency(lambdas: tuple[float, ...]) -> None:
+    model = Eva(EvaShape(32, 24, len(lambdas)))
+    start_lapped(model, lambdas)
+    signals = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 1, 640))).float()
+    with torch.no_grad():
+        latents = model.analysis(signals)
+        error = (model.synthesis(latents) - signals)[..., 64:-64]
+        assert (error**2).mean() < 1e-3
+        impulses = torch.zeros(16, 24, 8)
+        impulses[torch.arange(16), torch.arange(16), 4] = 1
+        responses = torch.fft.rfft(model.synthesis(impulses)[:, 0]).abs()
+        assert torch.all(torch.diff(responses.argmax(dim=1)) > 0)
+
+
+@pytest.mark.parametrize("kind", PRIORS.values())
+def test_the_probabilities_of_all_values_sum_up_to_one(kind: type[Prior]) -> None:
+    torch.manual_seed(0)
+    prior = kind(3)
+    values = torch.arange(-300.0, 301.0).expand(1, 3, -1)
+    with torch.no_grad():
+        bits = prior.bits(values, torch.zeros_like(values), torch.tensor([[[0.5], [1.0], [2.0]]]))
+    assert torch.all(torch.abs(torch.exp2(-bits).sum(dim=2) - 1) < 0.01)
+
+
+def test_tables_of_the_factorised_prior_are_its_bits() -> None:
+    torch.manual_seed(0)
+    prior = FactorisedPrior(4)
+    steps = np.array([0.5, 1.0, 2.0, 4.0])
+    table = probabilities(prior, steps, 3)
+    values = torch.arange(-3.0, 4.0).expand(1, 4, -1)
+    with torch.no_grad():
+        bits = prior.bits(values, values, torch.from_numpy(steps).float()[None, :, None])[0]
+    np.testing.assert_allclose(-np.log2(table), bits.numpy(), atol=1e-3)
+
+
+def test_contexts_are_of_the_past_alone() -> None:
+    torch.manual_seed(0)
+    prior = ContextPrior(6)
+    contexts = torch.randint(-3, 4, (1, 6, 40)).float()
+    steps = torch.ones(1, 6, 1)
+    before = prior.scales(contexts, steps)
+    contexts[0, 3, 20] = 50
+    changed = torch.any(prior.scales(contexts, steps) != before, dim=0)
+    assert not changed[:4, :21].any()
+    assert changed[4:, 20].all()
+    assert changed[1:, 21].all()
+
+
+def test_excerpts_are_of_rms_one_and_of_seed_and_step_alone() -> None:
+    noise = np.random.default_rng(0).standard_normal(3000).astype(np.float32)
+    traces = [Trace("a", "a/one", noise), Trace("b", "b/short", noise[:100])]
+    augmentation = configuration.Augmentation(gain_db=0)
+    one, other = (Excerpts(traces, 256, 2800, augmentation, 5) for _ in range(2))
+    np.testing.assert_array_equal(one.batch(7, 4), other.batch(7, 4))
+    assert not np.array_equal(one.batch(7, 4), one.batch(8, 4))
+    np.testing.assert_allclose(np.sqrt(np.mean(one.batch(7, 4) ** 2, axis=1)), 1, rtol=1e-5)
+
+
+def test_archives_folders_and_generators_are_sources_split_by_material(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).standard_normal(2200)
+    np.savez(tmp_path / "takes.npz", rate_hz=2200, mat1_1=noise, mat1_2=noise, mat2_1=noise, silence_1=np.zeros(2200))
+    (tmp_path / "p1918").mkdir()
+    for material in ("Foam", "Paper", "cork", "felt", "rubber"):
+        np.savetxt(tmp_path / "p1918" / f"Direct_-_probe_-_{material}_-_slow_Z.txt", noise)
+    text = TINY + (
+        '[[archive]]\narchive = "takes.npz"\ndrop_s = 0.2\nhigh_pass_hz = 30\n'
+        '[[folder]]\nfolder = "p1918"\npart = "train"\nunit = "m/s^2"\n'
+    )
+    chosen = configured(tmp_path, text)
+    traces = training_data.load(chosen.sources, tmp_path, 2800)
+    materials = {trace.material for trace in traces}
+    assert {"takes/mat1", "takes/mat2", "generator/rough"} < materials
+    assert not any("silence" in material for material in materials)
+    assert sum(material.startswith("p1918/") for material in materials) == 4
+    assert {len(trace.samples) for trace in traces if trace.source == "takes"} == {2240}
+    train, held_back = training_data.split(traces, HeldBack(materials=("takes/mat2",)), 1)
+    assert {trace.material for trace in held_back} == {"takes/mat2"}
+    assert len(train) == len(traces) - 1
+    shares = training_data.split(traces, HeldBack(share=0.4), 1)
+    assert not {trace.material for trace in shares[0]} & {trace.material for trace in shares[1]}
+    with pytest.raises(TextureError, match="no material 'takes/mat9'"):
+        training_data.split(traces, HeldBack(materials=("takes/mat9",)), 1)
+    with pytest.raises(TextureError, match="leave none"):
+        training_data.split(traces, HeldBack(materials=tuple(materials)), 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ('name = "tiny"', "name is missing"),
+        ("steps = 40", r"\[training\] step: no such key"),
+        ("width = 16", r"\[model\] width: 4 is not within 8 and 128"),
+        ("latents = 16", "'many' is no whole number"),
+        ("lambdas = [1, 30]", r"\[model\] lambdas"),
+        ('prior = "contexts"', "'hyper' is not one of factorised, contexts"),
+        ('kinds = ["rough", "taps", "wood"]', "kinds: no 'glass'"),
+        ("[generator]", r"held_back\] share: nan"),
+        ("[training]", "not a TOML file"),
+        (TINY.partition("[generator]")[2], "nothing to train on"),
+    ],
+)
+def test_configurations_that_cannot_be_used_are_refused_with_the_reason(
+    change: str, reason: str, tmp_path: Path
+) -> None:
+    replacements = {
+        'name = "tiny"': "",
+        "steps = 40": "step = 40",
+        "width = 16": "width = 4",
+        "latents = 16": 'latents = "many"',
+        "lambdas = [1, 30]": "lambdas = [30, 1]",
+        'prior = "contexts"': 'prior = "hyper"',
+        'kinds = ["rough", "taps", "wood"]': 'kinds = ["glass"]',
+        "[generator]": "[held_back]\nshare = nan\n[generator]",
+        "[training]": "[training",
+    }
+    text = TINY.replace(change, replacements[change]) if change in replacements else TINY.partition("[generator]")[0]
+    with pytest.raises(ConfigurationError, match=reason):
+        configured(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("format", "other", "not a checkpoint of EVA"),
+        ("version", 2, "version 2"),
+        ("shape", {"width": 10**6, "latents": 16, "rates": 2}, "width 1000000"),
+        ("shape", {"width": 8, "latents": 16, "rates": 2}, "float32 of shape"),
+        ("prior", {"kind": "hyper", "state": {}}, "unknown prior"),
+        ("prior", {"kind": "factorised", "state": {}}, "arrays of its prior"),
+        ("model", {}, "arrays of its model"),
+        ("curves", None, "curves"),
+        ("training", None, "lacks its table"),
+    ],
+)
+def test_bad_checkpoints_are_refused_with_the_reason(
+    name: str, value: object, reason: str, trained: Path, tmp_path: Path
+) -> None:
+    content = torch.load(trained / training.BEST, weights_only=True)
+    torch.save({**content, name: value}, tmp_path / "bad.pt")
+    with pytest.raises(ModelError, match=reason):
+        checkpoint.load(tmp_path / "bad.pt")
+
+
+def test_files_that_are_no_checkpoints_are_refused(trained: Path, tmp_path: Path) -> None:
+    whole = (trained / training.BEST).read_bytes()
+    for number, content in enumerate((b"", b"\x80\x02.", b"PK\x03\x04", whole[:-100], whole[: len(whole) // 2])):
+        (tmp_path / f"{number}.pt").write_bytes(content)
+        with pytest.raises(ModelError, match="not a checkpoint"):
+            checkpoint.load(tmp_path / f"{number}.pt")
+    torch.save([1], tmp_path / "list.pt")
+    with pytest.raises(ModelError, match="not a checkpoint of EVA"):
+        checkpoint.load(tmp_path / "list.pt")
+    with pytest.raises(ModelError, match="no such file"):
+        checkpoint.load(tmp_path)
+
+
+def test_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    model = Eva(EvaShape(8, 16, 2))
+    with torch.no_grad():
+        model.log2_step[0, 0] = torch.nan
+    Checkpoint(model, ContextPrior(16), {}).save(tmp_path / "nan.pt")
+    with pytest.raises(ModelError, match="not finite"):
+        checkpoint.load(tmp_path / "nan.pt")
+
+
+def test_the_command_trains_resumes_and_refuses(tmp_path: Path) -> None:
+    configured(tmp_path, TINY.replace("steps = 40", "steps = 10"))
+    out = tmp_path / "out"
+    done = run(tmp_path / "tiny.toml", "--out", out, "--threads", 1)
+    assert done.exit_code == 0, done.output
+    assert "bit/sample" in done.output
+    again = run(tmp_path / "tiny.toml", "--out", out)
+    assert (again.exit_code, "--resume" in again.output) == (1, True)
+    configured(tmp_path, TINY.replace("width = 16", "width = 8"))
+    other = run(tmp_path / "tiny.toml", "--out", out, "--resume")
+    assert (other.exit_code, "another model" in other.output) == (2, True)
+    configured(tmp_path, TINY.replace("steps = 40", "steps = 20"))
+    more = run(tmp_path / "tiny.toml", "--out", out, "--resume", "--threads", 1)
+    assert "of 20" in more.output
+    assert run(tmp_path / "missing.toml").exit_code == 2
+
+
+def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
+    text = TINY.replace("steps = 40", "steps = 2").replace("lambdas = [1, 30]", "lambdas = [1]")
+    configured(tmp_path, text + "[sweep]\nwidths = [8]\nlambdas = [1, 20]\n")
+    done = run(tmp_path / "tiny.toml", "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    for number, weight in enumerate((1.0, 20.0), 1):
+        best = checkpoint.load(tmp_path / "out" / f"tiny-8-{number}" / training.BEST)
+        assert best.shape == EvaShape(8, 16, 1)
+        assert best.training["model"]["lambdas"] == (weight,)
+
+
+def test_the_examples_can_be_read() -> None:
+    folder = Path(__file__).parents[2] / "examples"
+    names = [one.name for path in folder.glob("eva-*.toml") for one in configuration.each_of(configuration.read(path))]
+    assert {"eva-16", "eva-32", "eva-64", "eva-128", "eva-paper-32-1", "eva-paper-32-8"} <= set(names)
+    assert set(textures.GENERATORS)
