@@ -73,7 +73,7 @@ class FolderSource:
     @property
     def name(self) -> str:
         """What the source is called in the names of materials."""
-        return Path(self.folder).name
+        return Path(self.folder).name or self.folder
 
     @property
     def options(self) -> dict[str, Any]:
@@ -112,7 +112,7 @@ class HeldBack:
 class Augmentation:
     """[augmentation]: how far excerpts are varied at random."""
 
-    gain_db: float = within(0, 40, 6.0)
+    gain_db: float = within(0, 40, 12.0)
     rate_octaves: float = within(0, 2, 0.5)
     polarity: bool = True
     tilt_db_per_octave: float = within(0, 12, 3.0)
@@ -127,7 +127,7 @@ class Schedule:
     steps: int = within(1, 10**8, 40_000)
     batch: int = within(1, 4096, 16)
     excerpt_samples: int = within(256, 2**16, 2048)
-    rate_hz: float = within(100, 1e5, 2800.0)
+    rate_hz: int = within(100, 100_000, 2800)
     learning_rate: float = within(1e-6, 0.1, 1e-3)
     warm_up_steps: int = within(0, 10**6, 200)
     gradient_norm: float = within(1e-3, 1e3, 1.0)

@@ -12,7 +12,7 @@ _PASSED_ON = (4, 8, HOP_SAMPLES)
 """Channels of each layer that carry the signal: as many as the samples between two of its columns."""
 _SPARE = 0.3
 """Of their usual size, the weights of all other channels."""
-_OWN_GAMMA, _SHARED_GAMMA = 0.001, 0.001
+_OWN_GAMMA, _SHARED_GAMMA = 0.0001, 0.0001
 
 
 def start_lapped(model: Eva, lambdas: Sequence[float]) -> None:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +21,7 @@ from export.training_data import Excerpts
 
 BEST, LAST = "best.pt", "last.pt"
 _EXPLODED = 100.0
-_MEMORY = 0.02
+"""Times the mean loss: what no batch of a training that goes well reaches."""
 _LAST_LEARNING_RATE = 0.02
 _UNVARIED = Augmentation(gain_db=0, rate_octaves=0, polarity=False, tilt_db_per_octave=0, filter_share=0, noise_share=0)
 
@@ -45,21 +45,21 @@ class Measured:
     squared_error: Tensor
 
 
-@dataclass
 class _Average:
-    """What was told since the last validation, and a running mean of the loss."""
+    """Means, over the steps since the last validation, of loss, bits per sample and SNR in dB."""
 
-    losses: list[float] = field(default_factory=list)
-    loss: float = math.nan
-    bits: float = math.nan
-    snr_db: float = math.nan
+    def __init__(self) -> None:
+        self._sums, self._steps = np.zeros(3), 0
 
-    def add(self, loss: float, bits: float, snr_db: float) -> None:
-        self.losses.append(loss)
-        begun = not math.isnan(self.loss)
-        for name, value in (("loss", loss), ("bits", bits), ("snr_db", snr_db)):
-            before = getattr(self, name) if begun else value
-            setattr(self, name, before + _MEMORY * (value - before))
+    def add(self, *values: float) -> None:
+        self._sums += values
+        self._steps += 1
+
+    @property
+    def means(self) -> list[float]:
+        """Loss, bits per sample, SNR in dB; NaN before the first step."""
+        means: list[float] = (self._sums / self._steps).tolist() if self._steps else [math.nan] * 3
+        return means
 
 
 class Perception:
@@ -147,14 +147,15 @@ class Training:
                 return f"stopped early, {schedule.patience} validations after the best"
             self._step(progress["step"], average)
             progress["step"] += 1
+            loss, bits, snr_db = average.means
             tell(
                 progress["step"] / schedule.steps,
-                f"step {progress['step']}, {average.bits:.3f} bit/sample, {average.snr_db:.2f} dB, "
-                f"loss {average.loss:.4f}, best on held-back materials {progress['best_loss']:.4f}",
+                f"step {progress['step']}, {bits:.3f} bit/sample, {snr_db:.2f} dB, loss {loss:.4f}, "
+                f"best on held-back materials {progress['best_loss']:.4f}",
             )
             if progress["step"] % schedule.validate_every == 0 or progress["step"] == schedule.steps:
                 progress["seconds"] = time.monotonic() - since_s
-                self._validate(float(np.mean(average.losses)))
+                self._validate(loss)
                 average = _Average()
                 if progress["best_step"] == progress["step"]:
                     self.state.save(out / BEST)
@@ -196,10 +197,10 @@ class Training:
         for group in self._optimiser.param_groups:
             group["lr"] = self._learning_rate(step)
         value = loss.item()
-        if not math.isfinite(value) or not math.isfinite(norm.item()) or value > _EXPLODED * average.loss:
+        if not math.isfinite(value) or not math.isfinite(norm.item()) or value > _EXPLODED * average.means[0]:
             raise TrainingError(
-                f"the loss is {value:.3g} at step {step + 1}, {average.loss:.3g} before; the last good checkpoint is "
-                "kept: lower [training] learning_rate and go on with --resume"
+                f"the loss is {value:.3g} at step {step + 1}, {average.means[0]:.3g} on average before; the last "
+                "good checkpoint is kept: lower [training] learning_rate and go on with --resume"
             )
         self._optimiser.step()
         average.add(value, measured.bits.mean().item(), _mean_snr_db(signals, measured.squared_error))

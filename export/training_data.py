@@ -1,7 +1,9 @@
 """What models are trained on: recordings of many sources, split by material, as excerpts that are varied at random."""
 
+import math
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,9 +34,7 @@ class Trace:
     samples: NDArray[np.float32]
 
 
-def archive_recordings(
-    archive: Path, drop_s: float, high_pass_hz: float, rate_hz: float
-) -> Iterator[tuple[str, Signal]]:
+def archive_recordings(archive: Path, drop_s: float, high_pass_hz: float, rate_hz: int) -> Iterator[tuple[str, Signal]]:
     """Yield name and samples (n,) of each recording of an NPZ archive that states a `rate_hz`, at a rate in hertz.
 
     The start is dropped, the rest high-passed. Raises TextureError when it is no archive of arrays, or has no rate.
@@ -48,9 +48,12 @@ def archive_recordings(
     with loaded as arrays:
         if "rate_hz" not in arrays:
             raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
-        own_rate_hz = float(arrays["rate_hz"])
-        for name in arrays.files:
-            samples = arrays[name].astype(np.float64)
+        try:
+            own_rate_hz = float(arrays["rate_hz"])
+            held = {name: arrays[name].astype(np.float64) for name in arrays.files}
+        except (ValueError, TypeError, OSError, zipfile.BadZipFile, zlib.error) as error:
+            raise TextureError(f"{archive}: damaged, or not of numbers ({error}); save it again") from error
+        for name, samples in held.items():
             if samples.ndim == 1 and len(samples) > 2 * drop_s * own_rate_hz:
                 steady = _high_passed(samples[int(drop_s * own_rate_hz) :], own_rate_hz, high_pass_hz)
                 yield (
@@ -61,7 +64,7 @@ def archive_recordings(
                 )
 
 
-def load(sources: Sequence[Source], folder: Path, rate_hz: float) -> list[Trace]:
+def load(sources: Sequence[Source], folder: Path, rate_hz: int) -> list[Trace]:
     """Return the traces of all sources, whose paths start at a folder; none is silent.
 
     Raises TextureError for what cannot be read or holds nothing to train on.
@@ -107,7 +110,7 @@ def split(traces: Sequence[Trace], held_back: HeldBack, seed: int) -> tuple[list
     return parts
 
 
-def _recordings(source: Source, folder: Path, rate_hz: float) -> Iterator[tuple[str, Signal]]:
+def _recordings(source: Source, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal]]:
     """Yield material and samples of each channel of a source."""
     if isinstance(source, ArchiveSource):
         for name, samples in archive_recordings(folder / source.archive, source.drop_s, source.high_pass_hz, rate_hz):
@@ -118,14 +121,14 @@ def _recordings(source: Source, folder: Path, rate_hz: float) -> Iterator[tuple[
         yield from _generated(source, rate_hz)
 
 
-def _of_folder(source: FolderSource, folder: Path, rate_hz: float) -> Iterator[tuple[str, Signal]]:
+def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal]]:
     options = {name: value for name, value in source.options.items() if value is not None}
     try:
         chosen = dataset.split(dataset.traces(folder), source.part, source.seed, source.split_by == "material")
     except dataset.DatasetError as error:
         raise TextureError(str(error)) from error
     for trace in chosen:
-        recording = textures.resample(dataset.load(trace, round(rate_hz), **options), rate_hz)
+        recording = dataset.load(trace, rate_hz, **options)
         try:
             material = trace.material
         except dataset.DatasetError:  # then each recording counts as a material of its own
@@ -135,7 +138,7 @@ def _of_folder(source: FolderSource, folder: Path, rate_hz: float) -> Iterator[t
             yield material, channel
 
 
-def _generated(source: GeneratorSource, rate_hz: float) -> Iterator[tuple[str, Signal]]:
+def _generated(source: GeneratorSource, rate_hz: int) -> Iterator[tuple[str, Signal]]:
     generator = np.random.default_rng(source.seed)
     for kind in source.kinds:
         for _ in range(source.recordings):
@@ -150,8 +153,10 @@ def _generated(source: GeneratorSource, rate_hz: float) -> Iterator[tuple[str, S
 
 def _high_passed(samples: Signal, rate_hz: float, corner_hz: float) -> Signal:
     """Filter along the last axis by a Butterworth high-pass of second order; a corner of 0 leaves all as it is."""
-    if corner_hz <= 0:
+    if corner_hz == 0:
         return samples
+    if not corner_hz < rate_hz / 2 < math.inf:
+        raise TextureError(f"a high-pass at {corner_hz:g} Hz is none at a rate of {rate_hz:g} Hz; correct one of them")
     high_pass = signal.butter(2, corner_hz, "highpass", fs=rate_hz, output="sos")
     filtered: Signal = signal.sosfilt(high_pass, samples)
     return filtered
@@ -164,7 +169,7 @@ class Excerpts:
     """
 
     def __init__(
-        self, traces: Sequence[Trace], samples: int, rate_hz: float, augmentation: Augmentation, seed: int
+        self, traces: Sequence[Trace], samples: int, rate_hz: int, augmentation: Augmentation, seed: int
     ) -> None:
         self._samples, self._rate_hz, self._augmentation, self._seed = samples, rate_hz, augmentation, seed
         grouped: dict[str, dict[str, list[NDArray[np.float32]]]] = {}

@@ -50,7 +50,11 @@ def test_archives_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     (tmp_path / "b.npz").write_bytes(b"no archive")
     np.savez(tmp_path / "c.npz", rate_hz=2800, short=np.zeros(10))
     np.save(tmp_path / "d.npy", np.zeros(10))
-    for name in ("b.npz", "c.npz", "d.npy"):
+    np.savez(tmp_path / "e.npz", rate_hz=2800, words=np.array(["rough"] * 9000))
+    np.savez(tmp_path / "f.npz", rate_hz=np.nan, noise=np.ones(9000))
+    whole = archive(tmp_path / "g.npz", rate_hz=2800).read_bytes()
+    (tmp_path / "g.npz").write_bytes(whole.replace(whole[2000:2100], bytes(100)))
+    for name in ("b.npz", "c.npz", "d.npy", "e.npz", "f.npz", "g.npz"):
         done = run(tmp_path / name, "--image", tmp_path / "b.vcmi")
         assert done.exit_code == 1
         assert done.output.startswith("Error: ")
