@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from codec import dct, libav, mdct, slp
+from codec import dct, eva, libav, mdct, slp
 from codec.interface import (
     Codec,
     CodecError,
@@ -32,7 +32,7 @@ _MIN_GAIN = 2.0**-120
 
 Progress: TypeAlias = Callable[[float], None]
 
-CODECS: Mapping[str, Codec] = {codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, *libav.CODECS)}
+CODECS: Mapping[str, Codec] = {codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS)}
 
 
 def codec_by_name(name: str) -> Codec:

@@ -21,8 +21,6 @@ UNARY_LIMIT = 15
 """Decisions on a magnitude before its escape code."""
 QUALITY_PARTS = 16
 """Qualities in a stream from one rate to the next."""
-LARGEST_CONSTANT = 2**30 - 1
-LARGEST_MULTIPLIER = 2**31 - 1
 LARGEST_SHIFT = 30
 
 Runtime: TypeAlias = Literal["core", "onnx"]
@@ -43,8 +41,8 @@ _PHASES = {5: ((4, 2, 0), (3, 1)), 9: ((8, 4, 0), (5, 1), (6, 2), (7, 3))}
 class Normalisation:
     """An inverse GDN in integers.
 
-    `weights`: int8 (channels, channels), 0 to 127, of each square (second axis) in each norm. `multipliers`: uint32
-    (channels,), at most 2^31 - 1. `constants`: uint32 (channels,), at most 2^30 - 1. `shift`: 0 to 30.
+    `weights`: int8 (channels, channels), 0 to 127, of each square (second axis) in each norm. `multipliers`,
+    `constants`: uint32 (channels,). `shift`: 0 to 30. docs/bitstream.md says what they do.
     """
 
     weights: NDArray[np.int8]
@@ -62,8 +60,7 @@ class Normalisation:
 class Convolution:
     """A transposed convolution in integers.
 
-    `weights`: int8 (kernel, outputs, inputs), -127 to 127. `multipliers`: uint32 (outputs,), in 1/2^32, at most
-    2^31 - 1.
+    `weights`: int8 (kernel, outputs, inputs). `multipliers`: uint32 (outputs,), in 1/2^32.
     """
 
     weights: NDArray[np.int8]
@@ -206,13 +203,11 @@ def _network(reader: "_Reader", width: int, latents: int) -> IntegerNetwork:
         multipliers, constants = (reader.array("<u4", channels).astype(np.uint32) for _ in range(2))
         (shift,) = reader.bytes(1)
         _check(bool(np.all(gamma >= 0)) and shift <= LARGEST_SHIFT)
-        _check(bool(np.all(multipliers <= LARGEST_MULTIPLIER) and np.all(constants <= LARGEST_CONSTANT)))
         normalisations.append(Normalisation(gamma, multipliers, constants, shift))
         weights = np.empty((kernel, results, channels), dtype=np.int8)
         for taps in _PHASES[kernel]:
             weights[list(taps)] = reader.array("i1", results, len(taps), channels).transpose(1, 0, 2)
         multipliers = reader.array("<u4", results).astype(np.uint32)
-        _check(bool(np.all(multipliers <= LARGEST_MULTIPLIER) and np.all(weights >= -127)))
         convolutions.append(Convolution(weights, multipliers))
     first, second, third = normalisations
     return IntegerNetwork((first, second, third), (convolutions[0], convolutions[1], convolutions[2]))

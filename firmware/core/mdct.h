@@ -54,6 +54,12 @@ typedef struct {
     int32_t mixed; /* probability of 1 in 1/65536 */
 } vc_prediction;
 
+/* The step that a step code, below VC_STEP_CODES, stands for: 64 codes an octave, from 64 on. */
+static inline int32_t vc_step_of(uint32_t code)
+{
+    return (int32_t)((64 + (code & 63)) << (code >> 6));
+}
+
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels);
 
 int vc_model_check_tables(const uint8_t *tables, size_t length);

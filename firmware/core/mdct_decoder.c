@@ -50,7 +50,7 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
         uint32_t code = bytes[used + 2 * channel] | (uint32_t)bytes[used + 2 * channel + 1] << 8;
         if (code >= VC_STEP_CODES)
             return VC_BAD_CONFIGURATION;
-        read.step[channel] = (int32_t)((64 + (code & 63)) << (code >> 6));
+        read.step[channel] = vc_step_of(code);
     }
     *configuration = read;
     return VC_OK;

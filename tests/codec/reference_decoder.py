@@ -132,6 +132,42 @@ class Channel:
         return indices, coarse_class(4 * around) // 4
 
 
+def decode_block(coder: RangeDecoder, model: Model, channel: Channel, row: NDArray[np.int64]) -> None:
+    """Section "payload": one block of a channel."""
+    loudness = sum(channel.block_sum > limit for limit in (0, 8, 32))
+    context = channel.silent_history * 4 + loudness
+    silent = coder.decode(bounded(model.silence[context]))
+    model.silence[context] = adapted(model.silence[context], silent)
+    channel.silent_history = (channel.silent_history * 2 + silent) & 3
+    if silent:
+        channel.state = 0
+    block_sum = 0
+    for k in range(0 if silent else len(row)):
+        quantiser = channel.state >> 1
+        contexts, scale = channel.contexts(k, block_sum)
+        index = 0
+        while index < 15 and model.decide(coder, contexts, scale, index, quantiser):
+            index += 1
+        if index == 15:
+            index += suffix(coder)
+        level = 2 * index - quantiser if index else 0
+        row[k] = -level if index and coder.decode() else level
+        channel.state = NEXT_STATE[channel.state][index & 1]
+        channel.rows[0][k + 2] = min(126, level)
+        block_sum += min(126, level)
+    channel.next_block()
+
+
+def suffix(coder: RangeDecoder) -> int:
+    bits = 0
+    while bits < 24 and coder.decode():
+        bits += 1
+    value = 1
+    for _ in range(bits):
+        value = value * 2 + coder.decode()
+    return value - 1
+
+
 class ReferenceDecoder:
     """Decodes packets to signed levels (blocks, channels, hop) and to samples by the exact transform."""
 
@@ -162,41 +198,8 @@ class ReferenceDecoder:
         levels = np.zeros((self.blocks, len(self.channels), self.hop), dtype=np.int64)
         for block in levels:
             for channel, row in zip(self.channels, block, strict=True):
-                self.block(coder, channel, row)
+                decode_block(coder, self.model, channel, row)
         return levels
-
-    def block(self, coder: RangeDecoder, channel: Channel, row: NDArray[np.int64]) -> None:
-        loudness = sum(channel.block_sum > limit for limit in (0, 8, 32))
-        context = channel.silent_history * 4 + loudness
-        silent = coder.decode(bounded(self.model.silence[context]))
-        self.model.silence[context] = adapted(self.model.silence[context], silent)
-        channel.silent_history = (channel.silent_history * 2 + silent) & 3
-        if silent:
-            channel.state = 0
-        block_sum = 0
-        for k in range(0 if silent else self.hop):
-            quantiser = channel.state >> 1
-            contexts, scale = channel.contexts(k, block_sum)
-            index = 0
-            while index < 15 and self.model.decide(coder, contexts, scale, index, quantiser):
-                index += 1
-            if index == 15:
-                index += self.suffix(coder)
-            level = 2 * index - quantiser if index else 0
-            row[k] = -level if index and coder.decode() else level
-            channel.state = NEXT_STATE[channel.state][index & 1]
-            channel.rows[0][k + 2] = min(126, level)
-            block_sum += min(126, level)
-        channel.next_block()
-
-    def suffix(self, coder: RangeDecoder) -> int:
-        bits = 0
-        while bits < 24 and coder.decode():
-            bits += 1
-        value = 1
-        for _ in range(bits):
-            value = value * 2 + coder.decode()
-        return value - 1
 
     def samples(self, packet: bytes) -> NDArray[np.float64]:
         """Exact samples (packet_samples, channels), not rounded, 32768 = full scale."""

@@ -1,0 +1,294 @@
+"""The codec `eva`: a learned transform, its latents coded with what its model knows; layout in docs/bitstream.md."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from codec.eva_image import MAX_RATES, QUALITY_PARTS, STEPS_PER_UNIT, EvaImage, with_runtime
+from codec.graphs import LATENTS, SIGNAL, Transform, transform
+from codec.interface import (
+    Codec,
+    CodecError,
+    Decoded,
+    Decoder,
+    Framing,
+    Model,
+    Parameter,
+    Setting,
+    Signal,
+    SignalFormat,
+    check_channels,
+    checked_parts,
+    number,
+    numbers,
+    varint,
+)
+from codec.mdct import LAMBDA, step_code
+
+NAME = "eva"
+IDENTIFIER = 4
+HOP = 16
+"""Samples for each column of latents."""
+MAX_PACKET_COLUMNS = 4095
+
+_REACH = 28
+"""Samples on each side that a column of latents depends on, and acts on (export/eva.py)."""
+_LOOK_AHEAD = _REACH + 1 - HOP
+"""Samples beyond its own hop that a column depends on."""
+_COLUMNS_BEFORE, _COLUMNS_AFTER = 2, 1
+"""Columns beside those of a packet whose samples the analysis takes, so that the edges do not reach the packet's."""
+_HISTORY = HOP * _COLUMNS_BEFORE + _LOOK_AHEAD
+_CONTEXT_COLUMNS = 4
+"""Columns before a packet that the synthesis in ONNX Runtime takes again: its first sample depends on three of them."""
+_MAX_LATENT = 2**30
+_CHUNK_SAMPLES = 1 << 16
+
+
+class EvaEncoder:
+    """Encoder of `eva`; see codec.interface.Encoder. Samples beyond full scale are clipped to it.
+
+    The analysis runs once for each packet on just the samples that the packet depends on, so that packets do not depend
+    on how the samples arrive.
+    """
+
+    delay_samples = _REACH + _LOOK_AHEAD
+
+    def __init__(
+        self,
+        levels: Sequence[float],
+        qualities: Sequence[float],
+        framing: Framing,
+        model: Model,
+        thrift: float = 1.0,
+    ) -> None:
+        """Make an encoder of len(levels) channels.
+
+        `levels`: of each channel, relative to full scale, what the network sees as an RMS value of 1. `qualities`: of
+        each channel, in rates of the model; above its finest they are that. `thrift`: weight of bits against error in
+        rounding, of a model whose prior adapts. Raises CodecError on a channel count or packet length that the codec
+        does not have, on a model that is none, and where it brings no analysis that fits.
+        """
+        self._channels = len(levels)
+        check_channels(self._channels)
+        self._columns = -(-framing.packet_samples // HOP)
+        if not 1 <= self._columns <= MAX_PACKET_COLUMNS:
+            raise CodecError(
+                f"packets of {framing.packet_samples} samples; 1 to {MAX_PACKET_COLUMNS * HOP} are allowed"
+            )
+        self.packet_samples = self._columns * HOP
+        image = EvaImage.unpack(model.tables)
+        if not model.analysis:
+            raise CodecError("the model brings no analysis; put its analysis.onnx beside its image, or choose another")
+        self._analysis = transform(model.analysis, SIGNAL, LATENTS)
+        self._latents = image.latents
+        level_codes = [step_code(level) for level in levels]
+        quality_codes = [round(min(quality, image.highest_quality) * QUALITY_PARTS) for quality in qualities]
+        self.configuration = configuration(self._columns, level_codes, quality_codes)
+        self._levels = [level_of(code) for code in level_codes]
+        unit = STEPS_PER_UNIT * 2**image.fraction_bits
+        self._steps = [image.steps(code)[:, None] / unit for code in quality_codes]
+        core = library()
+        self._model = ffi.new("uint8_t[]", model.tables)
+        self._state = Structure(core.vc_eva_encoder_size(), "vc_eva_encoder *")
+        check_made(
+            core.vc_eva_encoder_init(
+                self._state.pointer,
+                self.configuration,
+                len(self.configuration),
+                self._channels,
+                self._model,
+                len(model.tables),
+                framing.refresh_packets,
+                round(LAMBDA * thrift),
+            )
+        )
+        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        self._pending: Signal = np.zeros((_HISTORY, self._channels))
+        self._begun = False
+
+    def encode(self, samples: Signal) -> list[bytes]:
+        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
+        packets: list[bytes] = []
+        for part in checked_parts(samples, self._channels, _CHUNK_SAMPLES):
+            self._pending = np.concatenate([self._pending, part])
+            self._begun = True
+            packets += self._complete_packets()
+        return packets
+
+    def finish(self) -> list[bytes]:
+        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
+        if not self._begun:
+            return []
+        self._begun = False
+        left = len(self._pending) - _HISTORY
+        packets = -(-(left + self.delay_samples) // self.packet_samples)
+        missing = packets * self.packet_samples - left
+        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
+        return self._complete_packets()
+
+    def adapted_tables(self) -> bytes:
+        """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
+        core = library()
+        tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
+        core.vc_eva_encoder_tables(self._state.pointer, tables)
+        return bytes(ffi.buffer(tables))
+
+    def _complete_packets(self) -> list[bytes]:
+        packets = []
+        start = 0
+        while len(self._pending) >= start + _HISTORY + self.packet_samples:
+            packets.append(self._code(self._pending[start : start + _HISTORY + self.packet_samples]))
+            start += self.packet_samples
+        self._pending = self._pending[start:]
+        return packets
+
+    def _code(self, samples: Signal) -> bytes:
+        latents = np.stack(
+            [self._analyse(*channel) for channel in zip(samples.T, self._levels, self._steps, strict=True)]
+        )
+        pointer = ffi.cast("const int32_t *", latents.ctypes.data)
+        length = library().vc_eva_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
+        if length < 0:
+            raise does_not_fit(self.packet_samples)
+        return bytes(ffi.buffer(self._packet, length))
+
+    def _analyse(self, samples: Signal, level: float, steps: Signal) -> NDArray[np.int32]:
+        """Return the latents (columns, latents) of one channel's samples for a packet, in 1/256 step."""
+        columns = _COLUMNS_BEFORE + self._columns + _COLUMNS_AFTER
+        signal = np.zeros((1, 1, columns * HOP), dtype=np.float32)
+        signal[0, 0, : len(samples)] = samples / level
+        latents = run(self._analysis, signal, (1, self._latents, columns))[0]
+        part = latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._columns] / steps * 256
+        return np.ascontiguousarray(np.clip(np.rint(part), -_MAX_LATENT, _MAX_LATENT).T, dtype=np.int32)
+
+
+class EvaDecoder(CoreDecoder):
+    """Decoder of `eva` by the integer core; see codec.interface.Decoder."""
+
+    def __init__(self, configuration: bytes, channels: int, payload: bytes) -> None:
+        """Make a decoder from the codec's bytes in the stream header and a model image's payload.
+
+        Raises CodecError when they are not valid.
+        """
+        self._model = ffi.new("uint8_t[]", payload)
+        super().__init__(NAME, configuration, channels, self._model, len(payload))
+        self.delay_samples = library().vc_eva_decoder_delay_samples(self._state.pointer)
+
+
+class OnnxDecoder(EvaDecoder):
+    """Decoder of `eva` whose latents are decoded by the integer core, and its samples by ONNX Runtime."""
+
+    def __init__(self, configuration: bytes, channels: int, payload: bytes) -> None:
+        """Make a decoder as `EvaDecoder`. Raises CodecError also where the model's graph cannot be run."""
+        super().__init__(configuration, channels, payload)
+        image = EvaImage.unpack(payload)
+        self._synthesis = transform(image.graph, LATENTS, SIGNAL)
+        self._unit = np.float32(2.0**-image.fraction_bits)
+        codes = np.frombuffer(configuration[-3 * channels :], dtype=[("level", "<u2"), ("quality", "u1")])["level"]
+        self._levels = [32768 * level_of(int(code)) for code in codes]
+        # Of each channel those of the last columns, then those of the packet.
+        columns = _CONTEXT_COLUMNS + self.packet_samples // HOP
+        self._latents = np.zeros((channels, columns, image.latents), dtype=np.int16)
+
+    def decode(self, packet: bytes) -> Decoded:
+        """Decode the next packet. Raises CodecError when it is malformed, or the model's graph fails."""
+        fresh = np.empty_like(self._latents[:, _CONTEXT_COLUMNS:])
+        pointer = ffi.cast("int16_t *", fresh.ctypes.data)
+        if library().vc_eva_decode_latents(self._state.pointer, packet, len(packet), pointer) < 0:
+            raise CodecError("a packet that is damaged, or was not made by this codec")
+        return self._synthesise(fresh)
+
+    def conceal(self) -> Decoded:
+        """Stand in for one missing packet: the last latents faded out, then silence."""
+        fresh = np.empty_like(self._latents[:, _CONTEXT_COLUMNS:])
+        library().vc_eva_conceal_latents(self._state.pointer, ffi.cast("int16_t *", fresh.ctypes.data))
+        return self._synthesise(fresh)
+
+    def _synthesise(self, fresh: NDArray[np.int16]) -> Decoded:
+        self._latents = np.concatenate([self._latents[:, -_CONTEXT_COLUMNS:], fresh], axis=1)
+        samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
+        start = _CONTEXT_COLUMNS * HOP - _REACH
+        for channel, (latents, level) in enumerate(zip(self._latents, self._levels, strict=True)):
+            values = latents.T[None].astype(np.float32) * self._unit
+            signal = run(self._synthesis, values, (1, 1, len(latents) * HOP))[0, 0, start : start + len(samples)]
+            samples[:, channel] = np.clip(np.rint(signal.astype(np.float64) * level), -32768, 32767)
+        return samples
+
+
+def configuration(columns: int, level_codes: Sequence[int], quality_codes: Sequence[int]) -> bytes:
+    """Return the codec's bytes in the stream header."""
+    fields = zip(level_codes, quality_codes, strict=True)
+    return varint(columns) + b"".join(level.to_bytes(2, "little") + bytes((quality,)) for level, quality in fields)
+
+
+def level_of(code: int) -> float:
+    """Return the level, relative to full scale, that a code stands for: the same codes as of `mdct`'s steps."""
+    return float((64 + code % 64) << code // 64) / UNIT
+
+
+def run(graph: Transform, values: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Run a graph whose result must have this shape and be finite. Raises CodecError where it is not."""
+    result = graph(values)
+    if result.shape != shape or not np.all(np.isfinite(result)):
+        flaw = f"gives an array of shape {result.shape}" if result.shape != shape else "gives NaN or infinity"
+        raise CodecError(f"the ONNX graph {flaw} where {shape} is needed: it is not of this model; export it again")
+    return result
+
+
+def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> EvaEncoder:
+    """Make an encoder whose levels are relative to the RMS values. Raises CodecError as `EvaEncoder`."""
+    if model is None:
+        raise CodecError("the codec eva needs a model; give one of its model images")
+    channels = signal_format.channels
+    relative_levels = numbers(setting, "level", channels)
+    levels = [level * rms for level, rms in zip(relative_levels, signal_format.rms, strict=True)]
+    return EvaEncoder(levels, numbers(setting, "quality", channels), framing, model, number(setting, "thrift"))
+
+
+def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
+    """Make a decoder that runs where the model prefers. Raises CodecError as `EvaDecoder`, and without a model."""
+    if tables is None:
+        raise CodecError("the codec eva needs a model; give the model image that the stream was coded for")
+    onnx = EvaImage.unpack(tables).runtime == "onnx"
+    return (OnnxDecoder if onnx else EvaDecoder)(configuration, channels, tables)
+
+
+def check_tables(tables: bytes) -> None:
+    """Raise CodecError for a payload that decoders do not take, or whose graph cannot be run where it is preferred."""
+    image = EvaImage.unpack(tables)
+    if image.runtime == "onnx":
+        transform(image.graph, LATENTS, SIGNAL)
+
+
+CODEC = Codec(
+    name=NAME,
+    identifier=IDENTIFIER,
+    summary="a learned transform (EVA), quantised by the models' steps, adaptive or fixed entropy coding",
+    parameters={
+        "quality": Parameter(
+            "rate of the model, the coarsest 0; fractions are between", 4.0, low=0, high=MAX_RATES - 1, per_channel=True
+        ),
+        "level": Parameter(
+            "what the network sees as an RMS value of 1, relative to the signal's",
+            1.0,
+            low=2.0**-10,
+            high=2.0**10,
+            per_channel=True,
+        ),
+        "thrift": Parameter(
+            "weight of bits against error in rounding, 1 = the best for its rate, of models that adapt",
+            1.0,
+            low=0,
+            high=1,
+        ),
+    },
+    ladders={NAME: tuple({"quality": half / 2} for half in range(15))},
+    make_encoder=make_encoder,
+    make_decoder=make_decoder,
+    check_tables=check_tables,
+    with_runtime=with_runtime,
+    takes_model=True,
+    needs_model=True,
+)

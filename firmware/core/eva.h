@@ -1,0 +1,62 @@
+/* The learned codec `eva`: latents by an entropy coder, samples by a network in integers; layout in docs/bitstream.md.
+ *
+ * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structures
+ * that the caller owns. A model is read in place, from flash if it lies there, and never copied.
+ */
+#ifndef VIBROCAST_EVA_H
+#define VIBROCAST_EVA_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* cffi: begin */
+typedef struct vc_eva_decoder vc_eva_decoder;
+typedef struct vc_eva_encoder vc_eva_encoder;
+
+/* Bytes of memory, aligned for int64_t, that the caller provides for each structure, whatever the model. */
+size_t vc_eva_decoder_size(void);
+size_t vc_eva_encoder_size(void);
+
+/* Prepares a decoder. `configuration`: the codec's bytes from the stream header, for 1 to 16 channels. `model`: the
+ * payload of a model image; it must stay valid while the decoder is used. Returns VC_OK, VC_BAD_TABLES where that is no
+ * model, or VC_BAD_CONFIGURATION. */
+int vc_eva_decoder_init(vc_eva_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
+                        unsigned channels, const uint8_t *model, size_t model_length);
+
+/* Samples per channel in every packet of the stream, and samples per channel by which the output lags the input. */
+uint32_t vc_eva_decoder_packet_samples(const vc_eva_decoder *decoder);
+uint32_t vc_eva_decoder_delay_samples(const vc_eva_decoder *decoder);
+
+/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
+ * VC_CONCEALED when the packet does not follow the last one and is not a refresh, VC_BAD_PACKET, or VC_BAD_TABLES when
+ * the model has no network in integers (nothing written in both cases). A refresh packet is decoded whatever its
+ * number: the caller orders packets and drops those that come late. Any bytes are safe. */
+int vc_eva_decode(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
+
+/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
+ * packet (or its first 128 samples), then silence for as long as no packet can be decoded. Only silence where the model
+ * has no network in integers. */
+void vc_eva_conceal(vc_eva_decoder *decoder, int16_t *samples);
+
+/* The same two for a synthesis that is done elsewhere: write the latents, channels x packet_samples / 16 columns x
+ * latents, in the model's unit. */
+int vc_eva_decode_latents(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, int16_t *latents);
+void vc_eva_conceal_latents(vc_eva_decoder *decoder, int16_t *latents);
+
+/* Prepares an encoder; configuration, model and result as for a decoder. `refresh_packets`: packets from one refresh to
+ * the next, 0 = only the first packet is one. `lambda`: Lagrangian weight of one bit against squared error, in 1/256 of
+ * a squared quantiser step; a model with a factorised prior rounds to the nearest whatever it is. */
+int vc_eva_encoder_init(vc_eva_encoder *encoder, const uint8_t *configuration, size_t configuration_length,
+                        unsigned channels, const uint8_t *model, size_t model_length, uint32_t refresh_packets,
+                        uint32_t lambda);
+
+/* Codes one packet. `latents`: channels x columns x latents, in 1/256 of the quantiser step of each, limited to +-2^30.
+ * Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE; then the encoder must be initialised again. */
+int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, uint8_t *packet, size_t capacity);
+
+/* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes), for a model whose prior adapts.
+ */
+void vc_eva_encoder_tables(const vc_eva_encoder *encoder, uint8_t *tables);
+/* cffi: end */
+
+#endif

@@ -1,0 +1,204 @@
+/* Decoder of `eva`: packets to latents, latents to samples, fades where packets miss; see eva.h. */
+#include "eva_synthesis.h"
+
+#define FADE_COLUMNS 8u /* longest time that concealment sounds */
+#define MAX_LATENT 32767
+#define STEPS_PER_UNIT 4096
+
+typedef struct {
+    vc_block_state block;
+    vc_eva_history history;
+    int16_t latents[VC_EVA_MAX_WIDTH]; /* of the last column */
+} channel_state;
+
+struct vc_eva_decoder {
+    vc_eva_model model;
+    vc_eva_configuration configuration;
+    vc_model prior;
+    uint32_t next_sequence;
+    int in_sequence; /* packets since the last refresh all came */
+    uint32_t random; /* state of the generator that gives concealment its signs */
+    channel_state channels[VC_MAX_CHANNELS];
+    vc_eva_work work;
+};
+
+/* Where a packet goes: to samples, or else to latents. */
+typedef struct {
+    int16_t *samples, *latents;
+} output;
+
+size_t vc_eva_decoder_size(void)
+{
+    return sizeof(vc_eva_decoder);
+}
+
+int vc_eva_decoder_init(vc_eva_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
+                        unsigned channels, const uint8_t *model, size_t model_length)
+{
+    int status;
+    memset(decoder, 0, sizeof *decoder);
+    decoder->random = 1;
+    status = vc_eva_model_read(&decoder->model, model, model_length);
+    if (status != VC_OK)
+        return status;
+    return vc_eva_configuration_read(&decoder->configuration, &decoder->model, configuration, configuration_length,
+                                     channels);
+}
+
+uint32_t vc_eva_decoder_packet_samples(const vc_eva_decoder *decoder)
+{
+    return decoder->configuration.packet_columns * VC_EVA_HOP;
+}
+
+uint32_t vc_eva_decoder_delay_samples(const vc_eva_decoder *decoder)
+{
+    (void)decoder;
+    return VC_EVA_DELAY;
+}
+
+static int32_t decode_factorised(vc_range_coder *coder, const uint8_t *probabilities)
+{
+    uint32_t magnitude = 0;
+    while (magnitude < VC_UNARY_LIMIT && vc_range_decode(coder, vc_eva_probability(probabilities, magnitude)))
+        magnitude++;
+    if (magnitude == VC_UNARY_LIMIT)
+        magnitude += vc_golomb_decode(coder);
+    if (magnitude != 0 && vc_range_decode(coder, vc_eva_probability(probabilities, VC_UNARY_LIMIT)))
+        return -(int32_t)magnitude;
+    return (int32_t)magnitude;
+}
+
+/* The latent, in the model's unit, that a level stands for. */
+static int16_t dequantised(int32_t level, int32_t step)
+{
+    int64_t value = (int64_t)level * step;
+    value = (value + (value < 0 ? -STEPS_PER_UNIT / 2 : STEPS_PER_UNIT / 2)) / STEPS_PER_UNIT;
+    return (int16_t)(value > MAX_LATENT ? MAX_LATENT : value < -MAX_LATENT ? -MAX_LATENT : value);
+}
+
+/* Decodes the next column of a channel into its latents. */
+static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, const int32_t *steps)
+{
+    const vc_eva_model *model = &decoder->model;
+    channel_state *state = &decoder->channels[channel];
+    int32_t levels[VC_EVA_MAX_WIDTH];
+    uint32_t k;
+    if (model->adapts)
+        vc_block_decode(coder, &decoder->prior, &state->block, model->latents, levels);
+    for (k = 0; k < model->latents; k++) {
+        if (!model->adapts)
+            levels[k] =
+                decode_factorised(coder, vc_eva_probabilities(model, decoder->configuration.quality[channel], k));
+        state->latents[k] = dequantised(levels[k], steps[k]);
+    }
+}
+
+/* Pseudo-random sign from a linear congruential generator (Numerical Recipes' constants). */
+static int32_t random_sign(vc_eva_decoder *decoder)
+{
+    decoder->random = decoder->random * 1664525u + 1013904223u;
+    return decoder->random >> 31 ? -1 : 1;
+}
+
+/* Turns the last latents of a channel into those of a missing column: the same with random signs, scaled so that they
+ * ramp to zero. */
+static void fade_column(vc_eva_decoder *decoder, unsigned channel, uint32_t column)
+{
+    const uint32_t packet_columns = decoder->configuration.packet_columns;
+    const uint32_t fade = packet_columns < FADE_COLUMNS ? packet_columns : FADE_COLUMNS;
+    int16_t *latents = decoder->channels[channel].latents;
+    uint32_t k;
+    for (k = 0; k < decoder->model.latents; k++)
+        latents[k] =
+            column < fade
+                ? (int16_t)(latents[k] * (int32_t)(fade - column - 1) / (int32_t)(fade - column) * random_sign(decoder))
+                : 0;
+}
+
+/* Puts out a packet: columns from the range decoder, or faded ones without it. */
+static void put_out(vc_eva_decoder *decoder, vc_range_coder *coder, output to)
+{
+    const vc_eva_configuration *configuration = &decoder->configuration;
+    const uint32_t latents = decoder->model.latents, columns = configuration->packet_columns;
+    vc_eva_work *work = &decoder->work;
+    int32_t steps[VC_EVA_MAX_WIDTH];
+    unsigned channel;
+    for (channel = 0; channel < configuration->channels; channel++) {
+        channel_state *state = &decoder->channels[channel];
+        uint32_t column, gathered = 0;
+        vc_eva_steps(&decoder->model, configuration->quality[channel], steps);
+        for (column = 0; column < columns; column++) {
+            if (coder != NULL)
+                decode_column(decoder, coder, channel, steps);
+            else
+                fade_column(decoder, channel, column);
+            if (to.latents != NULL) {
+                memcpy(to.latents, state->latents, latents * sizeof *to.latents);
+                to.latents += latents;
+                continue;
+            }
+            memcpy(work->inputs + gathered++ * latents, state->latents, latents * sizeof *work->inputs);
+            if (gathered == VC_EVA_COLUMNS || column + 1 == columns) {
+                size_t start = (size_t)(column + 1 - gathered) * VC_EVA_HOP * configuration->channels;
+                vc_eva_synthesise(&decoder->model, &state->history, work, gathered, configuration->level[channel],
+                                  to.samples + start + channel, configuration->channels);
+                gathered = 0;
+            }
+        }
+    }
+}
+
+static int decode_packet(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, output to)
+{
+    vc_range_coder coder;
+    uint32_t sequence;
+    int refresh;
+    unsigned channel;
+    size_t head = vc_packet_head_read(packet, length, &sequence, &refresh);
+    if (head == 0)
+        return VC_BAD_PACKET;
+    if (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence)) {
+        decoder->in_sequence = 0;
+        put_out(decoder, NULL, to);
+        return VC_CONCEALED;
+    }
+    if (refresh && decoder->model.adapts)
+        vc_model_reset(&decoder->prior, decoder->model.prior);
+    for (channel = 0; channel < decoder->configuration.channels && refresh; channel++)
+        vc_block_reset(&decoder->channels[channel].block);
+    decoder->in_sequence = 1;
+    decoder->next_sequence = sequence + 1;
+    vc_range_decoder_init(&coder, packet + head, length - head);
+    put_out(decoder, &coder, to);
+    return VC_OK;
+}
+
+int vc_eva_decode(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    const output to = {samples, NULL};
+    return decoder->model.has_network ? decode_packet(decoder, packet, length, to) : VC_BAD_TABLES;
+}
+
+int vc_eva_decode_latents(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, int16_t *latents)
+{
+    const output to = {NULL, latents};
+    return decode_packet(decoder, packet, length, to);
+}
+
+void vc_eva_conceal(vc_eva_decoder *decoder, int16_t *samples)
+{
+    const output to = {samples, NULL};
+    const vc_eva_configuration *configuration = &decoder->configuration;
+    decoder->in_sequence = 0;
+    if (decoder->model.has_network)
+        put_out(decoder, NULL, to);
+    else
+        memset(samples, 0, (size_t)configuration->packet_columns * VC_EVA_HOP * configuration->channels * 2);
+}
+
+void vc_eva_conceal_latents(vc_eva_decoder *decoder, int16_t *latents)
+{
+    const output to = {NULL, latents};
+    decoder->in_sequence = 0;
+    put_out(decoder, NULL, to);
+}

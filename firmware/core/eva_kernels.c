@@ -1,0 +1,116 @@
+/* The inner loops of EVA's synthesis in portable C, in forms that compilers turn into vector instructions; see
+ * eva_kernels.h. */
+#include "eva_kernels.h"
+
+#define MAX_CHANNELS 128
+#define MAX_ACTIVATION 32767
+#define MAX_ENERGY ((1u << 30) - 1)
+#define ENERGY_SHIFT 24
+#define COLUMNS_AT_ONCE 4u
+
+static int32_t product(const int8_t *weights, uint32_t length, const int16_t *inputs)
+{
+    int32_t sum = 0;
+    uint32_t i;
+    for (i = 0; i < length; i++)
+        sum += weights[i] * inputs[i];
+    return sum;
+}
+
+/* Four columns at a time, so that each weight is fetched and widened once for all of them. */
+static void products_of_four(const int8_t *weights, uint32_t length, const int16_t *inputs, uint32_t stride,
+                             int32_t *sums, uint32_t rows)
+{
+    const int16_t *second = inputs + stride, *third = second + stride, *fourth = third + stride;
+    int32_t a = 0, b = 0, c = 0, d = 0;
+    uint32_t i;
+    for (i = 0; i < length; i++) {
+        a += weights[i] * inputs[i];
+        b += weights[i] * second[i];
+        c += weights[i] * third[i];
+        d += weights[i] * fourth[i];
+    }
+    sums[0] = a;
+    sums[rows] = b;
+    sums[2 * rows] = c;
+    sums[3 * rows] = d;
+}
+
+void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, uint32_t stride,
+                     uint32_t columns, int32_t *sums)
+{
+    uint32_t row, column;
+    for (row = 0; row < rows; row++, weights += length) {
+        for (column = 0; column + COLUMNS_AT_ONCE <= columns; column += COLUMNS_AT_ONCE)
+            products_of_four(weights, length, inputs + column * stride, stride, sums + column * rows + row, rows);
+        for (; column < columns; column++)
+            sums[column * rows + row] = product(weights, length, inputs + column * stride);
+    }
+}
+
+unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squares)
+{
+    int32_t greatest = 0;
+    unsigned doubled = 0;
+    uint32_t i;
+    for (i = 0; i < channels; i++) {
+        int32_t magnitude = values[i] < 0 ? -values[i] : values[i];
+        greatest = magnitude > greatest ? magnitude : greatest;
+    }
+    while (greatest > 0 && greatest << (doubled + 1) <= MAX_ACTIVATION)
+        doubled++;
+    for (i = 0; i < channels; i++) {
+        int32_t value = values[i] * (1 << doubled);
+        squares[i] = (int16_t)((value * value) >> 15);
+    }
+    return doubled;
+}
+
+/* Square roots, rounded down, digit by digit and side by side; the energies are used up. */
+static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
+{
+    uint32_t digit, i;
+    for (i = 0; i < count; i++)
+        roots[i] = 0;
+    for (digit = 1u << 28; digit != 0; digit >>= 2)
+        for (i = 0; i < count; i++) {
+            uint32_t trial = roots[i] + digit;
+            uint32_t fits = energies[i] >= trial ? UINT32_MAX : 0;
+            energies[i] -= trial & fits;
+            roots[i] = (roots[i] >> 1) + (digit & fits);
+        }
+}
+
+void vc_eva_normalise(const int16_t *values, uint32_t channels, const int32_t *sums, unsigned doubled,
+                      const uint32_t *multipliers, const uint32_t *constants, unsigned shift, int16_t *normalised)
+{
+    uint32_t energies[MAX_CHANNELS], roots[MAX_CHANNELS], i;
+    const unsigned down = ENERGY_SHIFT + 2 * doubled;
+    const uint32_t half = (1u << shift) >> 1;
+    for (i = 0; i < channels; i++) {
+        uint64_t energy = constants[i] + (((uint64_t)(uint32_t)sums[i] * multipliers[i]) >> down);
+        energies[i] = energy < MAX_ENERGY ? (uint32_t)energy : MAX_ENERGY;
+    }
+    find_roots(energies, channels, roots);
+    for (i = 0; i < channels; i++) {
+        uint32_t magnitude = (uint32_t)(values[i] < 0 ? -values[i] : values[i]);
+        uint32_t scaled = (magnitude * roots[i] + half) >> shift;
+        int32_t limited = scaled < MAX_ACTIVATION ? (int32_t)scaled : MAX_ACTIVATION;
+        normalised[i] = (int16_t)(values[i] < 0 ? -limited : limited);
+    }
+}
+
+int32_t vc_eva_scaled(int32_t value, uint32_t multiplier, uint32_t limit)
+{
+    uint32_t magnitude = value < 0 ? 0u - (uint32_t)value : (uint32_t)value;
+    uint32_t scaled = (uint32_t)(((uint64_t)magnitude * multiplier + (1u << 31)) >> 32);
+    int32_t limited = (int32_t)(scaled < limit ? scaled : limit);
+    return value < 0 ? -limited : limited;
+}
+
+void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled)
+{
+    uint32_t i;
+    for (i = 0; i < count; i++)
+        scaled[i] = (int16_t)vc_eva_scaled(sums[i], multipliers[i], MAX_ACTIVATION);
+}

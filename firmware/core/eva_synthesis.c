@@ -1,0 +1,90 @@
+/* EVA's synthesis in integers: inverse GDN and transposed convolutions, phase by phase; see eva_synthesis.h. */
+#include "eva_synthesis.h"
+#include "eva_kernels.h"
+
+#define FIRST_TAPS 3u /* of the first phase; the others have two */
+#define OTHER_TAPS 2u
+#define SAMPLE_LIMIT (1u << 30)
+#define SAMPLE_UNIT 1024 /* parts of the level in which the last convolution gives samples */
+
+static void read_numbers(const uint8_t *bytes, uint32_t count, uint32_t *numbers)
+{
+    uint32_t i;
+    for (i = 0; i < count; i++, bytes += 4)
+        numbers[i] = bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 | (uint32_t)bytes[3] << 24;
+}
+
+/* Normalises work->inputs into work->normalised, behind the history. */
+static void normalise(const vc_eva_normalisation *part, uint32_t channels, uint32_t columns, vc_eva_work *work)
+{
+    uint32_t multipliers[VC_EVA_MAX_WIDTH], constants[VC_EVA_MAX_WIDTH], column;
+    int16_t *normalised = work->normalised + VC_EVA_HISTORY * channels;
+    unsigned doubled[4 * VC_EVA_COLUMNS];
+    read_numbers(part->multipliers, channels, multipliers);
+    read_numbers(part->constants, channels, constants);
+    /* The squares take the place of what comes out, until their sums are there. */
+    for (column = 0; column < columns; column++)
+        doubled[column] = vc_eva_squares(work->inputs + column * channels, channels, normalised + column * channels);
+    vc_eva_products(part->weights, channels, channels, normalised, channels, columns, work->sums);
+    for (column = 0; column < columns; column++)
+        vc_eva_normalise(work->inputs + column * channels, channels, work->sums + column * channels, doubled[column],
+                         multipliers, constants, part->shift, normalised + column * channels);
+}
+
+/* Sums of one phase of a transposed convolution over work->normalised into work->sums. Each input column completes one
+ * column of each phase; its last taps weigh that input column. Returns the weights of the next phase. */
+static const int8_t *phase_sums(const int8_t *weights, uint32_t taps, uint32_t inputs, uint32_t outputs,
+                                uint32_t columns, vc_eva_work *work)
+{
+    const int16_t *first = work->normalised + (FIRST_TAPS - taps) * inputs;
+    vc_eva_products(weights, outputs, taps * inputs, first, inputs, columns, work->sums);
+    return weights + (size_t)outputs * taps * inputs;
+}
+
+/* Stride 2: each column of work->normalised becomes two of work->inputs. */
+static void convolve(const vc_eva_convolution *part, uint32_t inputs, uint32_t outputs, uint32_t columns,
+                     vc_eva_work *work)
+{
+    uint32_t multipliers[VC_EVA_MAX_WIDTH], column, phase;
+    const int8_t *weights = part->weights;
+    read_numbers(part->multipliers, outputs, multipliers);
+    for (phase = 0; phase < 2; phase++) {
+        weights = phase_sums(weights, phase == 0 ? FIRST_TAPS : OTHER_TAPS, inputs, outputs, columns, work);
+        for (column = 0; column < columns; column++)
+            vc_eva_scale(work->sums + column * outputs, multipliers, outputs,
+                         work->inputs + (2 * column + phase) * outputs);
+    }
+}
+
+/* Stride 4, one output: each column of work->normalised becomes four samples. */
+static void convolve_to_samples(const vc_eva_convolution *part, uint32_t inputs, uint32_t columns, vc_eva_work *work,
+                                int32_t level, int16_t *samples, unsigned stride)
+{
+    uint32_t multiplier, column, phase;
+    const int8_t *weights = part->weights;
+    read_numbers(part->multipliers, 1, &multiplier);
+    for (phase = 0; phase < 4; phase++) {
+        weights = phase_sums(weights, phase == 0 ? FIRST_TAPS : OTHER_TAPS, inputs, 1, columns, work);
+        for (column = 0; column < columns; column++) {
+            int64_t value = vc_eva_scaled(work->sums[column], multiplier, SAMPLE_LIMIT);
+            samples[(4 * column + phase) * stride] = vc_rounded_sample(value * level / SAMPLE_UNIT);
+        }
+    }
+}
+
+void vc_eva_synthesise(const vc_eva_model *model, vc_eva_history *history, vc_eva_work *work, uint32_t columns,
+                       int32_t level, int16_t *samples, unsigned stride)
+{
+    unsigned stage;
+    for (stage = 0; stage < VC_EVA_STAGES; stage++, columns *= 2) {
+        const uint32_t channels = stage == 0 ? model->latents : model->width;
+        const size_t kept = VC_EVA_HISTORY * channels * sizeof(int16_t);
+        memcpy(work->normalised, history->columns[stage], kept);
+        normalise(&model->normalisations[stage], channels, columns, work);
+        memcpy(history->columns[stage], work->normalised + columns * channels, kept);
+        if (stage < VC_EVA_STAGES - 1)
+            convolve(&model->convolutions[stage], channels, model->width, columns, work);
+        else
+            convolve_to_samples(&model->convolutions[stage], channels, columns, work, level, samples, stride);
+    }
+}
