@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
-from codec.eva_image import MAX_RATES, QUALITY_PARTS, STEPS_PER_UNIT, EvaImage, with_runtime
+from codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, with_runtime
 from codec.graphs import LATENTS, SIGNAL, Transform, transform
 from codec.interface import (
     Codec,
@@ -44,6 +44,54 @@ _CONTEXT_COLUMNS = 4
 """Columns before a packet that the synthesis in ONNX Runtime takes again: its first sample depends on three of them."""
 _MAX_LATENT = 2**30
 _CHUNK_SAMPLES = 1 << 16
+
+
+class LatentEncoder:
+    """Encoder of latents into packets: all of `eva` but its analysis."""
+
+    def __init__(
+        self, configuration: bytes, channels: int, payload: bytes, refresh_packets: int, thrift: float = 1.0
+    ) -> None:
+        """Make an encoder from the codec's bytes in the stream header and a model image's payload.
+
+        Raises CodecError when they are not valid.
+        """
+        core = library()
+        self._model = ffi.new("uint8_t[]", payload)
+        self._state = Structure(core.vc_eva_encoder_size(), "vc_eva_encoder *")
+        check_made(
+            core.vc_eva_encoder_init(
+                self._state.pointer,
+                configuration,
+                len(configuration),
+                channels,
+                self._model,
+                len(payload),
+                refresh_packets,
+                round(LAMBDA * thrift),
+            )
+        )
+        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+
+    def encode(self, latents: Sequence[Signal]) -> bytes:
+        """Return the next packet, of each channel's latents (latents, columns) in quantiser steps.
+
+        Raises CodecError where it does not fit.
+        """
+        fixed = np.clip(np.rint(np.stack(latents) * 256), -_MAX_LATENT, _MAX_LATENT).astype(np.int32)
+        columns_first = np.ascontiguousarray(fixed.transpose(0, 2, 1))
+        pointer = ffi.cast("const int32_t *", columns_first.ctypes.data)
+        length = library().vc_eva_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
+        if length < 0:
+            raise does_not_fit(columns_first.shape[1] * HOP)
+        return bytes(ffi.buffer(self._packet, length))
+
+    def adapted_tables(self) -> bytes:
+        """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
+        core = library()
+        tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
+        core.vc_eva_encoder_tables(self._state.pointer, tables)
+        return bytes(ffi.buffer(tables))
 
 
 class EvaEncoder:
@@ -87,24 +135,8 @@ class EvaEncoder:
         quality_codes = [round(min(quality, image.highest_quality) * QUALITY_PARTS) for quality in qualities]
         self.configuration = configuration(self._columns, level_codes, quality_codes)
         self._levels = [level_of(code) for code in level_codes]
-        unit = STEPS_PER_UNIT * 2**image.fraction_bits
-        self._steps = [image.steps(code)[:, None] / unit for code in quality_codes]
-        core = library()
-        self._model = ffi.new("uint8_t[]", model.tables)
-        self._state = Structure(core.vc_eva_encoder_size(), "vc_eva_encoder *")
-        check_made(
-            core.vc_eva_encoder_init(
-                self._state.pointer,
-                self.configuration,
-                len(self.configuration),
-                self._channels,
-                self._model,
-                len(model.tables),
-                framing.refresh_packets,
-                round(LAMBDA * thrift),
-            )
-        )
-        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        self._steps = [image.relative_steps(code)[:, None] for code in quality_codes]
+        self._encoder = LatentEncoder(self.configuration, self._channels, model.tables, framing.refresh_packets, thrift)
         self._pending: Signal = np.zeros((_HISTORY, self._channels))
         self._begun = False
 
@@ -128,13 +160,6 @@ class EvaEncoder:
         self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
         return self._complete_packets()
 
-    def adapted_tables(self) -> bytes:
-        """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
-        core = library()
-        tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
-        core.vc_eva_encoder_tables(self._state.pointer, tables)
-        return bytes(ffi.buffer(tables))
-
     def _complete_packets(self) -> list[bytes]:
         packets = []
         start = 0
@@ -145,23 +170,16 @@ class EvaEncoder:
         return packets
 
     def _code(self, samples: Signal) -> bytes:
-        latents = np.stack(
-            [self._analyse(*channel) for channel in zip(samples.T, self._levels, self._steps, strict=True)]
-        )
-        pointer = ffi.cast("const int32_t *", latents.ctypes.data)
-        length = library().vc_eva_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
-        if length < 0:
-            raise does_not_fit(self.packet_samples)
-        return bytes(ffi.buffer(self._packet, length))
+        channels = zip(samples.T, self._levels, self._steps, strict=True)
+        return self._encoder.encode([self._analyse(channel, level) / steps for channel, level, steps in channels])
 
-    def _analyse(self, samples: Signal, level: float, steps: Signal) -> NDArray[np.int32]:
-        """Return the latents (columns, latents) of one channel's samples for a packet, in 1/256 step."""
+    def _analyse(self, samples: Signal, level: float) -> Signal:
+        """Return the latents (latents, columns) of one channel's samples for a packet."""
         columns = _COLUMNS_BEFORE + self._columns + _COLUMNS_AFTER
         signal = np.zeros((1, 1, columns * HOP), dtype=np.float32)
         signal[0, 0, : len(samples)] = samples / level
         latents = run(self._analysis, signal, (1, self._latents, columns))[0]
-        part = latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._columns] / steps * 256
-        return np.ascontiguousarray(np.clip(np.rint(part), -_MAX_LATENT, _MAX_LATENT).T, dtype=np.int32)
+        return np.asarray(latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._columns], dtype=np.float64)
 
 
 class EvaDecoder(CoreDecoder):

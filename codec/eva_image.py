@@ -136,6 +136,10 @@ class EvaImage:
         code = (codes[below] * (QUALITY_PARTS - part) + codes[above] * part + QUALITY_PARTS // 2) // QUALITY_PARTS
         return np.asarray((64 + code % 64) << code // 64)
 
+    def relative_steps(self, quality_code: int) -> NDArray[np.float64]:
+        """Return the quantiser steps (latents,) at a quality in sixteenths, in the graphs' unit."""
+        return np.asarray(self.steps(quality_code) / (STEPS_PER_UNIT * 2.0**self.fraction_bits))
+
     def pack(self) -> bytes:
         """Return the payload. Raises CodecError for values outside the layout."""
         flags = _PRIOR_FLAG * (self.prior_kind == "contexts")

@@ -1,0 +1,241 @@
+"""A trained EVA to the payload of a model image: channels in order, integer network, steps, and tables of its prior."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from codec.core import UNIT
+from codec.eva import LatentEncoder, configuration
+from codec.eva_image import (
+    LARGEST_SHIFT,
+    STEPS_PER_UNIT,
+    UNARY_LIMIT,
+    Convolution,
+    EvaImage,
+    IntegerNetwork,
+    Normalisation,
+)
+from codec.interface import Signal
+from codec.mdct import built_in_tables, step_code
+from export.checkpoint import ModelError
+from export.eva import HOP_SAMPLES, Eva, Gdn
+from export.priors import FactorisedPrior, Prior, probabilities
+
+HOTTEST = 4.0
+"""How far above an RMS value of 1 the calibration takes the signals, so that louder passages have headroom."""
+EXCERPT_SAMPLES = 4096
+CALIBRATION_EXCERPTS = 64
+TABLE_PASSES = 2
+"""How often the tables of an adaptive prior see every excerpt."""
+DEPENDENT_STEP = 0.5
+"""Step of dependent quantisation over that of a uniform quantiser of equal rate: each of its two quantisers takes every
+second of the points."""
+
+_LARGEST = 32767.0
+_LARGEST_WORD = 2**32 - 1
+# As firmware/core/eva_kernels.h and eva_synthesis.c have them.
+_ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
+_TAIL = 64
+
+Values = NDArray[np.float64]
+
+
+def ordered(model: Eva, prior: Prior) -> tuple[Eva, Prior]:
+    """Return copies whose latents stand in the order of the centre frequencies of what the synthesis makes of them.
+
+    Contexts of the entropy coder take neighbours for alike. Export graphs and quantise after this, not before.
+    """
+    order = torch.from_numpy(np.argsort(centre_frequencies(model), kind="stable"))
+    model, prior = copy.deepcopy(model), copy.deepcopy(prior)
+    encoding, decoding = model.analysis[5], model.synthesis[0]
+    assert isinstance(encoding, Gdn) and isinstance(decoding, Gdn)
+    with torch.no_grad():
+        for normalisation in (encoding, decoding):
+            normalisation.root_beta.copy_(normalisation.root_beta[order])
+            normalisation.root_gamma.copy_(normalisation.root_gamma[order][:, order])
+        for convolution in (model.analysis[4], model.synthesis[1]):
+            assert isinstance(convolution.weight, torch.Tensor)
+            convolution.weight.copy_(convolution.weight[order])
+        model.log2_step.copy_(model.log2_step[:, order])
+        if isinstance(prior, FactorisedPrior):
+            for parameter in prior.parameters():
+                parameter.copy_(parameter[order])
+    return model, prior
+
+
+def centre_frequencies(model: Eva) -> Values:
+    """Return the mean frequency, weighted by power, of the synthesis' response to each latent alone: (latents,), cycles
+    per sample.
+    """
+    latents = model.shape.latents
+    alone = torch.zeros(latents, latents, 9)
+    alone[:, :, 4] = torch.eye(latents)
+    with torch.no_grad():
+        responses = model.synthesis(alone)[:, 0].double().numpy()
+    power = np.abs(np.fft.rfft(responses, axis=1)) ** 2
+    frequencies = np.fft.rfftfreq(responses.shape[1])
+    return np.asarray(power @ frequencies / np.maximum(np.sum(power, axis=1), np.finfo(np.float64).tiny))
+
+
+def quantise(model: Eva, prior: Prior, signals: Sequence[Signal], seed: int = 1) -> EvaImage:
+    """Return the image of a model without a graph, for the integer core.
+
+    `signals`: float64 (n,) of what the model was trained on, of any level; they set the ranges of the integers, and
+    train the initial tables of a prior that adapts. Raises ModelError where they hold no signal, or where the model
+    does not fit the integers.
+    """
+    excerpts = _excerpts(signals)
+    if len(excerpts) == 0:
+        raise ModelError("there is no signal to calibrate the integers with; give the recordings of the training")
+    generator = np.random.default_rng(seed)
+    calibration = excerpts[generator.permutation(len(excerpts))[:CALIBRATION_EXCERPTS]]
+    ranges = _ranges(model, calibration)
+    fraction_bits = int(np.clip(np.floor(np.log2(_LARGEST / np.max(ranges[0]))), 0, 15))
+    adapts = not isinstance(prior, FactorisedPrior)
+    with torch.no_grad():
+        steps = torch.exp2(model.log2_step).double().numpy()
+    units = steps * (DEPENDENT_STEP if adapts else 1.0) * 2**fraction_bits * STEPS_PER_UNIT
+    step_codes = np.vectorize(step_code)(units / UNIT).astype(np.uint16)
+    image = EvaImage(
+        width=model.shape.width,
+        step_codes=step_codes,
+        fraction_bits=fraction_bits,
+        prior=built_in_tables() if adapts else _tables(prior, steps),
+        network=_network(model, ranges, 2.0**fraction_bits),
+        graph=b"",
+        runtime="core",
+    )
+    if not adapts:
+        return image
+    for _ in range(TABLE_PASSES):
+        image = _adapted(image, model, excerpts[generator.permutation(len(excerpts))], generator)
+    return image
+
+
+def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
+    """Return excerpts (count, EXCERPT_SAMPLES) of RMS value 1; short signals end in zeros, silent ones are left out."""
+    parts = []
+    for signal in signals:
+        for start in range(0, max(1, len(signal) - EXCERPT_SAMPLES // 2), EXCERPT_SAMPLES):
+            part = np.asarray(signal[start : start + EXCERPT_SAMPLES], dtype=np.float64)
+            if np.any(part):
+                part = part / np.sqrt(np.mean(np.square(part)))
+                parts.append(np.pad(part, (0, EXCERPT_SAMPLES - len(part))))
+    return np.array(parts, dtype=np.float32)
+
+
+def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
+    """Return the greatest magnitude of each channel of the latents and of what each layer of the synthesis gives, with
+    each inverse GDN's norm before its result; at the finest rate, and HOTTEST times the level.
+    """
+    ranges: list[Values] = []
+
+    def record(values: torch.Tensor) -> None:
+        greatest = torch.amax(torch.abs(values), dim=(0, 2)).double().numpy()
+        # A channel that calibration leaves silent is scaled as the one that sounds the least.
+        ranges.append(np.maximum(greatest, np.min(greatest[greatest > 0], initial=1.0)))
+
+    with torch.no_grad():
+        latents = model.analysis(HOTTEST * torch.from_numpy(excerpts)[:, None])
+        step = torch.exp2(model.log2_step[-1])[:, None]
+        values = torch.round(latents / step) * step
+        record(values)
+        for layer in model.synthesis:
+            if isinstance(layer, Gdn):
+                energy = torch.nn.functional.conv1d(values * values, layer.gamma[:, :, None], layer.beta)
+                record(torch.sqrt(energy))
+            values = layer(values)
+            record(values)
+    return ranges
+
+
+def _network(model: Eva, ranges: Sequence[Values], latent_unit: float) -> IntegerNetwork:
+    """Return the synthesis in integers. A unit is how many of them stand for 1, in each channel."""
+    input_units = np.full(model.shape.latents, latent_unit)
+    normalisations, convolutions = [], []
+    for stage, (norms, normalised, convolved) in enumerate(zip(ranges[1::3], ranges[2::3], ranges[3::3], strict=True)):
+        gdn, convolution = model.synthesis[2 * stage], model.synthesis[2 * stage + 1]
+        assert isinstance(gdn, Gdn) and isinstance(convolution.weight, torch.Tensor)
+        root_units = _LARGEST / norms
+        part, units = _normalisation(gdn, input_units, root_units, normalised)
+        normalisations.append(part)
+        last = stage == len(model.synthesis) // 2 - 1
+        wanted = np.array([_SAMPLE_UNIT]) if last else _LARGEST / convolved
+        weights = convolution.weight.detach().double().numpy().transpose(2, 1, 0)
+        quantised, input_units = _convolution(weights, units, wanted)
+        if last and not np.array_equal(input_units, wanted):
+            raise ModelError(
+                "its synthesis does not fit the integers: weights are far out of proportion; train it anew"
+            )
+        convolutions.append(quantised)
+    first, second, third = normalisations
+    return IntegerNetwork((first, second, third), (convolutions[0], convolutions[1], convolutions[2]))
+
+
+def _normalisation(gdn: Gdn, inputs: Values, roots: Values, normalised: Values) -> tuple[Normalisation, Values]:
+    """Return an inverse GDN in integers, and the units of its results, given those of its inputs and roots."""
+    with torch.no_grad():
+        gamma, beta = gdn.gamma.double().numpy(), gdn.beta.double().numpy()
+    weights = gamma * roots[:, None] ** 2 / inputs[None, :] ** 2
+    rows = np.max(weights, axis=1) / 127
+    multipliers = rows * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)
+    units = inputs * roots
+    shift = int(np.clip(np.ceil(np.log2(np.max(units * normalised) / _LARGEST)), 0, LARGEST_SHIFT))
+    part = Normalisation(
+        np.rint(weights / np.where(rows > 0, rows, 1.0)[:, None]).astype(np.int8),
+        _words(multipliers),
+        _words(beta * roots**2),
+        shift,
+    )
+    return part, units / 2.0**shift
+
+
+def _convolution(weights: Values, inputs: Values, wanted: Values) -> tuple[Convolution, Values]:
+    """Return a transposed convolution (kernel, outputs, inputs) in integers and its results' units, up to `wanted`."""
+    per_integer = weights / inputs
+    rows = np.max(np.abs(per_integer), axis=(0, 2)) / 127
+    rows = np.where(rows > 0, rows, 1.0 / np.max(inputs))
+    outputs = np.minimum(wanted, _LARGEST_WORD / 2.0**_SCALE_SHIFT / rows)
+    quantised = np.rint(per_integer / rows[None, :, None]).astype(np.int8)
+    return Convolution(quantised, _words(rows * outputs * 2.0**_SCALE_SHIFT)), outputs
+
+
+def _words(values: Values) -> NDArray[np.uint32]:
+    return np.minimum(np.rint(values), _LARGEST_WORD).astype(np.uint32)
+
+
+def _tables(prior: Prior, steps: Values) -> NDArray[np.uint16]:
+    """Return the probabilities of each decision, (rates, latents, 16), as codec.eva_image has them."""
+    assert isinstance(prior, FactorisedPrior)
+    tables = np.empty((*steps.shape, UNARY_LIMIT + 1))
+    for rate, step in enumerate(steps):
+        each = probabilities(prior, step, _TAIL)
+        below, above = np.sum(each[:, :_TAIL], axis=1), np.sum(each[:, _TAIL + 1 :], axis=1)
+        magnitudes = each[:, _TAIL:].copy()
+        magnitudes[:, 1:] += each[:, _TAIL - 1 :: -1]
+        beyond = np.cumsum(magnitudes[:, ::-1], axis=1)[:, ::-1]
+        tables[rate, :, :UNARY_LIMIT] = _odds(beyond[:, 1 : UNARY_LIMIT + 1], magnitudes[:, :UNARY_LIMIT])
+        tables[rate, :, UNARY_LIMIT] = _odds(below, above)
+    return np.asarray(np.clip(np.rint(65536 * tables), 1, 65535), dtype=np.uint16)
+
+
+def _odds(yes: Values, no: Values) -> Values:
+    """Return yes / (yes + no), even where both are nothing."""
+    floor = 1e-12
+    return np.asarray((yes + floor) / (yes + no + 2 * floor))
+
+
+def _adapted(image: EvaImage, model: Eva, excerpts: NDArray[np.float32], generator: np.random.Generator) -> EvaImage:
+    """Return the image with tables adapted to the excerpts, each coded at a random quality."""
+    columns = EXCERPT_SAMPLES // HOP_SAMPLES
+    encoder = LatentEncoder(configuration(columns, [0], [0]), 1, image.pack(), 0)
+    for excerpt in excerpts:
+        with torch.no_grad():
+            latents = model.analysis(torch.from_numpy(excerpt)[None, None])[0].double().numpy()
+        quality = int(generator.integers(0, 16 * (image.rates - 1) + 1))
+        encoder.encode([latents / image.relative_steps(quality)[:, None]])
+    return replace(image, prior=encoder.adapted_tables())
