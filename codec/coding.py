@@ -32,7 +32,9 @@ _MIN_GAIN = 2.0**-120
 
 Progress: TypeAlias = Callable[[float], None]
 
-CODECS: Mapping[str, Codec] = {codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS)}
+CODECS: Mapping[str, Codec] = {
+    codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS)
+}
 
 
 def codec_by_name(name: str) -> Codec:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codec.core import library
-from codec.interface import CodecError
+from codec.interface import RUNTIMES, CodecError
 
 LAYOUT_VERSION = 1
 MAX_CHANNELS = 128
@@ -23,8 +23,6 @@ QUALITY_PARTS = 16
 """Qualities in a stream from one rate to the next."""
 LARGEST_SHIFT = 30
 
-Runtime: TypeAlias = Literal["core", "onnx"]
-RUNTIMES: tuple[Runtime, ...] = get_args(Runtime)
 PriorKind: TypeAlias = Literal["factorised", "contexts"]
 PRIOR_KINDS: tuple[PriorKind, ...] = get_args(PriorKind)
 
@@ -93,7 +91,8 @@ class EvaImage:
     of the latents' unit. `fraction_bits`: that unit is 2^-fraction_bits of the graph's. `prior`: either of kind
     factorised, uint16 (rates, latents, 16): probabilities in 1/65536 that the magnitude is above 0, 1, ... 14, then
     that it is negative; or of kind contexts: initial tables of the adaptive model, as those of `mdct`. `network`,
-    `graph` (ONNX, "latents" to "signal"): at least one of them is there. `runtime`: which a decoder prefers.
+    `graph` (ONNX, "latents" to "signal"): at least one of them is there. `runtime`: which of
+    RUNTIMES a decoder prefers.
     """
 
     width: int
@@ -102,7 +101,7 @@ class EvaImage:
     prior: NDArray[np.uint16] | bytes
     network: IntegerNetwork | None
     graph: bytes
-    runtime: Runtime
+    runtime: str
 
     @property
     def rates(self) -> int:
@@ -159,7 +158,7 @@ class EvaImage:
         reader = _Reader(payload)
         version, flags, width, latents, rates, fraction_bits, graph_bytes = _FIXED.unpack(reader.bytes(_FIXED.size))
         if version != LAYOUT_VERSION:
-            raise CodecError(f"an EVA model of layout {version}; this version reads layout {LAYOUT_VERSION}")
+            raise CodecError(f"a model image of EVA with layout {version}; this version reads layout {LAYOUT_VERSION}")
         _check(flags < 8 and fraction_bits <= 15 and 1 <= rates <= MAX_RATES)
         _check(1 <= width <= MAX_CHANNELS and 1 <= latents <= MAX_CHANNELS)
         step_codes = reader.array("<u2", rates, latents).astype(np.uint16)
@@ -171,13 +170,13 @@ class EvaImage:
             prior = reader.array("<u2", rates, latents, UNARY_LIMIT + 1).astype(np.uint16)
         network = _network(reader, width, latents) if flags & _NETWORK_FLAG else None
         graph = reader.bytes(graph_bytes)
-        runtime: Runtime = "onnx" if flags & _RUNTIME_FLAG else "core"
+        runtime = RUNTIMES[bool(flags & _RUNTIME_FLAG)]
         _check(reader.left == 0 and (bool(graph) if runtime == "onnx" else network is not None))
         return cls(width, step_codes, fraction_bits, prior, network, graph, runtime)
 
 
 def with_runtime(payload: bytes, runtime: str) -> bytes:
-    """Return a payload that prefers another runtime, "core" or "onnx".
+    """Return a payload that prefers one of RUNTIMES.
 
     Raises CodecError where the model does not have what that runtime needs.
     """
@@ -188,7 +187,7 @@ def with_runtime(payload: bytes, runtime: str) -> bytes:
         raise CodecError("the model has no integer network; decode it by ONNX Runtime (runtime onnx)")
     if runtime == "onnx" and not image.graph:
         raise CodecError("the model has no ONNX graph; decode it by the integer core (runtime core)")
-    return replace(image, runtime="onnx" if runtime == "onnx" else "core").pack()
+    return replace(image, runtime=runtime).pack()
 
 
 def without_graph(payload: bytes) -> bytes:
@@ -219,7 +218,7 @@ def _network(reader: "_Reader", width: int, latents: int) -> IntegerNetwork:
 
 def _check(valid: bool) -> None:
     if not valid:
-        raise CodecError("the EVA model is damaged; export it again")
+        raise CodecError("the model image of EVA is damaged; export it again")
 
 
 class _Reader:

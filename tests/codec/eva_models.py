@@ -1,9 +1,21 @@
-"""Models of EVA made of random integers, for tests that need some model and not a good one."""
+"""Models of EVA for tests: the tiny one that tests.codec.make_eva_model trained, and ones of random integers."""
+
+from pathlib import Path
 
 import numpy as np
 
+import models
 from codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation, PriorKind
 from codec.mdct import built_in_tables
+
+FOLDER = Path(__file__).parent
+
+
+def tiny_model() -> models.Model:
+    """Return the tiny model: 16 channels, 4 rates, contexts, integers and graph."""
+    analysis = (FOLDER / "tiny_eva_analysis.onnx").read_bytes()
+    path = FOLDER / "tiny_eva.vcmi"
+    return models.Model("tiny", path, path.read_bytes(), analysis)
 
 
 def random_network(generator: np.random.Generator, width: int, latents: int) -> IntegerNetwork:

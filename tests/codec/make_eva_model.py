@@ -40,7 +40,7 @@ def main() -> None:
         bits = torch.mean(prior.bits(noisy, torch.round(latents).detach(), steps), dim=(1, 2))
         loss = torch.mean(error * 2 ** (2 * quality) + TRADE * 4 * bits)
         optimiser.zero_grad()
-        loss.backward()
+        torch.autograd.backward(loss)
         optimiser.step()
         if step % 500 == 0:
             print(step, float(loss.detach()), float(torch.mean(error).detach()))

@@ -11,14 +11,29 @@ import codec
 import textures
 from codec import CodecError, Decoder, Signal
 from codec.coding import Source
-from host import coding, end_to_end
+from host import coding, end_to_end, flasher
 from host.controller import Controller
 from simulated_device.controller import Controller as SimulatedController
 from simulated_device.memory_link import MemoryLink
+from tests.codec.eva_models import tiny_model
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 
 every_codec = pytest.mark.parametrize("name", list(codec.CODECS))
 LADDERS = {ladder: name for name, known in codec.CODECS.items() for ladder in known.ladders}
+
+
+# Codecs without built-in tables need a model.
+MODELS = {"eva": tiny_model()}
+
+
+def model_of(name: str) -> codec.Model | None:
+    model = MODELS.get(name)
+    return None if model is None else codec.Model(model.tables, model.analysis)
+
+
+def tables_of(name: str) -> bytes | None:
+    model = model_of(name)
+    return None if model is None else model.tables
 
 
 def middle_setting(name: str) -> codec.Setting:
@@ -27,11 +42,21 @@ def middle_setting(name: str) -> codec.Setting:
 
 
 def coded(name: str, signal: Signal, live: bool = False, setting: codec.Setting | None = None) -> codec.CodedSignal:
-    return codec.encode(signal, RATE_HZ, setting or middle_setting(name), codec=name, unit="um", live=live)
+    chosen = setting or middle_setting(name)
+    return codec.encode(signal, RATE_HZ, chosen, codec=name, unit="um", live=live, model=model_of(name))
+
+
+def decode(stream: codec.CodedSignal) -> Signal:
+    return codec.decode(stream, tables_of(stream.codec))
+
+
+def decode_integers(stream: codec.CodedSignal) -> codec.Decoded:
+    return codec.decode_integers(stream, tables_of(stream.codec))
 
 
 def decoder_of(stream: codec.CodedSignal) -> Decoder:
-    return codec.decoder(codec.codec_by_name(stream.codec).identifier, stream.configuration, stream.channels)
+    identifier = codec.codec_by_name(stream.codec).identifier
+    return codec.decoder(identifier, stream.configuration, stream.channels, tables_of(stream.codec))
 
 
 def check_decoded(samples: codec.Decoded, decoder: Decoder) -> None:
@@ -53,7 +78,7 @@ def test_the_top_of_a_ladder_is_better_than_its_bottom_and_takes_more(ladder: st
     assert all(known.checked(rung) == rung for rung in rungs)
     signal = 20 * texture(2800)
     streams = [coded(known.name, signal, setting=rung) for rung in (rungs[0], rungs[-1])]
-    snrs_db = [codec.snr_db(signal, codec.decode(stream)) or 0.0 for stream in streams]
+    snrs_db = [codec.snr_db(signal, decode(stream)) or 0.0 for stream in streams]
     sizes = [sum(map(len, stream.packets)) for stream in streams]
     assert len(rungs) == 1 or (snrs_db[1] > snrs_db[0] and sizes[1] > sizes[0])
 
@@ -66,7 +91,7 @@ def test_edge_inputs_are_decoded(name: str, live: bool, signal_name: str) -> Non
     stream = coded(name, signal, live)
     decoder = decoder_of(stream)
     assert len(stream.packets) == -(-(len(signal) + decoder.delay_samples) // decoder.packet_samples)
-    decoded = codec.decode(stream)
+    decoded = decode(stream)
     assert decoded.shape == signal.shape
     assert np.all(np.isfinite(decoded))
     assert np.max(np.abs(decoded)) <= 2 * np.max(np.abs(signal)) + 1e-4  # where G.723.1 is never quite silent
@@ -75,7 +100,7 @@ def test_edge_inputs_are_decoded(name: str, live: bool, signal_name: str) -> Non
 @every_codec
 def test_channels_are_kept_apart(name: str) -> None:
     signal = np.hstack([texture(2800), np.zeros((2800, 1)), texture(2800, seed=5)])
-    decoded = codec.decode(coded(name, signal))
+    decoded = decode(coded(name, signal))
     assert not np.any(np.abs(decoded[:, 1]) > 1e-3)
     snrs_db = codec.channel_snrs_db(signal, decoded)
     assert all(snr_db is None or snr_db > 1 for snr_db in snrs_db)
@@ -90,13 +115,13 @@ def test_any_length_has_just_the_packets_that_hold_it(
     stream = coded(name, texture(samples, channels, seed), live)
     decoder = decoder_of(stream)
     assert len(stream.packets) == -(-(samples + decoder.delay_samples) // decoder.packet_samples)
-    assert codec.decode(stream).shape == (samples, channels)
+    assert decode(stream).shape == (samples, channels)
 
 
 @every_codec
 def test_decoding_is_repeatable(name: str) -> None:
     stream = coded(name, texture(3000, 2), live=True)
-    np.testing.assert_array_equal(codec.decode_integers(stream), codec.decode_integers(stream))
+    np.testing.assert_array_equal(decode_integers(stream), decode_integers(stream))
 
 
 @every_codec
@@ -134,7 +159,7 @@ def test_any_bytes_decode_safely(name: str, packets: list[bytes]) -> None:
 @settings(max_examples=60)
 def test_any_configuration_is_read_or_refused(name: str, configuration: bytes, channels: int) -> None:
     try:
-        decoder = codec.decoder(codec.CODECS[name].identifier, configuration, channels)
+        decoder = codec.decoder(codec.CODECS[name].identifier, configuration, channels, tables_of(name))
     except CodecError:
         return
     assert decoder.packet_samples >= 1
@@ -147,7 +172,7 @@ def test_a_gap_fades_and_a_refresh_ends_it(name: str) -> None:
     """Loss is heard as a fade to silence and a rise, never as a step beyond those of the signal."""
     signal = texture(14_000)
     stream = coded(name, signal, live=True)
-    clean = codec.decode_integers(stream).astype(int)
+    clean = decode_integers(stream).astype(int)
     decoder = decoder_of(stream)
     count = len(stream.packets)
     lost = {count // 3, count // 3 + 1}
@@ -176,16 +201,18 @@ def test_the_first_packet_must_be_a_refresh(name: str) -> None:
 def test_bad_signals_and_settings_are_refused(name: str) -> None:
     for signal in (np.zeros((0, 1)), np.full((100, 1), math.nan), np.full((100, 1), math.inf), np.zeros(100)):
         with pytest.raises(CodecError):
-            codec.encode(signal, RATE_HZ, middle_setting(name), codec=name)
+            codec.encode(signal, RATE_HZ, middle_setting(name), codec=name, model=model_of(name))
     with pytest.raises(CodecError, match="no parameter softness"):
-        codec.encode(texture(100), RATE_HZ, {"softness": 1.0}, codec=name)
+        codec.encode(texture(100), RATE_HZ, {"softness": 1.0}, codec=name, model=model_of(name))
     for parameter, described in codec.CODECS[name].parameters.items():
         assert described.checked(parameter, described.default) == described.default
         with pytest.raises(CodecError, match=parameter):
-            codec.encode(texture(100), RATE_HZ, {parameter: "\x00 nothing of the kind"}, codec=name)
+            codec.encode(
+                texture(100), RATE_HZ, {parameter: "\x00 nothing of the kind"}, codec=name, model=model_of(name)
+            )
         if not described.per_channel:
             with pytest.raises(CodecError, match=parameter):
-                codec.encode(texture(100, 2), RATE_HZ, {parameter: (14, 16)}, codec=name)
+                codec.encode(texture(100, 2), RATE_HZ, {parameter: (14, 16)}, codec=name, model=model_of(name))
 
 
 @every_codec
@@ -197,9 +224,13 @@ def test_tables_are_refused_where_none_are_taken(name: str) -> None:
 @every_codec
 def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
     recording = textures.Recording(20 * texture(2000, 2), 2800.0, "um", "texture")
-    encoding = coding.encode(recording, codec_name=name, setting=middle_setting(name), live=True)
+    encoding = coding.encode(
+        recording, codec_name=name, setting=middle_setting(name), live=True, model=MODELS.get(name)
+    )
     link = MemoryLink(SimulatedController())
     controller = Controller(link, link.clock, link.sleep)
+    if encoding.stream.image is not None:
+        flasher.flash(controller, encoding.stream.image)
     report = end_to_end.play(controller, "memory", "texture", encoding.stream, encoding, loops=2).report
     assert report.codec == name
     assert report.underruns == report.lost_packets == 0
@@ -211,7 +242,7 @@ def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
 def test_a_quality_is_met_from_above_or_refused(name: str) -> None:
     recording = textures.Recording(texture(2800), 2800.0, "um", "texture")
     try:
-        encoding = coding.encode(recording, codec_name=name, snr_db=8.0)
+        encoding = coding.encode(recording, codec_name=name, snr_db=8.0, model=MODELS.get(name))
     except CodecError as error:
         assert "cannot be met" in str(error) or not codec.CODECS[name].parameters
         return
@@ -230,8 +261,8 @@ def test_a_search_finds_the_best_rung_without_trying_all(
 ) -> None:
     signal = texture(1400)
     rungs = next(iter(codec.CODECS[name].ladders.values()))
-    coded_by_rung = [codec.encode(signal, RATE_HZ, rung, codec=name) for rung in rungs]
-    snrs_db = [codec.snr_db(signal, codec.decode(each)) or 0.0 for each in coded_by_rung]
+    coded_by_rung = [codec.encode(signal, RATE_HZ, rung, codec=name, model=model_of(name)) for rung in rungs]
+    snrs_db = [codec.snr_db(signal, decode(each)) or 0.0 for each in coded_by_rung]
     trials: list[codec.Setting] = []
     encode = Source.encode
 
@@ -243,9 +274,9 @@ def test_a_search_finds_the_best_rung_without_trying_all(
     enough = [snr_db for snr_db in snrs_db if snr_db >= target_db - codec.SNR_TOLERANCE_DB]
     if not enough:
         with pytest.raises(CodecError, match=f"reaches {max(snrs_db):.1f} dB"):
-            codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name)
+            codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name, model=model_of(name))
         return
-    found = codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name)
+    found = codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name, model=model_of(name))
     nearest = min(range(len(rungs)), key=lambda rung: (snrs_db[rung] not in enough, abs(snrs_db[rung] - target_db)))
     assert found.packets == coded_by_rung[nearest].packets
     assert len(trials) <= min(len(rungs), 12)
