@@ -12,8 +12,9 @@ from click.testing import CliRunner
 
 import codec
 from codec import Framing, SignalFormat
-from evaluation import cost
+from evaluation import cost, trained
 from models import Model
+from tests.codec.eva_models import tiny_model
 
 CORE = Path(__file__).parents[2] / "firmware" / "core"
 needs_ziglang = pytest.mark.skipif(
@@ -77,13 +78,16 @@ def test_delay_is_the_longest_that_a_sample_waits(name: str) -> None:
     """Fed one sample at a time: what has come in by the time that a sample can be played."""
     rate_hz = 2800
     plug_in = codec.CODECS[name]
+    model = tiny_model() if plug_in.needs_model else None
     signal_format = SignalFormat(rate_hz, "full scale", (1.0,), (0.3,))
-    encoder = plug_in.make_encoder(plug_in.complete({}), signal_format, Framing(1, 1), None)
+    encoder = plug_in.make_encoder(
+        plug_in.complete({}), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None
+    )
     packets = longest = 0
     for fed, value in enumerate(np.random.default_rng(0).normal(0, 0.3, 6 * encoder.packet_samples), 1):
         longest = max(longest, fed - packets * encoder.packet_samples + encoder.delay_samples)
         packets += len(encoder.encode(np.array([[value]])))
-    assert 1e3 * longest / rate_hz == pytest.approx(cost.delay_ms(name, {}, rate_hz))
+    assert 1e3 * longest / rate_hz == pytest.approx(cost.delay_ms(name, {}, rate_hz, model=model))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not tell")
