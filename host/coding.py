@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict
@@ -191,6 +191,7 @@ def encode(
     snr_db: float | None = None,
     setting: codec.Setting | None = None,
     model: models.Model | None = None,
+    runtime: str | None = None,
     live: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Encoding:
@@ -199,9 +200,9 @@ def encode(
     `codec_name`: None = that of the model, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
     `setting`: what is given of the codec's setting; one that leaves nothing to search for is used as it is. `model`:
     None = the tables built in or, for a codec without such, the smallest model that ships and can do what is asked.
-    `live` adds refresh packets, for a link that may lose some. `progress` is called with the part of the search that is
-    done, from 0 to 1. Raises CodecError (also when the asked rate or SNR cannot be met), ModelError, ModelImageError,
-    StreamError or TextureError, with what to do.
+    `runtime`: as in `Stream`. `live` adds refresh packets, for a link that may lose some. `progress` is called with the
+    part of the search that is done, from 0 to 1. Raises CodecError (also when the asked rate or SNR cannot be met),
+    ModelError, ModelImageError, StreamError or TextureError, with what to do.
     """
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
@@ -225,7 +226,7 @@ def encode(
     for number, candidate in enumerate(candidates):
         tell = None if progress is None else partial(_tell_of_part, progress, number, len(candidates))
         try:
-            return _encode(resampled, chosen, given, rate_bps, snr_db, candidate, live, tell)
+            return _encode(resampled, chosen, given, rate_bps, snr_db, candidate, runtime, live, tell)
         except codec.OutOfReach:
             if number + 1 == len(candidates):
                 raise
@@ -256,6 +257,7 @@ def _encode(
     rate_bps: float | None,
     snr_db: float | None,
     model: models.Model | None,
+    runtime: str | None,
     live: bool,
     progress: Callable[[float], None] | None,
 ) -> Encoding:
@@ -279,7 +281,7 @@ def _encode(
         coded = codec.encode_to_snr(samples, rate_hz, snr_db, setting=given, **how)
     else:
         coded = codec.encode(samples, rate_hz, given, **how)
-    stream = as_stream(coded, recording.unit, image)
+    stream = replace(as_stream(coded, recording.unit, image), runtime=runtime)
     decoded = stream.decode()
     reached_db = _finite(codec.snr_db(samples, decoded))
     each_db = tuple(map(_finite, codec.channel_snrs_db(samples, decoded)))

@@ -25,6 +25,7 @@ from host import coding, devices, flasher, player, progress
 from host.bench_command import bench
 from host.controller import ControllerError
 from host.entry import INTERRUPTED
+from host.export_command import export
 from host.input_files import InputFileError
 from host.models_command import list_models
 from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, chosen_model, options, recording_options
@@ -222,7 +223,7 @@ def play(
 
     refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
     if file.suffix.lower() == ".vct":
-        source: coding.Stream | textures.Recording = coded_already(file, choices)
+        source: coding.Stream | textures.Recording = replace(coded_already(file, choices), runtime=runtime)
     else:
         quality = quality_of(choices)
         source = textures.load(file, **choices)
@@ -233,12 +234,11 @@ def play(
             stream, encoding = source, None
         else:
             player.check_limits(controller, source.channels, quality["stream_rate_hz"])
-            encoding = encoded(source, quality, live=True)
+            encoding = encoded(source, {**quality, "runtime": runtime}, live=True)
             stream = encoding.stream
         with progress.shown("playing") as update:
             tell = playing(update, stream.bits_per_second)
-            as_asked = replace(stream, runtime=runtime)
-            outcome = end_to_end.play(controller, address, file.name, as_asked, encoding, loops, tell)
+            outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, tell)
     if report_path:
         outcome.report.write(report_path)
     if plot_path:
@@ -408,6 +408,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
         threading.Event().wait()
 
 
+main.add_command(export)
 main.add_command(list_models)
 main.add_command(stability)
 main.add_command(train)

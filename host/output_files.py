@@ -1,6 +1,7 @@
-"""Writes a file whole or not at all, so that a failed run never leaves half a file or spoils a good one."""
+"""Writes a file or a folder whole or not at all, so that a failed run never leaves half of one or spoils a good one."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,3 +28,26 @@ def whole_file(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """Yield a new folder beside `path`; it takes the place of `path`, and of all in it, when the block succeeds.
+
+    Raises OSError, which names `path`, when it cannot be written.
+    """
+    target = Path(os.path.realpath(path))
+    partial, before = (target.with_name(f".{target.name}.{os.getpid()}.{state}") for state in ("partial", "before"))
+    try:
+        partial.mkdir()
+        yield partial
+        if target.exists():
+            target.rename(before)
+        partial.rename(target)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        if before.exists() and not target.exists():
+            before.rename(target)
+        for folder in (partial, before):
+            shutil.rmtree(folder, ignore_errors=True)

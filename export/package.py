@@ -1,0 +1,64 @@
+"""The files of a model for use, made of a checkpoint: ONNX graphs and model image."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+from codec import eva
+from codec.eva_image import EvaImage
+from codec.interface import Signal
+from device_protocol.model_image import ModelImage
+from export.checkpoint import Checkpoint
+from export.graphs import Graphs, graphs_of
+from export.quantise import ordered, quantise
+
+Contents: TypeAlias = Literal["core", "onnx", "both"]
+"""What an image holds for the decoder: the integer network, the ONNX graph, or both, the network preferred."""
+
+
+@dataclass(frozen=True)
+class Package:
+    """A model for use.
+
+    `image`: the packed model image. `full`: one that holds both integer network and graph, to compare them.
+    """
+
+    name: str
+    version: str
+    family: str
+    contents: Contents
+    graphs: Graphs
+    image: bytes
+    full: bytes
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """What stands in the model's folder beside its card, by file name."""
+        return {
+            f"{self.name}.vcmi": self.image,
+            "analysis.onnx": self.graphs.analysis,
+            "synthesis.onnx": self.graphs.synthesis,
+        }
+
+
+def make(checkpoint: Checkpoint, name: str, version: str, contents: Contents, signals: Sequence[Signal]) -> Package:
+    """Return the package of a checkpoint. `signals`: float64 (n,) of what it was trained on, as `quantise` takes them.
+
+    Raises GraphError, ModelError or ModelImageError for what cannot be used.
+    """
+    model, prior = ordered(checkpoint.model, checkpoint.prior)
+    graphs = graphs_of(model)
+    full = replace(quantise(model, prior, signals), graph=graphs.synthesis)
+    payload = {
+        "core": replace(full, graph=b""),
+        "onnx": replace(full, network=None, runtime="onnx"),
+        "both": full,
+    }[contents]
+
+    def packed(payload: EvaImage) -> bytes:
+        return ModelImage(eva.IDENTIFIER, name, version, "", payload.pack()).pack()
+
+    # NAME-NUMBER of one rate is one of a family of such, which make a curve together; any other makes one alone.
+    family = re.sub(r"-\d+$", "", name) if full.rates == 1 else name
+    return Package(name, version, family, contents, graphs, packed(payload), packed(full))

@@ -1,0 +1,88 @@
+"""The subcommand `export`: a checkpoint becomes graphs, a model image and a card, in one folder."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+import models
+from host import progress
+from host.options import INPUT, BadInput, command_run
+from host.output_files import whole_folder
+from host.train_command import NEEDS_TRAINING
+
+
+def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Return a model's name, or raise click.BadParameter for one that makes no good file name."""
+    if value is not None and not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", value):
+        raise click.BadParameter("use at most 41 small letters, digits and hyphens.", ctx, param)
+    return value
+
+
+@click.command()
+@click.argument("checkpoint", type=INPUT)
+@click.option("--name", callback=checked_name, help="Name of the model; that of its training if not given.")
+@click.option("--version", "model_version", default="1", show_default=True, help="Version of the model.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder to write; ./NAME if not given.")
+@click.option(
+    "--runtime",
+    type=click.Choice(("core", "onnx", "both")),
+    default="core",
+    show_default=True,
+    help="What the image holds for decoding: the integer network, the ONNX graph, or both, the network preferred.",
+)
+@click.option(
+    "--data",
+    "data_folder",
+    type=INPUT,
+    default=".",
+    show_default=True,
+    help="Folder at which the paths of the training's configuration start.",
+)
+def export(
+    checkpoint: Path, name: str | None, model_version: str, out: Path | None, runtime: Any, data_folder: Path
+) -> None:
+    """Make a trained model ready for use: ONNX graphs, model image and card, in a folder.
+
+    The data that it was trained on prepare its integers and tables; what was held back is what its card measures it on.
+    The folder is written whole or not at all; one that holds a model is replaced.
+    """
+    try:
+        from export import configuration, package, training_data
+        from export.checkpoint import ModelError, load
+        from export.graphs import GraphError
+        from host import model_card
+    except ModuleNotFoundError as error:
+        if error.name not in ("torch", "onnx"):
+            raise
+        raise click.ClickException(NEEDS_TRAINING) from error
+    try:
+        loaded = load(checkpoint)
+        trained_as = configuration.parsed(loaded.training)
+        name = name or trained_as.name
+        out = out or Path(name)
+        if out.exists() and not (out / models.CARD).exists():
+            raise BadInput(f"{out}: exists, and is no folder of a model that could be replaced; give another --out")
+        with progress.shown("exporting") as update:
+            update(0, "reading the training's data")
+            traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
+            trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
+            update(0, "integers and tables")
+            made = package.make(
+                loaded, name, model_version, runtime, [trace.samples.astype(np.float64) for trace in trained]
+            )
+            card = model_card.made(loaded, made, trained, held_back, command_run(), update)
+    except (configuration.ConfigurationError, ModelError, GraphError) as error:
+        raise BadInput(str(error)) from error
+    with whole_folder(out) as partial:
+        for file, data in made.files.items():
+            (partial / file).write_bytes(data)
+        (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
+        (partial / "card.md").write_text(model_card.as_markdown(card), encoding="utf-8")
+    points = card["results"]["points"]
+    click.echo(
+        f"{out}: {name}, image of {len(made.image)} bytes, {points[0]['snr_db']:.1f} to {points[-1]['snr_db']:.1f} dB "
+        f"at {points[0]['bits_per_sample']:.2f} to {points[-1]['bits_per_sample']:.2f} bit/sample"
+    )

@@ -1,0 +1,38 @@
+"""A small checkpoint that codes passably without training, for tests of what is made of checkpoints."""
+
+from typing import Any
+
+import torch
+
+from export.checkpoint import Checkpoint
+from export.configuration import parsed
+from export.eva import Eva, EvaShape
+from export.lapped_start import start_lapped
+from export.priors import PRIORS
+
+LAMBDAS = (1.0, 10.0, 100.0)
+
+
+def checkpoint(prior: str = "contexts", lambdas: tuple[float, ...] = LAMBDAS, **model: Any) -> Checkpoint:
+    """Return a checkpoint of a width of 8, as if trained on generated textures, two kinds of three held back."""
+    configuration = parsed(
+        {
+            "name": "tiny",
+            "model": {"width": 8, "latents": 16, "lambdas": list(lambdas), "prior": prior, "start": "lapped", **model},
+            "generator": {"kinds": ["rough", "wood", "grating"], "recordings": 2, "seconds": 1.0},
+            "held_back": {"materials": ["generator/wood", "generator/grating"]},
+        }
+    )
+    torch.manual_seed(1)
+    choice = configuration.model
+    eva = Eva(EvaShape(choice.width, choice.latents, len(lambdas)))
+    start_lapped(eva, choice.lambdas)
+    rates = [{"lambda": weight, "bits_per_sample": 1.0, "snr_db": 10.0} for weight in lambdas]
+    record = {"step": 0, "seconds": 0.0, "training_loss": 2.0, "loss": 3.0, "rates": rates}
+    return Checkpoint(
+        eva,
+        PRIORS[prior](choice.latents),
+        configuration.as_dict(),
+        {"step": 0, "seconds": 0.0, "best_loss": 3.0, "best_step": 0},
+        [record],
+    )
