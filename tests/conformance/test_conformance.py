@@ -1,9 +1,13 @@
 """The conformance suite: what docs/protocol.md asks of a controller, seen from a host."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import codec
+import textures
+from codec import eva
 from device_protocol.coded_stream import StreamHeader
 from device_protocol.messages import (
     PROTOCOL_MAJOR,
@@ -25,10 +29,13 @@ from device_protocol.messages import (
     Status,
 )
 from device_protocol.model_image import ModelImage, sha256
+from export.package import Contents
+from host import coding
 from host.controller import Controller as Host
 from host.controller import ControllerError
 from host.flasher import flash
 from host.player import Progress, play
+from tests.export import tiny
 
 RATE_HZ = 2800
 
@@ -160,6 +167,34 @@ def test_model_image_is_flashed_tried_and_kept(session: Host) -> None:
     image = ModelImage(1, "conformance", "1", hardware, codec.mdct.built_in_tables()).pack()
     kept = flash(session, image)
     assert (kept.name, kept.version, kept.state) == ("conformance", "1", SlotState.CONFIRMED)
+
+
+def test_image_that_its_codec_cannot_use_is_refused_and_the_old_one_plays(session: Host) -> None:
+    hardware, tables = session.description.hardware, codec.mdct.built_in_tables()
+    old, bad = (ModelImage(1, "old", "1", hardware, payload).pack() for payload in (tables, tables[:-1]))
+    flash(session, old)
+    with pytest.raises(ControllerError) as refused:
+        flash(session, bad)
+    assert refused.value.code == ErrorCode.IMAGE_REFUSED
+    header, packets, decoded, packet_samples = coded_sine(0.3)
+    named = replace(header, image_hash=sha256(old)[:8])
+    result = play(session, named, packets, packet_samples, capture=True)
+    assert result.decoded is not None
+    np.testing.assert_array_equal(result.decoded, decoded)
+
+
+@pytest.mark.parametrize("contents", ["core", "onnx"])
+def test_learned_codec_plays_with_the_model_that_was_flashed(session: Host, contents: Contents) -> None:
+    if (eva.IDENTIFIER, eva.NAME) not in session.description.codecs:
+        pytest.skip("this controller has no learned codec")
+    model = tiny.model(contents)
+    recording = textures.GENERATORS["rough"](0, 0.3)
+    stream = coding.encode(recording, setting={"quality": 1}, model=model, live=True).stream
+    flash(session, model.image)
+    packet_samples = stream.decoder().packet_samples
+    result = play(session, stream.header, stream.packets, packet_samples, capture=True)
+    assert result.decoded is not None
+    np.testing.assert_array_equal(result.decoded, stream.decode_integers())
 
 
 def test_image_for_other_hardware_is_refused(session: Host) -> None:

@@ -1,13 +1,19 @@
-"""A small checkpoint that codes passably without training, for tests of what is made of checkpoints."""
+"""A small model that codes passably without training, for tests of what is made of checkpoints, and of what uses it."""
 
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
+import models
+import textures
 from export.checkpoint import Checkpoint
 from export.configuration import parsed
 from export.eva import Eva, EvaShape
 from export.lapped_start import start_lapped
+from export.package import Contents, Package, make
 from export.priors import PRIORS
 
 LAMBDAS = (1.0, 10.0, 100.0)
@@ -36,3 +42,16 @@ def checkpoint(prior: str = "contexts", lambdas: tuple[float, ...] = LAMBDAS, **
         {"step": 0, "seconds": 0.0, "best_loss": 3.0, "best_step": 0},
         [record],
     )
+
+
+@cache
+def package(contents: Contents = "both", prior: str = "contexts", lambdas: tuple[float, ...] = LAMBDAS) -> Package:
+    """Return what is made of the checkpoint, its integers prepared on generated textures."""
+    signals = [textures.GENERATORS["rough"](seed, 1.0).samples[:, 0].astype(np.float64) for seed in range(4)]
+    return make(checkpoint(prior, lambdas), "tiny", "1", contents, signals)
+
+
+def model(contents: Contents = "both") -> models.Model:
+    """Return it as a model that could ship."""
+    made = package(contents)
+    return models.Model(made.name, Path("tiny.vcmi"), made.image, made.graphs.analysis)

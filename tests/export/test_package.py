@@ -1,0 +1,52 @@
+"""What is made of a checkpoint: the files, what an image holds, families."""
+
+import numpy as np
+import pytest
+
+import textures
+from codec import CodecError
+from codec.eva_image import EvaImage
+from device_protocol.model_image import ModelImage
+from export.checkpoint import ModelError
+from export.package import Contents, make
+from host import coding
+from tests.export import tiny
+
+
+def test_files_are_named_by_the_model() -> None:
+    package = tiny.package()
+    assert package.files == {
+        "tiny.vcmi": package.image,
+        "analysis.onnx": package.graphs.analysis,
+        "synthesis.onnx": package.graphs.synthesis,
+    }
+
+
+@pytest.mark.parametrize("contents", ["core", "onnx", "both"])
+def test_an_image_holds_what_was_asked_for(contents: Contents) -> None:
+    package, both = tiny.package(contents), EvaImage.unpack(tiny.model("both").tables)
+    image = EvaImage.unpack(ModelImage.unpack(package.image).payload)
+    assert (image.network is not None, bool(image.graph)) == (contents != "onnx", contents != "core")
+    assert image.runtime == ("onnx" if contents == "onnx" else "core")
+    np.testing.assert_array_equal(image.step_codes, both.step_codes)
+    assert (package.full == package.image) == (contents == "both")
+
+
+@pytest.mark.parametrize(("contents", "missing"), [("core", "onnx"), ("onnx", "core")])
+def test_a_runtime_that_an_image_does_not_have_is_refused(contents: Contents, missing: str) -> None:
+    with pytest.raises(CodecError, match=f"runtime {contents}"):
+        coding.encode(
+            textures.GENERATORS["rough"](5, 0.3), setting={"quality": 2}, model=tiny.model(contents), runtime=missing
+        )
+
+
+def test_models_of_one_rate_are_a_family() -> None:
+    signals = [textures.GENERATORS["rough"](1, 1.0).samples[:, 0]]
+    single = tiny.checkpoint("factorised", (10.0,))
+    assert make(single, "eva-paper-32-4", "1", "core", signals).family == "eva-paper-32"
+    assert make(tiny.checkpoint(), "eva-16", "1", "core", signals).family == "eva-16"
+
+
+def test_without_any_signal_there_are_no_integers() -> None:
+    with pytest.raises(ModelError, match="no signal"):
+        make(tiny.checkpoint(), "tiny", "1", "core", [np.zeros(1000)])

@@ -1,0 +1,124 @@
+"""The learned codec on the simulated controller: either runtime, and images that it cannot use."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import codec
+import models
+import textures
+from codec.eva_image import EvaImage
+from device_protocol.messages import SlotState
+from device_protocol.model_image import ModelImage
+from export.eva import Eva, EvaShape
+from export.graphs import graphs_of
+from host import coding, player
+from host.controller import Controller as Host
+from host.controller import ControllerError
+from host.flasher import flash, running
+from simulated_device.controller import Controller, Settings
+from simulated_device.memory_link import MemoryLink
+from tests.export import tiny
+
+
+def session(runtime: str | None = None) -> Host:
+    link = MemoryLink(Controller(Settings(runtime=runtime)))
+    return Host(link, link.clock, link.sleep)
+
+
+def streamed(model: models.Model, channels: int = 1) -> coding.Stream:
+    samples = np.hstack([textures.GENERATORS["rough"](seed, 0.5).samples for seed in range(channels)])
+    recording = textures.Recording(samples, 2800, "m/s^2", "rough")
+    return coding.encode(recording, setting={"quality": 2}, model=model, live=True).stream
+
+
+def played(host: Host, stream: coding.Stream) -> codec.Decoded:
+    """Return what a controller decodes of a stream."""
+    packet_samples = stream.decoder().packet_samples
+    result = player.play(host, stream.header, stream.packets, packet_samples, capture=True)
+    assert result.decoded is not None
+    return result.decoded
+
+
+@pytest.mark.parametrize("runtime", [None, "core", "onnx"])
+def test_a_stream_decodes_as_offline_by_either_runtime(runtime: str | None) -> None:
+    model, host = tiny.model(), session(runtime)
+    flash(host, model.image)
+    stream = streamed(model, channels=2)
+    np.testing.assert_array_equal(played(host, stream), replace(stream, runtime=runtime).decode_integers())
+
+
+def test_the_image_chooses_the_runtime_and_the_setting_overrules_it() -> None:
+    stream = streamed(tiny.model())
+    by_core, by_onnx = (replace(stream, runtime=runtime).decode_integers() for runtime in codec.RUNTIMES)
+    assert not np.array_equal(by_core, by_onnx)
+    np.testing.assert_array_equal(stream.decode_integers(), by_core)
+    preferring_onnx = streamed(tiny.model("onnx"))
+    host = session()
+    flash(host, tiny.model("onnx").image)
+    np.testing.assert_array_equal(played(host, preferring_onnx), preferring_onnx.decode_integers())
+
+
+@pytest.mark.parametrize(("contents", "runtime"), [("core", "onnx"), ("onnx", "core")])
+def test_a_runtime_that_the_image_does_not_have_is_refused(contents: str, runtime: str) -> None:
+    model = tiny.model("core" if contents == "core" else "onnx")
+    host = session(runtime)
+    flash(host, model.image)
+    with pytest.raises(ControllerError, match=f"runtime {contents}"):
+        played(host, streamed(model))
+
+
+def test_the_setting_leaves_codecs_without_a_choice_alone() -> None:
+    recording = textures.GENERATORS["rough"](0, 0.5)
+    stream = coding.encode(recording, setting={"step": 0.5}, live=True).stream
+    np.testing.assert_array_equal(played(session("onnx"), stream), stream.decode_integers())
+
+
+def graph_of(latents: int) -> bytes:
+    torch.manual_seed(3)
+    return graphs_of(Eva(EvaShape(8, latents, 1)), [64]).synthesis
+
+
+def damaged(change: Callable[[bytearray], None]) -> bytes:
+    payload = bytearray(tiny.model().tables)
+    change(payload)
+    return bytes(payload)
+
+
+def with_graph(graph: bytes) -> bytes:
+    return replace(EvaImage.unpack(tiny.model().tables), graph=graph).pack()
+
+
+BAD_PAYLOADS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "nothing": (lambda: b"", "damaged"),
+    "another layout": (lambda: damaged(lambda payload: payload.__setitem__(0, 99)), "layout 99"),
+    "cut short": (lambda: tiny.model().tables[:-1], "damaged"),
+    "surplus": (lambda: tiny.model().tables + b"x", "damaged"),
+    "no latents": (lambda: damaged(lambda payload: payload.__setitem__(3, 0)), "damaged"),
+    "a step out of range": (
+        lambda: damaged(lambda payload: payload.__setitem__(slice(10, 12), b"\xff\xff")),
+        "damaged",
+    ),
+    "no graph at all": (lambda: with_graph(b"not ONNX"), "no ONNX graph"),
+    "the analysis": (lambda: with_graph(tiny.model().analysis), "in place of latents and signal"),
+    "a graph of other latents": (lambda: with_graph(graph_of(24)), "ONNX graph"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_PAYLOADS)
+def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(kind: str) -> None:
+    payload, reason = BAD_PAYLOADS[kind]
+    model, host = tiny.model(), session()
+    flash(host, model.image)
+    bad = ModelImage(model.codec_identifier, "bad", "1", "", payload()).pack()
+    with pytest.raises(ControllerError, match=reason):
+        flash(host, bad)
+    host.say_hello()
+    assert [image.state for image in host.description.images] == [SlotState.CONFIRMED, SlotState.EMPTY]
+    still = running(host)
+    assert still is not None and still.name == "tiny"
+    stream = streamed(model)
+    np.testing.assert_array_equal(played(host, stream), stream.decode_integers())
