@@ -6,7 +6,10 @@ CORE := $(wildcard firmware/core/*.c firmware/core/*.h)
 SOURCES := pyproject.toml hatch_build.py $(CORE)
 C_SOURCES := $(filter-out %_tables.c,$(CORE)) $(wildcard tests/*/*.c)
 
-.PHONY: install play test lint
+CHECKPOINTS ?= trained
+DATA ?= recordings
+
+.PHONY: install play test lint models
 
 install: .venv/installed
 
@@ -31,3 +34,12 @@ lint: .venv/installed-for-tests
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
+
+# Small images hold the ONNX graph as well, so that a controller can choose.
+models: .venv/installed-for-tests
+	set -e; for best in $(CHECKPOINTS)/eva-*/best.pt; do \
+	    name=$$(basename $$(dirname $$best)); \
+	    case $$name in eva-16|eva-32|eva-64) holds=both;; *) holds=core;; esac; \
+	    $(BIN)/vibrocast export $$best --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
+	        --training-command "vibrocast train examples/$$(echo $$name | sed 's/^eva-paper-.*/eva-paper/').toml --data $(DATA)"; \
+	done

@@ -41,8 +41,15 @@ def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) 
     show_default=True,
     help="Folder at which the paths of the training's configuration start.",
 )
+@click.option("--training-command", help="How it was trained, for its card; `vibrocast train NAME.toml` if not given.")
 def export(
-    checkpoint: Path, name: str | None, model_version: str, out: Path | None, runtime: Any, data_folder: Path
+    checkpoint: Path,
+    name: str | None,
+    model_version: str,
+    out: Path | None,
+    runtime: Any,
+    data_folder: Path,
+    training_command: str | None,
 ) -> None:
     """Make a trained model ready for use: ONNX graphs, model image and card, in a folder.
 
@@ -73,7 +80,8 @@ def export(
             made = package.make(
                 loaded, name, model_version, runtime, [trace.samples.astype(np.float64) for trace in trained]
             )
-            card = model_card.made(loaded, made, trained, held_back, command_run(), update)
+            commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
+            card = model_card.made(loaded, made, trained, held_back, commands, update)
     except (configuration.ConfigurationError, ModelError, GraphError) as error:
         raise BadInput(str(error)) from error
     with whole_folder(out) as partial:

@@ -34,13 +34,13 @@ def made(
     package: Package,
     trained: Sequence[Trace],
     held_back: Sequence[Trace],
-    command: str,
+    commands: tuple[str, str],
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
     """Return the card of a model, ready for JSON; models/README.md explains its fields.
 
-    `trained`, `held_back`: the traces of its training's data. `command`: how it was exported. `progress` is called with
-    the part done. Raises CodecError.
+    `trained`, `held_back`: the traces of its training's data. `commands`: how it was trained, and how exported.
+    `progress` is called with the part done. Raises CodecError.
     """
     training, history = checkpoint.training, checkpoint.progress
     rate_hz = training["training"]["rate_hz"]
@@ -54,7 +54,7 @@ def made(
         "training": {
             "data": _sources(trained, rate_hz),
             "held_back": sorted({trace.material for trace in held_back}),
-            "command": f"vibrocast train {training['name']}.toml",
+            "command": commands[0],
             "configuration": training,
             "seed": training["seed"],
             "steps": history["step"],
@@ -65,7 +65,7 @@ def made(
             ],
         },
         "export": {
-            "command": command,
+            "command": commands[1],
             "image_holds": package.contents,
             "opset": OPSET,
             "parity": {

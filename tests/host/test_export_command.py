@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
 import onnx
 import pytest
 import torch
