@@ -274,10 +274,11 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None = Non
 
 
 def check_tables(tables: bytes) -> None:
-    """Raise CodecError for a payload that decoders do not take, or whose graph cannot be run where it is preferred."""
-    image = EvaImage.unpack(tables)
-    if image.runtime == "onnx":
-        transform(image.graph, LATENTS, SIGNAL)
+    """Raise CodecError for a payload that decoders do not take, or whose graph is no synthesis of its latents."""
+    image, one_column = EvaImage.unpack(tables), configuration(1, [0], [0])
+    EvaDecoder(one_column, 1, tables)
+    if image.graph:
+        OnnxDecoder(one_column, 1, tables).conceal()
 
 
 CODEC = Codec(
