@@ -45,13 +45,15 @@ def checkpoint(prior: str = "contexts", lambdas: tuple[float, ...] = LAMBDAS, **
 
 
 @cache
-def package(contents: Contents = "both", prior: str = "contexts", lambdas: tuple[float, ...] = LAMBDAS) -> Package:
+def package(
+    contents: Contents = "both", name: str = "tiny", prior: str = "contexts", lambdas: tuple[float, ...] = LAMBDAS
+) -> Package:
     """Return what is made of the checkpoint, its integers prepared on generated textures."""
     signals = [textures.GENERATORS["rough"](seed, 1.0).samples[:, 0].astype(np.float64) for seed in range(4)]
-    return make(checkpoint(prior, lambdas), "tiny", "1", contents, signals)
+    return make(checkpoint(prior, lambdas), name, "1", contents, signals)
 
 
-def model(contents: Contents = "both") -> models.Model:
+def model(contents: Contents = "both", **choices: Any) -> models.Model:
     """Return it as a model that could ship."""
-    made = package(contents)
-    return models.Model(made.name, Path("tiny.vcmi"), made.image, made.graphs.analysis)
+    made = package(contents, **choices)
+    return models.Model(made.name, Path("tiny.vcmi"), made.image, made.graphs.analysis, {"family": made.family})
