@@ -219,6 +219,14 @@ class Source:
             tried_samples = encoder.packet_samples
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
 
+    def takes(self, setting: Setting) -> bool:
+        """Return whether the codec has this setting with this model."""
+        try:
+            self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self._model)
+        except CodecError:
+            return False
+        return True
+
     def _packets(self, encoder: Encoder) -> list[bytes]:
         packets: list[bytes] = []
         for part in parts(len(self.samples)):

@@ -114,9 +114,9 @@ class EvaEncoder:
         """Make an encoder of len(levels) channels.
 
         `levels`: of each channel, relative to full scale, what the network sees as an RMS value of 1. `qualities`: of
-        each channel, in rates of the model; above its finest they are that. `thrift`: weight of bits against error in
+        each channel, in rates of the model, to the next sixteenth. `thrift`: weight of bits against error in
         rounding, of a model whose prior adapts. Raises CodecError on a channel count or packet length that the codec
-        does not have, on a model that is none, and where it brings no analysis that fits.
+        does not have, a model that is none or does not have the quality, and where it brings no analysis that fits.
         """
         self._channels = len(levels)
         check_channels(self._channels)
@@ -132,7 +132,9 @@ class EvaEncoder:
         self._analysis = transform(model.analysis, SIGNAL, LATENTS)
         self._latents = image.latents
         level_codes = [step_code(level) for level in levels]
-        quality_codes = [round(min(quality, image.highest_quality) * QUALITY_PARTS) for quality in qualities]
+        if max(qualities) > image.rates - 1:
+            raise CodecError(f"quality {max(qualities):g} is above the model's finest, {image.rates - 1}; ask for less")
+        quality_codes = [round(quality * QUALITY_PARTS) for quality in qualities]
         self.configuration = configuration(self._columns, level_codes, quality_codes)
         self._levels = [level_of(code) for code in level_codes]
         self._steps = [image.relative_steps(code)[:, None] for code in quality_codes]
@@ -287,7 +289,7 @@ CODEC = Codec(
     summary="a learned transform (EVA), quantised by the models' steps, adaptive or fixed entropy coding",
     parameters={
         "quality": Parameter(
-            "rate of the model, the coarsest 0; fractions are between", 4.0, low=0, high=MAX_RATES - 1, per_channel=True
+            "rate of the model, the coarsest 0; fractions are between", 0.0, low=0, high=MAX_RATES - 1, per_channel=True
         ),
         "level": Parameter(
             "what the network sees as an RMS value of 1, relative to the signal's",

@@ -118,11 +118,6 @@ class EvaImage:
         """What the entropy coder goes by."""
         return "contexts" if isinstance(self.prior, bytes) else "factorised"
 
-    @property
-    def highest_quality(self) -> float:
-        """The finest quality, rates - 1; the coarsest is 0."""
-        return float(self.rates - 1)
-
     def steps(self, quality_code: int) -> NDArray[np.int64]:
         """Return the quantiser steps (latents,) at a quality in sixteenths, in 1/4096 of the latents' unit.
 

@@ -60,6 +60,11 @@ class Parameter:
         return self._number(name, value)
 
     @property
+    def fractional(self) -> bool:
+        """Whether it is a number that need not be whole."""
+        return not (self.whole or self.text or self.choices)
+
+    @property
     def range(self) -> str:
         """The values that it may take, in words."""
         if self.choices:
@@ -226,9 +231,9 @@ class Codec:
     """A codec by its name and by its number in stream headers; each codec's module defines its own.
 
     `ladders`: named curves of settings ("rungs"), the coarsest first, for benchmarks; what a rung leaves out has its
-    default. A search for an SNR or a rate tries rungs of the first; with `searches_steps` (`mdct`), and nothing of the
-    setting given, it searches finer than rungs: the parameters `step`, relative to each channel's RMS value, and
-    `thrift`. `physical_ladders`: those that need a signal in a physical unit.
+    default. A search for an SNR or a rate tries rungs of the first, and between them where what varies is a fraction;
+    with `searches_steps` (`mdct`), and nothing of the setting given, it searches the parameters `step`, relative to
+    each channel's RMS value, and `thrift`. `physical_ladders`: those that need a signal in a physical unit.
     `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
     CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
     `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, or raises

@@ -1,6 +1,7 @@
 """Coding to an asked quality or rate: searches for the setting that meets an SNR or a bit rate."""
 
 import bisect
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ import numpy as np
 
 from codec import mdct
 from codec.coding import Progress, Source, decode, parts, peak_of
-from codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal
+from codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -19,7 +20,9 @@ _THRIFTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 _BALANCING_TRIALS = 20
 _STEP_BACK = 0.9
 _NEIGHBOURS = 3
-"""Rungs of a ladder tried on each side of where the excess changes its sign, as quality may fall on the way up."""
+"""Settings tried on each side of where the excess changes its sign, as quality may fall on the way up a ladder."""
+_STEPS_BETWEEN = 8
+"""Steps from one rung of a ladder to the next, where the setting is a fraction."""
 
 
 def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
@@ -83,6 +86,9 @@ def encode_to_snr(
     if _searches_steps(source, setting):
         found = _search(source, mean_excess, SNR_TOLERANCE_DB, side=1)
         best, least = _balance(source, found, excesses_db)
+    elif _differs_by_channel(source, setting):
+        best = _choose_for_each(source, setting, excesses_db)
+        least = excesses_db(best)
     else:
         best = _choose(source, setting, lambda coded: min(excesses_db(coded)), SNR_TOLERANCE_DB, side=1)
         least = excesses_db(best)
@@ -191,14 +197,42 @@ def _searches_steps(source: Source, setting: Setting | None) -> bool:
     return source.codec.searches_steps and not setting
 
 
+def _differs_by_channel(source: Source, setting: Setting | None) -> bool:
+    """Return whether every parameter that is left to search may differ between channels, of which there are several."""
+    ladder = next(iter(source.codec.ladders.values()))
+    varied = {name for rung in ladder for name in rung} - set(setting or {})
+    return source.format.channels > 1 and all(source.codec.parameters[name].per_channel for name in varied)
+
+
 def _rungs(source: Source, setting: Setting | None) -> list[Setting]:
-    """Return the settings of the codec's first ladder, what is given of a setting put in place of theirs."""
+    """Return the settings of the codec's first ladder, what is given of a setting put in place of theirs.
+
+    Those that the model does not have are left out, unless it has none: then the first says why.
+    """
     ladder = next(iter(source.codec.ladders.values()))
     rungs: list[Setting] = []
     for rung in ({**rung, **source.codec.checked(setting or {})} for rung in ladder):
         if rung not in rungs:
             rungs.append(rung)
-    return rungs
+    return [rung for rung in rungs if source.takes(rung)] or rungs
+
+
+def _steps_between(source: Source, rungs: list[Setting]) -> tuple[list[Setting], int]:
+    """Return the rungs with settings between them, and how many steps lead from one rung to the next.
+
+    There are none between where what differs from rung to rung is no fraction.
+    """
+    parameters = source.codec.parameters
+    varied = {name for low, high in itertools.pairwise(rungs) for name in low if low[name] != high[name]}
+    if not varied or not all(parameters[name].fractional for name in varied):
+        return rungs, 1
+    finer: list[Setting] = []
+    for low, high in itertools.pairwise(rungs):
+        for step in range(_STEPS_BETWEEN):
+            part = step / _STEPS_BETWEEN
+            between = {name: (1 - part) * number(low, name) + part * number(high, name) for name in varied}
+            finer.append({**low, **between})
+    return [*finer, rungs[-1]], _STEPS_BETWEEN
 
 
 def _choose(
@@ -208,28 +242,63 @@ def _choose(
     tolerance: float,
     side: int,
 ) -> CodedSignal:
-    """Code at the rungs near which the excess, rising on the whole, changes its sign; at all if none of those will do.
+    """Code where the excess, rising on the whole from rung to rung, changes its sign; at every rung if nothing there
+    will do.
 
     Return the one preferred as in `_search`.
     """
-    rungs = _rungs(source, setting)
+    settings, steps = _steps_between(source, _rungs(source, setting))
     tried: dict[int, tuple[CodedSignal, float]] = {}
 
-    def excess_at(rung: int) -> float:
-        if rung not in tried:
-            coded = source.encode(rungs[rung])
-            tried[rung] = coded, excess(coded)
-        return tried[rung][1]
+    def excess_at(index: int) -> float:
+        if index not in tried:
+            coded = source.encode(settings[index])
+            tried[index] = coded, excess(coded)
+        return tried[index][1]
 
-    def preference(rung: int) -> tuple[bool, float]:
-        return _preference(excess_at(rung), tolerance, side)
+    def preference(index: int) -> tuple[bool, float]:
+        return _preference(excess_at(index), tolerance, side)
 
-    every = range(len(rungs))
+    every = range(len(settings))
     crossing = bisect.bisect_left(every, 0.0, key=excess_at)
     best = min(every[max(0, crossing - _NEIGHBOURS) : crossing + _NEIGHBOURS], key=preference)
     if preference(best)[0]:
-        best = min(every, key=preference)
+        best = min(every[::steps], key=preference)
     return tried[best][0]
+
+
+def _choose_for_each(
+    source: Source, setting: Setting | None, excesses_db: Callable[[CodedSignal], list[float]]
+) -> CodedSignal:
+    """Code each channel at the coarsest setting that brings it to the target: found with all channels at that setting,
+    then made finer where it is not enough beside the others'.
+    """
+    settings, _ = _steps_between(source, _rungs(source, setting))
+    varied = {name for name in settings[0] if settings[0][name] != settings[-1][name]}
+    tried: dict[tuple[int, ...], tuple[CodedSignal, list[float]]] = {}
+
+    def attempt(indices: tuple[int, ...]) -> list[float]:
+        if indices not in tried:
+            each = {name: tuple(number(settings[index], name) for index in indices) for name in varied}
+            coded = source.encode({**settings[0], **each})
+            tried[indices] = coded, excesses_db(coded)
+        return tried[indices][1]
+
+    channels, last = source.format.channels, len(settings) - 1
+
+    def enough(channel: int) -> int:
+        indices = range(last)
+        return bisect.bisect_left(indices, 0.0, key=lambda index: attempt((index,) * channels)[channel])
+
+    chosen = tuple(map(enough, range(channels)))
+    for _ in range(_BALANCING_TRIALS):
+        excesses = attempt(chosen)
+        if min(excesses) >= -SNR_TOLERANCE_DB:
+            break
+        short = [excess < -SNR_TOLERANCE_DB for excess in excesses]
+        chosen = tuple(min(index + more, last) for index, more in zip(chosen, short, strict=True))
+    attempt(chosen)
+    return tried[chosen][0]
 
 
 def _preference(excess: float, tolerance: float, side: int) -> tuple[bool, float]:

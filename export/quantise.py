@@ -39,7 +39,6 @@ _LARGEST = 32767.0
 _LARGEST_WORD = 2**32 - 1
 # As firmware/core/eva_kernels.h and eva_synthesis.c have them.
 _ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
-_TAIL = 64
 
 Values = NDArray[np.float64]
 
@@ -213,13 +212,12 @@ def _tables(prior: Prior, steps: Values) -> NDArray[np.uint16]:
     assert isinstance(prior, FactorisedPrior)
     tables = np.empty((*steps.shape, UNARY_LIMIT + 1))
     for rate, step in enumerate(steps):
-        each = probabilities(prior, step, _TAIL)
-        below, above = np.sum(each[:, :_TAIL], axis=1), np.sum(each[:, _TAIL + 1 :], axis=1)
-        magnitudes = each[:, _TAIL:].copy()
-        magnitudes[:, 1:] += each[:, _TAIL - 1 :: -1]
-        beyond = np.cumsum(magnitudes[:, ::-1], axis=1)[:, ::-1]
-        tables[rate, :, :UNARY_LIMIT] = _odds(beyond[:, 1 : UNARY_LIMIT + 1], magnitudes[:, :UNARY_LIMIT])
-        tables[rate, :, UNARY_LIMIT] = _odds(below, above)
+        each = probabilities(prior, step, UNARY_LIMIT)
+        below, above = each[:, UNARY_LIMIT - 1 :: -1], each[:, UNARY_LIMIT + 1 :]
+        magnitudes = np.hstack([each[:, UNARY_LIMIT, None], below + above])[:, :UNARY_LIMIT]
+        beyond = np.maximum(1 - np.cumsum(magnitudes, axis=1), 0)
+        tables[rate, :, :UNARY_LIMIT] = _odds(beyond, magnitudes)
+        tables[rate, :, UNARY_LIMIT] = _odds(np.sum(below, axis=1), np.sum(above, axis=1))
     return np.asarray(np.clip(np.rint(65536 * tables), 1, 65535), dtype=np.uint16)
 
 

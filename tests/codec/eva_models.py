@@ -1,5 +1,6 @@
 """Models of EVA for tests: the tiny one that tests.codec.make_eva_model trained, and ones of random integers."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ FOLDER = Path(__file__).parent
 
 
 def tiny_model() -> models.Model:
-    """Return the tiny model: 16 channels, 4 rates, contexts, integers and graph."""
+    """Return the tiny model: 16 channels, 8 rates, contexts, integers and graph."""
     analysis = (FOLDER / "tiny_eva_analysis.onnx").read_bytes()
     path = FOLDER / "tiny_eva.vcmi"
     return models.Model("tiny", path, path.read_bytes(), analysis)
@@ -49,3 +50,31 @@ def random_image(
         b"",
         "core",
     )
+
+
+def with_extreme_weights(image: EvaImage, seed: int) -> EvaImage:
+    """Return the image with the largest weights, multipliers and constants there are, but for their signs."""
+    assert image.network is not None
+    generator = np.random.default_rng(seed)
+    normalisations = [
+        replace(
+            part,
+            weights=np.full_like(part.weights, 127),
+            multipliers=generator.choice([0, 1, 2**31, 2**32 - 1], part.multipliers.shape).astype(np.uint32),
+            constants=generator.choice([0, 1, 2**30, 2**32 - 1], part.constants.shape).astype(np.uint32),
+            shift=int(generator.choice([0, 15, 30])),
+        )
+        for part in image.network.normalisations
+    ]
+    convolutions = [
+        replace(
+            part,
+            weights=generator.choice([-128, 127], part.weights.shape).astype(np.int8),
+            multipliers=generator.choice([0, 2**16, 2**32 - 1], part.multipliers.shape).astype(np.uint32),
+        )
+        for part in image.network.convolutions
+    ]
+    network = IntegerNetwork(
+        (normalisations[0], normalisations[1], normalisations[2]), (convolutions[0], convolutions[1], convolutions[2])
+    )
+    return replace(image, network=network)

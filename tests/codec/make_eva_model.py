@@ -25,20 +25,20 @@ def main() -> None:
     signals = [texture(LENGTH * BATCH, seed=seed)[:, 0] for seed in range(20, 40)]
     excerpts = torch.from_numpy(np.array(signals).reshape(-1, 1, LENGTH)).float()
     excerpts /= torch.sqrt(torch.mean(excerpts**2, dim=2, keepdim=True))
-    model, prior = Eva(EvaShape(width=16, latents=16, rates=4)), ContextPrior(16)
+    model, prior = Eva(EvaShape(width=16, latents=16, rates=8)), ContextPrior(16)
     with torch.no_grad():
-        model.log2_step.copy_(torch.linspace(0.5, -2.5, 4)[:, None].repeat(1, 16))
+        model.log2_step.copy_(torch.linspace(0.5, -2.5, 8)[:, None].repeat(1, 16))
     optimiser = torch.optim.Adam([*model.parameters(), *prior.parameters()], 3e-3)
     for step in range(STEPS):
         optimiser.param_groups[0]["lr"] = 3e-3 * 0.05 ** (step / STEPS)
         batch = excerpts[torch.randint(len(excerpts), (BATCH,))] * 2 ** (2 * torch.rand(BATCH, 1, 1) - 1)
-        quality = 3 * torch.rand(BATCH)
+        quality = 7 * torch.rand(BATCH)
         steps = model.steps(quality)
         latents = model.analysis(batch) / steps
         noisy = latents + torch.rand_like(latents) - 0.5
         error = torch.mean((model.synthesis(noisy * steps) - batch) ** 2, dim=(1, 2))
         bits = torch.mean(prior.bits(noisy, torch.round(latents).detach(), steps), dim=(1, 2))
-        loss = torch.mean(error * 2 ** (2 * quality) + TRADE * 4 * bits)
+        loss = torch.mean(error * 2 ** (6 / 7 * quality) + TRADE * 4 * bits)
         optimiser.zero_grad()
         torch.autograd.backward(loss)
         optimiser.step()

@@ -1,14 +1,15 @@
 /* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct`,
- * `core dct` or `core slp`.
+ * `core dct`, `core slp` or `core eva`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
- * first record is the configuration, its kind the number of channels. Every packet is decoded, and its bytes are
- * encoded as coefficients, values or samples. */
+ * first record is the configuration, its kind the number of channels; of `eva` the model stands before it. Every packet
+ * is decoded, and its bytes are encoded as coefficients, values or samples. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "dct.h"
+#include "eva.h"
 #include "slp.h"
 #include "vibrocast_core.h"
 
@@ -144,8 +145,61 @@ static int run_slp(void)
     return 0;
 }
 
+static int run_eva(void)
+{
+    vc_eva_decoder *decoder = malloc(vc_eva_decoder_size());
+    vc_eva_encoder *encoder = malloc(vc_eva_encoder_size());
+    uint8_t *model, *bytes, packet[3000], *tables = malloc(vc_mdct_tables_size());
+    int16_t *samples, *latents;
+    int32_t *values;
+    size_t model_length, length, count, columns, i;
+    int kind;
+    unsigned channels;
+    if (!read_record(&kind, &model, &model_length) || !read_record(&kind, &bytes, &length))
+        return 2;
+    channels = (unsigned)kind;
+    if (vc_eva_decoder_init(decoder, bytes, length, channels, model, model_length) != VC_OK ||
+        vc_eva_encoder_init(encoder, bytes, length, channels, model, model_length, 3, 96) != VC_OK)
+        return 0;
+    free(bytes);
+    count = (size_t)vc_eva_decoder_packet_samples(decoder) * channels;
+    columns = count / 16;
+    samples = malloc(count * sizeof *samples);
+    latents = malloc(columns * model[3] * sizeof *latents);
+    values = malloc(columns * model[3] * sizeof *values);
+    while (read_record(&kind, &bytes, &length)) {
+        size_t capacity = length * 13 % sizeof packet;
+        if (kind == 1 || vc_eva_decode(decoder, bytes, length, samples) < 0)
+            vc_eva_conceal(decoder, samples);
+        if (kind == 1)
+            vc_eva_conceal_latents(decoder, latents);
+        else
+            vc_eva_decode_latents(decoder, bytes, length, latents);
+        for (i = 0; i < columns * model[3]; i++) {
+            int32_t byte = length > 0 ? bytes[i % length] : 0;
+            values[i] = byte == 255 ? INT32_MIN : (byte - 128) * (1 << (byte % 24));
+        }
+        if (vc_eva_encode(encoder, values, packet, capacity) > (int32_t)capacity)
+            return 3;
+        free(bytes);
+    }
+    vc_eva_encoder_tables(encoder, tables);
+    free(tables);
+    free(samples);
+    free(latents);
+    free(values);
+    free(model);
+    free(decoder);
+    free(encoder);
+    puts("done");
+    return 0;
+}
+
 int main(int count, char **arguments)
 {
     const char *codec = count == 2 ? arguments[1] : "";
-    return strcmp(codec, "dct") == 0 ? run_dct() : strcmp(codec, "slp") == 0 ? run_slp() : run_mdct();
+    return strcmp(codec, "dct") == 0   ? run_dct()
+           : strcmp(codec, "slp") == 0 ? run_slp()
+           : strcmp(codec, "eva") == 0 ? run_eva()
+                                       : run_mdct();
 }

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec import Framing, Setting, dct, encode, mdct, slp
+from codec import Framing, Setting, dct, encode, eva, mdct, slp
+from codec.eva_image import PRIOR_KINDS, PriorKind
+from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
 
 ROOT = Path(__file__).parents[2]
@@ -138,3 +140,33 @@ def test_random_configurations_of_slp(program: Path) -> None:
             records = record(length - 5, configuration[:length]) + record(0, b"\x01" + generator.bytes(150))
             done = run(program, records, "slp")
             assert done.returncode == 0, done.stderr.decode()
+
+
+@pytest.mark.parametrize("prior", PRIOR_KINDS)
+@pytest.mark.parametrize(("width", "latents"), [(1, 1), (9, 17), (17, 9)])
+def test_eva_streams_with_losses_and_noise(program: Path, width: int, latents: int, prior: PriorKind) -> None:
+    generator = np.random.default_rng(5)
+    image = random_image(1, width, latents, 3, prior)
+    for model, channels in ((image, 1), (with_extreme_weights(image, 2), 16)):
+        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, [32] * channels)
+        records = record(0, model.pack()) + record(channels, configuration)
+        records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(0, 256, 17))
+        for sequence in range(30):
+            payload = bytes((2 * sequence + (sequence % 5 == 0),)) + generator.bytes(int(generator.integers(300)))
+            records += record(int(generator.random() < 0.1), payload)
+        done = run(program, records, "eva")
+        assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
+
+
+def test_damaged_models_and_configurations_of_eva(program: Path) -> None:
+    generator = np.random.default_rng(6)
+    for trial in range(40):
+        model = bytearray(random_image(trial, prior=PRIOR_KINDS[trial % 2]).pack())
+        if trial > 3:
+            model[generator.integers(10 if trial % 4 else len(model))] = generator.integers(256)
+            model = model[: len(model) - int(generator.choice([0, 0, 1, 500]))]
+        head = generator.integers(0, 256, int(generator.integers(8)), dtype=np.uint8).tobytes()
+        configuration = head if trial % 3 else eva.configuration(3, [700], [0])
+        records = record(0, bytes(model)) + record(1, configuration) + record(0, b"\x01" + generator.bytes(150))
+        done = run(program, records, "eva")
+        assert done.returncode == 0, done.stderr.decode()

@@ -268,8 +268,9 @@ def test_fresh_forgets_the_journal(folder: Path, results: Path) -> None:
 
 def test_methods_by_codec_and_by_ladder() -> None:
     everything = cells.methods([])
-    assert {method.coder for method in everything} == set(codec.CODECS)
-    assert [method.name for method in everything] == [name for known in codec.CODECS.values() for name in known.ladders]
+    without_models = [known for known in codec.CODECS.values() if not known.needs_model]
+    assert {method.coder for method in everything} == {known.name for known in without_models}
+    assert [method.name for method in everything] == [name for known in without_models for name in known.ladders]
     chosen = cells.methods(["g726", "mdct"])
     assert [method.name for method in chosen] == ["mdct", "g726"]
     assert chosen == cells.methods(["mdct", "g726"])

@@ -1,0 +1,319 @@
+"""The codec `eva`: its core against a numpy decoder, ONNX Runtime, loss, hostile bytes, golden streams."""
+
+import hashlib
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import codec
+from codec import CodecError, Framing, Model, eva
+from codec.core import Structure, ffi, library
+from codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
+from codec.graphs import LATENTS, SIGNAL, transform
+from codec.mdct import STEP_CODES
+from device_protocol.coded_stream import unpack_file
+from device_protocol.model_image import ModelImage, sha256
+from tests.codec.eva_models import random_image, tiny_model, with_extreme_weights
+from tests.codec.eva_reference_decoder import EvaReferenceDecoder
+from tests.codec.signals import RATE_HZ, texture
+
+TINY = Model(tiny_model().tables, tiny_model().analysis)
+FOLDER = Path(__file__).parent
+LIVE = Framing(128, 5)
+
+
+def coded(
+    signal: codec.Signal, quality: float, framing: Framing = LIVE, level: float = 0.2
+) -> tuple[bytes, list[bytes]]:
+    channels = signal.shape[1]
+    encoder = eva.EvaEncoder([level] * channels, [quality] * channels, framing, TINY)
+    packets = encoder.encode(signal) + encoder.finish()
+    return encoder.configuration, packets
+
+
+def decoded(configuration: bytes, packets: list[bytes], channels: int, runtime: str = "core") -> codec.Decoded:
+    decoder = eva.make_decoder(configuration, channels, with_runtime(TINY.tables, runtime))
+    return np.concatenate([decoder.decode(packet) for packet in packets])
+
+
+def random_packets(image: EvaImage, seed: int, channels: int, columns: int, scale: float) -> tuple[bytes, list[bytes]]:
+    """Return a configuration and packets of random latents of this magnitude, in steps."""
+    generator = np.random.default_rng(seed)
+    level_codes = [int(code) for code in generator.integers(0, STEP_CODES, channels)]
+    quality_codes = [int(code) for code in generator.integers(0, 16 * (image.rates - 1) + 1, channels)]
+    configuration = eva.configuration(columns, level_codes, quality_codes)
+    encoder = eva.LatentEncoder(configuration, channels, image.pack(), 2)
+    latents = generator.laplace(0, scale, (3, channels, image.latents, columns))
+    return configuration, [encoder.encode(list(packet)) for packet in latents]
+
+
+@given(
+    seed=st.integers(0, 2**16),
+    width=st.integers(1, 40),
+    latents=st.integers(1, 40),
+    prior=st.sampled_from(PRIOR_KINDS),
+    channels=st.integers(1, 3),
+    columns=st.integers(1, 9),
+    scale=st.sampled_from([0.05, 0.5, 3.0, 1e6]),
+    extreme=st.booleans(),
+)
+@settings(max_examples=60, deadline=None)
+def test_core_gives_the_integers_of_the_numpy_decoder(
+    seed: int, width: int, latents: int, prior: PriorKind, channels: int, columns: int, scale: float, extreme: bool
+) -> None:
+    image = random_image(seed, width, latents, 3, prior)
+    if extreme:
+        image = with_extreme_weights(image, seed)
+    configuration, packets = random_packets(image, seed, channels, columns, scale)
+    decoder = eva.EvaDecoder(configuration, channels, image.pack())
+    reference = EvaReferenceDecoder(configuration, channels, image.pack())
+    samples = np.concatenate([decoder.decode(packet) for packet in packets])
+    np.testing.assert_array_equal(samples, reference.samples(packets))
+
+
+def test_core_gives_the_integers_of_the_numpy_decoder_for_the_widest_model() -> None:
+    image = random_image(1, 128, 128, 2)
+    configuration, packets = random_packets(image, 1, 1, 5, 2.0)
+    decoder = eva.EvaDecoder(configuration, 1, image.pack())
+    samples = np.concatenate([decoder.decode(packet) for packet in packets])
+    np.testing.assert_array_equal(samples, EvaReferenceDecoder(configuration, 1, image.pack()).samples(packets))
+
+
+def test_core_gives_the_integers_of_the_numpy_decoder_for_a_trained_model() -> None:
+    configuration, packets = coded(texture(1500, 2), 4.0)
+    samples = EvaReferenceDecoder(configuration, 2, TINY.tables).samples(packets)
+    np.testing.assert_array_equal(decoded(configuration, packets, 2), samples)
+    assert np.std(samples) > 1000
+
+
+@pytest.mark.parametrize("prior", PRIOR_KINDS)
+def test_inverted_latents_give_inverted_samples(prior: PriorKind) -> None:
+    image = random_image(3, 8, 8, 1, prior)
+    configuration = eva.configuration(4, [700], [0])
+    latents = np.random.default_rng(1).laplace(0, 2, (1, 8, 4))
+    outputs = []
+    for sign in (1, -1):
+        packet = eva.LatentEncoder(configuration, 1, image.pack(), 0).encode(list(sign * latents))
+        outputs.append(eva.EvaDecoder(configuration, 1, image.pack()).decode(packet).astype(int))
+    assert np.any(outputs[0])
+    np.testing.assert_array_equal(outputs[0], -outputs[1])
+
+
+@given(st.integers(0, 3), st.lists(st.integers(1, 400), min_size=1, max_size=8))
+@settings(max_examples=20, deadline=None)
+def test_packets_do_not_depend_on_how_samples_arrive(seed: int, lengths: list[int]) -> None:
+    signal = texture(sum(lengths), 2, seed)
+    whole = coded(signal, 3.0, Framing(96, 4))
+    encoder = eva.EvaEncoder([0.2, 0.2], [3.0, 3.0], Framing(96, 4), TINY)
+    packets = [packet for part in np.split(signal, np.cumsum(lengths)[:-1]) for packet in encoder.encode(part)]
+    assert (encoder.configuration, packets + encoder.finish()) == whole
+
+
+def snrs_db(signal: codec.Signal, setting: codec.Setting) -> tuple[float, float]:
+    """SNR decoded by the core and by ONNX Runtime."""
+    stream = codec.encode(signal, RATE_HZ, setting, codec="eva", model=TINY)
+    ratios = [
+        codec.snr_db(signal, codec.decode(stream, with_runtime(TINY.tables, runtime))) for runtime in ("core", "onnx")
+    ]
+    assert ratios[0] is not None and ratios[1] is not None
+    return ratios[0], ratios[1]
+
+
+def test_integers_lose_less_than_a_third_of_a_decibel() -> None:
+    for seed in range(3):
+        core_db, onnx_db = snrs_db(texture(4000, seed=seed), {"quality": 0.0})
+        assert 14 < onnx_db < 18
+        assert core_db > onnx_db - 0.3
+
+
+def test_onnx_runtime_gives_packets_what_it_gives_all_at_once() -> None:
+    configuration, packets = coded(texture(2000), 4.0)
+    latents = EvaReferenceDecoder(configuration, 1, TINY.tables).latents(packets)[0]
+    image = EvaImage.unpack(TINY.tables)
+    values = (latents.T[None] * 2.0**-image.fraction_bits).astype(np.float32)
+    exact = transform(image.graph, LATENTS, SIGNAL)(values)[0, 0] * 0.2 * 32768
+    played = decoded(configuration, packets, 1, "onnx")[:, 0]
+    assert np.max(np.abs(played[28:] - exact[: len(played) - 28])) < 1 + 0.01 * np.max(np.abs(exact))
+    near = played[28:] / np.linalg.norm(played[28:]) - exact[:-28] / np.linalg.norm(exact)
+    assert np.linalg.norm(near) < 0.002
+
+
+@given(st.sets(st.integers(0, 39), max_size=39), st.sampled_from(codec.RUNTIMES))
+@settings(max_examples=25, deadline=None)
+def test_a_lost_packet_costs_at_most_one_interval_and_fades(lost: set[int], runtime: str) -> None:
+    """What comes after a gap is that of the clean stream as soon as the synthesis has forgotten the gap."""
+    configuration, packets = coded(texture(40 * 128 - 41), 3.0)
+    clean = decoded(configuration, packets, 1, runtime).astype(int)
+    decoder = eva.make_decoder(configuration, 1, with_runtime(TINY.tables, runtime))
+    playing = True
+    for index, packet in enumerate(packets):
+        part = decoder.conceal() if index in lost else decoder.decode(packet)
+        expected = clean[index * 128 : (index + 1) * 128]
+        went_on = playing
+        playing = index not in lost and (playing or index % LIVE.refresh_packets == 0)
+        if playing:
+            # One more least significant bit where ONNX Runtime sums in another order.
+            assert np.max(np.abs(part - expected)[0 if went_on else 56 :]) <= (runtime == "onnx")
+        assert np.max(np.abs(part.astype(int))) <= 2 * np.max(np.abs(clean))
+
+
+@pytest.mark.parametrize("runtime", codec.RUNTIMES)
+def test_concealment_fades_within_one_packet_and_stays_silent(runtime: str) -> None:
+    configuration, packets = coded(texture(2000), 3.0)
+    decoder = eva.make_decoder(configuration, 1, with_runtime(TINY.tables, runtime))
+    for packet in packets[:5]:
+        last = decoder.decode(packet)
+    fade = decoder.conceal().astype(float)
+    assert np.any(fade)
+    assert np.std(fade[-32:]) < 0.5 * np.std(last)
+    assert not np.any(decoder.conceal()[56:])
+    assert not np.any(decoder.conceal())
+
+
+def test_a_packet_out_of_order_is_not_played() -> None:
+    configuration, packets = coded(texture(2000), 3.0)
+    decoder = eva.EvaDecoder(configuration, 1, TINY.tables)
+    assert not np.any(decoder.decode(packets[1])), "the first packet must be a refresh"
+    decoder.decode(packets[0])
+    decoder.decode(packets[3])
+    decoder.decode(packets[4])
+    assert not np.any(decoder.decode(packets[6]))
+
+
+@given(
+    st.dictionaries(st.integers(0, 2**16), st.integers(0, 255), max_size=3), st.binary(max_size=8), st.integers(0, 9)
+)
+@settings(max_examples=60, deadline=None)
+def test_the_core_reads_the_models_that_python_reads(damage: dict[int, int], tail: bytes, cut: int) -> None:
+    for prior in PRIOR_KINDS:
+        damaged = bytearray(random_image(1, prior=prior).pack())
+        for position, byte in damage.items():
+            damaged[position % (16 if position % 2 else len(damaged))] = byte
+        payload = bytes(damaged[: len(damaged) - cut]) + tail
+        valid = False
+        with suppress(CodecError):
+            EvaImage.unpack(payload)
+            valid = True
+        configuration = eva.configuration(1, [0], [0])
+        decoder = Structure(library().vc_eva_decoder_size(), "vc_eva_decoder *")
+        memory = ffi.new("uint8_t[]", payload)
+        status = library().vc_eva_decoder_init(
+            decoder.pointer, configuration, len(configuration), 1, memory, len(payload)
+        )
+        assert (status == library().VC_OK) == valid
+
+
+def test_a_model_without_integers_is_decoded_by_onnx_runtime_alone() -> None:
+    payload = replace(EvaImage.unpack(TINY.tables), network=None, runtime="onnx").pack()
+    signal = texture(2000)
+    stream = codec.encode(signal, RATE_HZ, {"quality": 3.0}, codec="eva", model=Model(payload, TINY.analysis))
+    np.testing.assert_array_equal(
+        codec.decode_integers(stream, payload), codec.decode_integers(stream, with_runtime(TINY.tables, "onnx"))
+    )
+    with pytest.raises(CodecError, match="no integer network"):
+        codec.decoder(eva.IDENTIFIER, stream.configuration, 1, payload, "core")
+    core = eva.EvaDecoder(stream.configuration, 1, payload)
+    with pytest.raises(CodecError):
+        core.decode(stream.packets[0])
+    assert not np.any(core.conceal())
+
+
+def test_each_runtime_is_chosen_by_the_image_or_by_name() -> None:
+    configuration, _ = coded(texture(300), 3.0)
+    for preferred in codec.RUNTIMES:
+        for asked in (None, *codec.RUNTIMES):
+            tables = with_runtime(TINY.tables, preferred)
+            decoder = codec.decoder(eva.IDENTIFIER, configuration, 1, tables, asked)
+            assert isinstance(decoder, eva.OnnxDecoder) == ((asked or preferred) == "onnx")
+
+
+def test_foreign_graphs_are_refused() -> None:
+    image = EvaImage.unpack(TINY.tables)
+    signal = texture(300)
+
+    def encoded(model: Model) -> codec.CodedSignal:
+        return codec.encode(signal, RATE_HZ, {"quality": 3.0}, codec="eva", model=model)
+
+    with pytest.raises(CodecError, match="brings no analysis"):
+        encoded(Model(TINY.tables))
+    with pytest.raises(CodecError, match="ONNX graph"):
+        encoded(Model(TINY.tables, b"not a graph"))
+    with pytest.raises(CodecError, match="ONNX graph"):
+        encoded(Model(TINY.tables, image.graph))
+    with pytest.raises(CodecError, match="export it again"):
+        encoded(Model(random_image(1, rates=8).pack(), TINY.analysis))
+    for graph in (b"not a graph", TINY.analysis):
+        with pytest.raises(CodecError, match="ONNX graph"):
+            codec.check_tables(eva.IDENTIFIER, replace(image, graph=graph, runtime="onnx").pack())
+    codec.check_tables(eva.IDENTIFIER, TINY.tables)
+    with pytest.raises(CodecError, match=r"quality 7\.5"):
+        codec.encode(signal, RATE_HZ, {"quality": 7.5}, codec="eva", model=TINY)
+
+
+@pytest.mark.parametrize("gain", [1e-30, 1e-3, 1.0, 1e30])
+def test_the_level_of_a_signal_does_not_matter(gain: float) -> None:
+    signal = texture(2000)
+    assert snrs_db(gain * signal, {"quality": 2.0})[0] == pytest.approx(snrs_db(signal, {"quality": 2.0})[0], abs=0.3)
+
+
+@pytest.mark.parametrize("level", [0.01, 100.0])
+def test_far_levels_saturate_without_wrapping(level: float) -> None:
+    """Far too hot or too quiet for the integers, the signal loses quality but keeps its sign."""
+    signal = texture(2000)
+    stream = codec.encode(signal, RATE_HZ, {"quality": 4.0, "level": level}, codec="eva", model=TINY)
+    result = codec.decode(stream, TINY.tables)
+    assert np.max(np.abs(result)) <= 1.0
+    assert float(np.sum(signal * result)) >= 0
+
+
+def test_dc_is_kept_as_far_as_the_model_knows_it_and_silence_is_silent() -> None:
+    assert not np.any(
+        codec.decode(codec.encode(np.zeros((2000, 1)), RATE_HZ, {}, codec="eva", model=TINY), TINY.tables)
+    )
+    core_db, onnx_db = snrs_db(np.full((2800, 1), 0.5), {"quality": 0.0})
+    assert core_db > onnx_db - 0.3
+    assert core_db > 10
+
+
+def test_channels_have_qualities_of_their_own() -> None:
+    signal = texture(2800, 2)
+    stream = codec.encode(signal, RATE_HZ, {"quality": (0.0, 7.0)}, codec="eva", model=TINY)
+    low_db, high_db = codec.channel_snrs_db(signal, codec.decode(stream, TINY.tables))
+    assert low_db is not None and high_db is not None
+    assert high_db > low_db + 5
+
+
+def test_an_snr_is_met_in_every_channel_and_a_rate_in_all() -> None:
+    signal = np.hstack([texture(2800), 0.1 * texture(2800, seed=4)])
+    stream = codec.encode_to_snr(signal, RATE_HZ, 20.0, codec="eva", model=TINY)
+    for ratio_db in codec.channel_snrs_db(signal, codec.decode(stream, TINY.tables)):
+        assert ratio_db == pytest.approx(20.0, abs=codec.SNR_TOLERANCE_DB)
+
+    def size_bytes(coded_signal: codec.CodedSignal) -> int:
+        return sum(map(len, coded_signal.packets))
+
+    for wanted in (16_000, 20_000):
+        at_rate = codec.encode_to_rate(signal, RATE_HZ, wanted, size_bytes, codec="eva", model=TINY)
+        assert size_bytes(at_rate) * 8 == pytest.approx(wanted, rel=codec.RATE_TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("prior", "digest"),
+    [("contexts", "3c3017f3a17a35fab569e08113bac5ff"), ("factorised", "4b82fd8e00677bc6e47dd03ff2ff86fa")],
+)
+def test_golden_streams(prior: PriorKind, digest: str) -> None:
+    """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
+    header, packets = unpack_file((FOLDER / f"golden_eva_{prior}.vct").read_bytes())
+    image = (FOLDER / f"golden_eva_{prior}.vcmi").read_bytes()
+    assert (header.codec_identifier, header.channels, header.image_hash) == (4, 2, sha256(image)[:8])
+    payload = ModelImage.unpack(image).payload
+    assert EvaImage.unpack(payload).prior_kind == prior
+    decoder = codec.decoder(eva.IDENTIFIER, header.configuration, header.channels, payload)
+    samples = np.concatenate([decoder.decode(packet) for packet in packets])
+    assert np.std(samples) > 50
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == digest
