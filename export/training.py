@@ -14,7 +14,7 @@ from codec.threshold import read_threshold, threshold_amplitude
 from export import training_data
 from export.checkpoint import Checkpoint, ModelError, load
 from export.configuration import Augmentation, Configuration
-from export.eva import Eva, EvaShape
+from export.eva import REACH_SAMPLES, Eva, EvaShape
 from export.lapped_start import start_lapped
 from export.priors import PRIORS
 from export.training_data import Excerpts
@@ -97,7 +97,8 @@ class Training:
         )
         unseen = Excerpts(held_back, schedule.excerpt_samples, schedule.rate_hz, _UNVARIED, configuration.seed)
         self._validation = self._signals(unseen.batch(0, schedule.validation_excerpts))
-        self._perception = Perception(schedule.distortion, schedule.rate_hz, schedule.excerpt_samples, device)
+        inner_samples = schedule.excerpt_samples - 2 * REACH_SAMPLES
+        self._perception = Perception(schedule.distortion, schedule.rate_hz, inner_samples, device)
         choice = configuration.model
         self._lambdas = torch.tensor(choice.lambdas, device=device)
         torch.manual_seed(configuration.seed)
@@ -220,7 +221,7 @@ class Training:
             if self._schedule.rounding == "straight-through":
                 used = latents + (rounded - latents).detach()
         bits = self.state.prior.bits(values, rounded, steps).sum(dim=(1, 2)) / signals.shape[-1]
-        error = model.synthesis(used * steps) - signals
+        error = _inner(model.synthesis(used * steps) - signals)
         return Measured(bits, self._perception.mean_square(error), torch.mean(error**2, dim=(1, 2)))
 
     def _validate(self, training_loss: float) -> None:
@@ -273,6 +274,12 @@ def train(
     return f"{out / BEST}: {outcome}, best at step {progress['best_step']} of {progress['step']}: {curve}"
 
 
+def _inner(signals: Tensor) -> Tensor:
+    """Return what lies between the ends of signals (batch, 1, n): at the ends columns are missing that a stream has."""
+    return signals[..., REACH_SAMPLES:-REACH_SAMPLES]
+
+
 def _mean_snr_db(signals: Tensor, squared_error: Tensor) -> float:
     with torch.no_grad():
-        return (10 * torch.log10(torch.mean(signals**2, dim=(1, 2)) / squared_error.clamp(min=1e-12))).mean().item()
+        power = torch.mean(_inner(signals) ** 2, dim=(1, 2)).clamp(min=1e-12)
+        return (10 * torch.log10(power / squared_error.clamp(min=1e-12))).mean().item()
