@@ -201,13 +201,13 @@ def methods(
 
 
 def families(models: Sequence[Model]) -> list[Method]:
-    """Return a method for each family of models, in their order: of each model the rungs of its codec that it takes."""
-    grouped: dict[tuple[str, str], list[tuple[Setting, Model]]] = {}
-    for model in models:
-        ladder = next(iter(codec.CODECS[trained.codec_name(model)].ladders.values()))
-        own = grouped.setdefault((model.family, trained.codec_name(model)), [])
-        # Where it takes none, the reason stands among the failures.
-        own += [(setting, model) for setting in filter(partial(trained.takes, model), ladder)] or [(ladder[0], model)]
+    """Return a method for each family of models, in their order: its models by name, of each all rungs that differ."""
+    grouped: dict[tuple[str, str], list[tuple[Setting, Model]]] = {
+        (model.family, trained.codec_name(model)): [] for model in models
+    }
+    for model in sorted(models, key=lambda model: model.name):
+        own = grouped[model.family, trained.codec_name(model)]
+        own += [(setting, model) for setting in trained.ladder(model)]
     return [
         Method(family, tuple(setting for setting, _ in rungs), coder, models=tuple(model for _, model in rungs))
         for (family, coder), rungs in grouped.items()

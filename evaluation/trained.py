@@ -42,14 +42,19 @@ def digest(model: Model) -> str:
     return hashlib.sha256(model.image + model.analysis).hexdigest()
 
 
-def takes(model: Model, setting: Setting) -> bool:
-    """Return whether a model has this setting of its codec: one of a single rate has few of a ladder."""
+def ladder(model: Model) -> list[Setting]:
+    """Return the rungs of its codec's first ladder that differ with a model: one of a single rate has few of them.
+
+    Of a model that no encoder takes the first, so that the reason stands among the failures.
+    """
     known = codec.CODECS[codec_name(model)]
-    try:
-        known.make_encoder(known.complete(setting), _FORMAT, Framing(64, 0), for_encoder(model))
-    except CodecError:
-        return False
-    return True
+    every = next(iter(known.ladders.values()))
+    different: dict[bytes, Setting] = {}
+    for setting in every:
+        with suppress(CodecError):
+            encoder = known.make_encoder(known.complete(setting), _FORMAT, Framing(64, 0), for_encoder(model))
+            different.setdefault(encoder.configuration, setting)
+    return list(different.values()) or [every[0]]
 
 
 def runtimes(model: Model) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import scipy
 from device_protocol.coded_stream import StreamHeader
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Samples
 from simulated_device.output import render
 
@@ -112,7 +112,7 @@ def _sine_trials(scope: Scope) -> list[Trial]:
     ]
 
 
-def _draw_shift(path: Path, cells: Sequence[Cell]) -> None:
+def _draw_shift(path: Path, cells: Sequence[Verdict]) -> None:
     curves = []
     for case in dict.fromkeys(cell.case for cell in cells):
         own = [cell for cell in cells if cell.case == case]
@@ -128,7 +128,7 @@ def _draw_shift(path: Path, cells: Sequence[Cell]) -> None:
     pictures.curves(path, [panel])
 
 
-def _draw_sines(path: Path, cells: Sequence[Cell]) -> None:
+def _draw_sines(path: Path, cells: Sequence[Verdict]) -> None:
     amplitudes = list(dict.fromkeys(cell.value for cell in cells))[::-1]
     methods = list(dict.fromkeys(cell.method for cell in cells))
     cases = list(dict.fromkeys(cell.case for cell in cells))

@@ -9,11 +9,10 @@ import numpy as np
 from scipy.fft import idct
 
 from codec.interface import Setting
-from evaluation.cells import setting_text
 from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Scope, middle_setting
+from evaluation.stability.maps import Map, Rung, Scope, middle_rung
 from evaluation.stability.signals import RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 
 DCT = "dct"
 CODERS = ("huffman", "range")
@@ -64,14 +63,14 @@ def measure(coder: str, case: str) -> Measured:
     coefficients = make()
     samples = idct(coefficients, axis=1, norm="ortho").reshape(-1, 1) / math.sqrt(BLOCK)
     setting: Setting = {"levels": levels, "entropy": coder, "block": str(BLOCK), "dc": "keep"}
-    _, stream = decoded(np.asarray(samples), RATE_HZ, DCT, setting)
+    _, stream = decoded(np.asarray(samples), RATE_HZ, Rung(DCT, setting))
     return judge(8 * stream.size_bytes / samples.size, needed_bits(coefficients, levels))
 
 
-def measure_silence(codec_name: str, setting: Setting) -> Measured:
+def measure_silence(rung: Rung) -> Measured:
     """Code silence, which needs nothing."""
     samples = np.zeros((BLOCKS * BLOCK, 1))
-    _, stream = decoded(samples, RATE_HZ, codec_name, setting)
+    _, stream = decoded(samples, RATE_HZ, rung)
     return judge(8 * stream.size_bytes / samples.size, 0.0)
 
 
@@ -86,11 +85,11 @@ def judge(bits: float, needed: float) -> Measured:
 
 def _trials(scope: Scope) -> list[Trial]:
     trials = []
-    for codec_name in scope.codecs:
-        setting = middle_setting(codec_name)
-        silence = partial(measure_silence, codec_name, setting)
-        trials.append(Trial(ENTROPY.name, codec_name, "silence", f"middle: {setting_text(setting)}", None, silence))
-    if DCT in scope.codecs:
+    for method in scope.methods:
+        rung = middle_rung(method)
+        silence = partial(measure_silence, rung)
+        trials.append(Trial(ENTROPY.name, method.name, "silence", f"middle: {rung.text}", None, silence))
+    if scope.has(DCT):
         cases = list(COEFFICIENTS)[:: 3 if scope.quick else 1]
         trials += [
             Trial(ENTROPY.name, f"{DCT}, {coder}", case, "", None, partial(measure, coder, case))
@@ -100,7 +99,7 @@ def _trials(scope: Scope) -> list[Trial]:
     return trials
 
 
-def _draw(path: Path, cells: Sequence[Cell]) -> None:
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     known = [cell for cell in cells if cell.figures]
     pictures.dots(
         path,

@@ -10,7 +10,7 @@ from codec import linear_prediction
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map, Scope
 from evaluation.stability.signals import RATE_HZ, Signal
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from textures.generate import grating, stick_slip, wood
 
 CODEC = "slp"
@@ -45,7 +45,7 @@ def measure(form: str, order: int, bits: int) -> Measured:
 
 
 def _trials(scope: Scope) -> list[Trial]:
-    if CODEC not in scope.codecs:
+    if not scope.has(CODEC):
         return []
     step = 4 if scope.quick else 1
     return [
@@ -56,7 +56,7 @@ def _trials(scope: Scope) -> list[Trial]:
     ]
 
 
-def _draw(path: Path, cells: Sequence[Cell]) -> None:
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     """Forms and orders downwards, bits across."""
     rows = list(dict.fromkeys((cell.method, cell.case) for cell in cells))
     values = list(dict.fromkeys(cell.value for cell in cells))

@@ -8,13 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import codec
-from codec.interface import Setting
-from evaluation.cells import setting_text
 from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Scope, three_settings
+from evaluation.stability.maps import Map, Rung, Scope, three_rungs
 from evaluation.stability.signals import ENOUGH_SNR_DB, FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from textures.generate import rough, wood_surface
 
 CODED_MM_S = 50.0
@@ -31,7 +28,7 @@ def band(spatial: Signal, speed_mm_s: float) -> NDArray[np.bool_]:
     return (spatial * speed_mm_s >= BAND_HZ[0]) & (spatial * speed_mm_s <= BAND_HZ[1])
 
 
-def measure(codec_name: str, setting: Setting, surface: str, speed_mm_s: float) -> Measured:
+def measure(rung: Rung, surface: str, speed_mm_s: float) -> Measured:
     """Code a surface as swept over at CODED_MM_S, play it faster or slower; judge the band at that speed.
 
     A height z(x) at the place x is played at the time x / speed: its spatial frequency k becomes speed * k. So SNR
@@ -39,7 +36,7 @@ def measure(codec_name: str, setting: Setting, surface: str, speed_mm_s: float) 
     """
     samples = GENERATED[surface](0, SECONDS, CODED_MM_S, RATE_HZ).samples
     samples = samples - samples.mean()
-    heard, _ = decoded(samples, RATE_HZ, codec_name, setting, "um")
+    heard, _ = decoded(samples, RATE_HZ, rung, "um")
     spatial = np.asarray(np.fft.rfftfreq(len(samples), CODED_MM_S / RATE_HZ), np.float64)
     wanted, error, played = (
         np.abs(np.fft.rfft(each[:, 0] * np.hanning(len(samples)))) ** 2 for each in (samples, heard - samples, heard)
@@ -70,16 +67,16 @@ def measure(codec_name: str, setting: Setting, surface: str, speed_mm_s: float) 
 def _trials(scope: Scope) -> list[Trial]:
     speeds = SPEEDS_MM_S[::4] if scope.quick else SPEEDS_MM_S
     trials = []
-    for codec_name in scope.codecs:
-        setting = three_settings(codec.CODECS[codec_name])["high"]
+    for method in scope.methods:
+        rung = three_rungs(method)["high"]
         trials += [
             Trial(
                 HAND_SPEED.name,
-                codec_name,
+                method.name,
                 surface,
-                setting_text(setting),
+                rung.text,
                 speed_mm_s,
-                partial(measure, codec_name, setting, surface, speed_mm_s),
+                partial(measure, rung, surface, speed_mm_s),
             )
             for surface in GENERATED
             for speed_mm_s in speeds
@@ -87,7 +84,7 @@ def _trials(scope: Scope) -> list[Trial]:
     return trials
 
 
-def _draw(path: Path, cells: Sequence[Cell]) -> None:
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     panels = []
     for figure, title in (("snr_db", "SNR in the band, dB"), ("upper_octave_level_db", "level of 200-400 Hz, dB")):
         for surface in GENERATED:

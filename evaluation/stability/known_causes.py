@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from evaluation.stability.trials import Cell, Outcome
+from evaluation.stability.trials import Outcome, Verdict
 
 TABLE = Path(__file__).parent / "known_causes.csv"
 
@@ -31,7 +31,7 @@ class Cause:
     cause: str
     remedy: str
 
-    def explains(self, cell: Cell) -> bool:
+    def explains(self, cell: Verdict) -> bool:
         """Return whether this is about a cell."""
         pairs = ((cell.map, self.map), (cell.method, self.method), (cell.case, self.case))
         return cell.outcome.letter in self.outcomes and all(fnmatchcase(text, pattern) for text, pattern in pairs)
@@ -44,7 +44,7 @@ def known_causes() -> tuple[Cause, ...]:
         return tuple(Cause(**row) for row in csv.DictReader(file))
 
 
-def explanation(cell: Cell) -> tuple[str, str]:
+def explanation(cell: Verdict) -> tuple[str, str]:
     """Return cause and remedy of a cell that does not hold: the first known one that is about it, or a general one."""
     if cell.effect.startswith("CRASH"):
         return "a fault in the program", "report it"

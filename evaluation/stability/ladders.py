@@ -10,11 +10,10 @@ import numpy as np
 
 import codec
 from codec.interface import Setting
-from evaluation.cells import setting_text
 from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Scope
+from evaluation.stability.maps import Map, Rung, Scope, rungs
 from evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from textures import Recording
 from textures.generate import rough, stick_slip, wood, wood_surface
 
@@ -36,12 +35,12 @@ def texture_of(name: str) -> tuple[Signal, str]:
     return np.asarray(samples - samples.mean()), "um"
 
 
-def measure(codec_name: str, setting: Setting, name: str) -> Measured:
+def measure(rung: Rung, name: str) -> Measured:
     """Code a texture at a setting: SNR, ST-SIM, bits per sample of the whole stream. Raises CodecError."""
     from evaluation import metrics
 
     samples, unit = texture_of(name)
-    heard, stream = decoded(samples, RATE_HZ, codec_name, setting, unit)
+    heard, stream = decoded(samples, RATE_HZ, rung, unit)
     quality = metrics.measure(samples, heard, RATE_HZ)
     snr_db = quality.snr_db
     assert snr_db is not None, "a texture is not silent"
@@ -51,7 +50,7 @@ def measure(codec_name: str, setting: Setting, name: str) -> Measured:
     return Measured(outcome, figures, "" if outcome is Outcome.HOLDS else f"SNR {snr_db:z.1f} dB")
 
 
-def falls(cells: list[Cell]) -> list[Cell]:
+def falls(cells: list[Verdict]) -> list[Verdict]:
     """Return the cells, those degraded whose SNR is lower than that of a coarser rung of the same curve."""
     best: dict[tuple[str, str], float] = {}
     judged = []
@@ -67,14 +66,14 @@ def falls(cells: list[Cell]) -> list[Cell]:
     return judged
 
 
-def near_best(cells: list[Cell]) -> list[Cell]:
+def near_best(cells: list[Verdict]) -> list[Verdict]:
     """Return the cells, those degraded whose SNR is more than HALF_DB below the best of the same curve."""
     best_db: dict[tuple[str, str], float] = {}
     for cell in cells:
         curve = (cell.method, cell.case)
         best_db[curve] = max(best_db.get(curve, -math.inf), cell.figure("snr_db"))
 
-    def judged(cell: Cell) -> Cell:
+    def judged(cell: Verdict) -> Verdict:
         snr_db, best = cell.figure("snr_db"), best_db[cell.method, cell.case]
         if cell.outcome is not Outcome.HOLDS or snr_db >= best - HALF_DB:
             return cell
@@ -84,7 +83,7 @@ def near_best(cells: list[Cell]) -> list[Cell]:
     return [judged(cell) for cell in cells]
 
 
-def half_left(cells: list[Cell]) -> list[Cell]:
+def half_left(cells: list[Verdict]) -> list[Verdict]:
     """Return the cells, those degraded in which less than half of the power is left."""
     return [
         dataclasses.replace(cell, outcome=Outcome.DEGRADED, effect=f"SNR {cell.figure('snr_db'):z.1f} dB")
@@ -96,29 +95,28 @@ def half_left(cells: list[Cell]) -> list[Cell]:
 
 def _trials(scope: Scope) -> list[Trial]:
     trials = []
-    for codec_name in scope.codecs:
-        for ladder, rungs in codec.CODECS[codec_name].ladders.items():
-            numbered = list(enumerate(rungs, 1))
-            if len(rungs) > 1:
-                trials += _of_settings(LADDERS.name, ladder, codec_name, numbered, scope)
+    for method in scope.methods:
+        ladders = {method.name: rungs(method)}
+        if not method.models:
+            every = codec.CODECS[method.name].ladders
+            ladders = {name: [Rung(method.name, setting) for setting in own] for name, own in every.items()}
+        for name, ladder in ladders.items():
+            if len(ladder) > 1:
+                trials += _of_rungs(LADDERS.name, name, list(enumerate(ladder, 1)), scope)
     return trials
 
 
-def _of_settings(
-    name: str, method: str, codec_name: str, settings: Sequence[tuple[float, Setting]], scope: Scope
-) -> list[Trial]:
-    """Return the trials of settings, each with its value, on every texture."""
-    chosen = settings[:: max(1, len(settings) // 2)] if scope.quick else settings
+def _of_rungs(name: str, method: str, ladder: Sequence[tuple[float, Rung]], scope: Scope) -> list[Trial]:
+    """Return the trials of rungs, each with its value, on every texture."""
+    chosen = ladder[:: max(1, len(ladder) // 2)] if scope.quick else ladder
     return [
-        Trial(
-            name, method, texture, setting_text(setting), float(value), partial(measure, codec_name, setting, texture)
-        )
+        Trial(name, method, texture, rung.text, float(value), partial(measure, rung, texture))
         for texture in (TEXTURES[:1] if scope.quick else TEXTURES)
-        for value, setting in chosen
+        for value, rung in chosen
     ]
 
 
-def _curves(cells: Sequence[Cell], method: str, figure: str) -> list[pictures.Curve]:
+def _curves(cells: Sequence[Verdict], method: str, figure: str) -> list[pictures.Curve]:
     """Return a curve for each texture; ringed where the SNR falls."""
     curves = []
     for case in dict.fromkeys(cell.case for cell in cells):
@@ -129,7 +127,7 @@ def _curves(cells: Sequence[Cell], method: str, figure: str) -> list[pictures.Cu
     return curves
 
 
-def _draw(path: Path, cells: Sequence[Cell]) -> None:
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     """One panel for each ladder, one curve for each texture."""
     panels = [
         pictures.Panel(ladder, "rung, the coarsest first", "SNR, dB", _curves(cells, ladder, "snr_db"))
@@ -138,7 +136,7 @@ def _draw(path: Path, cells: Sequence[Cell]) -> None:
     pictures.curves(path, panels, across=3)
 
 
-def _draw_sweep(x_label: str, log_x: bool, path: Path, cells: Sequence[Cell]) -> None:
+def _draw_sweep(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> None:
     """SNR and ST-SIM of each method, side by side."""
     panels = [
         pictures.Panel(f"{method}: {title}", x_label, "", _curves(cells, method, figure), log_x)
@@ -175,12 +173,14 @@ def _dct_trials(
     name: str, methods: Mapping[str, Setting], parameter: str, values: Sequence[float], scope: Scope
 ) -> list[Trial]:
     """Return the trials of one parameter of the codec that these maps are about, beside fixed ones of each method."""
-    if DCT not in scope.codecs:
+    if not scope.has(DCT):
         return []
     return [
         trial
         for method, fixed in methods.items()
-        for trial in _of_settings(name, method, DCT, [(value, {**fixed, parameter: value}) for value in values], scope)
+        for trial in _of_rungs(
+            name, method, [(value, Rung(DCT, {**fixed, parameter: value})) for value in values], scope
+        )
     ]
 
 

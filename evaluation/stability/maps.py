@@ -1,20 +1,60 @@
 """What a map of trials is made of: its trials, its picture, and the words that explain it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from codec import CODECS, Codec
+from codec import CODECS
 from codec.interface import Setting
-from evaluation.stability.trials import Cell, Trial
+from evaluation import trained
+from evaluation.cells import BenchError, Method, families, setting_text
+from evaluation.stability.trials import Trial, Verdict
+from models import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """A codec at a setting, perhaps with a trained model: alike and hashed by what they are."""
+
+    codec: str
+    setting: Setting
+    model: Model | None = None
+
+    @property
+    def text(self) -> str:
+        """The setting as text."""
+        return setting_text(self.setting)
+
+    @property
+    def image(self) -> bytes | None:
+        """The packed model image, None without a model."""
+        return self.model.image if self.model else None
+
+    def _key(self) -> tuple[str, str, str]:
+        return self.codec, self.text, trained.digest(self.model) if self.model else ""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Rung) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
 
 
 @dataclass(frozen=True)
 class Scope:
-    """How much to try. `codecs`: their names; `quick`: a grid of few conditions."""
+    """How much to try. `methods`: of codecs and families of models; `quick`: a grid of few conditions."""
 
-    codecs: tuple[str, ...]
+    methods: tuple[Method, ...]
     quick: bool
+
+    @property
+    def learned(self) -> tuple[Method, ...]:
+        """The methods with trained models."""
+        return tuple(method for method in self.methods if method.models)
+
+    def has(self, codec: str) -> bool:
+        """Return whether a codec is among the methods, with its built-in tables."""
+        return any(method.name == codec for method in self.methods)
 
 
 @dataclass(frozen=True)
@@ -30,17 +70,41 @@ class Map:
     about: str
     varied: str
     trials: Callable[[Scope], list[Trial]]
-    draw: Callable[[Path, Sequence[Cell]], None]
-    judged: Callable[[list[Cell]], list[Cell]] = lambda cells: cells
+    draw: Callable[[Path, Sequence[Verdict]], None]
+    judged: Callable[[list[Verdict]], list[Verdict]] = lambda cells: cells
     in_summary: bool = True
 
 
-def three_settings(codec: Codec) -> dict[str, Setting]:
-    """Return settings of a codec's first ladder: a quarter of the way up, half of it, and the finest."""
-    ladder = next(iter(codec.ladders.values()))
+def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Method, ...]:
+    """Return the codecs of these names, each with its first ladder, and the families of models.
+
+    A name is that of a codec, which stands for its families too, or of a family; None = all. Raises BenchError for
+    other names, and where nothing is left to try.
+    """
+    of_codecs = [
+        Method(name, next(iter(codec.ladders.values())), name)
+        for name, codec in CODECS.items()
+        if not codec.needs_model
+    ]
+    every = [*of_codecs, *families(models)]
+    known = {name for method in every for name in (method.name, str(method.coder))}
+    if names is not None and not (names and set(names) <= known):
+        raise BenchError(f"{','.join(names)!r} is no list of codecs; choose from {', '.join(sorted(known))}")
+    return tuple(method for method in every if names is None or {method.name, method.coder} & set(names))
+
+
+def rungs(method: Method) -> list[Rung]:
+    """Return all rungs of a codec's method, the coarsest first."""
+    assert isinstance(method.coder, str), "programs are not tried"
+    return [Rung(method.coder, setting, model) for setting, model in method.rungs if not isinstance(setting, str)]
+
+
+def three_rungs(method: Method) -> dict[str, Rung]:
+    """Return rungs of a method: a quarter of the way up, half of it, and the finest."""
+    ladder = rungs(method)
     return {"low": ladder[len(ladder) // 4], "middle": ladder[len(ladder) // 2], "high": ladder[-1]}
 
 
-def middle_setting(codec_name: str) -> Setting:
-    """Return the middle setting of a codec's first ladder."""
-    return three_settings(CODECS[codec_name])["middle"]
+def middle_rung(method: Method) -> Rung:
+    """Return the middle rung of a method."""
+    return three_rungs(method)["middle"]

@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from codec import CODECS
 from evaluation.stability.known_causes import explanation
 from evaluation.stability.maps import Map
-from evaluation.stability.trials import Cell, Outcome
+from evaluation.stability.trials import Outcome, Verdict
 from host.output_files import whole_file
 
 PAGE, FOLDER = "stability.md", "stability"
@@ -40,10 +39,10 @@ def folder_in(out: Path) -> Path:
     return folder
 
 
-def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell], command: str) -> None:
+def write(out: Path, maps: Sequence[Map], cells: Sequence[Verdict], methods: Sequence[str], command: str) -> None:
     """Write stability.md into `out` and, into a folder there, each map's CSV and PNG files.
 
-    `command`: what was run. Raises OSError, and as folder_in.
+    `methods`: those that were tried on all maps. `command`: what was run. Raises OSError, and as folder_in.
     """
     folder = folder_in(out)
     drawn = [(each, [cell for cell in cells if cell.map == each.name]) for each in maps]
@@ -52,10 +51,10 @@ def write(out: Path, maps: Sequence[Map], cells: Sequence[Cell], command: str) -
         write_csv(folder / f"{each.name}.csv", own)
         each.draw(folder / f"{each.name}.png", own)
     with whole_file(out / PAGE) as partial:
-        partial.write_text(markdown(drawn, command), "utf-8")
+        partial.write_text(markdown(drawn, methods, command), "utf-8")
 
 
-def write_csv(path: Path, cells: Sequence[Cell]) -> None:
+def write_csv(path: Path, cells: Sequence[Verdict]) -> None:
     """Write cells, a row each, their figures in columns of their own. Raises OSError."""
     names = list(dict.fromkeys(name for cell in cells for name in cell.figures))
     with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
@@ -67,7 +66,7 @@ def write_csv(path: Path, cells: Sequence[Cell]) -> None:
             table.writerow([cell.method, cell.case, cell.setting, value, cell.outcome, *figures, cell.effect])
 
 
-def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]], command: str) -> str:
+def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], methods: Sequence[str], command: str) -> str:
     """Return the page."""
     summed_up = [(each, cells) for each, cells in maps if each.in_summary]
     lines = [
@@ -77,7 +76,7 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]], command: str) -> str:
         "controller; beside each picture lie its data, as CSV of the same name. What each codec holds for, of what was",
         "tried; then the worst that was found, by what was tried, and its remedy.",
         "",
-        *_codecs_table(summed_up),
+        *_codecs_table(summed_up, methods),
         "",
         *_table(_WORST_HEADER, [_worst_row(each, cells) for each, cells in summed_up]),
         "",
@@ -93,7 +92,7 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Cell]]], command: str) -> str:
     return "\n".join(lines)
 
 
-def where(each: Map, cells: Sequence[Cell], method_cells: Sequence[Cell], most: int = _MOST_CASES) -> str:
+def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict], most: int = _MOST_CASES) -> str:
     """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings.
 
     No more than `most` cases are named, the others counted.
@@ -113,7 +112,7 @@ def where(each: Map, cells: Sequence[Cell], method_cells: Sequence[Cell], most: 
     return "; ".join(parts + [f"{len(cases) - most} more"] * (len(cases) > most))
 
 
-def _values(cells: Sequence[Cell]) -> list[float]:
+def _values(cells: Sequence[Verdict]) -> list[float]:
     return [cell.value or 0.0 for cell in cells]
 
 
@@ -137,16 +136,15 @@ def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
     return ", ".join(f"{run[0]:g}" if len(run) == 1 else f"{run[0]:g} to {run[-1]:g}" for run in runs)
 
 
-def _codecs_table(maps: Sequence[tuple[Map, Sequence[Cell]]]) -> list[str]:
-    """Return a table of what each codec holds for, of the maps that all of them are on."""
+def _codecs_table(maps: Sequence[tuple[Map, Sequence[Verdict]]], tried: Sequence[str]) -> list[str]:
+    """Return a table of what each method holds for, of the maps that all of them are on."""
     methods = [(each, _grouped(cells, lambda cell: cell.method)) for each, cells in maps]
-    tried = [name for name in CODECS if any(name in of_map for _, of_map in methods)]
     common = [(each, of_map) for each, of_map in methods if set(tried) <= set(of_map)]
     header = ["codec", *(_link(each) for each, _ in common)]
     return _table(header, [[name, *(_held(each, of_map[name]) for each, of_map in common)] for name in tried])
 
 
-def _held(each: Map, cells: Sequence[Cell]) -> str:
+def _held(each: Map, cells: Sequence[Verdict]) -> str:
     """Return in a few words for which of a method's cells it holds: a range, where all cases share it, or a count."""
     held = [cell for cell in cells if cell.sound]
     if not held or len(held) == len(cells):
@@ -156,7 +154,7 @@ def _held(each: Map, cells: Sequence[Cell]) -> str:
     return f"{len(held)} of {len(cells)}"
 
 
-def _worst_row(each: Map, cells: Sequence[Cell]) -> list[str]:
+def _worst_row(each: Map, cells: Sequence[Verdict]) -> list[str]:
     """Return a map's row: how much of it holds, its worst method and where, what that gives, the remedy."""
     bad = [cell for cell in cells if not cell.sound]
     held = f"{len(cells) - len(bad)} of {len(cells)}"
@@ -170,7 +168,7 @@ def _worst_row(each: Map, cells: Sequence[Cell]) -> list[str]:
     return [_link(each), held, boundary, _short(worst.effect), explanation(worst)[1]]
 
 
-def _kind(cell: Cell) -> tuple[Outcome, str]:
+def _kind(cell: Verdict) -> tuple[Outcome, str]:
     return cell.outcome, explanation(cell)[0]
 
 
@@ -182,12 +180,12 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)]
 
 
-def _map_rows(each: Map, cells: Sequence[Cell]) -> list[list[str]]:
+def _map_rows(each: Map, cells: Sequence[Verdict]) -> list[list[str]]:
     """Return a row for each cause, outcome and set of methods with the same boundary."""
     methods = _grouped(cells, lambda cell: cell.method)
-    rows: dict[tuple[Outcome, str, str], list[Cell]] = {}
+    rows: dict[tuple[Outcome, str, str], list[Verdict]] = {}
     for own in methods.values():
-        kinds: dict[tuple[Outcome, str], list[Cell]] = {}
+        kinds: dict[tuple[Outcome, str], list[Verdict]] = {}
         for cell in own:
             if cell.outcome is not Outcome.HOLDS:
                 kinds.setdefault(_kind(cell), []).append(cell)
@@ -203,7 +201,7 @@ def _map_rows(each: Map, cells: Sequence[Cell]) -> list[list[str]]:
     return table
 
 
-def _worst_first(cell: Cell) -> tuple[int, float]:
+def _worst_first(cell: Verdict) -> tuple[int, float]:
     """Return what sorts cells of a map by outcome, then by SNR, or where it has none by the first figure."""
     first = next(iter(cell.figures), "")
     height = cell.figure("snr_db") if "snr_db" in cell.figures else -cell.figure(first)

@@ -9,7 +9,7 @@ from pathlib import Path
 from evaluation.stability import pictures
 from evaluation.stability.maps import Map
 from evaluation.stability.signals import FAILED_SNR_DB, NEARLY_SILENT, SILENT
-from evaluation.stability.trials import Cell, Measured, Outcome
+from evaluation.stability.trials import Measured, Outcome, Verdict
 
 HELD_SNR_DB, FALL_DB = 3.0, 6.0
 _COLUMNS = ("input", "codec", "setting", "status", "SNR_dB", "maxabs_out", "finite")
@@ -21,7 +21,7 @@ class PeersError(ValueError):
     """A file of measured peers that cannot be used; the message says why."""
 
 
-def read_peers(path: Path) -> list[Cell]:
+def read_peers(path: Path) -> list[Verdict]:
     """Read a CSV file with at least the columns of _COLUMNS, each codec's settings from coarse to fine.
 
     Raises PeersError where it is no such file, OSError where it cannot be read.
@@ -36,7 +36,7 @@ def read_peers(path: Path) -> list[Cell]:
             raise PeersError(f"{path}: no table of hard signals: {error}") from error
 
 
-def _cells(rows: list[dict[str, str]]) -> list[Cell]:
+def _cells(rows: list[dict[str, str]]) -> list[Verdict]:
     best_db: dict[tuple[str, str], float] = {}
     cells = []
     for row in rows:
@@ -45,7 +45,7 @@ def _cells(rows: list[dict[str, str]]) -> list[Cell]:
         best_db[curve] = max(best_db.get(curve, -math.inf), measured.figures.get("snr_db") or -math.inf)
         case = row["input"].replace("_", " ")
         cells.append(
-            Cell(
+            Verdict(
                 PEERS.name,
                 row["codec"],
                 case,
@@ -82,7 +82,7 @@ def _measured(row: dict[str, str], coarser_db: float) -> Measured:
     return Measured(Outcome.HOLDS if snr_db >= HELD_SNR_DB else Outcome.DEGRADED, figures, f"SNR {snr_db:z.1f} dB")
 
 
-def _draw(path: Path, cells: Sequence[Cell]) -> None:
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     """Signals downwards, codecs and their settings across."""
     rows = list(dict.fromkeys(cell.case for cell in cells))
     columns = list(dict.fromkeys((cell.method, cell.setting) for cell in cells))

@@ -5,6 +5,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -120,14 +121,14 @@ def dots(
     with _figure(path, 0.8 * _WIDTH_IN, 0.9 + _ROW_IN * len(names)) as figure:
         axes = figure.subplots()
         rows = np.arange(len(names))
-        for (series, numbers), (_, marker), shade in zip(values.items(), DASHES, ("black", "0.5"), strict=False):
+        for (series, numbers), (_, marker), shade in zip(values.items(), DASHES, cycle(("black", "0.5")), strict=False):
             axes.plot(numbers, rows, marker, color=shade, markerfacecolor=shade, markersize=5, label=series)
         if line is not None:
             axes.axvline(line, color="0.4", linestyle="--", linewidth=1)
         axes.set_yticks(rows, names)
         axes.set(ylim=(len(names) - 0.5, -0.5), xlabel=label)
         axes.grid(axis="y", color="0.9")
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(values), frameon=False)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(4, len(values)), frameon=False)
 
 
 @contextmanager

@@ -7,13 +7,16 @@ from evaluation.stability import page
 from evaluation.stability.actuators import RESONANCE, VOLTAGE
 from evaluation.stability.entropy import ENTROPY
 from evaluation.stability.filters import FILTERS
+from evaluation.stability.float_parity import PARITY
 from evaluation.stability.hand_speed import HAND_SPEED
 from evaluation.stability.ladders import DCT_LEVELS, DCT_SMALLEST, DCT_THRESHOLD, LADDERS
+from evaluation.stability.learned_signals import KINDS, LEVEL, QUIET
 from evaluation.stability.maps import Scope
+from evaluation.stability.model_images import IMAGES
 from evaluation.stability.peers import PEERS
 from evaluation.stability.signals import ONSETS, SIGNALS
 from evaluation.stability.transport import DRIFT, FLIPS, JITTER, LOSS
-from evaluation.stability.trials import Cell, run
+from evaluation.stability.trials import Verdict, run
 
 MAPS = (
     SIGNALS,
@@ -31,6 +34,11 @@ MAPS = (
     HAND_SPEED,
     RESONANCE,
     VOLTAGE,
+    KINDS,
+    QUIET,
+    LEVEL,
+    IMAGES,
+    PARITY,
 )
 
 
@@ -38,9 +46,9 @@ def make(
     out: Path,
     scope: Scope,
     command: str,
-    imported: Sequence[Cell] = (),
+    imported: Sequence[Verdict] = (),
     progress: Callable[[float, str], None] = lambda part, details: None,
-) -> list[Cell]:
+) -> list[Verdict]:
     """Try every map, write them and the page into the folder `out`, return what was tried. Raises OSError.
 
     `command`: what was run, for the page. `imported`: cells that were measured elsewhere, which join the page.
@@ -48,5 +56,6 @@ def make(
     """
     cells = run([trial for each in MAPS for trial in each.trials(scope)], progress=progress)
     judged = [cell for each in MAPS for cell in each.judged([cell for cell in cells if cell.map == each.name])]
-    page.write(out, [*MAPS, PEERS], [*judged, *imported], command)
+    names = [method.name for method in scope.methods]
+    page.write(out, [*MAPS, PEERS], [*judged, *imported], names, command)
     return judged

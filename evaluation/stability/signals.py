@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import codec
-from codec.interface import Setting
-from evaluation.cells import setting_text
+from evaluation import trained
 from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Scope, middle_setting, three_settings
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial
+from evaluation.stability.maps import Map, Rung, Scope, middle_rung, three_rungs
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from host import coding
 from textures.generate import wood
 
@@ -124,19 +123,24 @@ LONG_CASE = "texture of 1 hour"
 QUICK_CONDITIONS = ("texture", "silence", "one impulse", "1 sample", "a NaN")
 
 
-def decoded(
-    samples: Signal, rate_hz: int, codec_name: str, setting: Setting, unit: str = "full scale"
-) -> tuple[Signal, coding.Stream]:
+def decoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale") -> tuple[Signal, coding.Stream]:
     """Code a signal into a whole stream; return what that decodes to and the stream. Raises as codec.encode."""
-    stream = coding.as_stream(codec.encode(samples, rate_hz, setting, codec=codec_name, unit=unit), unit)
+    stream = encoded(samples, rate_hz, rung, unit)
     return stream.decode(), stream
 
 
+def encoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale", live: bool = False) -> coding.Stream:
+    """Code a signal into a whole stream. Raises as codec.encode."""
+    model = trained.for_encoder(rung.model) if rung.model else None
+    coded = codec.encode(samples, rate_hz, rung.setting, codec=rung.codec, unit=unit, live=live, model=model)
+    return coding.as_stream(coded, unit, rung.image)
+
+
 @lru_cache
-def _texture_snr_db(codec_name: str, setting: tuple[tuple[str, float | str | tuple[float, ...]], ...]) -> float:
+def texture_snr_db(rung: Rung) -> float:
     """Return the SNR of the texture at a setting: what other signals are measured by."""
     samples = texture()
-    return codec.snr_db(samples, decoded(samples, RATE_HZ, codec_name, dict(setting))[0]) or 0.0
+    return codec.snr_db(samples, decoded(samples, RATE_HZ, rung)[0]) or 0.0
 
 
 def louder_db(reference: Signal, heard: Signal) -> float:
@@ -170,34 +174,33 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
     return Measured(Outcome.HOLDS, figures)
 
 
-def measure(codec_name: str, setting: Setting, name: str) -> Measured:
+def measure(rung: Rung, name: str) -> Measured:
     """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec refuses."""
     condition = CONDITIONS[name]
     samples = condition.make()
-    heard, stream = decoded(samples, condition.rate_hz, codec_name, setting)
-    texture_snr_db = _texture_snr_db(codec_name, tuple(setting.items()))
-    measured = judge(samples[condition.judged_from :], heard[condition.judged_from :], texture_snr_db)
+    heard, stream = decoded(samples, condition.rate_hz, rung)
+    measured = judge(samples[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rung))
     bits = 8 * stream.size_bytes / samples.size
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
 
-def measure_hour(codec_name: str, setting: Setting) -> Measured:
+def measure_hour(rung: Rung) -> Measured:
     """Code and decode an hour; judge its last minute. Raises CodecError."""
     minute = texture(seconds=60)
-    heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, codec_name, setting)
-    measured = judge(minute, heard[-len(minute) :], _texture_snr_db(codec_name, tuple(setting.items())))
+    heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, rung)
+    measured = judge(minute, heard[-len(minute) :], texture_snr_db(rung))
     bits = 8 * stream.size_bytes / len(heard)
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
 
-def measure_onset(codec_name: str, setting: Setting) -> Measured:
+def measure_onset(rung: Rung) -> Measured:
     """Code a sine that sets in after silence; judge by the worst of several places within a block."""
     figures: dict[str, float] = {}
     for shift in _ONSET_SHIFTS:
         onset = RATE_HZ // 2 + shift
         samples = np.zeros((RATE_HZ + shift, 1))
         samples[onset:, 0] = PEAK * np.cos(2 * np.pi * _ONSET_HZ * np.arange(RATE_HZ // 2 + RATE_HZ % 2) / RATE_HZ)
-        heard, _ = decoded(samples, RATE_HZ, codec_name, setting)
+        heard, _ = decoded(samples, RATE_HZ, rung)
         error = heard - samples
         first = slice(onset, onset + RATE_HZ // 50)
         level = np.mean(samples[first] ** 2)
@@ -220,21 +223,20 @@ def measure_onset(codec_name: str, setting: Setting) -> Measured:
 def _trials(scope: Scope) -> list[Trial]:
     names = QUICK_CONDITIONS if scope.quick else tuple(CONDITIONS)
     trials = []
-    for codec_name in scope.codecs:
+    for method in scope.methods:
         if not scope.quick:
-            setting = middle_setting(codec_name)
-            hour = partial(measure_hour, codec_name, setting)
-            trials.append(Trial(SIGNALS.name, codec_name, LONG_CASE, "middle: " + setting_text(setting), None, hour))
-        for level, setting in three_settings(codec.CODECS[codec_name]).items():
-            text = f"{level}: {setting_text(setting)}"
+            rung = middle_rung(method)
+            hour = partial(measure_hour, rung)
+            trials.append(Trial(SIGNALS.name, method.name, LONG_CASE, f"middle: {rung.text}", None, hour))
+        for level, rung in three_rungs(method).items():
             trials += [
                 Trial(
                     SIGNALS.name,
-                    codec_name,
+                    method.name,
                     name,
-                    text,
+                    f"{level}: {rung.text}",
                     None,
-                    partial(measure, codec_name, setting, name),
+                    partial(measure, rung, name),
                     CONDITIONS[name].refused,
                 )
                 for name in names
@@ -246,18 +248,18 @@ def _onset_trials(scope: Scope) -> list[Trial]:
     return [
         Trial(
             ONSETS.name,
-            codec_name,
+            method.name,
             "onset after silence",
-            f"{level}: {setting_text(setting)}",
+            f"{level}: {rung.text}",
             None,
-            partial(measure_onset, codec_name, setting),
+            partial(measure_onset, rung),
         )
-        for codec_name in scope.codecs
-        for level, setting in three_settings(codec.CODECS[codec_name]).items()
+        for method in scope.methods
+        for level, rung in three_rungs(method).items()
     ]
 
 
-def _draw(path: Path, cells: Sequence[Cell]) -> None:
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     """Signals downwards, codecs across, each at its three settings."""
     levels = ("low", "middle", "high")
     rows = [name for name in (*CONDITIONS, LONG_CASE) if any(cell.case == name for cell in cells)]
@@ -270,7 +272,7 @@ def _draw(path: Path, cells: Sequence[Cell]) -> None:
     )
 
 
-def _draw_onsets(path: Path, cells: Sequence[Cell]) -> None:
+def _draw_onsets(path: Path, cells: Sequence[Verdict]) -> None:
     bars = [
         (
             f"{cell.method}, {cell.setting.partition(':')[0]}",

@@ -10,18 +10,17 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-import codec
 from device_protocol.messages import Configure, Start, Status, StreamData
-from evaluation.cells import setting_text
 from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Scope, middle_setting
-from evaluation.stability.signals import RATE_HZ, texture
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial
-from host import coding
+from evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from evaluation.stability.signals import RATE_HZ, encoded, texture
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from host import coding, flasher
 from host.controller import Controller as Host
 from host.player import BUFFER_S, play
 from simulated_device.actuator import PIEZO_STACK
-from simulated_device.controller import Controller, Settings
+from simulated_device.controller import FLASH_BYTES, Controller, Settings
+from simulated_device.flash import FlashMemory
 from simulated_device.memory_link import FaultyLine, MemoryLink
 from simulated_device.output import render
 
@@ -73,21 +72,29 @@ class StallingLink(MemoryLink):
 
 
 @lru_cache(maxsize=1)
-def _stream(codec_name: str) -> tuple[coding.Stream, NDArray[np.int16]]:
-    """Return a live stream of the texture at a codec's middle setting, and all DAC codes of its faultless playback."""
-    setting = middle_setting(codec_name)
-    coded = codec.encode(0.5 * texture(seconds=SECONDS), RATE_HZ, setting, codec=codec_name, live=True)
-    stream = coding.as_stream(coded, "full scale")
+def _stream(rung: Rung) -> tuple[coding.Stream, NDArray[np.int16]]:
+    """Return a live stream of the texture, and all DAC codes of its faultless playback."""
+    stream = encoded(0.5 * texture(seconds=SECONDS), RATE_HZ, rung, live=True)
     delay_samples = stream.decoder().delay_samples
     codes, _ = render(stream.header, stream.decode_integers(), delay_samples, PIEZO_STACK, loops=LOOPS)
     return stream, codes
 
 
-def measure(codec_name: str, line: Line, buffer_s: float = BUFFER_S) -> Measured:
+@lru_cache(maxsize=1)
+def flash_with(image: bytes | None) -> FlashMemory:
+    """Return the memory of a controller that has a model image, flashed over a faultless line, or none."""
+    flash = FlashMemory(FLASH_BYTES)
+    if image is not None:
+        link = MemoryLink(Controller(flash=flash))
+        flasher.flash(Host(link, link.clock, link.sleep), image)
+    return flash
+
+
+def measure(rung: Rung, line: Line, buffer_s: float = BUFFER_S) -> Measured:
     """Play the texture LOOPS times over a line; judge what came to the DAC. Raises ControllerError and the like."""
-    stream, wanted = _stream(codec_name)
+    stream, wanted = _stream(rung)
     played: list[NDArray[np.int16]] = []
-    controller = Controller(Settings(drift_ppm=line.drift_ppm), on_dac=played.append)
+    controller = Controller(Settings(drift_ppm=line.drift_ppm), flash_with(rung.image), on_dac=played.append)
     link: MemoryLink
     if line.stall_s:
         link = StallingLink(controller, line.stall_s)
@@ -129,13 +136,13 @@ def judge(
     return Measured(Outcome.HOLDS if share <= HELD_SHARE else Outcome.DEGRADED, figures, effect)
 
 
-def measure_paced(codec_name: str, drift_ppm: int) -> Measured:
+def measure_paced(rung: Rung, drift_ppm: int) -> Measured:
     """Play from a source that sends each packet when its own clock says so; judge by the packets that came too late.
 
     Raises ControllerError and the like.
     """
-    stream, _ = _stream(codec_name)
-    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm)))
+    stream, _ = _stream(rung)
+    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm), flash_with(rung.image)))
     host = Host(link, link.clock, link.sleep)
     packets, packet_samples = stream.packets, stream.decoder().packet_samples
     packet_s = stream.seconds / len(packets)
@@ -171,38 +178,38 @@ def _trials(
     return [
         Trial(
             name,
-            codec_name if buffer_s == BUFFER_S else f"{codec_name}, buffer of {buffer_s:g} s",
+            method.name if buffer_s == BUFFER_S else f"{method.name}, buffer of {buffer_s:g} s",
             f"buffer of {buffer_s:g} s",
-            setting_text(middle_setting(codec_name)),
+            middle_rung(method).text,
             float(value),
-            partial(measure, codec_name, line(value), buffer_s),
+            partial(measure, middle_rung(method), line(value), buffer_s),
         )
-        for codec_name in scope.codecs
-        for buffer_s in (buffers_s if codec_name == scope.codecs[0] else buffers_s[:1])
+        for method in scope.methods
+        for buffer_s in (buffers_s if method is scope.methods[0] else buffers_s[:1])
         for value in chosen
     ]
 
 
 def _drift_trials(scope: Scope) -> list[Trial]:
     """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
-    first = scope.codecs[0]
+    first, rung = scope.methods[0], middle_rung(scope.methods[0])
     return [
         *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,), scope),
         *(
             Trial(
                 DRIFT.name,
-                f"{first}, its own pace",
+                f"{first.name}, its own pace",
                 f"source {PACED_AHEAD_S:g} s ahead",
-                setting_text(middle_setting(first)),
+                rung.text,
                 float(drift_ppm),
-                partial(measure_paced, first, drift_ppm),
+                partial(measure_paced, rung, drift_ppm),
             )
             for drift_ppm in PACED_DRIFTS_PPM[:: 3 if scope.quick else 1]
         ),
     ]
 
 
-def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Cell]) -> None:
+def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> None:
     """Three panels over what is varied: the share that is off, the SNR, the largest step; a curve for each codec."""
     panels = []
     for figure, title, least_span in (

@@ -10,6 +10,7 @@ from functools import partial
 from codec import CodecError
 from device_protocol.coded_stream import StreamError
 from device_protocol.messages import MessageError
+from device_protocol.model_image import ModelImageError
 from device_protocol.transports import TransportError
 from evaluation.workers import cores, on_cores
 from host.controller import ControllerError
@@ -17,7 +18,15 @@ from textures import TextureError
 
 LIMIT_S = 240.0
 """A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""
-CLEAR_ERRORS = (CodecError, ControllerError, MessageError, StreamError, TextureError, TransportError)
+CLEAR_ERRORS = (
+    CodecError,
+    ControllerError,
+    MessageError,
+    ModelImageError,
+    StreamError,
+    TextureError,
+    TransportError,
+)
 """Errors that tell a person what to do; any other that comes out of a trial is a crash."""
 
 
@@ -63,7 +72,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Cell:
+class Verdict:
     """The outcome of a trial; fields as in Trial and Measured."""
 
     map: str
@@ -87,7 +96,7 @@ class Cell:
         return math.nan if value is None else value
 
 
-def attempt(trial: Trial) -> Cell:
+def attempt(trial: Trial) -> Verdict:
     """Run a trial in this process. An error that a person can act on is a refusal, any other a crash."""
     try:
         measured = trial.measure()
@@ -104,27 +113,27 @@ def run(
     trials: Sequence[Trial],
     limit_s: float = LIMIT_S,
     progress: Callable[[float, str], None] = lambda part, details: None,
-) -> list[Cell]:
+) -> list[Verdict]:
     """Return the cells of all trials, in their order, tried on all cores.
 
     A process that a trial kills, or that is ended because the trial takes more than `limit_s` of a core, costs that
     cell only. `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
     """
-    cells: dict[int, Cell] = {}
+    cells: dict[int, Verdict] = {}
     pieces = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
     for number, outcome in on_cores(pieces, cores()):
-        cells[number] = outcome if isinstance(outcome, Cell) else _lost(trials[number], outcome, limit_s)
+        cells[number] = outcome if isinstance(outcome, Verdict) else _lost(trials[number], outcome, limit_s)
         progress(len(cells) / len(trials), f"{cells[number].map}: {cells[number].method}, {cells[number].case}")
     return [cells[number] for number in range(len(trials))]
 
 
-def _lost(trial: Trial, error: Exception, limit_s: float) -> Cell:
+def _lost(trial: Trial, error: Exception, limit_s: float) -> Verdict:
     """Return the cell of a trial whose process gave no answer."""
     effect = f"CRASH: {error}, or took longer than {limit_s:g} s of a core"
     return _cell(trial, Measured(Outcome.FAILS, {}, effect))
 
 
-def _attempt_within(trial: Trial, limit_s: float) -> Cell:
+def _attempt_within(trial: Trial, limit_s: float) -> Verdict:
     """Run a trial; the system ends this process, also out of a loop in C, if it takes more processor time."""
     signal.setitimer(signal.ITIMER_PROF, limit_s)
     try:
@@ -133,12 +142,12 @@ def _attempt_within(trial: Trial, limit_s: float) -> Cell:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
 
-def _cell(trial: Trial, measured: Measured) -> Cell:
+def _cell(trial: Trial, measured: Measured) -> Verdict:
     # A zero is added because a small negative figure would be rounded to -0.0.
     figures = {
         name: None if value is None else round(float(value), 4) + 0.0 for name, value in measured.figures.items()
     }
-    return Cell(
+    return Verdict(
         trial.map,
         trial.method,
         trial.case,

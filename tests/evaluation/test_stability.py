@@ -28,14 +28,14 @@ from evaluation.stability import (
     transport,
 )
 from evaluation.stability.known_causes import explanation, known_causes
-from evaluation.stability.maps import Scope
-from evaluation.stability.trials import Cell, Measured, Outcome, Trial, attempt, run
+from evaluation.stability.maps import Rung, Scope, methods
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
 from host.stability_command import stability
 from simulated_device.actuator import LRA, PIEZO_STACK
 
 MDCT = codec.CODECS["mdct"]
-STEP = {"step": 0.25}
-QUICK = Scope(("mdct", "dct", "slp"), quick=True)
+STEP = Rung("mdct", {"step": 0.25})
+QUICK = Scope(methods(["mdct", "dct", "slp"], ()), quick=True)
 
 
 def hold() -> Measured:
@@ -64,8 +64,8 @@ def trial(measure: object, to_be_refused: bool = False) -> Trial:
     return Trial("signals", "fake", "a case", "low: ", None, measure, to_be_refused)  # type: ignore[arg-type]
 
 
-def cell(outcome: Outcome, case: str = "a case", value: float | None = None, method: str = "fake") -> Cell:
-    return Cell("signals", method, case, "low: step=1", value, outcome, {"snr_db": 3.0, "bits": None}, "an effect")
+def cell(outcome: Outcome, case: str = "a case", value: float | None = None, method: str = "fake") -> Verdict:
+    return Verdict("signals", method, case, "low: step=1", value, outcome, {"snr_db": 3.0, "bits": None}, "an effect")
 
 
 def test_what_happens_in_a_trial_is_its_outcome() -> None:
@@ -129,8 +129,8 @@ def test_a_codec_that_returns_garbage_is_classified_so(
     decode: object, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(codec.coding, "CODECS", {"mdct": fake(decode)})
-    monkeypatch.setattr(signals, "_texture_snr_db", lambda name, setting: 17.0)
-    measured = attempt(trial(partial(signals.measure, "mdct", STEP, "texture")))
+    monkeypatch.setattr(signals, "texture_snr_db", lambda rung: 17.0)
+    measured = attempt(trial(partial(signals.measure, STEP, "texture")))
     assert measured.outcome is outcome
     assert measured.effect.startswith("CRASH: IndexError") == (decode is raising)
 
@@ -174,14 +174,14 @@ def test_conditions_are_what_their_names_say() -> None:
 
 
 def test_pre_echo_falls_with_a_finer_setting() -> None:
-    coarse, fine = (signals.measure_onset("mdct", {"step": step}) for step in (0.5, 0.01))
+    coarse, fine = (signals.measure_onset(Rung("mdct", {"step": step})) for step in (0.5, 0.01))
     assert coarse.figures["pre_echo_5ms_db"] > fine.figures["pre_echo_5ms_db"]  # type: ignore[operator]
     assert (coarse.outcome, fine.outcome) == (Outcome.DEGRADED, Outcome.HOLDS)
 
 
 def test_an_hour_is_judged_by_its_last_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signals, "HOUR_S", 120)
-    assert signals.measure_hour("flac", {}).outcome is Outcome.HOLDS
+    assert signals.measure_hour(Rung("flac", {})).outcome is Outcome.HOLDS
 
 
 def test_a_fall_on_the_way_up_a_ladder_is_marked() -> None:
@@ -218,14 +218,14 @@ def test_rules_for_playbacks() -> None:
 
 @pytest.mark.usefixtures("played_once")
 def test_a_longer_stall_than_the_buffer_is_heard_and_a_shorter_is_not() -> None:
-    short, long = (transport.measure("mdct", transport.Line(stall_s=stall_s), 0.3) for stall_s in (0.05, 1.0))
+    short, long = (transport.measure(STEP, transport.Line(stall_s=stall_s), 0.3) for stall_s in (0.05, 1.0))
     assert (short.outcome, short.figures["off_share"]) == (Outcome.HOLDS, 0)
     assert long.figures["underruns"] > 0  # type: ignore[operator]
 
 
 def test_speed_of_the_hand_matters_to_what_is_cut_at_one_speed() -> None:
-    setting: codec.Setting = {"levels": 320}
-    slow, coded, fast = (hand_speed.measure("dct", setting, "sandpaper", speed) for speed in (25.0, 50.0, 100.0))
+    rung = Rung("dct", {"levels": 320})
+    slow, coded, fast = (hand_speed.measure(rung, "sandpaper", speed) for speed in (25.0, 50.0, 100.0))
     assert slow.outcome is Outcome.FAILS
     assert coded.outcome is fast.outcome is Outcome.HOLDS
     assert slow.figures["upper_octave_level_db"] < -10  # type: ignore[operator]
@@ -247,8 +247,8 @@ def test_what_entropy_coding_costs_beyond_the_entropy() -> None:
 
 def test_a_source_with_its_own_pace_runs_dry_by_the_drift(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "PACED_S", 4.0)
-    assert transport.measure_paced("mdct", -10_000).outcome is Outcome.HOLDS
-    late = transport.measure_paced("mdct", 50_000)
+    assert transport.measure_paced(STEP, -10_000).outcome is Outcome.HOLDS
+    late = transport.measure_paced(STEP, 50_000)
     assert late.outcome is not Outcome.HOLDS
     # 0.1 s at one part in twenty.
     assert late.figures["first_underrun_s"] == pytest.approx(2, abs=1)
@@ -317,7 +317,7 @@ def test_the_page_begins_with_what_each_codec_holds_for_and_the_worst_of_each_ma
         for method, row in outcomes.items()
         for letter, value in zip(row, (1.0, 3.0, 10.0), strict=True)
     ]
-    lines = page.markdown([(loss, cells)], "vibrocast stability --quick").splitlines()
+    lines = page.markdown([(loss, cells)], ["mdct", "dct"], "vibrocast stability --quick").splitlines()
     assert any("`vibrocast stability --quick`" in line for line in lines)
     assert "| codec | [Lost frames](#lost-frames) |" in lines
     assert "| mdct | 1 to 3 % |" in lines
@@ -343,7 +343,7 @@ def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
     swept = dataclasses.replace(signals.SIGNALS, name="loss", varied="{} % of loss", title="A title")
     values = ((0.0, Outcome.HOLDS), (0.1, Outcome.DEGRADED), (0.2, Outcome.DEGRADED))
     cells = [dataclasses.replace(cell(outcome, value=value), map="loss") for value, outcome in values]
-    text = page.markdown([(swept, cells)], "vibrocast stability")
+    text = page.markdown([(swept, cells)], ["fake"], "vibrocast stability")
     assert "| [A title](#a-title) | 1 of 3 | fake degraded: 0.1 to 0.2 % of loss | an effect |" in text
     cause, remedy = explanation(cells[1])
     assert f"| fake | degraded | 0.1 to 0.2 % of loss | an effect | {cause} | {remedy} |" in text

@@ -1,0 +1,159 @@
+"""The same ONNX graphs run otherwise, as on another machine: how far the results lie apart, and what depends on them."""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.eva import HOP
+from codec.eva_image import QUALITY_PARTS, EvaImage
+from codec.graphs import LATENTS, SIGNAL
+from codec.interface import number
+from evaluation.stability import pictures
+from evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from evaluation.stability.signals import RATE_HZ, encoded, texture
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from evaluation.trained import runtimes
+
+Values = NDArray[np.float32]
+
+HELD, FAILED = 1e-5, 1e-3
+"""Largest difference of two runs, relative to the peak: as ONNX graphs are held against torch, and 60 dB below."""
+PIECE_COLUMNS, MARGIN_COLUMNS = 16, 4
+_WAYS: dict[str, tuple[str, int, bool]] = {
+    "no optimisation": ("ORT_DISABLE_ALL", 1, False),
+    "basic optimisation": ("ORT_ENABLE_BASIC", 1, False),
+    "extended optimisation": ("ORT_ENABLE_EXTENDED", 1, False),
+    "2 threads": ("ORT_ENABLE_ALL", 2, False),
+    "in pieces": ("ORT_ENABLE_ALL", 1, True),
+}
+"""Level of optimisation in ONNX Runtime, threads, whether the signal is cut into overlapping pieces."""
+
+
+def run(graph: bytes, source: str, result: str, values: Values, level: str = "ORT_ENABLE_ALL", threads: int = 1) -> Values:
+    """Return what a graph makes of values (1, channels, time) by ONNX Runtime with these options."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = getattr(onnxruntime.GraphOptimizationLevel, level)
+    options.intra_op_num_threads = threads
+    session: Any = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    return np.asarray(session.run([result], {source: values})[0])
+
+
+def _in_pieces(transform: Callable[[Values], Values], values: Values, hop_in: int, hop_out: int) -> Values:
+    """Return what a transform makes of pieces of PIECE_COLUMNS columns, with others around them that are left out."""
+    columns = values.shape[2] // hop_in
+    parts = []
+    for start in range(0, columns, PIECE_COLUMNS):
+        end = min(start + PIECE_COLUMNS, columns)
+        first, last = max(0, start - MARGIN_COLUMNS), min(end + MARGIN_COLUMNS, columns)
+        made = transform(values[:, :, first * hop_in : last * hop_in])
+        parts.append(made[:, :, (start - first) * hop_out : (end - first) * hop_out])
+    return np.concatenate(parts, axis=2)
+
+
+def _latents(rung: Rung) -> tuple[Values, Values, NDArray[np.float64]]:
+    """Return a texture (1, 1, time) as the network gets it, its latents (1, latents, columns), the steps of the rung."""
+    assert rung.model is not None, "a learned method has models"
+    samples = texture()
+    samples = samples[: len(samples) // HOP * HOP] / np.sqrt(np.mean(samples**2))
+    signal = samples.T[None].astype(np.float32)
+    image = EvaImage.unpack(rung.model.tables)
+    code = round(min(number(rung.setting, "quality"), image.highest_quality) * QUALITY_PARTS)
+    return signal, run(rung.model.analysis, SIGNAL, LATENTS, signal), image.relative_steps(code)[:, None]
+
+
+def measure_analysis(rung: Rung, way: str) -> Measured:
+    """Run the analysis otherwise; count the latents that are rounded to other integers."""
+    signal, latents, steps = _latents(rung)
+    assert rung.model is not None, "a learned method has models"
+    level, threads, pieces = _WAYS[way]
+    transform = partial(run, rung.model.analysis, SIGNAL, LATENTS, level=level, threads=threads)
+    other = _in_pieces(transform, signal, HOP, 1) if pieces else transform(signal)
+    rounded = float(np.mean(np.rint(latents / steps) != np.rint(other / steps)))
+    return _judged(latents, other, {"rounded_otherwise_per_million": 1e6 * rounded})
+
+
+def measure_synthesis(rung: Rung, way: str) -> Measured:
+    """Run the synthesis otherwise on the same integers."""
+    _, latents, steps = _latents(rung)
+    assert rung.model is not None, "a learned method has models"
+    graph = EvaImage.unpack(rung.model.tables).graph
+    values = (np.rint(latents / steps) * steps).astype(np.float32)
+    level, threads, pieces = _WAYS[way]
+    transform = partial(run, graph, LATENTS, SIGNAL, level=level, threads=threads)
+    other = _in_pieces(transform, values, 1, HOP) if pieces else transform(values)
+    return _judged(run(graph, LATENTS, SIGNAL, values), other, {})
+
+
+def _judged(values: Values, other: Values, figures: dict[str, float | None]) -> Measured:
+    difference = float(np.max(np.abs(values - other)) / np.max(np.abs(values)))
+    effect = f"{difference:.1e} of the peak"
+    if "rounded_otherwise_per_million" in figures:
+        effect += f", {figures['rounded_otherwise_per_million']:.0f} of a million latents rounded otherwise"
+    outcome = Outcome.HOLDS if difference <= HELD else Outcome.DEGRADED if difference <= FAILED else Outcome.FAILS
+    return Measured(outcome, {"difference_millionths": 1e6 * difference, **figures}, effect)
+
+
+def measure_core(rung: Rung) -> Measured:
+    """Decode by the integer core where ONNX Runtime cannot even be imported; judge by the samples, which must not differ.
+
+    Raises CodecError.
+    """
+    stream = replace(encoded(texture(), RATE_HZ, rung), runtime="core")
+    wanted = stream.decode_integers()
+    with patch.dict(sys.modules, {"onnxruntime": None}):
+        decoded = stream.decode_integers()
+    off = int(np.max(np.abs(wanted.astype(int) - decoded)))
+    return Measured(Outcome.HOLDS if off == 0 else Outcome.FAILS, {"difference_millionths": 1e6 * off / 32768})
+
+
+def _trials(scope: Scope) -> list[Trial]:
+    trials = []
+    for method in scope.learned:
+        rung = middle_rung(method)
+        if rung.model is None or not rung.model.analysis:
+            continue
+        ways = list(_WAYS)[:: 4 if scope.quick else 1]
+        parts: dict[str, Callable[[Rung, str], Measured]] = {"analysis": measure_analysis}
+        if "onnx" in runtimes(rung.model):
+            parts["synthesis"] = measure_synthesis
+        trials += [
+            Trial(PARITY.name, method.name, f"{part}, {way}", rung.text, None, partial(measure, rung, way))
+            for part, measure in parts.items()
+            for way in ways
+        ]
+        if "core" in runtimes(rung.model):
+            core = partial(measure_core, rung)
+            trials.append(Trial(PARITY.name, method.name, "integer core, without ONNX Runtime", rung.text, None, core))
+    return trials
+
+
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
+    cases = list(dict.fromkeys(cell.case for cell in cells))
+    found = {(cell.method, cell.case): cell.figure("difference_millionths") for cell in cells}
+    differences = {
+        method: [found.get((method, case), float("nan")) for case in cases]
+        for method in dict.fromkeys(cell.method for cell in cells)
+    }
+    pictures.dots(path, cases, differences, "largest difference, millionths of the peak", 1e6 * HELD)
+
+
+PARITY = Map(
+    "float_parity",
+    "Floating point on other machines",
+    "Machines differ in the order of their sums; here other optimisations, threads and pieces of ONNX Runtime stand for "
+    "them, against all optimisations, one thread and the whole signal. What comes of the analysis decides which integers "
+    "are coded, never whether they can be decoded: the latents, and with the integer core the samples, come from integers "
+    f"alone. Holds up to {HELD:g} of the peak, fails above {FAILED:g}; the core must give the same samples.",
+    "",
+    _trials,
+    _draw,
+)

@@ -1,0 +1,271 @@
+"""Signals that trained models may not know: of other kinds, quieter in parts, far from the level that they are told."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import butter, sosfilt
+
+import codec
+from codec import CODECS, Signal
+from evaluation.bd_rate import bits_per_sample_at
+from evaluation.stability import pictures
+from evaluation.stability.maps import Map, Rung, Scope, methods, middle_rung, rungs
+from evaluation.stability.signals import (
+    FAILED_SNR_DB,
+    FAR_LOUDER_DB,
+    LEAST_SNR_DB,
+    RATE_HZ,
+    decoded,
+    encoded,
+    judge,
+    louder_db,
+    texture,
+    texture_snr_db,
+)
+from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from evaluation.trained import runtimes
+from host import coding
+from textures.generate import grating, ridges, rough, stick_slip, taps, wood
+
+OWN = "mdct"
+"""The codec without a learned transform, that others are held against: its tables adapt to any signal."""
+WANTED_SNR_DB = 10.0
+HELD_RATIO, FAILED_RATIO = 1.25, 2.0
+QUIETER_DB = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+OFF_LEVEL_DB = (-60.0, -48.0, -36.0, -24.0, -12.0, -6.0, 0.0, 6.0, 12.0, 24.0, 36.0)
+LOST_DB = 3.0
+_SECONDS = 2.0
+_SAMPLES = round(_SECONDS * RATE_HZ)
+_CLICKS = 12
+
+
+def _time_s() -> Signal:
+    return np.arange(_SAMPLES).reshape(-1, 1) / RATE_HZ
+
+
+def _sine(frequency_hz: float) -> Signal:
+    return np.asarray(np.sin(2 * np.pi * frequency_hz * _time_s()))
+
+
+def _noise() -> Signal:
+    return np.random.default_rng(0).normal(size=(_SAMPLES, 1))
+
+
+def _below(limit_hz: float) -> Signal:
+    return np.asarray(sosfilt(butter(6, limit_hz, fs=RATE_HZ, output="sos"), _noise(), axis=0))
+
+
+def _clicks(samples: Signal) -> Signal:
+    """A texture with single samples 30 dB above its RMS value."""
+    places = np.random.default_rng(0).choice(len(samples), _CLICKS, replace=False)
+    with_clicks = samples.copy()
+    with_clicks[places] += 10**1.5 * np.sqrt(np.mean(samples**2))
+    return with_clicks
+
+
+SIGNALS: dict[str, Callable[[], Signal]] = {
+    "wood": lambda: wood(3, _SECONDS).samples,
+    "wood at half the speed": lambda: wood(3, _SECONDS, 25.0).samples,
+    "wood at twice the speed": lambda: wood(3, _SECONDS, 100.0).samples,
+    "wood, inverted": lambda: -wood(3, _SECONDS).samples,
+    "wood with clicks": lambda: _clicks(wood(3, _SECONDS).samples),
+    "sandpaper": lambda: rough(3, _SECONDS).samples,
+    "leather": lambda: stick_slip(3, _SECONDS).samples,
+    "ridges": lambda: ridges(3, _SECONDS).samples,
+    "grating": lambda: grating(3, _SECONDS).samples,
+    "taps": lambda: taps(3, _SECONDS).samples,
+    "sine of 60 Hz": partial(_sine, 60.0),
+    "sine of 250 Hz": partial(_sine, 250.0),
+    "sine of 1000 Hz": partial(_sine, 1000.0),
+    "white noise": _noise,
+    "noise below 100 Hz": partial(_below, 100.0),
+    "noise below 400 Hz": partial(_below, 400.0),
+}
+
+
+def bits_to_reach(ladder: Sequence[Rung], samples: Signal, snr_db: float) -> float:
+    """Return the bits per sample at which a ladder reaches an SNR, infinity where it does not. Raises CodecError."""
+    curve = []
+    for rung in ladder:
+        heard, stream = decoded(samples, RATE_HZ, rung)
+        reached_db = codec.snr_db(samples, heard)
+        curve.append((8 * stream.size_bytes / samples.size, math.inf if reached_db is None else reached_db))
+    bits = float(bits_per_sample_at(curve, snr_db))
+    return bits if math.isfinite(bits) else min((bits for bits, reached in curve if reached >= snr_db), default=math.inf)
+
+
+@lru_cache
+def _own_bits(name: str) -> float:
+    samples = SIGNALS[name]()
+    return bits_to_reach(rungs(*methods([OWN], ())), samples / np.abs(samples).max(), WANTED_SNR_DB)
+
+
+def measure_kind(ladder: Sequence[Rung], name: str) -> Measured:
+    """Compare the bits that a ladder needs for a signal at WANTED_SNR_DB with those of OWN. Raises CodecError."""
+    samples = SIGNALS[name]()
+    samples = samples - samples.mean()
+    bits, own = bits_to_reach(ladder, samples / np.abs(samples).max(), WANTED_SNR_DB), _own_bits(name)
+    if math.isinf(bits):
+        return Measured(Outcome.FAILS, {"ratio": None, "own_bits": own}, f"{WANTED_SNR_DB:g} dB are not reached")
+    ratio = bits / own
+    figures = {"ratio": ratio, "bits_per_sample": bits, "own_bits": own}
+    effect = f"{bits:.2f} bits per sample where {OWN} takes {own:.2f}"
+    if ratio > FAILED_RATIO:
+        return Measured(Outcome.FAILS, figures, effect)
+    return Measured(Outcome.HOLDS if ratio <= HELD_RATIO else Outcome.DEGRADED, figures, effect)
+
+
+def measure_quiet(rung: Rung, quieter_db: float) -> Measured:
+    """Code a texture whose second half is quieter; judge that half as a signal. Raises CodecError."""
+    samples = texture(seconds=2 * _SECONDS)
+    second = slice(len(samples) // 2, len(samples))
+    samples[second] *= 10 ** (-quieter_db / 20)
+    heard, stream = decoded(samples, RATE_HZ, rung)
+    measured = judge(samples[second], heard[second], texture_snr_db(rung))
+    bits = 8 * stream.size_bytes / samples.size
+    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+
+
+def measure_level(rung: Rung, runtime: str, name: str) -> Measured:
+    """Code a texture at a level that is not its own; judge by what it is worth at its own. Raises CodecError."""
+    samples = _clicks(texture()) if name == "texture with clicks" else texture()
+    stream = encoded(samples, RATE_HZ, rung)
+    heard = {each: _by_runtime(stream, each) for each in {runtime, "core"}}
+    own = _by_runtime(encoded(samples, RATE_HZ, Rung(rung.codec, {**rung.setting, "level": 1.0}, rung.model)), runtime)
+    snr_db, own_db = codec.snr_db(samples, heard[runtime]), codec.snr_db(samples, own)
+    assert snr_db is not None and own_db is not None, "a texture is not silent"
+    louder = louder_db(samples, heard[runtime])
+    alike_db = codec.snr_db(heard[runtime], heard["core"])
+    figures = {
+        "snr_db": snr_db,
+        "own_level_snr_db": own_db,
+        "louder_db": louder,
+        "bits_per_sample": 8 * stream.size_bytes / samples.size,
+        "core_against_this_db": alike_db if alike_db is not None and math.isfinite(alike_db) else None,
+    }
+    effect = f"SNR {snr_db:z.1f} dB instead of {own_db:.1f}, {figures['bits_per_sample']:.2f} bits per sample"
+    if snr_db < FAILED_SNR_DB or louder > FAR_LOUDER_DB:
+        return Measured(Outcome.FAILS, figures, effect)
+    holds = snr_db >= max(LEAST_SNR_DB, own_db - LOST_DB)
+    return Measured(Outcome.HOLDS if holds else Outcome.DEGRADED, figures, effect)
+
+
+def _by_runtime(stream: coding.Stream, runtime: str) -> Signal:
+    return dataclasses.replace(stream, runtime=runtime).decode()
+
+
+def _kind_trials(scope: Scope) -> list[Trial]:
+    names = list(SIGNALS)[:: 5 if scope.quick else 1]
+    return [
+        Trial(KINDS.name, method.name, name, "", None, partial(measure_kind, rungs(method), name))
+        for method in scope.learned
+        for name in names
+    ]
+
+
+def _quiet_trials(scope: Scope) -> list[Trial]:
+    compared = [method for method in scope.methods if method.name == OWN] if scope.learned else []
+    return [
+        Trial(
+            QUIET.name,
+            method.name,
+            "texture",
+            middle_rung(method).text,
+            quieter_db,
+            partial(measure_quiet, middle_rung(method), quieter_db),
+        )
+        for method in (*scope.learned, *compared)
+        for quieter_db in QUIETER_DB[:: 3 if scope.quick else 1]
+    ]
+
+
+def _level_trials(scope: Scope) -> list[Trial]:
+    trials = []
+    for method in scope.learned:
+        middle = middle_rung(method)
+        if "level" not in CODECS[middle.codec].parameters:
+            continue
+        assert middle.model is not None, "a learned method has models"
+        for off_db in OFF_LEVEL_DB[:: 5 if scope.quick else 1]:
+            rung = Rung(middle.codec, {**middle.setting, "level": 10 ** (off_db / 20)}, middle.model)
+            trials += [
+                Trial(
+                    LEVEL.name,
+                    f"{method.name}, {runtime}",
+                    name,
+                    rung.text,
+                    off_db,
+                    partial(measure_level, rung, runtime, name),
+                )
+                for runtime in runtimes(middle.model)
+                for name in ("texture", "texture with clicks")
+            ]
+    return trials
+
+
+def _draw_kinds(path: Path, cells: Sequence[Verdict]) -> None:
+    names = list(dict.fromkeys(cell.case for cell in cells))
+    found = {(cell.method, cell.case): cell.figure("ratio") for cell in cells}
+    ratios = {
+        method: [found.get((method, name), math.nan) for name in names]
+        for method in dict.fromkeys(cell.method for cell in cells)
+    }
+    pictures.dots(path, names, ratios, f"bits at {WANTED_SNR_DB:g} dB SNR, relative to {OWN}", 1.0)
+
+
+def _draw_panels(figures: Mapping[str, str], x_label: str, path: Path, cells: Sequence[Verdict]) -> None:
+    """A panel for each case and figure, by the words that name it; a curve for each method."""
+    panels = []
+    for case in dict.fromkeys(cell.case for cell in cells):
+        for figure, words in figures.items():
+            curves = []
+            for method in dict.fromkeys(cell.method for cell in cells):
+                own = [cell for cell in cells if (cell.method, cell.case) == (method, case)]
+                x, y = [cell.value or 0.0 for cell in own], [cell.figure(figure) for cell in own]
+                curves.append(pictures.Curve(method, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
+            if any(math.isfinite(y) for curve in curves for y in curve.y):
+                panels.append(pictures.Panel(f"{case}: {words}", x_label, "", curves, least_span=10.0))
+    pictures.curves(path, panels)
+
+
+KINDS = Map(
+    "learned_kinds",
+    "Trained models on signals of other kinds",
+    f"{_SECONDS:g} s at {RATE_HZ} Hz, made by the generator of textures and otherwise; what the models were trained on "
+    f"stands in their cards. Bits per sample at {WANTED_SNR_DB:g} dB SNR relative to those of {OWN}, whose tables adapt "
+    f"to any signal. Holds up to {HELD_RATIO:g} times, fails above {FAILED_RATIO:g} times or where no setting reaches "
+    "that SNR.",
+    "",
+    _kind_trials,
+    _draw_kinds,
+)
+QUIET = Map(
+    "learned_quiet",
+    "Trained models on a passage quieter than the rest",
+    "A texture whose second half is quieter, at each method's middle setting; that half alone is judged as the signals "
+    f"above, beside {OWN}, whose step is fixed as well.",
+    "{} dB quieter",
+    _quiet_trials,
+    partial(_draw_panels, {"snr_db": "SNR, dB", "bits_per_sample": "bits per sample of all"}, "quieter by, dB"),
+)
+LEVEL = Map(
+    "learned_level",
+    "Trained models at a level far from the signal's",
+    "The level that a network is told, relative to the signal's RMS value: told too little, its input is louder than "
+    "what it was trained on, and the int8 network's 16-bit activations saturate; told too much, it is quieter. Decoded "
+    "by the integer core and by ONNX Runtime, whose floating point does not saturate: what they differ by is "
+    "saturation and rounding. Clicks: single samples 30 dB above the RMS value. Holds where the SNR is at most "
+    f"{LOST_DB:g} dB below that at its own level, fails below {FAILED_SNR_DB:g} dB or more than {FAR_LOUDER_DB:g} dB "
+    "louder.",
+    "level off by {} dB",
+    _level_trials,
+    partial(
+        _draw_panels,
+        {"snr_db": "SNR, dB", "core_against_this_db": "SNR of the core against it, dB"},
+        "level that is told, relative to its own, dB",
+    ),
+)
