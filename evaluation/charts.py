@@ -182,7 +182,7 @@ def plot_bd_rates(path: Path, rows: Sequence[TraceBdRate], scales: Sequence[Scal
     codecs = by_codec(rows)
     forms = dict(zip(dict.fromkeys(kinds.get(row.trace, "") for row in rows), cycle(MARKERS), strict=False))
     height_in = 2 * LABEL_IN * len(codecs)
-    figure = _figure([height_in], left=[name(of_codec[0]) for of_codec in codecs.values()], bottom_in=0.9)
+    figure = _figure([height_in], left=[name(of_codec[0]) for of_codec in codecs.values()], bottom_in=0.75)
     panels = figure.subplots(1, len(scales), squeeze=False, sharey=True).ravel()
     for scale, axes in zip(scales, panels, strict=True):
         for place, of_codec in enumerate(codecs.values()):

@@ -44,9 +44,10 @@ def section(folder: Path, measurements: Measurements) -> str:
         _targets(measurements, rivals),
         _speed_targets(measurements),
         "### Where they win and lose",
-        "BD-rate of each relative to every other codec, mean over the traces; in brackets the traces on which it needs "
-        "fewer bits, of those compared.",
+        "Bits of each relative to every other codec's at equal quality: BD-rate, mean over the traces that can be "
+        "compared. The nearest rivals first.",
         "\n".join(_verdict(rivals, learned) for learned in measurements.learned),
+        "In brackets the traces on which it needs fewer bits, of those compared.",
         _kinds_table(measurements, rivals),
         _spread_chart(folder, measurements),
         "All pairs: [learned_bd_rate.csv](results/learned_bd_rate.csv).",
@@ -158,11 +159,8 @@ def _verdict(rivals: Sequence[MeanBdRate], learned: str) -> str:
 
 def _named(rows: Sequence[MeanBdRate], lost: bool) -> str:
     """Return whom rows are won or lost against, the nearest first."""
-    chosen = sorted(
-        (row for row in rows if (row.mean >= 0) == lost), key=lambda row: -abs(row.mean) if lost else row.mean
-    )
-    chosen = chosen if lost else chosen[::-1]
-    texts = [f"{code(row.anchor)} {percent(row.mean)} ({row.won} of {row.traces})" for row in chosen]
+    chosen = sorted((row for row in rows if (row.mean >= 0) == lost), key=lambda row: abs(row.mean))
+    texts = [f"{code(row.anchor)} {percent(row.mean)}" for row in chosen]
     more = [f"{len(texts) - MOST_NAMED} more"] if len(texts) > MOST_NAMED else []
     return listed(texts[:MOST_NAMED] + more)
 

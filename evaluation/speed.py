@@ -67,7 +67,7 @@ def measure(
     A codec that raises costs its own speed only. `progress` is called with the part done, from 0 to 1, and the name of
     the method.
     """
-    recording = one_signal(recordings)
+    recording = one_signal(recordings, SAMPLES)
     if recording is None:
         return []
     found: list[Speed | Failure] = []
@@ -88,7 +88,7 @@ def measure(
     return found
 
 
-def one_signal(recordings: Iterable[textures.Recording], samples: int = SAMPLES) -> textures.Recording | None:
+def one_signal(recordings: Iterable[textures.Recording], samples: int) -> textures.Recording | None:
     """Return the first channels of recordings of one rate, each with a peak of 1, one after another and repeated.
 
     None where all are silent.

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import codec
 import models
-from codec import CodecError, Framing, Setting, SignalFormat
+from codec import CodecError, Framing, Setting, SignalFormat, eva
+from codec.eva_image import EvaImage
 from codec.mdct import built_in_tables
 from models import Model
 
@@ -72,9 +73,10 @@ def runtimes(model: Model) -> tuple[str, ...]:
 
 def width(model: Model) -> int | None:
     """Return the channels of the hidden layers of a model's learned transform; None where it has none."""
-    return None
+    return EvaImage.unpack(model.tables).width if codec_name(model) == eva.NAME else None
 
 
 def flash_bytes(model: Model) -> int:
     """Return the bytes of a model's image without an ONNX graph, which no microcontroller runs."""
-    return len(model.image)
+    graph = EvaImage.unpack(model.tables).graph if codec_name(model) == eva.NAME else b""
+    return len(model.image) - len(graph)

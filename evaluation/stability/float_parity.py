@@ -1,4 +1,4 @@
-"""The same ONNX graphs run otherwise, as on another machine: how far the results lie apart, and what depends on them."""
+"""The same ONNX graphs run otherwise, as on another machine: how far the results lie apart, and what comes of it."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -36,7 +36,9 @@ _WAYS: dict[str, tuple[str, int, bool]] = {
 """Level of optimisation in ONNX Runtime, threads, whether the signal is cut into overlapping pieces."""
 
 
-def run(graph: bytes, source: str, result: str, values: Values, level: str = "ORT_ENABLE_ALL", threads: int = 1) -> Values:
+def run(
+    graph: bytes, source: str, result: str, values: Values, level: str = "ORT_ENABLE_ALL", threads: int = 1
+) -> Values:
     """Return what a graph makes of values (1, channels, time) by ONNX Runtime with these options."""
     import onnxruntime
 
@@ -60,7 +62,7 @@ def _in_pieces(transform: Callable[[Values], Values], values: Values, hop_in: in
 
 
 def _latents(rung: Rung) -> tuple[Values, Values, NDArray[np.float64]]:
-    """Return a texture (1, 1, time) as the network gets it, its latents (1, latents, columns), the steps of the rung."""
+    """Return a texture (1, 1, time) as the network gets it, its latents (1, latents, columns), and the steps."""
     assert rung.model is not None, "a learned method has models"
     samples = texture()
     samples = samples[: len(samples) // HOP * HOP] / np.sqrt(np.mean(samples**2))
@@ -103,7 +105,7 @@ def _judged(values: Values, other: Values, figures: dict[str, float | None]) -> 
 
 
 def measure_core(rung: Rung) -> Measured:
-    """Decode by the integer core where ONNX Runtime cannot even be imported; judge by the samples, which must not differ.
+    """Decode by the integer core where ONNX Runtime cannot even be imported; the samples must not differ.
 
     Raises CodecError.
     """
@@ -149,10 +151,10 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 PARITY = Map(
     "float_parity",
     "Floating point on other machines",
-    "Machines differ in the order of their sums; here other optimisations, threads and pieces of ONNX Runtime stand for "
-    "them, against all optimisations, one thread and the whole signal. What comes of the analysis decides which integers "
-    "are coded, never whether they can be decoded: the latents, and with the integer core the samples, come from integers "
-    f"alone. Holds up to {HELD:g} of the peak, fails above {FAILED:g}; the core must give the same samples.",
+    "Machines differ in the order of their sums; here other optimisations, threads and pieces of ONNX Runtime stand "
+    "for them, against all optimisations, one thread and the whole signal. What comes of the analysis decides which "
+    "integers are coded, never whether they can be decoded: the latents, and with the integer core the samples, come "
+    f"from integers alone. Holds up to {HELD:g} of the peak, fails above {FAILED:g}; the core must give the same.",
     "",
     _trials,
     _draw,

@@ -95,20 +95,26 @@ def bits_to_reach(ladder: Sequence[Rung], samples: Signal, snr_db: float) -> flo
         reached_db = codec.snr_db(samples, heard)
         curve.append((8 * stream.size_bytes / samples.size, math.inf if reached_db is None else reached_db))
     bits = float(bits_per_sample_at(curve, snr_db))
-    return bits if math.isfinite(bits) else min((bits for bits, reached in curve if reached >= snr_db), default=math.inf)
+    return (
+        bits if math.isfinite(bits) else min((bits for bits, reached in curve if reached >= snr_db), default=math.inf)
+    )
+
+
+def signal(name: str) -> Signal:
+    """Return one of SIGNALS without its mean, with a peak of 1."""
+    samples = SIGNALS[name]()
+    samples = samples - samples.mean()
+    return np.asarray(samples / np.abs(samples).max())
 
 
 @lru_cache
 def _own_bits(name: str) -> float:
-    samples = SIGNALS[name]()
-    return bits_to_reach(rungs(*methods([OWN], ())), samples / np.abs(samples).max(), WANTED_SNR_DB)
+    return bits_to_reach(rungs(*methods([OWN], ())), signal(name), WANTED_SNR_DB)
 
 
 def measure_kind(ladder: Sequence[Rung], name: str) -> Measured:
     """Compare the bits that a ladder needs for a signal at WANTED_SNR_DB with those of OWN. Raises CodecError."""
-    samples = SIGNALS[name]()
-    samples = samples - samples.mean()
-    bits, own = bits_to_reach(ladder, samples / np.abs(samples).max(), WANTED_SNR_DB), _own_bits(name)
+    bits, own = bits_to_reach(ladder, signal(name), WANTED_SNR_DB), _own_bits(name)
     if math.isinf(bits):
         return Measured(Outcome.FAILS, {"ratio": None, "own_bits": own}, f"{WANTED_SNR_DB:g} dB are not reached")
     ratio = bits / own
@@ -235,10 +241,10 @@ def _draw_panels(figures: Mapping[str, str], x_label: str, path: Path, cells: Se
 KINDS = Map(
     "learned_kinds",
     "Trained models on signals of other kinds",
-    f"{_SECONDS:g} s at {RATE_HZ} Hz, made by the generator of textures and otherwise; what the models were trained on "
-    f"stands in their cards. Bits per sample at {WANTED_SNR_DB:g} dB SNR relative to those of {OWN}, whose tables adapt "
-    f"to any signal. Holds up to {HELD_RATIO:g} times, fails above {FAILED_RATIO:g} times or where no setting reaches "
-    "that SNR.",
+    f"{_SECONDS:g} s at {RATE_HZ} Hz, made by the generator of textures and otherwise; what the models were trained "
+    f"on stands in their cards. Bits per sample at {WANTED_SNR_DB:g} dB SNR relative to those of {OWN}, whose tables "
+    f"adapt to any signal. Holds up to {HELD_RATIO:g} times, fails above {FAILED_RATIO:g} times or where no setting "
+    "reaches that SNR.",
     "",
     _kind_trials,
     _draw_kinds,
@@ -254,7 +260,7 @@ QUIET = Map(
 )
 LEVEL = Map(
     "learned_level",
-    "Trained models at a level far from the signal's",
+    "Trained models told a wrong level",
     "The level that a network is told, relative to the signal's RMS value: told too little, its input is louder than "
     "what it was trained on, and the int8 network's 16-bit activations saturate; told too much, it is quieter. Decoded "
     "by the integer core and by ONNX Runtime, whose floating point does not saturate: what they differ by is "

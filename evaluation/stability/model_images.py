@@ -10,7 +10,7 @@ import numpy as np
 
 import codec
 import models
-from codec import Decoded
+from codec import Signal
 from device_protocol.model_image import ModelImage
 from evaluation.cells import Method
 from evaluation.stability import pictures
@@ -18,6 +18,7 @@ from evaluation.stability.maps import Map, Rung, Scope, middle_rung
 from evaluation.stability.signals import RATE_HZ, encoded, texture
 from evaluation.stability.transport import flash_with
 from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from evaluation.trained import runtimes
 from host import coding
 from host.controller import Controller as Host
 from host.player import play
@@ -27,10 +28,10 @@ from simulated_device.memory_link import MemoryLink
 PLACES_PERCENT = tuple(2.5 * place for place in range(41))
 CUTS_PERCENT = (0.0, 1.0, 10.0, 50.0, 90.0, 99.0)
 
+
 @lru_cache(maxsize=1)
-def _stream(rung: Rung) -> tuple[coding.Stream, Decoded]:
-    stream = encoded(texture(), RATE_HZ, rung, live=True)
-    return stream, stream.decode_integers()
+def _stream(rung: Rung) -> coding.Stream:
+    return encoded(texture(), RATE_HZ, rung, live=True)
 
 
 def _with_payload(rung: Rung, payload: bytes) -> bytes:
@@ -46,34 +47,37 @@ def _changed(rung: Rung, place_percent: float) -> bytes:
     return bytes(payload)
 
 
-def measure_changed(rung: Rung, place_percent: float) -> Measured:
+def measure_changed(rung: Rung, runtime: str, place_percent: float) -> Measured:
     """Decode with a changed payload that nothing vouches against; judge by what comes out. Raises CodecError."""
-    stream, wanted = _stream(rung)
-    header = stream.header
-    decoder = codec.decoder(
-        header.codec_identifier, header.configuration, header.channels, _changed(rung, place_percent), stream.runtime
-    )
-    played = [decoder.decode(packet) for packet in stream.packets]
-    heard = np.concatenate(played).astype(np.float64)
-    snr_db = codec.snr_db(wanted.astype(np.float64), heard)
+    stream = _stream(rung)
+    payloads = ModelImage.unpack(rung.image or b"").payload, _changed(rung, place_percent)
+    wanted, heard = (_decoded(stream, payload, runtime) for payload in payloads)
+    snr_db = codec.snr_db(wanted, heard)
     assert snr_db is not None, "a texture is not silent"
     if math.isinf(snr_db):
         return Measured(Outcome.HOLDS, {"snr_db": None})
     return Measured(Outcome.DEGRADED, {"snr_db": snr_db}, f"another signal, SNR {snr_db:z.1f} dB")
 
 
+def _decoded(stream: coding.Stream, payload: bytes, runtime: str) -> Signal:
+    """Return what a stream's packets decode to with a payload, whatever image the stream names."""
+    header = stream.header
+    decoder = codec.decoder(header.codec_identifier, header.configuration, header.channels, payload, runtime or None)
+    return np.concatenate([decoder.decode(packet) for packet in stream.packets]).astype(np.float64)
+
+
 def measure_cut(rung: Rung, percent: float) -> Measured:
     """Decode with a part of a payload, in an image whose CRC is right. Raises CodecError."""
     payload = ModelImage.unpack(rung.image or b"").payload
     cut = payload[: round(percent / 100 * len(payload))]
-    header = _stream(rung)[0].header
+    header = _stream(rung).header
     codec.decoder(header.codec_identifier, header.configuration, header.channels, cut)
     return Measured(Outcome.HOLDS, {})
 
 
 def measure_hash(rung: Rung) -> Measured:
     """Give a changed image, whose CRC is right, for a stream of the right one. Raises CodecError."""
-    stream, _ = _stream(rung)
+    stream = _stream(rung)
     coding.Stream(stream.header, stream.packets, _with_payload(rung, _changed(rung, 50.0))).decode()
     return Measured(Outcome.HOLDS, {})
 
@@ -88,14 +92,14 @@ def measure_crc(rung: Rung) -> Measured:
 
 def measure_missing(rung: Rung) -> Measured:
     """Decode without the image. Raises CodecError."""
-    stream, _ = _stream(rung)
+    stream = _stream(rung)
     coding.Stream(stream.header, stream.packets).decode()
     return Measured(Outcome.HOLDS, {})
 
 
 def measure_on_controller(rung: Rung, image: bytes | None) -> Measured:
     """Play on a controller that has another image, or none. Raises ControllerError."""
-    stream, _ = _stream(rung)
+    stream = _stream(rung)
     link = MemoryLink(Controller(flash=flash_with(image)))
     play(Host(link, link.clock, link.sleep), stream.header, stream.packets, stream.decoder().packet_samples)
     return Measured(Outcome.HOLDS, {})
@@ -105,8 +109,9 @@ def _image_trials(scope: Scope) -> list[Trial]:
     trials = []
     for method in scope.learned:
         rung = middle_rung(method)
+        assert rung.model is not None, "a learned method has models"
         another = next(model.image for model in models.shipped() if model.image != rung.image)
-        refused = {
+        refused: dict[str, Callable[[Rung], Measured]] = {
             "a byte changed": measure_crc,
             "a byte changed, CRC right, for the stream of the right one": measure_hash,
             "no image here": measure_missing,
@@ -119,7 +124,14 @@ def _image_trials(scope: Scope) -> list[Trial]:
             for percent in CUTS_PERCENT
         ]
         trials += [
-            _trial(method, "a byte changed, CRC and hash right", percent, partial(measure_changed, rung, percent), False)
+            _trial(
+                method,
+                ", ".join(filter(None, ("a byte changed, CRC and hash right", runtime))),
+                percent,
+                partial(measure_changed, rung, runtime, percent),
+                False,
+            )
+            for runtime in runtimes(rung.model)
             for percent in PLACES_PERCENT[:: 8 if scope.quick else 1]
         ]
     return trials

@@ -83,8 +83,8 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], methods: Sequence[st
     ]
     for each, cells in maps:
         lines += ["", f"## {each.title}", "", each.about, "", f"![{each.title}]({FOLDER}/{each.name}.png)", ""]
-        methods = _grouped(cells, lambda cell: cell.method)
-        held = [method for method, own in methods.items() if all(cell.sound for cell in own)]
+        of_methods = _grouped(cells, lambda cell: cell.method)
+        held = [method for method, own in of_methods.items() if all(cell.sound for cell in own)]
         if held:
             lines += [f"Holds everywhere: {', '.join(held)}.", ""]
         if rows := _map_rows(each, cells):

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from matplotlib.figure import Figure
 
 from codec import CODECS
-from evaluation import bench, results_page
+from evaluation import bench, learned_page, results_page
 from evaluation.bd_rate import SNR
 from evaluation.charts import LONGEST_NAME, _set_log_axis, _short
 from evaluation.comparison import (
@@ -375,18 +375,20 @@ def learned() -> Measurements:
 
 
 def test_where_trained_models_win_and_lose_is_said_from_the_figures(tmp_path: Path) -> None:
-    (tmp_path / "results").mkdir()
-    write_results(tmp_path, learned(), DESCRIPTION)
-    page = (tmp_path / "results.md").read_text()
-    assert page.index("## Trained models") < page.index("## Which codec when")
+    page = learned_page.section(tmp_path, learned())
     # Against slp -10 % and 1 / 2.09 - 1 = -52.2 %; against mdct +71 % and 1 / 1.1 - 1 = -9.1 %.
     assert "**Met**: the best, `eva-16`, stands at -31.1 % and -31.1 %" in page
     assert "**Met** at equal PSNR: fingertip by `eva-16` (-9.1 %)." in page
-    assert "On tool textures it loses at equal PSNR to `mdct` +71.0 % (0 of 1)." in page
+    assert "On tool textures it loses at equal PSNR to `mdct` +71.0 %." in page
     assert "| eva-16 | slp | -31.1 % (2 of 2) | -52.2 % (1 of 1) | -10.0 % (1 of 1) |" in page
     assert "decoded by the integer core: 0.3 s to encode and 0.2 s to decode, wanted 0.1: **missed**" in page
     assert "decoded by ONNX Runtime: 0.05 s to encode and 0.02 s to decode, wanted 0.1: **met**" in page
-    assert (tmp_path / "results" / "learned_bd_rate_traces.png").stat().st_size > 5000
+    assert (tmp_path / "learned_bd_rate_traces.png").stat().st_size > 5000
+
+
+def test_without_trained_models_there_is_no_section_of_them(tmp_path: Path, written: Path) -> None:
+    assert learned_page.section(tmp_path, Measurements(*measured(), [])) == ""
+    assert "Trained models" not in (written / "results.md").read_text()
 
 
 def test_a_decibel_has_a_price_in_bytes_in_time_and_in_flash() -> None:

@@ -14,12 +14,16 @@ from click.testing import CliRunner
 
 import codec
 from codec.interface import Codec, Decoded
+from device_protocol.model_image import ModelImage
 from evaluation.stability import (
     actuators,
     entropy,
     filters,
+    float_parity,
     hand_speed,
     ladders,
+    learned_signals,
+    model_images,
     page,
     peers,
     pictures,
@@ -32,10 +36,13 @@ from evaluation.stability.maps import Rung, Scope, methods
 from evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
 from host.stability_command import stability
 from simulated_device.actuator import LRA, PIEZO_STACK
+from tests.codec.eva_models import tiny_model
 
 MDCT = codec.CODECS["mdct"]
 STEP = Rung("mdct", {"step": 0.25})
-QUICK = Scope(methods(["mdct", "dct", "slp"], ()), quick=True)
+TINY = tiny_model()
+QUICK = Scope(methods(["mdct", "dct", "slp", "eva"], [TINY]), quick=True)
+LEARNED = Rung("eva", {"quality": 2.0}, TINY)
 
 
 def hold() -> Measured:
@@ -252,6 +259,67 @@ def test_a_source_with_its_own_pace_runs_dry_by_the_drift(monkeypatch: pytest.Mo
     assert late.outcome is not Outcome.HOLDS
     # 0.1 s at one part in twenty.
     assert late.figures["first_underrun_s"] == pytest.approx(2, abs=1)
+
+
+def test_a_trained_model_is_tried_as_codecs_are() -> None:
+    assert [method.name for method in QUICK.learned] == ["tiny"]
+    assert signals.measure(LEARNED, "texture").outcome is Outcome.HOLDS
+    assert Rung("eva", {"quality": 2.0}, tiny_model()) == LEARNED != Rung("eva", {"quality": 2.5}, TINY)
+    assert hash(Rung("eva", {"quality": 2.0}, tiny_model())) == hash(LEARNED)
+
+
+@pytest.mark.usefixtures("played_once")
+def test_a_controller_with_the_model_plays_it_and_one_without_refuses() -> None:
+    assert transport.measure(LEARNED, transport.Line()).outcome is Outcome.HOLDS
+    for image in (None, dataclasses.replace(ModelImage.unpack(TINY.image), version="another").pack()):
+        refused = attempt(trial(partial(model_images.measure_on_controller, LEARNED, image), to_be_refused=True))
+        assert refused.sound and "does not run here" in refused.effect
+
+
+def test_a_wrong_or_damaged_image_is_refused_while_something_vouches_for_it() -> None:
+    for measure in (model_images.measure_crc, model_images.measure_hash, model_images.measure_missing):
+        assert attempt(trial(partial(measure, LEARNED), to_be_refused=True)).sound
+    assert attempt(trial(partial(model_images.measure_cut, LEARNED, 90.0), to_be_refused=True)).sound
+    outcomes = {
+        attempt(trial(partial(model_images.measure_changed, LEARNED, runtime, percent))).outcome
+        for runtime in codec.RUNTIMES
+        for percent in (0.0, 1.0, 45.0, 99.0)
+    }
+    assert Outcome.FAILS not in outcomes and Outcome.REFUSED in outcomes
+
+
+def test_what_a_model_needs_beyond_mdct_is_measured_in_bits() -> None:
+    ladder = [Rung("mdct", {"step": 2 ** (exponent / 2)}) for exponent in range(4, -14, -1)]
+    same = learned_signals.measure_kind(ladder, "wood")
+    assert same.outcome is Outcome.HOLDS
+    assert same.figures["ratio"] == pytest.approx(1.0)
+    coarse = learned_signals.measure_kind(ladder[:2], "wood")
+    assert (coarse.outcome, coarse.effect) == (Outcome.FAILS, "10 dB are not reached")
+
+
+def test_a_quiet_passage_is_judged_alone() -> None:
+    alike, quieter = (learned_signals.measure_quiet(LEARNED, quieter_db) for quieter_db in (0.0, 60.0))
+    assert alike.outcome is Outcome.HOLDS
+    assert quieter.outcome is not Outcome.HOLDS
+
+
+def test_a_wrong_level_costs_quality_in_either_runtime() -> None:
+    for runtime in codec.RUNTIMES:
+        right, wrong = (
+            learned_signals.measure_level(Rung("eva", {"quality": 2.0, "level": level}, TINY), runtime, "texture")
+            for level in (1.0, 0.001)
+        )
+        assert right.outcome is Outcome.HOLDS
+        assert wrong.figures["snr_db"] < right.figures["snr_db"] - 3  # type: ignore[operator]
+
+
+def test_the_same_graph_run_otherwise_gives_nearly_the_same() -> None:
+    for measure in (float_parity.measure_analysis, float_parity.measure_synthesis):
+        for way in ("no optimisation", "in pieces"):
+            assert measure(LEARNED, way).outcome is Outcome.HOLDS
+    values = np.ones((1, 2, 3), np.float32)
+    assert float_parity._judged(values, values + np.float32(1e-4), {}).outcome is Outcome.DEGRADED
+    assert float_parity.measure_core(LEARNED).outcome is Outcome.HOLDS
 
 
 def test_a_sharper_resonance_bears_less_shift() -> None:

@@ -1,0 +1,151 @@
+"""Tests of the benchmark over trained models: families as curves, what decides their figures, their speed and size."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import codec
+from codec.eva_image import EvaImage
+from device_protocol.model_image import ModelImage
+from evaluation import cells, cost, speed, trained
+from evaluation.cells import BenchError, Cell, Method
+from evaluation.points import Failure, Point
+from evaluation.speed import Speed
+from models import Model
+from tests.codec.eva_models import tiny_model
+from textures import Recording
+from textures.generate import wood
+
+
+def with_image(model: Model, name: str, image: EvaImage) -> Model:
+    """Return the model by another name with another payload."""
+    packed = replace(ModelImage.unpack(model.image), name=name, payload=image.pack()).pack()
+    return replace(model, name=name, image=packed)
+
+
+def one_rate(name: str, rate: int) -> Model:
+    """Return the tiny model with one of its rates only, as one of a family."""
+    tiny = tiny_model()
+    image = EvaImage.unpack(tiny.tables)
+    codes = image.step_codes[rate : rate + 1]
+    return replace(with_image(tiny, name, replace(image, step_codes=codes)), card={"family": "steps"})
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return wood(1, 0.5)
+
+
+def test_a_model_of_several_rates_has_the_rungs_that_differ() -> None:
+    (method,) = cells.families([tiny_model()])
+    assert (method.name, method.coder) == ("tiny", "eva")
+    assert [setting["quality"] for setting in method.settings if not isinstance(setting, str)] == [
+        half / 2 for half in range(7)
+    ]
+
+
+def test_models_of_one_rate_make_one_curve(recording: Recording) -> None:
+    models = [one_rate(f"step-{rate}", rate) for rate in (2, 0)]
+    (method,) = cells.families(models)
+    assert (method.name, [model.name for model in method.models]) == ("steps", ["step-0", "step-2"])
+    points = [Cell("wood", recording, method, setting, 0, model).measure().point for setting, model in method.rungs]
+    assert [point.setting for point in points] == ["quality=0 model=step-0", "quality=0 model=step-2"]
+    assert points[0].bytes_total < points[1].bytes_total
+
+
+def test_the_model_is_in_the_key(recording: Recording) -> None:
+    tiny = tiny_model()
+    (method,) = cells.families([tiny])
+    cell = Cell("wood", recording, method, {"quality": 1.0}, 0, tiny)
+    others = [
+        replace(cell, model=replace(tiny, name="other")),
+        replace(cell, model=replace(tiny, analysis=tiny.analysis + b"\0")),
+        replace(cell, model=one_rate("tiny", 0)),
+        replace(cell, model=None),
+    ]
+    assert len({each.key for each in (cell, *others)}) == 1 + len(others)
+    assert replace(cell, model=tiny_model()).key == cell.key
+
+
+def test_names_stand_for_codecs_ladders_and_families() -> None:
+    models = [tiny_model(), one_rate("step-0", 0)]
+    every = cells.methods([], models=models)
+    assert [method.name for method in every][-2:] == ["tiny", "steps"]
+    assert not {method.name for method in cells.methods([])} & {"eva", "tiny"}
+    assert [method.name for method in cells.methods(["eva", "flac"], models=models)] == ["flac", "tiny", "steps"]
+    assert [method.name for method in cells.methods(["tiny"], models=models)] == ["tiny"]
+    with pytest.raises(BenchError, match="eva needs a model, and there is none"):
+        cells.methods(["eva"])
+    with pytest.raises(BenchError, match="is called 'mdct'; give the family of models another name"):
+        cells.methods([], models=[replace(tiny_model(), name="mdct")])
+
+
+def test_a_family_costs_its_images_without_their_graphs() -> None:
+    tiny = tiny_model()
+    image = EvaImage.unpack(tiny.tables)
+    without = with_image(tiny, "tiny", replace(image, graph=b"", runtime="core"))
+    assert trained.flash_bytes(tiny) == len(without.image) < len(tiny.image)
+    (family,) = cost.measure_costs(cells.coders(cells.families([one_rate("step-0", 0), one_rate("step-1", 1)])))
+    assert (family.codec, family.coder, family.width) == ("steps", "eva", 16)
+    assert family.model_bytes == 2 * trained.flash_bytes(one_rate("step-0", 0))
+    assert family.decoder_bytes == cost.decoder_bytes("eva")
+    assert family.flash_bytes == (family.decoder_bytes or 0) + family.model_bytes
+    assert "2 images" in family.note
+
+
+def test_a_model_without_a_graph_has_no_choice_of_runtime() -> None:
+    tiny = tiny_model()
+    assert trained.runtimes(tiny) == codec.RUNTIMES
+    image = replace(EvaImage.unpack(tiny.tables), graph=b"", runtime="core")
+    assert trained.runtimes(with_image(tiny, "tiny", image)) == ("core",)
+
+
+def test_what_ships_is_known_but_for_the_tables_that_are_built_in() -> None:
+    assert "mdct-textures" not in {model.name for model in trained.known_models([])}
+
+
+def points_of(method: Method, bits: dict[str, float]) -> list[Point]:
+    return [Point("a", method.name, text, 8000, round(1000 * rate), 10.0) for text, rate in bits.items()]
+
+
+def test_speed_is_timed_at_the_setting_nearest_to_the_ratio_by_every_runtime(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(speed, "SAMPLES", 3000)
+    (method,) = cells.families([tiny_model()])
+    points = points_of(method, {"quality=0": 0.5, "quality=1": 1.5, "quality=3": 2.9})
+    told: list[tuple[float, str]] = []
+    speeds = speed.measure([method], points, [recording], 1, lambda *done: told.append(done))
+    found = [each for each in speeds if isinstance(each, Speed)]
+    assert [(each.rate, each.runtime, each.setting) for each in found] == [
+        (1.6, "core", "quality=1"),
+        (1.6, "onnx", "quality=1"),
+        (3.0, "core", "quality=3"),
+        (3.0, "onnx", "quality=3"),
+    ]
+    assert all(
+        each.samples == 3000 and each.encode_s_per_megasample > 0 < each.decode_s_per_megasample for each in found
+    )
+    assert found[0].bits_per_sample == found[1].bits_per_sample < found[2].bits_per_sample
+    assert found[0].snr_db == pytest.approx(found[1].snr_db, abs=1)
+    assert told == [(1.0, "tiny")]
+
+
+def test_a_codec_that_fails_costs_only_its_own_speed(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = Method("broken", ({"step": 1.0},), "no such codec")
+    flac = cells.methods(["flac"])[0]
+    points = [*points_of(broken, {"step=1": 1.0}), *points_of(flac, {"": 12.0})]
+    failed, *others = speed.measure([broken, flac], points, [recording], 1)
+    assert isinstance(failed, Failure) and failed.codec == "broken" and "no such codec" in failed.reason
+    assert {each.codec for each in others} == {"broken", "flac"}
+    silent = Recording(np.zeros((600, 1)), 2800.0, "um", "silent")
+    assert speed.measure([flac], points, [silent], 1) == []
+
+
+def test_all_traces_make_one_signal() -> None:
+    loud, quiet = Recording(np.full((3, 2), 8.0), 2800.0, "um", "a"), Recording(-np.ones((2, 1)), 2800.0, "um", "b")
+    other = Recording(np.ones((9, 1)), 8000.0, "um", "c")
+    together = speed.one_signal([loud, other, quiet], 7)
+    assert together is not None and together.rate_hz == 2800
+    assert together.samples.ravel().tolist() == [1, 1, 1, -1, -1, 1, 1]
