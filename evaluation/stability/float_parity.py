@@ -68,7 +68,7 @@ def _latents(rung: Rung) -> tuple[Values, Values, NDArray[np.float64]]:
     samples = samples[: len(samples) // HOP * HOP] / np.sqrt(np.mean(samples**2))
     signal = samples.T[None].astype(np.float32)
     image = EvaImage.unpack(rung.model.tables)
-    code = round(min(number(rung.setting, "quality"), image.highest_quality) * QUALITY_PARTS)
+    code = round(number(rung.setting, "quality") * QUALITY_PARTS)
     return signal, run(rung.model.analysis, SIGNAL, LATENTS, signal), image.relative_steps(code)[:, None]
 
 

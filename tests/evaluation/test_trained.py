@@ -24,12 +24,16 @@ def with_image(model: Model, name: str, image: EvaImage) -> Model:
     return replace(model, name=name, image=packed)
 
 
-def one_rate(name: str, rate: int) -> Model:
-    """Return the tiny model with one of its rates only, as one of a family."""
+def with_rates(name: str, rates: slice) -> Model:
+    """Return the tiny model by another name with some of its rates."""
     tiny = tiny_model()
     image = EvaImage.unpack(tiny.tables)
-    codes = image.step_codes[rate : rate + 1]
-    return replace(with_image(tiny, name, replace(image, step_codes=codes)), card={"family": "steps"})
+    return with_image(tiny, name, replace(image, step_codes=image.step_codes[rates]))
+
+
+def one_rate(name: str, rate: int) -> Model:
+    """Return the tiny model with one of its rates only, as one of a family."""
+    return replace(with_rates(name, slice(rate, rate + 1)), card={"family": "steps"})
 
 
 @pytest.fixture
@@ -38,8 +42,8 @@ def recording() -> Recording:
 
 
 def test_a_model_of_several_rates_has_the_rungs_that_differ() -> None:
-    (method,) = cells.families([tiny_model()])
-    assert (method.name, method.coder) == ("tiny", "eva")
+    (method,) = cells.families([with_rates("four", slice(4))])
+    assert (method.name, method.coder) == ("four", "eva")
     assert [setting["quality"] for setting in method.settings if not isinstance(setting, str)] == [
         half / 2 for half in range(7)
     ]
