@@ -258,6 +258,8 @@ def _value(kind: Any, value: Any, place: str, limits: tuple[float, float] | None
         return value
     if kind is float and type(value) is int:
         value = float(value)
+    if kind is int and type(value) is float and value.is_integer():
+        value = int(value)
     if type(value) is not kind:
         raise ConfigurationError(f"{place}: {value!r} is no {_KINDS[kind]}")
     if limits and not limits[0] <= value <= limits[1]:
