@@ -56,9 +56,10 @@ static inline int16_t vc_rounded_sample(int64_t value)
 /* Floor of the logarithm to base 2; value > 0. */
 static inline unsigned vc_floor_log2(uint32_t value)
 {
-    unsigned exponent = 0;
-    while (value >> exponent > 1)
-        exponent++;
+    unsigned exponent = 0, step;
+    for (step = 16; step > 0; step >>= 1)
+        if (value >> (exponent + step) > 0)
+            exponent += step;
     return exponent;
 }
 

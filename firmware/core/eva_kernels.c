@@ -81,22 +81,41 @@ static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
         }
 }
 
-void vc_eva_normalise(const int16_t *values, uint32_t channels, const int32_t *sums, unsigned doubled,
-                      const uint32_t *multipliers, const uint32_t *constants, unsigned shift, int16_t *normalised)
+/* As many columns as fit MAX_CHANNELS values side by side. */
+static void normalise_some(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
+                           const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants,
+                           unsigned shift, int16_t *normalised)
 {
-    uint32_t energies[MAX_CHANNELS], roots[MAX_CHANNELS], i;
-    const unsigned down = ENERGY_SHIFT + 2 * doubled;
+    uint32_t energies[MAX_CHANNELS], roots[MAX_CHANNELS], column, i;
     const uint32_t half = (1u << shift) >> 1;
-    for (i = 0; i < channels; i++) {
-        uint64_t energy = constants[i] + (((uint64_t)(uint32_t)sums[i] * multipliers[i]) >> down);
-        energies[i] = energy < MAX_ENERGY ? (uint32_t)energy : MAX_ENERGY;
+    for (column = 0; column < columns; column++) {
+        const unsigned down = ENERGY_SHIFT + 2 * doubled[column];
+        for (i = 0; i < channels; i++) {
+            uint64_t sum = (uint32_t)sums[column * channels + i];
+            uint64_t energy = constants[i] + ((sum * multipliers[i]) >> down);
+            energies[column * channels + i] = energy < MAX_ENERGY ? (uint32_t)energy : MAX_ENERGY;
+        }
     }
-    find_roots(energies, channels, roots);
-    for (i = 0; i < channels; i++) {
+    find_roots(energies, columns * channels, roots);
+    for (i = 0; i < columns * channels; i++) {
         uint32_t magnitude = (uint32_t)(values[i] < 0 ? -values[i] : values[i]);
         uint32_t scaled = (magnitude * roots[i] + half) >> shift;
         int32_t limited = scaled < MAX_ACTIVATION ? (int32_t)scaled : MAX_ACTIVATION;
         normalised[i] = (int16_t)(values[i] < 0 ? -limited : limited);
+    }
+}
+
+void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
+                      const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants, unsigned shift,
+                      int16_t *normalised)
+{
+    const uint32_t most = MAX_CHANNELS / channels;
+    uint32_t column, some;
+    for (column = 0; column < columns; column += some) {
+        const size_t start = (size_t)column * channels;
+        some = columns - column < most ? columns - column : most;
+        normalise_some(values + start, channels, some, sums + start, doubled + column, multipliers, constants, shift,
+                       normalised + start);
     }
 }
 

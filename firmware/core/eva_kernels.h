@@ -4,6 +4,7 @@
 #ifndef VIBROCAST_EVA_KERNELS_H
 #define VIBROCAST_EVA_KERNELS_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 /* sums[column * rows + row] = sum over i < length of weights[row * length + i] * inputs[column * stride + i];
@@ -16,10 +17,12 @@ void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, cons
  */
 unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squares);
 
-/* Inverse GDN of a column: values * sqrt(constants + sums * multipliers / 2^(24 + 2 doubled)) / 2^shift, where `sums`
- * are the weighted sums of its squares. The root is that of at most 2^30 - 1, rounded down. */
-void vc_eva_normalise(const int16_t *values, uint32_t channels, const int32_t *sums, unsigned doubled,
-                      const uint32_t *multipliers, const uint32_t *constants, unsigned shift, int16_t *normalised);
+/* Inverse GDN of columns: values * sqrt(constants + sums * multipliers / 2^(24 + 2 doubled)) / 2^shift, where `sums`
+ * are the weighted sums of a column's squares, and `doubled` goes with them. The root is that of at most 2^30 - 1,
+ * rounded down. */
+void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
+                      const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants, unsigned shift,
+                      int16_t *normalised);
 
 /* scaled[i] = sums[i] * multipliers[i] / 2^32, within +-32767. */
 void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled);

@@ -26,9 +26,8 @@ static void normalise(const vc_eva_normalisation *part, uint32_t channels, uint3
     for (column = 0; column < columns; column++)
         doubled[column] = vc_eva_squares(work->inputs + column * channels, channels, normalised + column * channels);
     vc_eva_products(part->weights, channels, channels, normalised, channels, columns, work->sums);
-    for (column = 0; column < columns; column++)
-        vc_eva_normalise(work->inputs + column * channels, channels, work->sums + column * channels, doubled[column],
-                         multipliers, constants, part->shift, normalised + column * channels);
+    vc_eva_normalise(work->inputs, channels, columns, work->sums, doubled, multipliers, constants, part->shift,
+                     normalised);
 }
 
 /* Sums of one phase of a transposed convolution over work->normalised into work->sums. Each input column completes one
