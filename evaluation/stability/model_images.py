@@ -25,7 +25,7 @@ from host.player import play
 from simulated_device.controller import Controller
 from simulated_device.memory_link import MemoryLink
 
-PLACES_PERCENT = tuple(2.5 * place for place in range(41))
+PLACES_PERCENT = tuple(5.0 * place for place in range(21))
 CUTS_PERCENT = (0.0, 1.0, 10.0, 50.0, 90.0, 99.0)
 
 
@@ -132,7 +132,7 @@ def _image_trials(scope: Scope) -> list[Trial]:
                 False,
             )
             for runtime in runtimes(rung.model)
-            for percent in PLACES_PERCENT[:: 8 if scope.quick else 1]
+            for percent in PLACES_PERCENT[:: 4 if scope.quick else 1]
         ]
     return trials
 
@@ -142,16 +142,13 @@ def _trial(method: Method, case: str, percent: float | None, measure: Callable[[
 
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """Cases downwards, the changed bytes by their places; methods across."""
-    methods = list(dict.fromkeys(cell.method for cell in cells))
-    rows = list(dict.fromkeys(_row(cell) for cell in cells))
-    outcomes = {(_row(cell), cell.method): cell.outcome for cell in cells}
-    table = [[outcomes.get((row, method), Outcome.NOT_TRIED) for method in methods] for row in rows]
-    pictures.outcome_map(path, rows, methods, table, "images of each trained model")
-
-
-def _row(cell: Verdict) -> str:
-    return cell.case if cell.value is None else f"{cell.case}: {cell.value:g} %"
+    """Cases of each method downwards, places across; what has no place stands in the first column."""
+    rows = list(dict.fromkeys((cell.method, cell.case) for cell in cells))
+    places = sorted({-1.0 if cell.value is None else cell.value for cell in cells})
+    outcomes = {(cell.method, cell.case, -1.0 if cell.value is None else cell.value): cell.outcome for cell in cells}
+    table = [[outcomes.get((*row, place), Outcome.NOT_TRIED) for place in places] for row in rows]
+    names = ["" if place < 0 else f"{place:g} %" for place in places]
+    pictures.outcome_map(path, [": ".join(row) for row in rows], names, table, "where the byte is, or how much is left")
 
 
 IMAGES = Map(

@@ -1,6 +1,9 @@
 """Tests of the benchmark over trained models: families as curves, what decides their figures, their speed and size."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,13 +11,14 @@ import pytest
 import codec
 from codec.eva_image import EvaImage
 from device_protocol.model_image import ModelImage
-from evaluation import cells, cost, speed, trained
-from evaluation.cells import BenchError, Cell, Method
+from evaluation import bench, cells, cost, speed, trained, workers
+from evaluation.cells import BenchError, Cell, Measured, Method
 from evaluation.points import Failure, Point
 from evaluation.speed import Speed
 from models import Model
 from tests.codec.eva_models import tiny_model
 from textures import Recording
+from textures.dataset import Trace
 from textures.generate import wood
 
 
@@ -153,3 +157,24 @@ def test_all_traces_make_one_signal() -> None:
     together = speed.one_signal([loud, other, quiet], 7)
     assert together is not None and together.rate_hz == 2800
     assert together.samples.ravel().tolist() == [1, 1, 1, -1, -1, 1, 1]
+
+
+def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path: Path, recording: Recording) -> None:
+    (method,) = cells.families([with_rates("two", slice(2))])
+    traces = [Trace("wood", tmp_path / "wood.wav")]
+
+    def run(name: str, work: Callable[[Iterator[bench.Piece]], bench.Outcomes]) -> list[Measured | Failure]:
+        with bench.Journal(tmp_path / name) as journal:
+            return bench.run(traces, lambda _: recording, [method], 0, journal, work, lambda _: None)
+
+    def cut(pieces: Iterator[bench.Piece]) -> bench.Outcomes:
+        key, work = next(pieces)
+        yield key, work()
+        raise KeyboardInterrupt
+
+    spread = partial(workers.on_cores, processes=2)
+    whole = run("whole", spread)
+    assert len(whole) == 3 and all(isinstance(each, Measured) for each in whole)
+    with pytest.raises(KeyboardInterrupt):
+        run("cut", cut)
+    assert run("cut", spread) == whole
