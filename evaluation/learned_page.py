@@ -58,21 +58,23 @@ def section(folder: Path, measurements: Measurements) -> str:
 
 def _targets(measurements: Measurements, rivals: Sequence[MeanBdRate]) -> str:
     """Say how the best learned codec stands against the reference and the project's own."""
-    sentences = []
+    wanted = (
+        f"Wanted: {-WANTED_PERCENT:g} % fewer bits than {code(REFERENCE)} at equal PSNR and at equal ST-SIM, as the EVA "
+        "paper has it against PVC-SLP."
+    )
     against = {(row.codec, row.quality): row for row in rivals if row.anchor == REFERENCE and not row.kind}
     both = {
-        learned: [against[learned, scale.field].mean for scale in (PSNR, ST_SIM_2800)]
+        learned: (against[learned, PSNR.field], against[learned, ST_SIM_2800.field])
         for learned in measurements.learned
         if (learned, PSNR.field) in against and (learned, ST_SIM_2800.field) in against
     }
     if both:
-        best = min(both, key=lambda learned: max(both[learned]))
-        verdict = "met" if max(both[best]) <= WANTED_PERCENT else "missed"
-        sentences.append(
-            f"Wanted: {-WANTED_PERCENT:g} % fewer bits than {code(REFERENCE)} at equal PSNR and at equal ST-SIM, as "
-            f"the EVA paper has it against PVC-SLP. **{verdict.capitalize()}**: the best, {code(best)}, stands at "
-            f"{percent(both[best][0])} and {percent(both[best][1])}."
-        )
+        best = min(both, key=lambda learned: max(row.mean for row in both[learned]))
+        verdict = "Met" if max(row.mean for row in both[best]) <= WANTED_PERCENT else "Missed"
+        figures = listed([f"{percent(row.mean)} on {row.traces} traces" for row in both[best]])
+        sentences = [f"{wanted} **{verdict}**: the best, {code(best)}, stands at {figures}."]
+    else:
+        sentences = [f"{wanted} **Missed**: no model can be compared with it at both."]
     own = [row for row in rivals if row.anchor == OWN and row.quality == PSNR.field and row.codec != OWN]
     if own:
         won = [f"{row.kind} by {code(row.codec)} ({percent(row.mean)})" for row in own if row.kind and row.mean < 0]

@@ -377,7 +377,7 @@ def learned() -> Measurements:
 def test_where_trained_models_win_and_lose_is_said_from_the_figures(tmp_path: Path) -> None:
     page = learned_page.section(tmp_path, learned())
     # Against slp -10 % and 1 / 2.09 - 1 = -52.2 %; against mdct +71 % and 1 / 1.1 - 1 = -9.1 %.
-    assert "**Met**: the best, `eva-16`, stands at -31.1 % and -31.1 %" in page
+    assert "**Met**: the best, `eva-16`, stands at -31.1 % on 2 traces and -31.1 % on 2 traces." in page
     assert "**Met** at equal PSNR: fingertip by `eva-16` (-9.1 %)." in page
     assert "On tool textures it loses at equal PSNR to `mdct` +71.0 %." in page
     assert "| eva-16 | slp | -31.1 % (2 of 2) | -52.2 % (1 of 1) | -10.0 % (1 of 1) |" in page
