@@ -59,8 +59,8 @@ def section(folder: Path, measurements: Measurements) -> str:
 def _targets(measurements: Measurements, rivals: Sequence[MeanBdRate]) -> str:
     """Say how the best learned codec stands against the reference and the project's own."""
     wanted = (
-        f"Wanted: {-WANTED_PERCENT:g} % fewer bits than {code(REFERENCE)} at equal PSNR and at equal ST-SIM, as the EVA "
-        "paper has it against PVC-SLP."
+        f"Wanted: {-WANTED_PERCENT:g} % fewer bits than {code(REFERENCE)} at equal PSNR and at equal ST-SIM, as the "
+        "EVA paper has it against PVC-SLP."
     )
     against = {(row.codec, row.quality): row for row in rivals if row.anchor == REFERENCE and not row.kind}
     both = {
