@@ -51,7 +51,7 @@ class Transform:
         return np.asarray(result)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def transform(graph: bytes, source: str, result: str) -> Transform:
     """Return a loaded graph, the same one for the same bytes. Raises as `Transform`."""
     return Transform(graph, source, result)
