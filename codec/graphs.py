@@ -1,6 +1,9 @@
 """Transforms of learned codecs in ONNX Runtime: graphs that come from elsewhere, checked, single-threaded, reused."""
 
-from functools import lru_cache
+import os
+import re
+from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +14,10 @@ SIGNAL = "signal"
 """Name of the samples of a graph, float32 (batch, 1, 16 n)."""
 LATENTS = "latents"
 """Name of the latents of a graph, float32 (batch, latents, n)."""
+MAX_MEMORY_BYTES = 2**30
+"""What all graphs together may take."""
+# Operators that may run for ever, as a serialised graph names them: behind the last byte of the length of the name.
+_LOOPS = re.compile(rb"[\x00\x04](Loop|Scan)")
 _ADVICE = "give a graph that `vibrocast export` wrote"
 
 
@@ -22,12 +29,15 @@ class Transform:
 
         Raises CodecError when the bytes are no such graph.
         """
-        # Takes longer to load than all the rest, and most streams do not need it.
-        import onnxruntime
-
+        if _LOOPS.search(graph):
+            raise CodecError(f"this ONNX graph has a loop, which need not end; {_ADVICE}")
+        onnxruntime = _runtime()
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4  # what goes wrong is raised
+        options.add_session_config_entry("session.use_env_allocators", "1")
+        # Weights that lie in files are looked for where none are: a graph stands alone, and reads no file of the user.
+        options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
         try:
             self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
         except Exception as error:
@@ -49,6 +59,19 @@ class Transform:
         except Exception as error:
             raise CodecError(f"the ONNX graph fails on an array of shape {values.shape}; {_ADVICE}") from error
         return np.asarray(result)
+
+
+@cache
+def _runtime() -> Any:
+    """Load ONNX Runtime, which takes longer than all the rest and which most streams do not need; limit its memory."""
+    import onnxruntime
+
+    memory = onnxruntime.OrtMemoryInfo(
+        "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
+    )
+    limit = onnxruntime.OrtArenaCfg({"max_mem": MAX_MEMORY_BYTES})
+    onnxruntime.create_and_register_allocator(memory, limit)
+    return onnxruntime
 
 
 @lru_cache(maxsize=32)
