@@ -1,5 +1,6 @@
 """Compiles firmware/core into the shared library that codec/core.py loads; run directly, it recompiles in place."""
 
+import os
 import re
 import subprocess
 import sys
@@ -17,12 +18,16 @@ FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-sanitize=all", 
 
 
 def compile_core(output_folder: Path) -> list[Path]:
-    """Compile firmware/core/*.c with ziglang; return the library and the declarations that cffi reads."""
+    """Compile firmware/core/*.c with ziglang; return the library and the declarations that cffi reads.
+
+    The library is for this machine's processor, or for what the environment variable VIBROCAST_CPU names.
+    """
     core = ROOT / "firmware" / "core"
     library = output_folder / LIBRARY
     position_independent = [] if sys.platform == "win32" else ["-fPIC"]
     sources = sorted(str(path) for path in core.glob("*.c"))
-    command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, *position_independent, *sources, "-o", str(library)]
+    flags = [*FLAGS, *position_independent, f"-mcpu={os.environ.get('VIBROCAST_CPU', 'native')}"]
+    command = [sys.executable, "-m", "ziglang", "cc", *flags, *sources, "-o", str(library)]
     subprocess.run(command, check=True)
     declarations = output_folder / "vibrocast_core.cdef"
     declarations.write_text("".join(cffi_declarations(path) for path in sorted(core.glob("*.h"))))
