@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 
 from codec import dct, eva, libav, mdct, slp
 from codec.interface import (
+    AUTO,
     Codec,
     CodecError,
     CodedSignal,
@@ -190,6 +192,7 @@ class Source:
         self.samples = samples
         self._model = model
         self._progress = progress or (lambda part: None)
+        self._live = live
         self._framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
         energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
@@ -201,6 +204,8 @@ class Source:
     def encode(self, setting: Setting) -> CodedSignal:
         """Code with a setting, in shorter packets where they grow too long. Raises CodecError as `codec.encode`."""
         setting = self.codec.complete(setting)
+        if not self._live and AUTO in setting.values():
+            setting = {name: self._settled[name] if value == AUTO else value for name, value in setting.items()}
         framing = self._framing
         tried_samples = 0
         while True:
@@ -226,6 +231,12 @@ class Source:
         except CodecError:
             return False
         return True
+
+    @cached_property
+    def _settled(self) -> Setting:
+        """What the codec chooses by the signal: the same at every setting, so that a search meets no jump."""
+        assert self.codec.settle is not None, f"{self.codec.name} has parameters that may be {AUTO}"
+        return self.codec.settle(self.samples, self.format)
 
     def _packets(self, encoder: Encoder) -> list[bytes]:
         packets: list[bytes] = []

@@ -14,6 +14,8 @@ Value: TypeAlias = float | str | tuple[float, ...]
 Setting: TypeAlias = Mapping[str, Value]
 """A codec's parameters by name; a tuple is a number for each channel, of those that may differ between them."""
 
+AUTO = "auto"
+"""The value of a parameter that the codec chooses by the signal."""
 MAX_CHANNELS = 16
 """Channels in one stream."""
 RUNTIMES = ("core", "onnx")
@@ -238,7 +240,8 @@ class Codec:
     CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
     `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, or raises
     CodecError; None where there is no choice.
-    `make_encoder(setting, format, framing, model)`: the setting complete and checked.
+    `make_encoder(setting, format, framing, model)`: the setting complete and checked. `settle(samples, format)`: what a
+    parameter at AUTO is for a file, whose whole signal is known, in its physical unit; None where none can be at AUTO.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
 
@@ -249,6 +252,7 @@ class Codec:
     ladders: Mapping[str, tuple[Setting, ...]]
     make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
+    settle: Callable[[Signal, SignalFormat], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None
     physical_ladders: frozenset[str] = frozenset()

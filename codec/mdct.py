@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
 from codec.interface import (
+    AUTO,
     Codec,
     CodecError,
     Framing,
@@ -23,18 +24,23 @@ from codec.interface import (
     number,
     numbers,
     varint,
+    word,
 )
 
 NAME = "mdct"
 IDENTIFIER = 1
-HOPS = (16, 32, 64)
+HOPS = (16, 32, 64, 128)
 MAX_PACKET_BLOCKS = 4095
 STEP_CODES = 21 * 64
+LARGEST_FILL = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
 
 _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
+_CHUNK_SAMPLES = 1 << 18
+_SETTLING_STEP = 0.5  # relative to the RMS value: some 13 dB
+_FILL_UNIT = 128
 
 
 SMALLEST_STEP = 2.0**-18
@@ -42,7 +48,7 @@ LARGEST_STEP = 2.0**6
 
 
 def hop_samples(rate_hz: float) -> int:
-    """Return the block advance: 32 samples, 64 from 5600 Hz up, where a block of twice that still lasts under 23 ms."""
+    """Return the hop of live streams: 32 samples, 64 from 5600 Hz up, where a block of twice that still lasts 23 ms."""
     return 64 if rate_hz >= 5600 else 32
 
 
@@ -53,10 +59,10 @@ def step_code(step: float) -> int:
     return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
 
 
-def configuration(hop: int, packet_blocks: int, step_codes: Sequence[int]) -> bytes:
+def configuration(hop: int, packet_blocks: int, step_codes: Sequence[int], fill_code: int = 0) -> bytes:
     """Return the codec's bytes in the stream header."""
     head = varint(packet_blocks << 2 | HOPS.index(hop))
-    return head + b"".join(code.to_bytes(2, "little") for code in step_codes)
+    return head + b"".join((fill_code << 11 | code).to_bytes(2, "little") for code in step_codes)
 
 
 def built_in_tables() -> bytes:
@@ -98,11 +104,14 @@ class MdctEncoder:
         tables: bytes | None = None,
         thrift: float = 1.0,
         hop: int | None = None,
+        fill: float = 0.0,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
         `thrift`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
-        Raises CodecError on a channel count, step, packet length or tables that the codec does not have.
+        `hop`: one of HOPS, None = that of live streams. `fill`: magnitude that stands in for coefficients rounded to
+        zero, in quantiser steps. Raises CodecError on a channel count, step, packet length, hop, fill or tables that
+        the codec does not have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
@@ -116,7 +125,10 @@ class MdctEncoder:
             )
         self._channels = len(steps)
         check_channels(self._channels)
-        self.configuration = configuration(self._hop, self._packet_blocks, [step_code(step) for step in steps])
+        if not 0 <= fill <= LARGEST_FILL:
+            raise CodecError(f"fill {fill} is not from 0 to {LARGEST_FILL}")
+        step_codes = [step_code(step) for step in steps]
+        self.configuration = configuration(self._hop, self._packet_blocks, step_codes, round(fill * _FILL_UNIT))
         core = library()
         self._tables, table_arguments = _tables_arguments(tables)
         self._state = Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
@@ -172,6 +184,16 @@ class MdctEncoder:
         core.vc_mdct_encoder_tables(self._state.pointer, tables)
         return bytes(ffi.buffer(tables))
 
+    def record(self, capacity: int) -> None:
+        """Keep what a network is trained on, of up to `capacity` coefficients coded from now on."""
+        self._examples = np.empty((capacity, library().vc_mdct_example_values()), np.int16)
+        rows = ffi.cast("int16_t *", self._examples.ctypes.data)
+        library().vc_mdct_encoder_record(self._state.pointer, rows, capacity)
+
+    def examples(self) -> NDArray[np.int16]:
+        """Return what was kept (n, inputs + 2): the network's inputs in 1/16, the quantiser and the index."""
+        return self._examples[: library().vc_mdct_encoder_recorded(self._state.pointer)]
+
     def _complete_packets(self) -> list[bytes]:
         count = (len(self._pending) - self._hop) // self.packet_samples
         blocks = count * self._packet_blocks
@@ -207,8 +229,11 @@ def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
     """Return the memory that must stay alive, and the core's two arguments. Raises CodecError on a wrong size."""
     if tables is None:
         return None, (ffi.NULL, 0)
-    if len(tables) != library().vc_mdct_tables_size():
-        raise CodecError(f"tables of the wrong size; mdct needs {library().vc_mdct_tables_size()} bytes")
+    core = library()
+    alone = core.vc_mdct_tables_size()
+    with_network = alone + core.vc_mdct_network_size()
+    if len(tables) not in (alone, with_network):
+        raise CodecError(f"tables of the wrong size; mdct needs {alone} bytes, or {with_network} with a network")
     memory = ffi.new("uint8_t[]", tables)
     return memory, (memory, len(tables))
 
@@ -218,6 +243,24 @@ def check_tables(tables: bytes) -> None:
     _tables_arguments(tables)
 
 
+def settle(samples: Signal, signal_format: SignalFormat) -> Setting:
+    """Choose the hop for a whole signal (n, channels) in its physical unit.
+
+    The one of the fewest bits at middling quality, by a bound that needs no coding: log2(1 + (coefficient / step)^2)
+    for each coefficient, twice the rate of a Gaussian of that variance (T. Cover and J. Thomas, "Elements of
+    Information Theory", 2006, section 10.3.3).
+    """
+    scales = _SETTLING_STEP * np.array(signal_format.gains) * np.array(signal_format.rms)
+    bits = dict.fromkeys(HOPS, 0.0)
+    for start in range(0, len(samples), _CHUNK_SAMPLES):
+        part = samples[start : start + _CHUNK_SAMPLES] / scales
+        for hop in HOPS:
+            blocks = np.pad(part, ((hop, 2 * hop), (0, 0)))
+            frames = np.lib.stride_tricks.sliding_window_view(blocks, 2 * hop, axis=0)[::hop]
+            bits[hop] += float(np.sum(np.log2(1 + np.square(frames @ analysis_matrix(hop)))))
+    return {"hop": str(min(bits, key=lambda hop: bits[hop]))}
+
+
 def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
     relative_steps = numbers(setting, "step", signal_format.channels)
@@ -225,8 +268,19 @@ def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing
         min(max(step * rms, SMALLEST_STEP), LARGEST_STEP)
         for step, rms in zip(relative_steps, signal_format.rms, strict=True)
     ]
+    live_hop = hop_samples(signal_format.rate_hz)
+    hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
+    if framing.refresh_packets == 0 and hop > live_hop:
+        # The framing of a file leaves room for one block of a live stream behind the end; this one needs more.
+        framing = Framing(framing.packet_samples + hop - live_hop, 0)
     return MdctEncoder(
-        steps, signal_format.rate_hz, framing, model.tables if model else None, number(setting, "thrift")
+        steps,
+        signal_format.rate_hz,
+        framing,
+        model.tables if model else None,
+        number(setting, "thrift"),
+        hop,
+        number(setting, "fill"),
     )
 
 
@@ -237,11 +291,14 @@ CODEC = Codec(
     parameters={
         "step": Parameter("quantiser step relative to the RMS value", 0.25, low=SMALLEST_STEP, per_channel=True),
         "thrift": Parameter("weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1),
+        "hop": Parameter("samples from block to block", AUTO, choices=(AUTO, *map(str, HOPS))),
+        "fill": Parameter("noise in place of zeros, in quantiser steps", 1 / 32, low=0, high=LARGEST_FILL),
     },
     # From some 2 dB of SNR to some 42.
     ladders={NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1))},
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
+    settle=settle,
     check_tables=check_tables,
     takes_model=True,
     searches_steps=True,

@@ -1,9 +1,11 @@
 """Trains the initial tables of `mdct` on recordings: a refresh then starts from what textures have in common.
 
-python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a controller
-python -m export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
+python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi                for a controller
+python -m export.mdct_tables RECORDINGS.npz ... --network --image mine.vcmi      with a network, in fewer bits
+python -m export.mdct_tables RECORDINGS.npz ... --built-in                       for firmware/core itself
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -22,25 +24,31 @@ FINEST_STEP, COARSEST_STEP = -2.5, 2.3
 """log2 of the quantiser step over the RMS value: about 25 dB down to 0 dB of SNR."""
 EXCERPT_S = 1.5
 PASSES = 2
-_STEP = 2.0**-9
+STEP = 2.0**-9
+"""Of every encoder that learns: an excerpt is scaled so that this step is the wanted one."""
 _BUILT_IN_SOURCE = Path(__file__).parents[1] / "firmware" / "core" / "builtin_tables.c"
 
 
-def train(textures: list[Signal], seed: int, tables: bytes) -> bytes:
-    """Return `tables` adapted to excerpts of the textures, (n, 1) each, coded in random order at random steps."""
+def excerpts(textures: list[Signal], seed: int, excerpt_s: float = EXCERPT_S) -> Iterator[Signal]:
+    """Yield excerpts of the textures, (n, 1) each, in random order, scaled so that STEP is a random step."""
     generator = np.random.default_rng(seed)
     log_steps = generator.uniform(FINEST_STEP, COARSEST_STEP, (len(textures), STEPS_PER_RECORDING))
     jobs = [(texture, log_step) for texture, row in zip(textures, log_steps, strict=True) for log_step in row]
-    encoder = MdctEncoder((_STEP,), RATE_HZ, Framing(RATE_HZ, 0), tables)
     for index in track(generator.permutation(len(jobs)), description="training"):
         texture, log_step = jobs[index]
-        length = min(len(texture), int(EXCERPT_S * RATE_HZ))
+        length = min(len(texture), int(excerpt_s * RATE_HZ))
         start = int(generator.integers(0, len(texture) - length + 1))
         excerpt = texture[start : start + length]
         rms = float(np.sqrt(np.mean(np.square(excerpt))))
         if rms > 0:
-            # One encoder has one step: the excerpt is scaled so that this step is the wanted one.
-            encoder.encode(excerpt * (_STEP / (rms * 2**log_step)))
+            yield excerpt * (STEP / (rms * 2**log_step))
+
+
+def train(textures: list[Signal], seed: int, tables: bytes) -> bytes:
+    """Return `tables` adapted to excerpts of the textures, (n, 1) each, coded in random order at random steps."""
+    encoder = MdctEncoder((STEP,), RATE_HZ, Framing(RATE_HZ, 0), tables)
+    for excerpt in excerpts(textures, seed):
+        encoder.encode(excerpt)
     return encoder.adapted_tables()
 
 
@@ -54,6 +62,7 @@ def c_source(tables: bytes) -> str:
 @click.command()
 @click.argument("archives", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--image", type=click.Path(dir_okay=False, path_type=Path), help="Model image to write.")
+@click.option("--network", is_flag=True, help="Train a network too, for the image; takes minutes, and PyTorch.")
 @click.option("--built-in", is_flag=True, help="Replace the tables built into firmware/core; reinstall afterwards.")
 @click.option("--name", default="mdct", show_default=True, help="Name of the image.")
 @click.option("--version", default="1", show_default=True, help="Version of the image.")
@@ -63,6 +72,7 @@ def c_source(tables: bytes) -> str:
 def main(
     archives: tuple[Path, ...],
     image: Path | None,
+    network: bool,
     built_in: bool,
     name: str,
     version: str,
@@ -84,11 +94,20 @@ def main(
     tables = untrained_tables()
     for training_pass in range(PASSES):
         tables = train(textures, seed + training_pass, tables)
-    if image is not None:
-        image.write_bytes(ModelImage(IDENTIFIER, name, version, "", tables).pack())
     if built_in:
         _BUILT_IN_SOURCE.write_text(c_source(tables))
-    click.echo(f"{len(tables)} bytes of tables from {len(textures)} recordings")
+    payload = _with_network(textures, seed + PASSES, tables) if network else tables
+    if image is not None:
+        image.write_bytes(ModelImage(IDENTIFIER, name, version, "", payload).pack())
+    click.echo(f"{len(payload)} bytes of tables from {len(textures)} recordings")
+
+
+def _with_network(textures: list[Signal], seed: int, tables: bytes) -> bytes:
+    try:
+        from export.mdct_network import trained
+    except ImportError as error:
+        raise click.ClickException('a network is trained by PyTorch: pip install "vibrocast[training]"') from error
+    return trained(textures, seed, tables)
 
 
 if __name__ == "__main__":

@@ -12,11 +12,13 @@ typedef struct {
     unsigned state; /* of dependent quantisation */
 } vc_block_state;
 
-/* The best way into each state of dependent quantisation, for each bin. */
+/* The best way into each state of dependent quantisation, for each bin; and where examples go. */
 typedef struct {
     uint32_t chosen[VC_MAX_BINS][4]; /* index that leads into a state */
     uint8_t origin[VC_MAX_BINS][4];  /* and the state that it leads from */
     uint32_t indices[VC_MAX_BINS];
+    int16_t *examples; /* rows for the training of a network; NULL = none wanted */
+    size_t example_count, example_capacity;
 } vc_block_search;
 
 /* At a refresh. */

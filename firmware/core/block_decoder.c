@@ -27,7 +27,8 @@ static uint32_t decode_index(vc_range_coder *coder, vc_model *model, const vc_co
 void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *state, uint32_t bins, int32_t *levels)
 {
     vc_history *history = &state->history;
-    uint32_t k, block_sum = 0;
+    vc_below below = {{0, 0, 0}, 0, 0};
+    uint32_t k;
     int silent = vc_range_decode(coder, vc_silence_predict(model, history));
     vc_silence_update(model, history, silent);
     history->silent_history = (uint8_t)((history->silent_history << 1 | silent) & 3);
@@ -39,12 +40,12 @@ void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
         unsigned quantiser = vc_quantiser_of(state->state);
         vc_contexts contexts;
         uint32_t index, level;
-        vc_contexts_find(&contexts, history, bins, k, block_sum);
+        vc_contexts_find(&contexts, model, history, bins, k, &below, quantiser);
         index = decode_index(coder, model, &contexts, quantiser);
         level = vc_level_of(index, quantiser);
         levels[k] = index != 0 && vc_range_decode(coder, VC_EVEN_ODDS) ? -(int32_t)level : (int32_t)level;
         state->state = vc_next_state(state->state, index);
-        block_sum += vc_history_set(history, k, level);
+        vc_below_add(&below, history, k, vc_history_set(history, k, level));
     }
     vc_history_next_block(history, bins);
 }

@@ -1,6 +1,7 @@
 /* Encoder of blocks: a search for the levels of least distortion + lambda * rate, then the decoder's steps mirrored;
  * see block_coder.h. */
 #include "block_coder.h"
+#include "mdct_network.h"
 
 #define STATES 4
 #define UNREACHED INT64_MAX
@@ -9,25 +10,43 @@
 /* The best way into a state of dependent quantisation after one bin. */
 typedef struct {
     int64_t cost; /* squared error + lambda * rate, in 1/65536 of a squared step */
-    uint32_t level, level_below;
+    vc_below below;
 } path;
 
 /* What the search for one block needs of its surroundings. */
 typedef struct {
-    const vc_model *model;
+    vc_model *model;
     const vc_history *history;
     vc_block_search *search;
     uint32_t bins, lambda;
 } task;
 
-/* Estimated rate of an index in 1/256 bit: by the first context's adaptive probabilities alone, not mixed. */
-static int64_t estimated_cost(const vc_model *model, unsigned quantiser, unsigned context, uint32_t index)
+/* Estimated probabilities, in 1/65536, of the decisions up to `last`: as they will be coded where a network is worth
+ * it; else by the first context's adaptive probabilities alone, not mixed, in a third of the time. */
+static void estimate(const task *task, uint32_t k, const vc_below *below, unsigned quantiser, uint32_t last,
+                     uint32_t *probabilities)
+{
+    unsigned decision;
+    if (task->model->network != NULL) {
+        vc_contexts contexts;
+        vc_prediction prediction;
+        vc_contexts_find(&contexts, task->model, task->history, task->bins, k, below, quantiser);
+        for (decision = 0; decision < VC_DECISIONS && decision <= last; decision++)
+            probabilities[decision] = vc_predict(task->model, &contexts, decision, quantiser, &prediction);
+    } else {
+        const unsigned context = vc_first_context(task->history, task->bins, k, below);
+        for (decision = 0; decision < VC_DECISIONS && decision <= last; decision++)
+            probabilities[decision] = task->model->probability[decision][quantiser][0][context];
+    }
+}
+
+/* Estimated rate of an index in 1/256 bit. */
+static int64_t estimated_cost(const uint32_t *probabilities, uint32_t index)
 {
     int64_t cost = index > 0 ? 256 : 0;
     uint32_t decision;
     for (decision = 0; decision <= index && decision < VC_UNARY_LIMIT; decision++) {
-        unsigned kind = decision < VC_DECISIONS ? decision : VC_DECISIONS - 1;
-        unsigned probability = model->probability[kind][quantiser][0][context] >> 5;
+        uint32_t probability = probabilities[decision < VC_DECISIONS ? decision : VC_DECISIONS - 1] >> 5;
         cost += vc_cost[index > decision ? probability : 2047 - probability];
     }
     if (index >= VC_UNARY_LIMIT)
@@ -49,10 +68,10 @@ static int64_t distortion(uint32_t magnitude, uint32_t level)
 static void extend(const task *task, uint32_t k, uint32_t magnitude, unsigned state, const path *from, path *paths)
 {
     const unsigned quantiser = vc_quantiser_of(state);
-    const unsigned context = vc_first_context(task->history, task->bins, k, from->level, from->level_below);
     const uint32_t nearest = (magnitude / 256 + quantiser) / 2;
-    uint32_t candidates[4];
+    uint32_t candidates[4], probabilities[VC_DECISIONS];
     unsigned count = 0, i;
+    estimate(task, k, &from->below, quantiser, nearest + 1, probabilities);
     candidates[count++] = nearest;
     candidates[count++] = nearest + 1;
     if (nearest > 0)
@@ -62,12 +81,11 @@ static void extend(const task *task, uint32_t k, uint32_t magnitude, unsigned st
     for (i = 0; i < count; i++) {
         uint32_t index = candidates[i], level = vc_level_of(index, quantiser);
         unsigned next = vc_next_state(state, index);
-        int64_t cost = from->cost + distortion(magnitude, level) +
-                       task->lambda * estimated_cost(task->model, quantiser, context, index);
+        int64_t cost = from->cost + distortion(magnitude, level) + task->lambda * estimated_cost(probabilities, index);
         if (cost < paths[next].cost) {
             paths[next].cost = cost;
-            paths[next].level = vc_kept_magnitude(level);
-            paths[next].level_below = from->level;
+            paths[next].below = from->below;
+            vc_below_add(&paths[next].below, task->history, k, vc_kept_magnitude(level));
             task->search->chosen[k][next] = index;
             task->search->origin[k][next] = (uint8_t)state;
         }
@@ -92,7 +110,7 @@ static int search_block(const task *task, unsigned first_state, const uint32_t *
     for (state = 0; state < STATES; state++)
         now[state].cost = UNREACHED;
     now[first_state].cost = (int64_t)task->lambda * vc_cost[2047 - silence];
-    now[first_state].level = now[first_state].level_below = 0;
+    memset(&now[first_state].below, 0, sizeof now[first_state].below);
     for (k = 0; k < task->bins; k++) {
         path *swap = now;
         silent_cost += distortion(magnitudes[k], 0);
@@ -139,7 +157,8 @@ void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
 {
     vc_history *history = &state->history;
     const task task = {model, history, search, bins, lambda};
-    uint32_t k, block_sum = 0;
+    vc_below below = {{0, 0, 0}, 0, 0};
+    uint32_t k;
     int silent = search_block(&task, state->state, magnitudes);
     vc_range_encode(coder, silent, vc_silence_predict(model, history));
     vc_silence_update(model, history, silent);
@@ -150,12 +169,18 @@ void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
         unsigned quantiser = vc_quantiser_of(state->state);
         uint32_t index = search->indices[k];
         vc_contexts contexts;
-        vc_contexts_find(&contexts, history, bins, k, block_sum);
+        vc_contexts_find(&contexts, model, history, bins, k, &below, quantiser);
+        if (search->example_count < search->example_capacity) {
+            int16_t *row = search->examples + search->example_count++ * VC_NETWORK_EXAMPLE;
+            vc_network_inputs(row, model, &contexts, history, &below, bins, k, quantiser);
+            row[VC_NETWORK_INPUTS] = (int16_t)quantiser;
+            row[VC_NETWORK_INPUTS + 1] = (int16_t)(index < VC_UNARY_LIMIT ? index : VC_UNARY_LIMIT);
+        }
         encode_index(coder, model, &contexts, quantiser, index);
         if (index != 0)
             vc_range_encode(coder, values[k] < 0, VC_EVEN_ODDS);
         state->state = vc_next_state(state->state, index);
-        block_sum += vc_history_set(history, k, vc_level_of(index, quantiser));
+        vc_below_add(&below, history, k, vc_history_set(history, k, vc_level_of(index, quantiser)));
     }
     vc_history_next_block(history, bins);
 }

@@ -30,7 +30,7 @@ int vc_adaptive_decode(vc_range_coder *coder, uint16_t *probability, unsigned sh
 void vc_golomb_encode(vc_range_coder *coder, uint32_t value);
 uint32_t vc_golomb_decode(vc_range_coder *coder);
 
-extern const int32_t vc_cosine[512]; /* cos(2 pi i / 512) in 1/2^24 */
+extern const int32_t vc_cosine[1024]; /* cos(2 pi i / 1024) in 1/2^24 */
 
 /* Largest signal value, in 1/256 of a sample's least significant bit; only hostile streams come near. */
 #define VC_MAX_VALUE (1 << 30)

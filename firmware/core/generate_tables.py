@@ -14,7 +14,7 @@ def detection_threshold_db(frequency_hz: float) -> float:
 
 
 TABLES: dict[str, tuple[str, Sequence[float]]] = {
-    "vc_cosine": ("int32_t", [2**24 * math.cos(2 * math.pi * i / 512) for i in range(512)]),
+    "vc_cosine": ("int32_t", [2**24 * math.cos(2 * math.pi * i / 1024) for i in range(1024)]),
     "vc_stretch": ("int16_t", [256 * math.log((i + 0.5) / (2047.5 - i)) for i in range(2048)]),
     "vc_squash": ("uint16_t", [65536 / (1 + math.exp(-(4 * i - 2046) / 256)) for i in range(1024)]),
     "vc_cost": ("uint16_t", [-256 * math.log2((i + 0.5) / 2048) for i in range(2048)]),

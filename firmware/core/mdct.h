@@ -4,11 +4,12 @@
 
 #include "common.h"
 
-#define VC_MAX_HOP 64
 #define VC_MAX_BINS 128 /* of a block that is coded by this model: a spectrum, or a column of EVA's latents */
 #define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
-/* Coefficients, in 1/256 of a sample's least significant bit, stay within this: 64 * sqrt(64) times full scale. */
+#define VC_STEP_CODE_BITS 11 /* of the 16 in the configuration; above them, the fill */
+/* Coefficients, in 1/256 of a sample's least significant bit, stay within this: 21 times full scale, by
+ * 4 / pi * sqrt(2 * 128). */
 #define VC_MAX_COEFFICIENT (1 << 28)
 
 #define VC_INPUTS 4
@@ -17,40 +18,60 @@
 #define VC_UNARY_LIMIT 15
 #define VC_SCALES 4
 #define VC_SILENCE_CONTEXTS 16
+#define VC_MAX_STRETCHED 2047
 
 typedef struct {
     uint32_t hop, packet_blocks;
     unsigned channels;
     int32_t step[VC_MAX_CHANNELS]; /* in 1/256 of a sample's least significant bit */
+    int32_t fill[VC_MAX_CHANNELS]; /* magnitude that stands in for a level of 0, in the same unit */
 } vc_mdct_configuration;
+
+/* What is mixed: the contexts' probabilities, the network's, and a constant. */
+#define VC_MIXED (VC_INPUTS + 2)
 
 /* Adaptive state that is shared by all channels of a stream and restarts at a refresh. A quantiser is one of the two
  * that dependent quantisation alternates between. */
 typedef struct {
     uint16_t probability[VC_DECISIONS][2][VC_INPUTS][VC_CONTEXTS];
-    int32_t weight[VC_DECISIONS][2][VC_SCALES][VC_INPUTS + 1]; /* in 1/65536 */
+    int32_t weight[VC_DECISIONS][2][VC_SCALES][VC_MIXED]; /* in 1/65536 */
     uint16_t silence[VC_SILENCE_CONTEXTS];
+    const uint8_t *network; /* of mdct_network.h; NULL = none. A reset leaves it. */
 } vc_model;
 
-/* Magnitudes coded so far in one channel, which make the contexts. Rows have two bins of padding on each side. */
+/* Bins of padding on each side of a row. */
+#define VC_PADDING 2
+
+/* Magnitudes coded so far in one channel, which make the contexts. */
 typedef struct {
-    uint8_t rows[4][VC_MAX_BINS + 4];  /* this block, the last one, and the two before */
-    uint16_t average[VC_MAX_BINS + 4]; /* running average of each bin, in 1/256 */
-    uint32_t block_sum;                /* of the last block */
-    uint8_t silent_history;            /* of the last two blocks, one bit each */
+    uint8_t rows[4][VC_MAX_BINS + 2 * VC_PADDING];  /* this block, the last one, and the two before */
+    uint16_t average[VC_MAX_BINS + 2 * VC_PADDING]; /* running average of each bin, in 1/256 */
+    uint16_t mean[VC_MAX_BINS + 2 * VC_PADDING];    /* slower, from the first block on a true mean, in 1/512 */
+    uint32_t mean_sum;                              /* of all bins */
+    uint32_t block_sum;                             /* of the last block */
+    uint32_t blocks;                                /* so far, at most VC_MEAN_BLOCKS */
+    uint8_t silent_history;                         /* of the last two blocks, one bit each */
 } vc_history;
+
+/* The bins below one in the same block. */
+typedef struct {
+    uint32_t nearest[3]; /* magnitudes as the history keeps them, the nearest first */
+    uint32_t sum;        /* of all their magnitudes */
+    uint32_t mean_sum;   /* of the history's means of them */
+} vc_below;
 
 /* Contexts of one coefficient: what all its decisions share. */
 typedef struct {
     unsigned index[VC_INPUTS];
     unsigned scale;
+    int32_t network[VC_DECISIONS]; /* ln(p / (1 - p)) of each decision, in 1/256; 0 without a network */
 } vc_contexts;
 
 /* One prediction, kept for the update that follows. */
 typedef struct {
     uint16_t *cell[VC_INPUTS];
     int32_t *weight;
-    int32_t stretched[VC_INPUTS];
+    int32_t stretched[VC_MIXED];
     int32_t mixed; /* probability of 1 in 1/65536 */
 } vc_prediction;
 
@@ -62,7 +83,9 @@ static inline int32_t vc_step_of(uint32_t code)
 
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels);
 
+/* The payload of a model image: tables, perhaps a network. NULL = the built-in tables. */
 int vc_model_check_tables(const uint8_t *tables, size_t length);
+const uint8_t *vc_model_network(const uint8_t *tables, size_t length);
 void vc_model_reset(vc_model *model, const uint8_t *tables);
 void vc_model_export(const vc_model *model, uint8_t *tables);
 
@@ -73,10 +96,18 @@ uint32_t vc_kept_magnitude(uint32_t magnitude);
 /* Records the magnitude of bin k of the current block; returns it as kept. */
 uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude);
 
-/* Context of input 0, by which the encoder's search estimates rates, given the magnitudes of the two bins below k. */
-unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, uint32_t below, uint32_t second_below);
-/* Contexts of bin k; `block_sum`: magnitudes of this block so far. */
-void vc_contexts_find(vc_contexts *contexts, const vc_history *history, uint32_t hop, uint32_t k, uint32_t block_sum);
+/* Goes on to the next bin: `magnitude`, as kept, is that of bin k. */
+void vc_below_add(vc_below *below, const vc_history *history, uint32_t k, uint32_t magnitude);
+
+/* Context of input 0, by which the encoder's search estimates rates where there is no network. */
+unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, const vc_below *below);
+/* Contexts of bin k. */
+void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_history *history, uint32_t hop, uint32_t k,
+                      const vc_below *below, unsigned quantiser);
+/* Number of steps, four an octave from 4 up and one a unit below: a logarithm of x with two bits of mantissa. */
+unsigned vc_fine_class(uint32_t x);
+/* ln(p / (1 - p)) in 1/256, of a probability in 1/65536. */
+int32_t vc_stretched(uint32_t probability);
 
 /* Probability of 1 for decision `decision` (0: not zero; n: magnitude above n), and the update with what came. */
 uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decision, unsigned quantiser,
@@ -91,6 +122,11 @@ static inline unsigned vc_next_state(unsigned state, uint32_t index)
     /* The 4-state trellis of dependent quantisation in VVC (ITU-T H.266, 8.7.3). */
     static const uint8_t next[4][2] = {{0, 2}, {2, 0}, {1, 3}, {3, 1}};
     return next[state][index & 1u];
+}
+
+static inline int32_t vc_clamped(int32_t value, int32_t limit)
+{
+    return value > limit ? limit : value < -limit ? -limit : value;
 }
 
 static inline unsigned vc_quantiser_of(unsigned state)

@@ -5,8 +5,8 @@
 
 typedef struct {
     vc_block_state block;
-    int32_t spectrum[VC_MAX_HOP]; /* of the last block, in 1/256 of a least significant bit */
-    int32_t overlap[VC_MAX_HOP];  /* windowed second half of the last block, in the same unit */
+    int32_t spectrum[VC_MAX_BINS]; /* of the last block, in 1/256 of a least significant bit */
+    int32_t overlap[VC_MAX_BINS];  /* windowed second half of the last block, in the same unit */
 } channel_state;
 
 struct vc_mdct_decoder {
@@ -15,7 +15,7 @@ struct vc_mdct_decoder {
     vc_model model;
     uint32_t next_sequence;
     int in_sequence; /* packets since the last refresh all came */
-    uint32_t random; /* state of the generator that gives concealment its signs */
+    uint32_t random; /* state of the generator that gives signs to fill and concealment */
     channel_state channels[VC_MAX_CHANNELS];
 };
 
@@ -40,7 +40,7 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
         head = (head & 0x7Fu) | (uint32_t)bytes[1] << 7;
         used = 2;
     }
-    if ((head & 3u) > 2 || head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS || length != used + 2 * channels)
+    if (head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS || length != used + 2 * channels)
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
     read.hop = 16u << (head & 3u);
@@ -48,9 +48,12 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
     read.channels = channels;
     for (channel = 0; channel < channels; channel++) {
         uint32_t code = bytes[used + 2 * channel] | (uint32_t)bytes[used + 2 * channel + 1] << 8;
+        uint32_t fill = code >> VC_STEP_CODE_BITS;
+        code &= (1u << VC_STEP_CODE_BITS) - 1;
         if (code >= VC_STEP_CODES)
             return VC_BAD_CONFIGURATION;
         read.step[channel] = vc_step_of(code);
+        read.fill[channel] = (int32_t)((int64_t)read.step[channel] * fill / 128);
     }
     *configuration = read;
     return VC_OK;
@@ -62,10 +65,10 @@ int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration,
     int status;
     memset(decoder, 0, sizeof *decoder);
     decoder->tables = tables;
-    decoder->random = 1;
     status = vc_model_check_tables(tables, tables_length);
     if (status != VC_OK)
         return status;
+    decoder->model.network = vc_model_network(tables, tables_length);
     return vc_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
 }
 
@@ -79,22 +82,25 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop;
 }
 
-/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are in 1/512 of a turn: N divides 64. */
+/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are in 1/1024 of a turn: N divides 128. */
 static int32_t inverse_mdct(const int32_t *spectrum, uint32_t hop, uint32_t n)
 {
-    const int32_t root = hop == 16 ? 5931642 : hop == 32 ? 4194304 : 2965821; /* sqrt(2 / N) in 1/2^24 */
-    const uint32_t angle = (2 * n + 1 + hop) * (64 / hop);
+    const int32_t root = hop == 16   ? 5931642
+                         : hop == 32 ? 4194304
+                         : hop == 64 ? 2965821
+                                     : 2097152; /* sqrt(2 / N) in 1/2^24 */
+    const uint32_t angle = (2 * n + 1 + hop) * (128 / hop);
     int64_t sum = 0;
     uint32_t k;
     for (k = 0; k < hop; k++)
-        sum += (int64_t)spectrum[k] * vc_cosine[(angle * (2 * k + 1)) & 511u];
+        sum += (int64_t)spectrum[k] * vc_cosine[(angle * (2 * k + 1)) & 1023u];
     return vc_scaled_down((int64_t)vc_scaled_down(sum) * root);
 }
 
 /* sin(pi (n + 1/2) / (2 N)) in 1/2^24, 0 <= n < N: the rising half of the sine window. */
 static int32_t window(uint32_t hop, uint32_t n)
 {
-    return vc_cosine[((2 * n + 1) * (64 / hop) + 384) & 511u];
+    return vc_cosine[((2 * n + 1) * (128 / hop) + 768) & 1023u];
 }
 
 static int32_t windowed(int32_t value, int32_t weight)
@@ -120,13 +126,25 @@ static void synthesise(channel_state *channel, uint32_t hop, int16_t *samples, u
     }
 }
 
-static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, channel_state *channel, int32_t step)
+/* Pseudo-random sign from a linear congruential generator (Numerical Recipes' constants). */
+static int32_t random_sign(vc_mdct_decoder *decoder)
+{
+    decoder->random = decoder->random * 1664525u + 1013904223u;
+    return decoder->random >> 31 ? -1 : 1;
+}
+
+static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsigned number)
 {
     const uint32_t hop = decoder->configuration.hop;
+    const int32_t step = decoder->configuration.step[number];
+    channel_state *channel = &decoder->channels[number];
+    int32_t fill;
     uint32_t k;
     vc_block_decode(coder, &decoder->model, &channel->block, hop, channel->spectrum);
+    fill = channel->block.history.silent_history & 1 ? 0 : decoder->configuration.fill[number];
     for (k = 0; k < hop; k++)
-        channel->spectrum[k] = vc_reconstruct(channel->spectrum[k], step);
+        channel->spectrum[k] =
+            channel->spectrum[k] == 0 ? fill * random_sign(decoder) : vc_reconstruct(channel->spectrum[k], step);
 }
 
 int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
@@ -149,22 +167,16 @@ int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t lengt
         vc_block_reset(&decoder->channels[channel].block);
     decoder->in_sequence = 1;
     decoder->next_sequence = sequence + 1;
+    decoder->random = sequence; /* so that a decoder that begins here fills alike */
     vc_range_decoder_init(&coder, packet + head, length - head);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++) {
-            decode_block(decoder, &coder, &decoder->channels[channel], configuration->step[channel]);
+            decode_block(decoder, &coder, channel);
             synthesise(&decoder->channels[channel], configuration->hop, samples + channel, configuration->channels);
             if (channel + 1 == configuration->channels)
                 samples += (size_t)configuration->hop * configuration->channels;
         }
     return VC_OK;
-}
-
-/* Pseudo-random sign from a linear congruential generator (Numerical Recipes' constants). */
-static int32_t random_sign(vc_mdct_decoder *decoder)
-{
-    decoder->random = decoder->random * 1664525u + 1013904223u;
-    return decoder->random >> 31 ? -1 : 1;
 }
 
 void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)

@@ -1,5 +1,6 @@
 /* Encoder of `mdct`: coefficients in quantiser steps, for the block coder. */
 #include "block_coder.h"
+#include "mdct_network.h"
 
 struct vc_mdct_encoder {
     vc_mdct_configuration configuration;
@@ -27,12 +28,30 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
     status = vc_model_check_tables(tables, tables_length);
     if (status != VC_OK)
         return status;
+    encoder->model.network = vc_model_network(tables, tables_length);
     return vc_configuration_read(&encoder->configuration, configuration, configuration_length, channels);
 }
 
 void vc_mdct_encoder_tables(const vc_mdct_encoder *encoder, uint8_t *tables)
 {
     vc_model_export(&encoder->model, tables);
+}
+
+size_t vc_mdct_example_values(void)
+{
+    return VC_NETWORK_EXAMPLE;
+}
+
+void vc_mdct_encoder_record(vc_mdct_encoder *encoder, int16_t *rows, size_t capacity)
+{
+    encoder->search.examples = rows;
+    encoder->search.example_capacity = capacity;
+    encoder->search.example_count = 0;
+}
+
+size_t vc_mdct_encoder_recorded(const vc_mdct_encoder *encoder)
+{
+    return encoder->search.example_count;
 }
 
 static uint32_t magnitude_of(int32_t value)
@@ -45,7 +64,7 @@ static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, vc_blo
                          const int32_t *coefficients, int32_t step)
 {
     const uint32_t hop = encoder->configuration.hop;
-    uint32_t magnitudes[VC_MAX_HOP], k;
+    uint32_t magnitudes[VC_MAX_BINS], k;
     for (k = 0; k < hop; k++)
         magnitudes[k] = (uint32_t)(((uint64_t)magnitude_of(coefficients[k]) << 8) / (uint32_t)step);
     vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, encoder->lambda);

@@ -1,16 +1,19 @@
-/* Context model of `mdct`: decisions on the quantised spectrum, predicted by logistic mixing of four contexts.
+/* Context model of `mdct`: decisions on the quantised spectrum, predicted by logistic mixing of four contexts
+ * and, where a model image brings it, a network.
  *
  * Logistic mixing follows M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005.
  */
-#include "mdct.h"
+#include "mdct_network.h"
 
 #define CELLS (VC_DECISIONS * 2 * VC_INPUTS * VC_CONTEXTS)
-#define WEIGHTS (VC_DECISIONS * 2 * VC_SCALES * (VC_INPUTS + 1))
-#define TABLES_BYTES (CELLS + 2 * WEIGHTS + VC_SILENCE_CONTEXTS)
+#define WEIGHT_SETS (VC_DECISIONS * 2 * VC_SCALES)
+#define WEIGHTS (WEIGHT_SETS * VC_MIXED)
+#define TABLES_BYTES (CELLS + 2 * WEIGHT_SETS * (VC_INPUTS + 1) + VC_SILENCE_CONTEXTS)
 
 #define MAX_MAGNITUDE 126u
 #define ADAPTATION_SHIFT 5
-#define MAX_STRETCHED 2047
+#define NETWORK_WEIGHT (1 << 16)
+#define MEAN_BLOCKS 24u
 #define BIAS_INPUT 256
 #define LEARNING_RATE 6
 #define LEARNING_SHIFT 18
@@ -22,6 +25,11 @@ size_t vc_mdct_tables_size(void)
     return TABLES_BYTES;
 }
 
+size_t vc_mdct_network_size(void)
+{
+    return VC_NETWORK_BYTES;
+}
+
 const uint8_t *vc_mdct_builtin_tables(void)
 {
     return vc_builtin_tables;
@@ -29,26 +37,27 @@ const uint8_t *vc_mdct_builtin_tables(void)
 
 int vc_model_check_tables(const uint8_t *tables, size_t length)
 {
-    return tables == NULL || length == TABLES_BYTES ? VC_OK : VC_BAD_TABLES;
+    return tables == NULL || length == TABLES_BYTES || length == TABLES_BYTES + VC_NETWORK_BYTES ? VC_OK
+                                                                                                 : VC_BAD_TABLES;
 }
 
-static int32_t clamp(int32_t value, int32_t limit)
+const uint8_t *vc_model_network(const uint8_t *tables, size_t length)
 {
-    return value > limit ? limit : value < -limit ? -limit : value;
+    return tables != NULL && length > TABLES_BYTES ? tables + TABLES_BYTES : NULL;
 }
 
 static uint32_t squash(int32_t stretched)
 {
-    return vc_squash[(uint32_t)(clamp(stretched, MAX_STRETCHED) + 2048) >> 2];
+    return vc_squash[(uint32_t)(vc_clamped(stretched, VC_MAX_STRETCHED) + 2048) >> 2];
 }
 
-static int32_t stretch(uint32_t probability)
+int32_t vc_stretched(uint32_t probability)
 {
     return vc_stretch[probability >> 5];
 }
 
 /* Tables: for each cell the stretched probability / 16 (int8), the weights in 1/4096 (int16, little endian), then the
- * probabilities of silence / 256 (uint8). */
+ * probabilities of silence / 256 (uint8). The weight of the network is not among them. */
 void vc_model_reset(vc_model *model, const uint8_t *tables)
 {
     uint16_t *cells = &model->probability[0][0][0][0];
@@ -57,8 +66,13 @@ void vc_model_reset(vc_model *model, const uint8_t *tables)
     unsigned i;
     for (i = 0; i < CELLS; i++)
         cells[i] = (uint16_t)squash(16 * (int8_t)*source++);
-    for (i = 0; i < WEIGHTS; i++, source += 2)
-        weights[i] = clamp(16 * (int16_t)(source[0] | source[1] << 8), MAX_WEIGHT);
+    for (i = 0; i < WEIGHTS; i++)
+        if (i % VC_MIXED == VC_INPUTS) {
+            weights[i] = NETWORK_WEIGHT;
+        } else {
+            weights[i] = vc_clamped(16 * (int16_t)(source[0] | source[1] << 8), MAX_WEIGHT);
+            source += 2;
+        }
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
         model->silence[i] = (uint16_t)(*source++ * 256 + 128);
 }
@@ -69,12 +83,13 @@ void vc_model_export(const vc_model *model, uint8_t *tables)
     const int32_t *weights = &model->weight[0][0][0][0];
     unsigned i;
     for (i = 0; i < CELLS; i++)
-        *tables++ = (uint8_t)(int8_t)clamp(stretch(cells[i]) / 16, 127);
-    for (i = 0; i < WEIGHTS; i++) {
-        uint16_t weight = (uint16_t)(int16_t)clamp(weights[i] / 16, 32767);
-        *tables++ = (uint8_t)weight;
-        *tables++ = (uint8_t)(weight >> 8);
-    }
+        *tables++ = (uint8_t)(int8_t)vc_clamped(vc_stretched(cells[i]) / 16, 127);
+    for (i = 0; i < WEIGHTS; i++)
+        if (i % VC_MIXED != VC_INPUTS) {
+            uint16_t weight = (uint16_t)(int16_t)vc_clamped(weights[i] / 16, 32767);
+            *tables++ = (uint8_t)weight;
+            *tables++ = (uint8_t)(weight >> 8);
+        }
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
         *tables++ = (uint8_t)(model->silence[i] >> 8);
 }
@@ -93,26 +108,29 @@ uint32_t vc_kept_magnitude(uint32_t magnitude)
 uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude)
 {
     uint32_t kept = vc_kept_magnitude(magnitude);
-    history->rows[0][k + 2] = (uint8_t)kept;
+    history->rows[0][k + VC_PADDING] = (uint8_t)kept;
     return kept;
 }
 
 void vc_history_next_block(vc_history *history, uint32_t hop)
 {
     uint32_t k, row;
-    history->block_sum = 0;
-    for (k = 2; k < hop + 2; k++) {
-        uint32_t magnitude = history->rows[0][k];
+    history->block_sum = history->mean_sum = 0;
+    history->blocks += history->blocks < MEAN_BLOCKS;
+    for (k = 0; k < hop; k++) {
+        uint32_t magnitude = history->rows[0][k + VC_PADDING];
+        uint16_t *average = history->average + k + VC_PADDING, *mean = history->mean + k + VC_PADDING;
         history->block_sum += magnitude;
-        history->average[k] = (uint16_t)(history->average[k] - (history->average[k] >> 3) + magnitude * 32);
+        *average = (uint16_t)(*average - (*average >> 3) + magnitude * 32);
+        *mean = (uint16_t)((*mean * (history->blocks - 1) + 512 * magnitude + history->blocks / 2) / history->blocks);
+        history->mean_sum += *mean;
     }
     for (row = 3; row > 0; row--)
         memcpy(history->rows[row], history->rows[row - 1], sizeof history->rows[0]);
     memset(history->rows[0], 0, sizeof history->rows[0]);
 }
 
-/* Number of steps, four an octave from 4 up and one a unit below: a logarithm of x with two bits of mantissa. */
-static unsigned fine_class(uint32_t x)
+unsigned vc_fine_class(uint32_t x)
 {
     unsigned exponent;
     if (x < 4)
@@ -124,20 +142,30 @@ static unsigned fine_class(uint32_t x)
 /* The same with two steps an octave, of small numbers in quarters, at most 15. */
 static unsigned coarse_class(uint32_t quarters)
 {
-    unsigned steps = fine_class(quarters) / 2;
+    unsigned steps = vc_fine_class(quarters) / 2;
     return steps < 15 ? steps : 15;
 }
 
 /* Expected magnitude of bin k, in 1/64 step: a weighted sum of its neighbours in this block, the last three and the
  * running average. Weights: maximum likelihood under a Laplace density on the training recordings. */
-static uint32_t expected_magnitude(const vc_history *history, uint32_t k, uint32_t below, uint32_t second_below)
+static uint32_t expected_magnitude(const vc_history *history, uint32_t k, const vc_below *below)
 {
-    const uint8_t *last = history->rows[1] + k + 2;
-    const uint8_t *second = history->rows[2] + k + 2;
-    const uint8_t *third = history->rows[3] + k + 2;
-    return (28 * below + 8 * second_below + 21u * last[0] + 18u * last[1] + 6u * last[-1] + 2u * last[2] +
-            12u * second[0] + 3u * second[1] + 3u * third[0] + ((26u * history->average[k + 2]) >> 8) + 20) >>
+    const uint8_t *last = history->rows[1] + k + VC_PADDING;
+    const uint8_t *second = history->rows[2] + k + VC_PADDING;
+    const uint8_t *third = history->rows[3] + k + VC_PADDING;
+    return (28 * below->nearest[0] + 8 * below->nearest[1] + 21u * last[0] + 18u * last[1] + 6u * last[-1] +
+            2u * last[2] + 12u * second[0] + 3u * second[1] + 3u * third[0] +
+            ((26u * history->average[k + VC_PADDING]) >> 8) + 20) >>
            1;
+}
+
+void vc_below_add(vc_below *below, const vc_history *history, uint32_t k, uint32_t magnitude)
+{
+    below->nearest[2] = below->nearest[1];
+    below->nearest[1] = below->nearest[0];
+    below->nearest[0] = magnitude;
+    below->sum += magnitude;
+    below->mean_sum += history->mean[k + VC_PADDING];
 }
 
 static unsigned first_context(unsigned expected_class, uint32_t hop, uint32_t k)
@@ -145,25 +173,31 @@ static unsigned first_context(unsigned expected_class, uint32_t hop, uint32_t k)
     return (expected_class < 63 ? expected_class : 63) * 4 + k * 4 / hop;
 }
 
-unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, uint32_t below, uint32_t second_below)
+unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, const vc_below *below)
 {
-    return first_context(fine_class(expected_magnitude(history, k, below, second_below)), hop, k);
+    return first_context(vc_fine_class(expected_magnitude(history, k, below)), hop, k);
 }
 
-void vc_contexts_find(vc_contexts *contexts, const vc_history *history, uint32_t hop, uint32_t k, uint32_t block_sum)
+void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_history *history, uint32_t hop, uint32_t k,
+                      const vc_below *below, unsigned quantiser)
 {
-    const uint8_t *current = history->rows[0] + k + 2;
-    const uint8_t *last = history->rows[1] + k + 2;
-    const uint16_t *average = history->average + k + 2;
-    unsigned expected_class = fine_class(expected_magnitude(history, k, current[-1], current[-2]));
+    const uint8_t *last = history->rows[1] + k + VC_PADDING;
+    const uint16_t *average = history->average + k + VC_PADDING;
+    unsigned expected_class = vc_fine_class(expected_magnitude(history, k, below));
     unsigned band = k * 16 / hop;
-    unsigned around = 2u * current[-1] + current[-2] + 2u * last[0] + last[1] + last[-1];
+    unsigned around = 2u * below->nearest[0] + below->nearest[1] + 2u * last[0] + last[1] + last[-1];
+    memset(contexts, 0, sizeof *contexts);
     contexts->index[0] = first_context(expected_class, hop, k);
     contexts->index[1] = (expected_class / 2 < 15 ? expected_class / 2 : 15) * 16 + band;
     contexts->index[2] =
-        coarse_class(block_sum * 16 / (k + 1)) * 16 + coarse_class((uint32_t)(average[0] + average[1]) >> 3);
+        coarse_class(below->sum * 16 / (k + 1)) * 16 + coarse_class((uint32_t)(average[0] + average[1]) >> 3);
     contexts->index[3] = coarse_class((average[-1] + 2u * average[0] + average[1]) >> 4) * 16 + band;
     contexts->scale = coarse_class(4 * around) / 4;
+    if (model->network != NULL) {
+        int16_t inputs[VC_NETWORK_INPUTS];
+        vc_network_inputs(inputs, model, contexts, history, below, hop, k, quantiser);
+        vc_network_run(model->network, inputs, quantiser, contexts->network);
+    }
 }
 
 uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decision, unsigned quantiser,
@@ -171,14 +205,17 @@ uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decis
 {
     unsigned kind = decision < VC_DECISIONS ? decision : VC_DECISIONS - 1;
     int32_t *weight = model->weight[kind][quantiser][contexts->scale];
-    int64_t sum = (int64_t)weight[VC_INPUTS] * BIAS_INPUT;
+    int64_t sum = 0;
     uint32_t probability;
     unsigned i;
     for (i = 0; i < VC_INPUTS; i++) {
         prediction->cell[i] = &model->probability[kind][quantiser][i][contexts->index[i]];
-        prediction->stretched[i] = stretch(*prediction->cell[i]);
-        sum += (int64_t)weight[i] * prediction->stretched[i];
+        prediction->stretched[i] = vc_stretched(*prediction->cell[i]);
     }
+    prediction->stretched[VC_INPUTS] = contexts->network[kind];
+    prediction->stretched[VC_INPUTS + 1] = BIAS_INPUT;
+    for (i = 0; i < VC_MIXED; i++)
+        sum += (int64_t)weight[i] * prediction->stretched[i];
     probability = squash((int32_t)(sum / 65536));
     prediction->weight = weight;
     prediction->mixed = (int32_t)probability;
@@ -197,13 +234,12 @@ void vc_update(vc_prediction *prediction, int bit)
 {
     int32_t error = LEARNING_RATE * ((bit ? 65536 : 0) - prediction->mixed);
     unsigned i;
-    for (i = 0; i <= VC_INPUTS; i++) {
-        int32_t input = i < VC_INPUTS ? prediction->stretched[i] : BIAS_INPUT;
-        int32_t change = (error * input) / (1 << LEARNING_SHIFT);
-        prediction->weight[i] = clamp(prediction->weight[i] + change, MAX_WEIGHT);
-        if (i < VC_INPUTS)
-            *prediction->cell[i] = adapted(*prediction->cell[i], bit);
+    for (i = 0; i < VC_MIXED; i++) {
+        int32_t change = (error * prediction->stretched[i]) / (1 << LEARNING_SHIFT);
+        prediction->weight[i] = vc_clamped(prediction->weight[i] + change, MAX_WEIGHT);
     }
+    for (i = 0; i < VC_INPUTS; i++)
+        *prediction->cell[i] = adapted(*prediction->cell[i], bit);
 }
 
 static unsigned silence_context(const vc_history *history)

@@ -203,10 +203,10 @@ static int32_t power_of_two(int32_t x)
     return (int32_t)(exponent > 8 ? mantissa << (exponent - 8) : mantissa >> (8 - exponent));
 }
 
-/* sin(code pi / 32) in 1/2^24: the cosine table has 128 steps in a quarter turn. */
+/* sin(code pi / 32) in 1/2^24: the cosine table has 256 steps in a quarter turn. */
 static int32_t reflection_value(int code)
 {
-    return vc_cosine[(unsigned)(128 - 8 * code) & 511u];
+    return vc_cosine[(unsigned)(256 - 16 * code) & 1023u];
 }
 
 /* Rounds towards zero. */
@@ -243,9 +243,9 @@ void vc_slp_steps(const vc_slp_configuration *configuration, unsigned number, co
         int64_t real = 0, imaginary = 0;
         int32_t log_gain;
         for (i = 0; i <= order; i++) {
-            uint32_t angle = i * (2 * k + 1) * (VC_SLP_MAX_FRAME / frame);
-            real += direct[i] * vc_cosine[angle & 511u];
-            imaginary += direct[i] * vc_cosine[(angle + 128) & 511u];
+            uint32_t angle = 2 * i * (2 * k + 1) * (VC_SLP_MAX_FRAME / frame);
+            real += direct[i] * vc_cosine[angle & 1023u];
+            imaginary += direct[i] * vc_cosine[(angle + 256) & 1023u];
         }
         real = scaled(real, 28); /* now in 1/2^12 */
         imaginary = scaled(imaginary, 28);
@@ -270,7 +270,7 @@ static int32_t norm(uint32_t frame, uint32_t k)
 /* cos(pi (2 n + 1) k / (2 N)) in 1/2^24. */
 static int32_t basis(uint32_t frame, uint32_t n, uint32_t k)
 {
-    return vc_cosine[((2 * n + 1) * k * (VC_SLP_MAX_FRAME / frame)) & 511u];
+    return vc_cosine[2 * (2 * n + 1) * k * (VC_SLP_MAX_FRAME / frame) & 1023u];
 }
 
 void vc_slp_dct(const int32_t *values, uint32_t frame, int32_t *spectrum)

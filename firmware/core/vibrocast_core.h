@@ -26,12 +26,14 @@ typedef struct vc_mdct_encoder vc_mdct_encoder;
 size_t vc_mdct_decoder_size(void);
 size_t vc_mdct_encoder_size(void);
 
-/* Bytes of a set of initial tables (adaptive probabilities and mixer weights at a refresh). */
+/* Bytes of a set of initial tables (adaptive probabilities and mixer weights at a refresh), and of the network that
+ * may follow it. */
 size_t vc_mdct_tables_size(void);
+size_t vc_mdct_network_size(void);
 
 /* Prepares a decoder. `configuration`: the codec's bytes from the stream header. `tables`: NULL for the built-in set,
- * else vc_mdct_tables_size() bytes that must stay valid while the decoder is used. The first packet must be a refresh
- * packet. */
+ * else tables, perhaps with a network, that must stay valid while the decoder is used. The first packet must be a
+ * refresh packet. */
 int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
                          unsigned channels, const uint8_t *tables, size_t tables_length);
 
@@ -64,6 +66,13 @@ const uint8_t *vc_mdct_builtin_tables(void);
 
 /* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes): how tables are trained. */
 void vc_mdct_encoder_tables(const vc_mdct_encoder *encoder, uint8_t *tables);
+
+/* How a network is trained: of each coefficient coded from now on, unless its block is silent, a row of
+ * vc_mdct_example_values() numbers is written, as long as `capacity` rows have room: the network's inputs in 1/16, the
+ * quantiser (0 or 1) and the index, at most 15. The second function returns the rows written. */
+size_t vc_mdct_example_values(void);
+void vc_mdct_encoder_record(vc_mdct_encoder *encoder, int16_t *rows, size_t capacity);
+size_t vc_mdct_encoder_recorded(const vc_mdct_encoder *encoder);
 /* cffi: end */
 
 #endif

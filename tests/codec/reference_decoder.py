@@ -67,22 +67,55 @@ class RangeDecoder:
         return bit
 
 
+class Network:
+    """Section "Network"."""
+
+    def __init__(self, payload: bytes) -> None:
+        self.layers, position = [], 0
+        for outputs, inputs in ((32, 29), (24, 32), (6, 24), (6, 24)):
+            weights = np.frombuffer(payload, np.int8, outputs * inputs, position).reshape(outputs, inputs)
+            biases = np.frombuffer(payload, "<i2", outputs, position + outputs * inputs)
+            self.layers.append((weights.astype(np.int64), biases.astype(np.int64)))
+            position += outputs * (inputs + 2)
+        assert position == len(payload)
+
+    def logits(self, inputs: list[int], quantiser: int) -> list[int]:
+        values = np.array(inputs)
+        for layer, (divisor, least) in ((0, (4, 0)), (1, (64, 0)), (2 + quantiser, (64, -32767))):
+            weights, biases = self.layers[layer]
+            values = np.clip(np.trunc(weights @ values / divisor).astype(np.int64) + biases, least, 32767)
+        return [clamp(int(value), 2047) for value in values]
+
+
 class Model:
     """Section "Adaptive model"."""
 
-    def __init__(self, tables: bytes) -> None:
+    def __init__(self, payload: bytes) -> None:
+        tables, network = payload[:12784], payload[12784:]
+        self.network = Network(network) if network else None
         signed = np.frombuffer(tables, dtype=np.int8)
         cells = 6 * 2 * 4 * 256
         self.cell = np.array([squash(16 * int(value)) for value in signed[:cells]]).reshape(6, 2, 4, 256)
         weights = np.frombuffer(tables[cells : cells + 480], dtype="<i2")
-        self.weight = np.array([clamp(16 * int(value), 8 << 16) for value in weights]).reshape(6, 2, 4, 5)
+        in_tables = np.array([clamp(16 * int(value), 8 << 16) for value in weights]).reshape(6, 2, 4, 5)
+        self.weight = np.insert(in_tables, 4, 65536, axis=-1)
         self.silence = [256 * value + 128 for value in tables[cells + 480 :]]
 
-    def decide(self, coder: RangeDecoder, contexts: list[int], scale: int, decision: int, quantiser: int) -> int:
+    def logits(self, contexts: list[int], magnitudes: list[int], others: list[int], quantiser: int) -> list[int]:
+        if self.network is None:
+            return [0] * 6
+        cells = self.cell[:2, quantiser]
+        stretched = [STRETCH[cells[kind, i, contexts[i]] >> 5] for kind in range(2) for i in range(4)]
+        inputs = [fine_class(x) for x in magnitudes] + others + [divide(x, 16) for x in stretched]
+        return self.network.logits(inputs, quantiser)
+
+    def decide(
+        self, coder: RangeDecoder, contexts: list[int], logits: list[int], scale: int, decision: int, quantiser: int
+    ) -> int:
         kind = min(decision, 5)
         weight = self.weight[kind, quantiser, scale]
         cells = self.cell[kind, quantiser]
-        inputs = [STRETCH[cells[i, contexts[i]] >> 5] for i in range(4)] + [256]
+        inputs = [STRETCH[cells[i, contexts[i]] >> 5] for i in range(4)] + [logits[kind], 256]
         mixed = squash(divide(sum(int(w) * x for w, x in zip(weight, inputs, strict=True)), 65536))
         bit = coder.decode(bounded(mixed))
         error = 6 * (65536 * bit - mixed)
@@ -101,17 +134,23 @@ class Channel:
     state: int = 0
     silent_history: int = 1
     block_sum: int = 0
+    blocks: int = 0
     rows: list[list[int]] = field(default_factory=list)
     average: list[int] = field(default_factory=list)
+    mean: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.rows = [[0] * (self.hop + 4) for _ in range(4)]
         self.average = [0] * (self.hop + 4)
+        self.mean = [0] * (self.hop + 4)
 
     def next_block(self) -> None:
         self.block_sum = sum(self.rows[0])
+        self.blocks = min(24, self.blocks + 1)
         for k in range(2, self.hop + 2):
             self.average[k] += 32 * self.rows[0][k] - (self.average[k] >> 3)
+            weighted = self.mean[k] * (self.blocks - 1) + 512 * self.rows[0][k]
+            self.mean[k] = (weighted + self.blocks // 2) // self.blocks
         self.rows = [[0] * (self.hop + 4), *self.rows[:3]]
 
     def contexts(self, k: int, block_sum: int) -> tuple[list[int], int]:
@@ -131,6 +170,16 @@ class Channel:
         ]
         return indices, coarse_class(4 * around) // 4
 
+    def network_inputs(self, k: int, block_sum: int) -> tuple[list[int], list[int]]:
+        """The magnitudes whose logarithm is an input, and the other inputs but for the cells."""
+        now, last, second, third = self.rows
+        j, mean = k + 2, self.mean
+        below = [now[j - 1], now[j - 2], now[j - 3] if k > 2 else 0]
+        eighths = [8 * x for x in [*below, *last[j - 2 : j + 3], *second[j - 1 : j + 2], third[j]]]
+        eighths += [x // 64 for x in mean[j - 1 : j + 2]]
+        eighths += [8 * block_sum // (k + 1), sum(mean[2:j]) // (64 * (k + 1)), sum(mean) // (64 * self.hop)]
+        return eighths, [64 * k // self.hop, self.blocks, self.hop // 4]
+
 
 def decode_block(coder: RangeDecoder, model: Model, channel: Channel, row: NDArray[np.int64]) -> None:
     """Section "payload": one block of a channel."""
@@ -145,8 +194,9 @@ def decode_block(coder: RangeDecoder, model: Model, channel: Channel, row: NDArr
     for k in range(0 if silent else len(row)):
         quantiser = channel.state >> 1
         contexts, scale = channel.contexts(k, block_sum)
+        logits = model.logits(contexts, *channel.network_inputs(k, block_sum), quantiser)
         index = 0
-        while index < 15 and model.decide(coder, contexts, scale, index, quantiser):
+        while index < 15 and model.decide(coder, contexts, logits, scale, index, quantiser):
             index += 1
         if index == 15:
             index += suffix(coder)
@@ -168,6 +218,11 @@ def suffix(coder: RangeDecoder) -> int:
     return value - 1
 
 
+def read_varint(packet: bytes) -> int:
+    position = next(i for i, byte in enumerate(packet) if byte < 0x80)
+    return sum((byte & 0x7F) << 7 * i for i, byte in enumerate(packet[: position + 1]))
+
+
 class ReferenceDecoder:
     """Decodes packets to signed levels (blocks, channels, hop) and to samples by the exact transform."""
 
@@ -177,7 +232,9 @@ class ReferenceDecoder:
             head, position = head & 0x7F | configuration[1] << 7, 2
         self.hop, self.blocks = 16 << (head & 3), head >> 2
         codes = np.frombuffer(configuration[position:], dtype="<u2")
-        self.steps = [(64 + int(code) % 64) * 2.0 ** (int(code) // 64) / 256 for code in codes]
+        self.steps = [(64 + int(code) % 64) * 2.0 ** (int(code) % 2048 // 64) / 256 for code in codes]
+        fills = [int(code) // 2048 for code in codes]
+        self.fills = [int(256 * step * fill / 128) / 256 for step, fill in zip(self.steps, fills, strict=True)]
         self.tables = tables
         self.channels = [Channel(self.hop) for _ in range(channels)]
         self.overlap = np.zeros((channels, self.hop))
@@ -196,14 +253,26 @@ class ReferenceDecoder:
             self.channels = [Channel(self.hop) for _ in self.channels]
         coder = RangeDecoder(packet[position:])
         levels = np.zeros((self.blocks, len(self.channels), self.hop), dtype=np.int64)
-        for block in levels:
-            for channel, row in zip(self.channels, block, strict=True):
-                decode_block(coder, self.model, channel, row)
+        self.silent = np.zeros(levels.shape[:2], dtype=bool)
+        for block, silent in zip(levels, self.silent, strict=True):
+            for number, channel in enumerate(self.channels):
+                decode_block(coder, self.model, channel, block[number])
+                silent[number] = channel.silent_history & 1
         return levels
+
+    def fill(self, levels: NDArray[np.int64], spectra: NDArray[np.float64], random: int) -> None:
+        """Section "Fill": puts a magnitude of random sign in place of zeros, silent blocks apart."""
+        for block, channel in np.ndindex(levels.shape[:2]):
+            magnitude = 0.0 if self.silent[block, channel] else self.fills[channel]
+            for k in np.flatnonzero(levels[block, channel] == 0):
+                random = (random * 1664525 + 1013904223) % 2**32
+                spectra[block, channel, k] = -magnitude if random >> 31 else magnitude
 
     def samples(self, packet: bytes) -> NDArray[np.float64]:
         """Exact samples (packet_samples, channels), not rounded, 32768 = full scale."""
-        spectra = self.levels(packet) * np.array(self.steps)[None, :, None]
+        levels = self.levels(packet)
+        spectra = levels * np.array(self.steps)[None, :, None]
+        self.fill(levels, spectra, read_varint(packet) >> 1)
         signal = np.zeros((self.blocks, self.hop, len(self.channels)))
         for block, spectrum in zip(signal, spectra, strict=True):
             halves = spectrum @ self.synthesis

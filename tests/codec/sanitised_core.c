@@ -2,8 +2,9 @@
  * `core dct`, `core slp` or `core eva`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
- * first record is the configuration, its kind the number of channels; of `eva` the model stands before it. Every packet
- * is decoded, and its bytes are encoded as coefficients, values or samples. */
+ * first record is the configuration, its kind the number of channels; of `eva` and `mdct` the model stands before it,
+ * empty where `mdct` is to take its own tables. Every packet is decoded, and its bytes are encoded as coefficients,
+ * values or samples. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,22 +31,28 @@ static int run_mdct(void)
 {
     vc_mdct_decoder *decoder = malloc(vc_mdct_decoder_size());
     vc_mdct_encoder *encoder = malloc(vc_mdct_encoder_size());
-    uint8_t *bytes, packet[300], *tables = malloc(vc_mdct_tables_size());
-    int16_t *samples;
+    uint8_t *model, *bytes, packet[300], *tables = malloc(vc_mdct_tables_size());
+    int16_t *samples, *rows;
     int32_t *coefficients;
-    size_t length, capacity, block_values, i;
+    size_t model_length, length, capacity, block_values, i;
     int kind;
     unsigned channels;
-    if (!read_record(&kind, &bytes, &length))
+    if (!read_record(&kind, &model, &model_length) || !read_record(&kind, &bytes, &length))
         return 2;
     channels = (unsigned)kind;
-    if (vc_mdct_decoder_init(decoder, bytes, length, channels, NULL, 0) != VC_OK ||
-        vc_mdct_encoder_init(encoder, bytes, length, channels, NULL, 0, 3, 88) != VC_OK)
+    if (model_length == 0) {
+        free(model);
+        model = NULL;
+    }
+    if (vc_mdct_decoder_init(decoder, bytes, length, channels, model, model_length) != VC_OK ||
+        vc_mdct_encoder_init(encoder, bytes, length, channels, model, model_length, 3, 88) != VC_OK)
         return 0;
     free(bytes);
     block_values = (size_t)vc_mdct_decoder_packet_samples(decoder) * channels;
     samples = malloc(block_values * sizeof *samples);
     coefficients = malloc(block_values * sizeof *coefficients);
+    rows = malloc(100 * vc_mdct_example_values() * sizeof *rows);
+    vc_mdct_encoder_record(encoder, rows, 100);
     while (read_record(&kind, &bytes, &length)) {
         if (kind == 1 || vc_mdct_decode(decoder, bytes, length, samples) < 0)
             vc_mdct_conceal(decoder, samples);
@@ -58,8 +65,12 @@ static int run_mdct(void)
             return 3;
         free(bytes);
     }
+    if (vc_mdct_encoder_recorded(encoder) > 100)
+        return 4;
     vc_mdct_encoder_tables(encoder, tables);
     free(tables);
+    free(model);
+    free(rows);
     free(samples);
     free(coefficients);
     free(decoder);

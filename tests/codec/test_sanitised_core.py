@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import models
 from codec import Framing, Setting, dct, encode, eva, mdct, slp
 from codec.eva_image import PRIOR_KINDS, PriorKind
 from tests.codec.eva_models import random_image, with_extreme_weights
@@ -44,10 +45,16 @@ def run(program: Path, records: bytes, codec_name: str = "mdct") -> subprocess.C
 
 def test_streams_with_losses_damage_and_noise(program: Path) -> None:
     generator = np.random.default_rng(1)
-    for channels in (1, 3, 16):
-        encoder = mdct.MdctEncoder([0.02] * channels, RATE_HZ, Framing(96, 4))
+    network = models.find("mdct-network").tables
+    for channels, tables, hop in (
+        (1, b"", 32),
+        (3, network, 16),
+        (16, b"", 128),
+        (1, generator.bytes(len(network)), 128),
+    ):
+        encoder = mdct.MdctEncoder([0.02] * channels, RATE_HZ, Framing(96, 4), tables or None, hop=hop, fill=0.1)
         packets = encoder.encode(texture(3000, channels))
-        records = record(channels, encoder.configuration)
+        records = record(0, tables) + record(channels, encoder.configuration)
         for packet in packets:
             damaged = bytearray(packet)
             if generator.random() < 0.5:
@@ -61,7 +68,7 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
 def test_extreme_steps_and_levels(program: Path) -> None:
     for code in (0, mdct.STEP_CODES - 1):
         for hop in mdct.HOPS:
-            records = record(2, mdct.configuration(hop, 2, [code] * 2))
+            records = record(0, b"") + record(2, mdct.configuration(hop, 2, [code] * 2, fill_code=31))
             records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))
             done = run(program, records)
             assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
@@ -71,7 +78,10 @@ def test_random_configurations(program: Path) -> None:
     generator = np.random.default_rng(2)
     for _ in range(20):
         configuration = generator.bytes(int(generator.integers(8)))
-        done = run(program, record(int(generator.integers(0, 18)), configuration) + record(0, b"\x01\x55"))
+        records = record(0, generator.bytes(int(generator.integers(2)))) + record(
+            int(generator.integers(18)), configuration
+        )
+        done = run(program, records + record(0, b"\x01\x55"))
         assert done.returncode == 0, done.stderr.decode()
 
 
