@@ -58,7 +58,7 @@ def test_integers_predict_what_training_saw() -> None:
 
 
 def test_examples_are_what_was_coded() -> None:
-    """A row for every coefficient of blocks that are not silent: last the index, first the magnitude of the bin below."""
+    """A row for each coefficient of blocks that are not silent: last the index, first the magnitude below."""
     encoder = mdct.MdctEncoder((0.05,), 2800, Framing(512, 0))
     encoder.record(100_000)
     packets = encoder.encode(textures()[1])

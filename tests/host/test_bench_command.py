@@ -147,7 +147,7 @@ def test_a_silent_trace_leaves_the_means_of_the_others(folder: Path, tmp_path: P
     textures.save_wav(folder / "short.wav", textures.Recording(np.ones((1, 1)), 2800.0, "um", "short"))
     result = vibrocast_bench(folder, "--codecs", "mdct", "--out", tmp_path / "out", "--repeats", "0")
     assert result.exit_code == 0, result.output
-    (row,) = (line.split() for line in result.stdout.splitlines() if line.strip().startswith("mdct"))
+    (row,) = (line.split() for line in result.stdout.splitlines() if line.split()[:1] == ["mdct"])
     assert len(row) == 6 and all(float(bits) < 16 for bits in row[1:5])
 
 
