@@ -36,6 +36,8 @@ DEPENDENT_STEP = 0.5
 second of the points."""
 
 _LARGEST = 32767.0
+_LEAST_RANGE = 1024.0
+"""Integers that the results of a normalised channel keep for its norm to fit, of those that they have."""
 _LARGEST_WORD = 2**32 - 1
 # As firmware/core/eva_kernels.h and eva_synthesis.c have them.
 _ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
@@ -93,6 +95,10 @@ def quantise(model: Eva, prior: Prior, signals: Sequence[Signal], seed: int = 1)
     generator = np.random.default_rng(seed)
     calibration = excerpts[generator.permutation(len(excerpts))[:CALIBRATION_EXCERPTS]]
     ranges = _ranges(model, calibration)
+    if not all(np.all(np.isfinite(values)) for values in ranges):
+        raise ModelError(
+            "it gives NaN or infinity on the signals of its training; take an earlier one or train it anew"
+        )
     fraction_bits = int(np.clip(np.floor(np.log2(_LARGEST / np.max(ranges[0]))), 0, 15))
     adapts = not isinstance(prior, FactorisedPrior)
     with torch.no_grad():
@@ -176,21 +182,33 @@ def _network(model: Eva, ranges: Sequence[Values], latent_unit: float) -> Intege
 
 
 def _normalisation(gdn: Gdn, inputs: Values, roots: Values, normalised: Values) -> tuple[Normalisation, Values]:
-    """Return an inverse GDN in integers, and the units of its results, given those of its inputs and roots."""
+    """Return an inverse GDN in integers, and the units of its results, given those of its inputs and at most of its
+    roots.
+    """
     with torch.no_grad():
         gamma, beta = gdn.gamma.double().numpy(), gdn.beta.double().numpy()
-    weights = gamma * roots[:, None] ** 2 / inputs[None, :] ** 2
+    weights = gamma / inputs[None, :] ** 2
     rows = np.max(weights, axis=1) / 127
-    multipliers = rows * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)
+    # Roots so fine that their multiplier does not fit bend the norm; so coarse that the results of a channel which
+    # stays small have next to no integers left cost more.
+    per_square = np.maximum(rows, np.finfo(np.float64).tiny) * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)
+    fitting = np.sqrt(_LARGEST_WORD / per_square)
+    coarsest = _LEAST_RANGE * 2.0 ** _shift(inputs * roots * normalised) / (inputs * normalised)
+    roots = np.minimum(roots, np.maximum(fitting, coarsest))
     units = inputs * roots
-    shift = int(np.clip(np.ceil(np.log2(np.max(units * normalised) / _LARGEST)), 0, LARGEST_SHIFT))
+    shift = _shift(units * normalised)
     part = Normalisation(
         np.rint(weights / np.where(rows > 0, rows, 1.0)[:, None]).astype(np.int8),
-        _words(multipliers),
+        _words(rows * roots**2 * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)),
         _words(beta * roots**2),
         shift,
     )
     return part, units / 2.0**shift
+
+
+def _shift(results: Values) -> int:
+    """Return the shift by which the greatest of the results fits an activation."""
+    return int(np.clip(np.ceil(np.log2(np.max(results) / _LARGEST)), 0, LARGEST_SHIFT))
 
 
 def _convolution(weights: Values, inputs: Values, wanted: Values) -> tuple[Convolution, Values]:

@@ -54,6 +54,31 @@ def test_the_integers_do_what_torch_does(shape: EvaShape) -> None:
     assert 10 * np.log10(np.sum(exact**2) / np.sum((found - exact) ** 2)) > 30
 
 
+def test_norms_of_latents_of_few_steps_are_exact() -> None:
+    """As the paper's models have them at low rates: then norms weigh squares the most beside the constants."""
+    model = random_model(EvaShape(8, 8, 1))
+    with torch.no_grad():
+        model.log2_step.fill_(-2)
+        model.synthesis[0].root_gamma.mul_(3)
+        latents = torch.round(analysed(model) * 4) / 4
+        exact = model.synthesis(latents)[0, 0].double().numpy()
+    assert 2 <= 4 * torch.max(torch.abs(latents)) <= 4
+    image = quantise(model, FactorisedPrior(8), SIGNALS)
+    assert image.network is not None
+    integers = (latents[0].T * 2**image.fraction_bits).long().numpy()
+    found = synthesised(image.network, integers, 128 << 12) / (128 << 4)
+    assert 10 * np.log10(np.sum(exact**2) / np.sum((found - exact) ** 2)) > 30
+
+
+def test_a_model_that_diverged_is_refused() -> None:
+    model = random_model(EvaShape(4, 4, 1))
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.mul_(1e8)
+    with pytest.raises(ModelError, match="NaN or infinity"):
+        quantise(model, FactorisedPrior(4), SIGNALS)
+
+
 def test_steps_are_those_of_the_model() -> None:
     model = random_model(EvaShape(4, 6, 4))
     factorised = quantise(model, FactorisedPrior(6), SIGNALS)
