@@ -1,8 +1,8 @@
 /* The learned codec `eva`: latents by an entropy coder, samples by a network in integers; layout in docs/bitstream.md.
  *
  * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structures
- * that the caller owns. A model is read in place, at any address, from flash if it lies there, and never copied. Decoding
- * takes less than 4 KiB of stack.
+ * that the caller owns. A model is read in place, at any address, from flash if it lies there, and never copied.
+ * Decoding takes less than 4 KiB of stack.
  */
 #ifndef VIBROCAST_EVA_H
 #define VIBROCAST_EVA_H

@@ -59,7 +59,9 @@ def test_norms_of_latents_of_few_steps_are_exact() -> None:
     model = random_model(EvaShape(8, 8, 1))
     with torch.no_grad():
         model.log2_step.fill_(-2)
-        model.synthesis[0].root_gamma.mul_(3)
+        gdn = model.synthesis[0]
+        assert isinstance(gdn, Gdn)
+        gdn.root_gamma.mul_(3)
         latents = torch.round(analysed(model) * 4) / 4
         exact = model.synthesis(latents)[0, 0].double().numpy()
     assert 2 <= 4 * torch.max(torch.abs(latents)) <= 4
