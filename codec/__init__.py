@@ -11,6 +11,7 @@ from codec.coding import (
     encode,
     gain_for,
     live_framing,
+    settled,
 )
 from codec.interface import (
     RUNTIMES,
@@ -60,5 +61,6 @@ __all__ = [
     "encode_to_snr",
     "gain_for",
     "live_framing",
+    "settled",
     "snr_db",
 ]

@@ -122,6 +122,19 @@ def encode(
     return Source(samples, rate_hz, codec, unit, live, model, progress).encode(setting)
 
 
+def settled(
+    samples: Signal,
+    rate_hz: int,
+    setting: Setting,
+    *,
+    codec: str = mdct.NAME,
+    unit: str = "full scale",
+    model: Model | None = None,
+) -> Setting:
+    """Return the complete setting with which `encode` codes these samples as a file. Raises CodecError as `encode`."""
+    return Source(samples, rate_hz, codec, unit, False, model, None).settled(setting)
+
+
 def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
     """Decode every packet: int16 (packets * packet_samples, channels), the codec's delay still in front.
 
@@ -203,9 +216,7 @@ class Source:
 
     def encode(self, setting: Setting) -> CodedSignal:
         """Code with a setting, in shorter packets where they grow too long. Raises CodecError as `codec.encode`."""
-        setting = self.codec.complete(setting)
-        if not self._live and AUTO in setting.values():
-            setting = {name: self._settled[name] if value == AUTO else value for name, value in setting.items()}
+        setting = self.settled(setting)
         framing = self._framing
         tried_samples = 0
         while True:
@@ -232,8 +243,15 @@ class Source:
             return False
         return True
 
+    def settled(self, setting: Setting) -> Setting:
+        """Return the setting, complete, with what is left to the codec as it chooses. Raises CodecError."""
+        setting = self.codec.complete(setting)
+        if self._live or AUTO not in setting.values():
+            return setting
+        return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}
+
     @cached_property
-    def _settled(self) -> Setting:
+    def _choice(self) -> Setting:
         """What the codec chooses by the signal: the same at every setting, so that a search meets no jump."""
         assert self.codec.settle is not None, f"{self.codec.name} has parameters that may be {AUTO}"
         return self.codec.settle(self.samples, self.format)

@@ -294,8 +294,11 @@ CODEC = Codec(
         "hop": Parameter("samples from block to block", AUTO, choices=(AUTO, *map(str, HOPS))),
         "fill": Parameter("noise in place of zeros, in quantiser steps", 1 / 32, low=0, high=LARGEST_FILL),
     },
-    # From some 2 dB of SNR to some 42.
-    ladders={NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1))},
+    # From some 2 dB of SNR to some 42; the second with the delay of a live stream at 2800 Hz.
+    ladders={
+        NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1)),
+        f"{NAME}-live": tuple({"step": 2 ** (exponent / 2), "hop": "32"} for exponent in range(4, -14, -1)),
+    },
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
     settle=settle,

@@ -118,7 +118,9 @@ class Cell:
             decode = partial(decode_file, model=self.model)
             file = encode()
             decoded, size_bytes = decode(file), len(file)
-            delay_ms = cost.delay_ms(coder, self.setting, rate_hz, recording.channels, recording.unit, self.model)
+            tables = trained.for_encoder(self.model) if self.model else None
+            settled = codec.settled(samples, rate_hz, self.setting, codec=coder, unit=recording.unit, model=tables)
+            delay_ms = cost.delay_ms(coder, settled, rate_hz, recording.channels, recording.unit, self.model)
             if self.repeats:
                 times = cost.time_coding(encode, decode, samples.size, self.repeats)
         figures = {**asdict(metrics.measure(samples, decoded, rate_hz)), "delay_ms": delay_ms}
