@@ -38,8 +38,8 @@ LAMBDA = 96
 
 _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
-_CHUNK_SAMPLES = 1 << 18
-_SETTLING_STEP = 0.5  # relative to the RMS value: some 13 dB
+_SETTLING_SAMPLES = 1 << 16
+_SETTLING_PACKET = 1024
 _FILL_UNIT = 128
 
 
@@ -244,21 +244,22 @@ def check_tables(tables: bytes) -> None:
 
 
 def settle(samples: Signal, signal_format: SignalFormat) -> Setting:
-    """Choose the hop for a whole signal (n, channels) in its physical unit.
+    """Choose the hop for a whole signal (n, channels) in its physical unit, by coding its beginning with each.
 
-    The one of the fewest bits at middling quality, by a bound that needs no coding: log2(1 + (coefficient / step)^2)
-    for each coefficient, twice the rate of a Gaussian of that variance (T. Cover and J. Thomas, "Elements of
-    Information Theory", 2006, section 10.3.3).
+    The one of the least squared error + lambda * bits, as the encoder's search weighs them, at a step of the RMS value.
     """
-    scales = _SETTLING_STEP * np.array(signal_format.gains) * np.array(signal_format.rms)
-    bits = dict.fromkeys(HOPS, 0.0)
-    for start in range(0, len(samples), _CHUNK_SAMPLES):
-        part = samples[start : start + _CHUNK_SAMPLES] / scales
-        for hop in HOPS:
-            blocks = np.pad(part, ((hop, 2 * hop), (0, 0)))
-            frames = np.lib.stride_tricks.sliding_window_view(blocks, 2 * hop, axis=0)[::hop]
-            bits[hop] += float(np.sum(np.log2(1 + np.square(frames @ analysis_matrix(hop)))))
-    return {"hop": str(min(bits, key=lambda hop: bits[hop]))}
+    normalised = samples[:_SETTLING_SAMPLES] / np.array(signal_format.gains)
+    steps = np.array(signal_format.rms)
+
+    def cost(hop: int) -> float:
+        encoder = MdctEncoder(list(steps), signal_format.rate_hz, Framing(_SETTLING_PACKET, 0), hop=hop)
+        decoder = MdctDecoder(encoder.configuration, signal_format.channels)
+        packets = encoder.encode(normalised) + encoder.finish()
+        decoded = np.concatenate([decoder.decode(packet) for packet in packets])[hop : hop + len(normalised)]
+        error = np.sum(np.square((normalised - decoded / 32768) / steps))
+        return float(error + LAMBDA / 256 * 8 * sum(map(len, packets)))
+
+    return {"hop": str(min(HOPS, key=cost))}
 
 
 def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> MdctEncoder:

@@ -14,7 +14,7 @@ MAX_CODEC_IDENTIFIER = 15
 MAX_RATE_HZ = 200_000
 MAX_CONFIGURATION_BYTES = 255
 MAX_PACKET_BYTES = 65_535
-IMAGE_HASH_BYTES = 8
+IMAGE_HASH_BYTES = 4
 
 _UNIT_BITS = 0x03
 _HAS_IMAGE_HASH = 0x04
@@ -34,7 +34,7 @@ class StreamHeader:
     `samples`: samples per channel, None when the stream is live and its length unknown. `unit`: one of UNITS.
     `gains`: physical value of full scale for each channel, positive, exact in 8 significant bits (a float32 whose
     lower 16 bits are zero). `configuration`: the codec's own bytes. `image_hash`: empty when the stream needs only
-    the tables built into the codec, otherwise the first 8 bytes of the SHA-256 of the model image that it needs.
+    the tables built into the codec, otherwise the first 4 bytes of the SHA-256 of the model image that it needs.
     Raises StreamError on a value that the layout cannot hold.
     """
 

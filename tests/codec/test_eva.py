@@ -16,7 +16,7 @@ from codec.core import Structure, ffi, library
 from codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
 from codec.graphs import LATENTS, SIGNAL, transform
 from codec.mdct import STEP_CODES
-from device_protocol.coded_stream import unpack_file
+from device_protocol.coded_stream import IMAGE_HASH_BYTES, unpack_file
 from device_protocol.model_image import ModelImage, sha256
 from tests.codec.eva_models import random_image, tiny_model, with_extreme_weights
 from tests.codec.eva_reference_decoder import EvaReferenceDecoder
@@ -310,7 +310,7 @@ def test_golden_streams(prior: PriorKind, digest: str) -> None:
     """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
     header, packets = unpack_file((FOLDER / f"golden_eva_{prior}.vct").read_bytes())
     image = (FOLDER / f"golden_eva_{prior}.vcmi").read_bytes()
-    assert (header.codec_identifier, header.channels, header.image_hash) == (4, 2, sha256(image)[:8])
+    assert (header.codec_identifier, header.channels, header.image_hash) == (4, 2, sha256(image)[:IMAGE_HASH_BYTES])
     payload = ModelImage.unpack(image).payload
     assert EvaImage.unpack(payload).prior_kind == prior
     decoder = codec.decoder(eva.IDENTIFIER, header.configuration, header.channels, payload)

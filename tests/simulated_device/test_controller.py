@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec import CODECS, mdct
-from device_protocol.coded_stream import UNITS, StreamHeader
+from device_protocol.coded_stream import IMAGE_HASH_BYTES, UNITS, StreamHeader
 from device_protocol.frames import write_frame
 from device_protocol.messages import (
     ALL,
@@ -177,14 +177,14 @@ def test_configure_refuses_what_cannot_be_played() -> None:
         (Configure(1, replace(header, rate_hz=99).pack(), 0), ErrorCode.BEYOND_LIMITS),
         (Configure(1, replace(header, codec_identifier=15).pack(), 0), ErrorCode.UNKNOWN_CODEC),
         (Configure(1, replace(header, configuration=b"\xff").pack(), 0), ErrorCode.UNKNOWN_CODEC),
-        (Configure(1, replace(header, image_hash=bytes(range(8))).pack(), 0), ErrorCode.UNKNOWN_IMAGE),
+        (Configure(1, replace(header, image_hash=bytes(range(4))).pack(), 0), ErrorCode.UNKNOWN_IMAGE),
     ]
     for configure, code in refused:
         answer = bench.ask(configure)
         assert error_code(answer) == code, configure
         if code == ErrorCode.UNKNOWN_IMAGE:
             assert isinstance(answer, Error)
-            assert "0001020304050607" in answer.text
+            assert "00010203" in answer.text
     # A Configure that is refused changes nothing.
     assert bench.status().stream == 7
     assert bench.status().state == State.BUFFERING
@@ -718,7 +718,7 @@ def test_flashed_image_decodes_the_streams_that_name_it() -> None:
     confirmed = bench.ask(FlashConfirm(1))
     assert isinstance(confirmed, FlashStatus)
     assert confirmed.state == SlotState.CONFIRMED
-    played = replace(stream(), header=replace(stream().header, image_hash=sha256(image)[:8]))
+    played = replace(stream(), header=replace(stream().header, image_hash=sha256(image)[:IMAGE_HASH_BYTES]))
     bench.start_all(played)
     bench.run(1300)
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), played.decoded)
