@@ -128,7 +128,9 @@ class EvaEncoder:
         self.packet_samples = self._columns * HOP
         image = EvaImage.unpack(model.tables)
         if not model.analysis:
-            raise CodecError("the model brings no analysis; put its analysis.onnx beside its image, or choose another")
+            raise CodecError(
+                "the model brings no analysis, by which to encode; give the folder that has its analysis.onnx"
+            )
         self._analysis = transform(model.analysis, SIGNAL, LATENTS)
         self._latents = image.latents
         level_codes = [step_code(level) for level in levels]

@@ -1,7 +1,9 @@
 """Checkpoints: a trained EVA with its prior, how it was trained, and what a cut training needs to go on."""
 
 import io
+import math
 import os
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,8 @@ from export.priors import PRIORS, Prior
 FORMAT, VERSION = "vibrocast-eva", 1
 LARGEST_BYTES = 256 * 2**20
 LARGEST_SHAPE = EvaShape(width=128, latents=128, rates=16)
+_REACHED = ("step", "seconds", "best_loss", "best_step")
+_MEASURED = ("step", "seconds", "training_loss", "loss")
 
 
 class ModelError(ValueError):
@@ -56,8 +60,10 @@ class Checkpoint:
             "optimiser": self.optimiser,
         }
         partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        stored = io.BytesIO()
+        torch.save(content, stored)
         try:
-            torch.save(content, partial)
+            partial.write_bytes(stored.getbuffer())  # torch's own writing tells of no full disk
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
@@ -75,7 +81,9 @@ def load(path: Path) -> Checkpoint:
         raise ModelError(f"{path}: longer than any checkpoint, {LARGEST_BYTES} bytes; give another file")
     stored = io.BytesIO(path.read_bytes())
     try:
-        content = torch.load(stored, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of foreign files, which torch tells at length
+            content = torch.load(stored, map_location="cpu", weights_only=True)
     except Exception as error:  # damaged files make torch raise errors of many kinds
         raise ModelError(
             f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote, such as OUT/best.pt"
@@ -103,11 +111,13 @@ def _parsed(content: Any) -> Checkpoint:
     _fill(model, content.get("model"), "model")
     _fill(prior, stored.get("state"), "prior")
     curves, optimiser = content.get("curves"), content.get("optimiser")
-    if not isinstance(curves, list) or not all(isinstance(record, dict) for record in curves):
+    if not isinstance(curves, list) or not all(_has_numbers(record, *_MEASURED) for record in curves):
         raise ModelError("its curves are no list of records; train the model again")
     if optimiser is not None and not isinstance(optimiser, dict):
         raise ModelError("its state of the optimiser is damaged; train the model again")
     training, progress = _table(content, "training"), _table(content, "progress")
+    if not _has_numbers(progress, *_REACHED):
+        raise ModelError("it does not say how far its training is; train the model again")
     return Checkpoint(model.eval(), prior.eval(), training, progress, curves, optimiser)
 
 
@@ -128,13 +138,24 @@ def _table(content: dict[str, Any], name: str) -> dict[str, Any]:
     return table
 
 
+def _has_numbers(record: Any, *names: str) -> bool:
+    """Return whether a record holds a finite number of each name."""
+    return isinstance(record, dict) and all(
+        type(record.get(name)) in (int, float) and math.isfinite(record[name]) for name in names
+    )
+
+
 def _fill(module: nn.Module, state: Any, name: str) -> None:
     wanted = {key: tensor.shape for key, tensor in module.state_dict().items()}
     if not isinstance(state, dict) or state.keys() != wanted.keys():
         raise ModelError(f"the arrays of its {name} are not those of its shape; train the model again")
     for key, shape in wanted.items():
         tensor = state[key]
-        if not isinstance(tensor, torch.Tensor) or tensor.dtype != torch.float32 or tensor.shape != shape:
+        if (
+            not isinstance(tensor, torch.Tensor)
+            or (tensor.dtype, tensor.shape) != (torch.float32, shape)
+            or (tensor.layout, tensor.device.type) != (torch.strided, "cpu")
+        ):
             raise ModelError(f"its array {key!r} is not float32 of shape {tuple(shape)}; train the model again")
         if not torch.isfinite(tensor).all():
             raise ModelError(f"its array {key!r} holds numbers that are not finite; train the model again")

@@ -13,6 +13,7 @@ import textures
 Table = TypeVar("Table")
 LARGEST_FILE_BYTES = 2**20
 LARGEST_RATES = 16
+_HOP_SAMPLES = 16  # as export.eva, which needs torch
 _KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 
 
@@ -180,7 +181,7 @@ def read(path: Path) -> Configuration:
         raise ConfigurationError(f"{path}: longer than any configuration; give another file")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path}: not a TOML file: {error}") from error
     try:
         return parsed(values)
@@ -191,8 +192,9 @@ def read(path: Path) -> Configuration:
 def parsed(values: Mapping[str, Any]) -> Configuration:
     """Return the configuration of plain tables, such as those of a TOML file. Raises ConfigurationError."""
     configuration: Configuration = _table(Configuration, values, "")
-    if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", configuration.name):
-        raise ConfigurationError(f"name {configuration.name!r}: use at most 41 small letters, digits and hyphens")
+    for one in each_of(configuration):
+        if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", one.name):
+            raise ConfigurationError(f"name {one.name!r}: use at most 41 small letters, digits and hyphens")
     if not configuration.sources:
         raise ConfigurationError("nothing to train on; give [[archive]], [[folder]] or [generator]")
     names = [source.name for source in configuration.sources]
@@ -201,6 +203,8 @@ def parsed(values: Mapping[str, Any]) -> Configuration:
     lambdas = configuration.model.lambdas
     if not 1 <= len(lambdas) <= LARGEST_RATES or list(lambdas) != sorted(set(lambdas)):
         raise ConfigurationError(f"[model] lambdas: 1 to {LARGEST_RATES} numbers that rise")
+    if configuration.training.excerpt_samples % _HOP_SAMPLES:
+        raise ConfigurationError(f"[training] excerpt_samples: a multiple of {_HOP_SAMPLES} is needed")
     if unknown := set(configuration.generator.kinds if configuration.generator else ()) - set(textures.GENERATORS):
         raise ConfigurationError(f"[generator] kinds: no {min(unknown)!r}; known are {', '.join(textures.GENERATORS)}")
     return configuration

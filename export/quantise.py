@@ -95,14 +95,14 @@ def quantise(model: Eva, prior: Prior, signals: Sequence[Signal], seed: int = 1)
     generator = np.random.default_rng(seed)
     calibration = excerpts[generator.permutation(len(excerpts))[:CALIBRATION_EXCERPTS]]
     ranges = _ranges(model, calibration)
-    if not all(np.all(np.isfinite(values)) for values in ranges):
+    with torch.no_grad():
+        steps = torch.exp2(model.log2_step).double().numpy()
+    if not all(np.all(np.isfinite(values) & (values > 0)) for values in (steps, *ranges)):
         raise ModelError(
             "it gives NaN or infinity on the signals of its training; take an earlier one or train it anew"
         )
     fraction_bits = int(np.clip(np.floor(np.log2(_LARGEST / np.max(ranges[0]))), 0, 15))
     adapts = not isinstance(prior, FactorisedPrior)
-    with torch.no_grad():
-        steps = torch.exp2(model.log2_step).double().numpy()
     units = steps * (DEPENDENT_STEP if adapts else 1.0) * 2**fraction_bits * STEPS_PER_UNIT
     step_codes = np.vectorize(step_code)(units / UNIT).astype(np.uint16)
     image = EvaImage(

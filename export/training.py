@@ -122,8 +122,6 @@ class Training:
             raise ModelError(f"{path}: was trained with another {other[0]}; choose another --out, or undo the change")
         if state.shape != self.state.shape or state.prior.kind != self.state.prior.kind or state.optimiser is None:
             raise ModelError(f"{path}: not a checkpoint of this training to go on from; choose another --out")
-        if not state.progress.keys() >= self.state.progress.keys():
-            raise ModelError(f"{path}: does not say how far it is; choose another --out")
         state.model.to(self._device)
         state.prior.to(self._device)
         state.training = ours
@@ -235,6 +233,11 @@ class Training:
                 snr_db = _mean_snr_db(self._validation, measured.squared_error)
                 rates.append({"lambda": weight, "bits_per_sample": measured.bits.mean().item(), "snr_db": snr_db})
         progress, loss = self.state.progress, float(np.mean(losses))
+        if not math.isfinite(loss):
+            raise TrainingError(
+                f"the loss on held-back materials is {loss:.3g} at step {progress['step']}; the last good checkpoint "
+                "is kept: lower [training] learning_rate and go on with --resume"
+            )
         record = {
             "step": progress["step"],
             "seconds": progress["seconds"],

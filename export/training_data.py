@@ -23,6 +23,8 @@ _TILT_REFERENCE_HZ = 250.0
 _HIGH_PASS_HZ = (10.0, 150.0)
 _LOW_PASS_HZ = (200.0, 1400.0)
 _NOISE_DB = (-40.0, 10.0)
+_DRAWS = 1000
+"""Of excerpts, before recordings count as silent."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ def archive_recordings(archive: Path, drop_s: float, high_pass_hz: float, rate_h
 
     The start is dropped, the rest high-passed. Raises TextureError when it is no archive of arrays, or has no rate.
     """
+    if not archive.is_file():
+        raise TextureError(f"{archive}: no such file; give the folder at which its path starts by --data")
     try:
         loaded = np.load(archive, allow_pickle=False)
     except (ValueError, OSError, zipfile.BadZipFile) as error:
@@ -50,7 +54,7 @@ def archive_recordings(archive: Path, drop_s: float, high_pass_hz: float, rate_h
             raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
         try:
             own_rate_hz = float(arrays["rate_hz"])
-            held = {name: arrays[name].astype(np.float64) for name in arrays.files}
+            held = {name: arrays[name].astype(np.float64, casting="same_kind") for name in arrays.files}
         except (ValueError, TypeError, OSError, zipfile.BadZipFile, zlib.error) as error:
             raise TextureError(f"{archive}: damaged, or not of numbers ({error}); save it again") from error
         for name, samples in held.items():
@@ -72,9 +76,9 @@ def load(sources: Sequence[Source], folder: Path, rate_hz: int) -> list[Trace]:
     traces: list[Trace] = []
     for source in sources:
         found = [
-            Trace(source.name, f"{source.name}/{material}", samples.astype(np.float32))
+            Trace(source.name, f"{source.name}/{material}", single)
             for material, samples in _recordings(source, folder, rate_hz)
-            if np.any(samples)
+            if np.any(single := samples.astype(np.float32))
         ]
         if not found:
             raise TextureError(f"{source.name}: holds no recording to train on; leave it out, or drop less of each")
@@ -178,12 +182,15 @@ class Excerpts:
         self._sources = [list(materials.values()) for materials in grouped.values()]
 
     def batch(self, step: int, size: int) -> NDArray[np.float32]:
-        """Return excerpts, float32 (size, samples), each of RMS 1 up to the augmentation's gain."""
+        """Return excerpts, float32 (size, samples), each of RMS 1 up to the augmentation's gain.
+
+        Raises TextureError where all that is drawn is silent.
+        """
         generator = np.random.default_rng([self._seed, step])
         return np.stack([self._excerpt(generator) for _ in range(size)])
 
     def _excerpt(self, generator: np.random.Generator) -> NDArray[np.float32]:
-        while True:
+        for _ in range(_DRAWS):
             materials = self._sources[generator.integers(len(self._sources))]
             recordings = materials[generator.integers(len(materials))]
             recording = recordings[generator.integers(len(recordings))]
@@ -196,6 +203,7 @@ class Excerpts:
                     varied /= np.sqrt(np.mean(np.square(varied)))
                 decibels = self._augmentation.gain_db * generator.uniform(-1, 1)
                 return (varied * 10 ** (decibels / 20)).astype(np.float32)
+        raise TextureError("the recordings are silent but for moments; cut them to where they sound")
 
     def _varied(self, recording: NDArray[np.float32], generator: np.random.Generator) -> Signal:
         """Return an excerpt at another speed, perhaps inverted, tilted and filtered; all in one discrete spectrum."""
@@ -205,7 +213,8 @@ class Excerpts:
         start = int(generator.integers(max(1, len(recording) - taken + 1)))
         piece = recording[start : start + taken]
         if len(piece) < taken:
-            piece = np.pad(piece, (0, taken - len(piece)))
+            before = (taken - len(piece)) // 2
+            piece = np.pad(piece, (before, taken - len(piece) - before))
         spectrum = np.zeros(wanted // 2 + 1, dtype=np.complex128)
         own = np.fft.rfft(piece)[: len(spectrum)]
         spectrum[: len(own)] = own

@@ -247,7 +247,7 @@ def play(
     if False in (outcome.report.decoded_equals_offline, outcome.report.dac_equals_offline):
         raise ControllerError(
             "what the controller played is not what was sent: see the underruns and lost packets above, "
-            "and try a shorter cable or a less busy machine"
+            "and try a shorter cable or a less busy machine; or the other --runtime, if the controller decodes by it"
         )
 
 
@@ -419,7 +419,7 @@ def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:
     model = choices.pop("model")
     given = [name for name, value in choices.items() if value not in (None, {}, coding.DEFAULT_STREAM_RATE_HZ)]
     if given:
-        raise click.UsageError(f"{file} is coded already: drop --{given[0].replace('_', '-')}.")
+        raise click.UsageError(f"{file} is coded already: drop --{given[0].removesuffix('_name').replace('_', '-')}.")
     return coding.read(file, model.image if model else None)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+import models
 from device_protocol.messages import ActuatorDescription
 from device_protocol.model_image import sha256
 from host import flasher, player
@@ -151,9 +152,11 @@ def _provide_model(controller: Controller, address: str, stream: Stream) -> None
         flasher.flash(controller, stream.image)
         return
     wanted, found = stream.model_name, running.name if running else "none"
+    # A name finds the models that ship alone.
+    given = wanted if models.by_hash(stream.header.image_hash) else "FOLDER"
     raise ControllerError(
         f"the stream needs the model {wanted} (image {stream.header.image_hash.hex()}), the controller runs {found}: "
-        f"flash it first, `vibrocast flash {wanted} --device {address}`"
+        f"flash it first, `vibrocast flash {given} --device {address}`"
     )
 
 

@@ -13,12 +13,22 @@ from host.options import INPUT, BadInput, command_run
 from host.output_files import whole_folder
 from host.train_command import NEEDS_TRAINING
 
+FILES = {models.CARD, "card.md", models.ANALYSIS, "synthesis.onnx"}
+"""What the folder of a model holds, beside its image."""
+
 
 def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
     """Return a model's name, or raise click.BadParameter for one that makes no good file name."""
     if value is not None and not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", value):
         raise click.BadParameter("use at most 41 small letters, digits and hyphens.", ctx, param)
     return value
+
+
+def refuse_replacing_others(folder: Path) -> None:
+    """Raise BadInput for a folder that holds anything but a model. Raises OSError where it cannot be looked into."""
+    held = {path.name for path in folder.iterdir() if path.suffix != models.IMAGE_SUFFIX} if folder.exists() else set()
+    if held and (models.CARD not in held or held - FILES):
+        raise BadInput(f"{folder}: exists, and holds more than a model that could be replaced; give another --out")
 
 
 @click.command()
@@ -67,11 +77,13 @@ def export(
         raise click.ClickException(NEEDS_TRAINING) from error
     try:
         loaded = load(checkpoint)
-        trained_as = configuration.parsed(loaded.training)
+        try:
+            trained_as = configuration.parsed(loaded.training)
+        except configuration.ConfigurationError as error:
+            raise ModelError(f"{checkpoint}: how it was trained is damaged: {error}; train the model again") from error
         name = name or trained_as.name
         out = out or Path(name)
-        if out.exists() and not (out / models.CARD).exists():
-            raise BadInput(f"{out}: exists, and is no folder of a model that could be replaced; give another --out")
+        refuse_replacing_others(out)
         with progress.shown("exporting") as update:
             update(0, "reading the training's data")
             traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
@@ -82,7 +94,7 @@ def export(
             )
             commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
             card = model_card.made(loaded, made, trained, held_back, commands, update)
-    except (configuration.ConfigurationError, ModelError, GraphError) as error:
+    except (ModelError, GraphError) as error:
         raise BadInput(str(error)) from error
     with whole_folder(out) as partial:
         for file, data in made.files.items():

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 import textures
 from export import checkpoint, configuration, training, training_data
 from export.checkpoint import Checkpoint, ModelError
-from export.configuration import ConfigurationError, HeldBack
+from export.configuration import ArchiveSource, Augmentation, ConfigurationError, HeldBack
 from export.eva import Eva, EvaShape
 from export.lapped_start import start_lapped
 from export.priors import PRIORS, ContextPrior, FactorisedPrior, Prior, probabilities
@@ -187,6 +187,25 @@ def test_excerpts_are_of_rms_one_and_of_seed_and_step_alone() -> None:
     np.testing.assert_allclose(np.sqrt(np.mean(one.batch(7, 4) ** 2, axis=1)), 1, rtol=1e-5)
 
 
+def test_a_recording_of_one_sample_is_trained_on_and_silence_is_refused() -> None:
+    def excerpts(samples: list[float]) -> Excerpts:
+        trace = Trace("lab", "lab/wood", np.array(samples, dtype=np.float32))
+        unvaried = Augmentation(0, 0, False, 0, 0, 0)
+        return Excerpts([trace], 256, 2800, unvaried, seed=1)
+
+    np.testing.assert_allclose(np.mean(excerpts([3.0]).batch(0, 2) ** 2, axis=1), 1.0, rtol=1e-5)
+    with pytest.raises(TextureError, match="silent"):
+        excerpts([3.0] + 10**6 * [0.0]).batch(0, 8)
+
+
+@pytest.mark.parametrize("values", [{"rate_hz": 2800, "wood_1": np.ones(9) * 1j}, None])
+def test_archives_that_cannot_be_used_are_refused(values: dict[str, Any] | None, tmp_path: Path) -> None:
+    if values:
+        np.savez(tmp_path / "takes.npz", **values)
+    with pytest.raises(TextureError, match="not of numbers" if values else "no such file"):
+        training_data.load([ArchiveSource("takes.npz")], tmp_path, 2800)
+
+
 def test_archives_folders_and_generators_are_sources_split_by_material(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).standard_normal(2200)
     np.savez(tmp_path / "takes.npz", rate_hz=2200, mat1_1=noise, mat1_2=noise, mat2_1=noise, silence_1=np.zeros(2200))
@@ -227,6 +246,9 @@ def test_archives_folders_and_generators_are_sources_split_by_material(tmp_path:
         ('kinds = ["rough", "taps", "wood"]', "kinds: no 'glass'"),
         ("[generator]", r"held_back\] share: nan"),
         ("[training]", "not a TOML file"),
+        ("batch = 4", "not a TOML file"),
+        ("validation_excerpts = 8", "not a TOML file"),
+        ("excerpt_samples = 256", "multiple of 16"),
         (TINY.partition("[generator]")[2], "nothing to train on"),
     ],
 )
@@ -243,6 +265,9 @@ def test_configurations_that_cannot_be_used_are_refused_with_the_reason(
         'kinds = ["rough", "taps", "wood"]': 'kinds = ["glass"]',
         "[generator]": "[held_back]\nshare = nan\n[generator]",
         "[training]": "[training",
+        "batch = 4": f"batch = {5000 * '1'}",
+        "validation_excerpts = 8": f"x = {5000 * '['}",
+        "excerpt_samples = 256": "excerpt_samples = 257",
     }
     text = TINY.replace(change, replacements[change]) if change in replacements else TINY.partition("[generator]")[0]
     with pytest.raises(ConfigurationError, match=reason):
@@ -260,6 +285,9 @@ def test_configurations_that_cannot_be_used_are_refused_with_the_reason(
         ("prior", {"kind": "factorised", "state": {}}, "arrays of its prior"),
         ("model", {}, "arrays of its model"),
         ("curves", None, "curves"),
+        ("curves", [{"step": 1}], "curves"),
+        ("progress", {}, "how far"),
+        ("progress", {"step": "1", "seconds": 0.0, "best_loss": 1.0, "best_step": 0}, "how far"),
         ("training", None, "lacks its table"),
     ],
 )
@@ -320,6 +348,13 @@ def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
         best = checkpoint.load(tmp_path / "out" / f"tiny-8-{number}" / training.BEST)
         assert best.shape == EvaShape(8, 16, 1)
         assert best.training["model"]["lambdas"] == (weight,)
+
+
+def test_a_sweep_whose_names_would_be_too_long_to_export_is_refused(tmp_path: Path) -> None:
+    text = TINY.replace("tiny", 41 * "a")
+    assert configured(tmp_path, text).name == 41 * "a"
+    with pytest.raises(ConfigurationError, match="at most 41"):
+        configured(tmp_path, text + "[sweep]\nwidths = [8]\n")
 
 
 def test_the_examples_can_be_read() -> None:

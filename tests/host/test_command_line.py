@@ -250,6 +250,7 @@ def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, 
     assert "model mdct-textures" in succeeds("encode", texture, coded_path, "--model", IMAGE)
     refusal = fails(1, "play", coded_path, "--device", watched.address)
     assert "runs none: flash it first" in refusal
+    assert "drop --codec." in fails(2, "play", coded_path, "--codec", "mdct")
     command = re.search("`vibrocast (flash .*)`", refusal)
     assert command is not None
     assert "confirmed" in succeeds(*command.group(1).split())

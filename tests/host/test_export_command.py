@@ -109,6 +109,13 @@ def unreadable(kind: str, whole: bytes, path: Path) -> None:
     elif kind == "all zeros":
         content = torch.load(path.with_name("best.pt"), weights_only=True)
         torch.save({**content, "model": {name: 0 * array for name, array in content["model"].items()}}, path)
+    elif kind == "steps without end":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        content["model"]["log2_step"][:] = 1e6
+        torch.save(content, path)
+    elif kind == "sparse":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        torch.save({**content, "model": {name: array.to_sparse() for name, array in content["model"].items()}}, path)
     elif kind == "another training":
         content = torch.load(path.with_name("best.pt"), weights_only=True)
         torch.save({**content, "training": {"name": "tiny"}}, path)
@@ -125,6 +132,8 @@ def unreadable(kind: str, whole: bytes, path: Path) -> None:
         ("arrays of another shape", "train the model again"),
         ("not finite", "train the model again"),
         ("all zeros", "train it anew"),
+        ("steps without end", "train it anew"),
+        ("sparse", "train the model again"),
         ("another training", "missing"),
     ],
 )
@@ -184,3 +193,12 @@ def test_thinned_curves_keep_their_end() -> None:
     assert [record["step"] for record in model_card.thinned(records)] == list(range(5, 101, 5))
     assert model_card.thinned(records[:3]) == records[:3]
     assert json.loads(model_card.as_json({"name": "x"})) == {"name": "x"}
+
+
+def test_a_folder_that_holds_more_than_a_model_is_not_replaced(exported: Path, best: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model"
+    out.mkdir()
+    succeeds("export", best, "--out", out)
+    (out / "recording.wav").touch()
+    assert "holds more than a model" in fails(2, "export", best, "--out", out)
+    assert (out / "recording.wav").exists()
