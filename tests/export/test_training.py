@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -362,3 +362,18 @@ def test_the_examples_can_be_read() -> None:
     names = [one.name for path in folder.glob("eva-*.toml") for one in configuration.each_of(configuration.read(path))]
     assert {"eva-16", "eva-32", "eva-64", "eva-128", "eva-paper-32-1", "eva-paper-32-8"} <= set(names)
     assert set(textures.GENERATORS)
+
+
+def test_a_full_disk_leaves_the_checkpoint_that_was_there(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, data: object) -> NoReturn:
+        raise OSError(28, "No space left on device", str(path))
+
+    last = checkpoint.load(trained / training.LAST)
+    last.save(tmp_path / "last.pt")
+    before = (tmp_path / "last.pt").read_bytes()
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space left"):
+        last.save(tmp_path / "last.pt")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"last.pt": before}
