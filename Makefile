@@ -35,11 +35,11 @@ lint: .venv/installed-for-tests
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
 
-# Small images hold the ONNX graph as well, so that a controller can choose.
+# All but the largest image hold the ONNX graph as well, so that a controller can choose.
 models: .venv/installed-for-tests
 	set -e; for best in $(CHECKPOINTS)/eva-*/best.pt; do \
 	    name=$$(basename $$(dirname $$best)); \
-	    case $$name in eva-16|eva-32|eva-64) holds=both;; *) holds=core;; esac; \
+	    case $$name in eva-128) holds=core;; *) holds=both;; esac; \
 	    $(BIN)/vibrocast export $$best --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
 	        --training-command "vibrocast train examples/$$(echo $$name | sed 's/^eva-paper-.*/eva-paper/').toml --data $(DATA)"; \
 	done

@@ -36,8 +36,6 @@ DEPENDENT_STEP = 0.5
 second of the points."""
 
 _LARGEST = 32767.0
-_LEAST_RANGE = 1024.0
-"""Integers that the results of a normalised channel keep for its norm to fit, of those that they have."""
 _LARGEST_WORD = 2**32 - 1
 # As firmware/core/eva_kernels.h and eva_synthesis.c have them.
 _ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
@@ -165,8 +163,7 @@ def _network(model: Eva, ranges: Sequence[Values], latent_unit: float) -> Intege
     for stage, (norms, normalised, convolved) in enumerate(zip(ranges[1::3], ranges[2::3], ranges[3::3], strict=True)):
         gdn, convolution = model.synthesis[2 * stage], model.synthesis[2 * stage + 1]
         assert isinstance(gdn, Gdn) and isinstance(convolution.weight, torch.Tensor)
-        root_units = _LARGEST / norms
-        part, units = _normalisation(gdn, input_units, root_units, normalised)
+        part, units = _normalisation(gdn, input_units, norms, normalised)
         normalisations.append(part)
         last = stage == len(model.synthesis) // 2 - 1
         wanted = np.array([_SAMPLE_UNIT]) if last else _LARGEST / convolved
@@ -181,34 +178,35 @@ def _network(model: Eva, ranges: Sequence[Values], latent_unit: float) -> Intege
     return IntegerNetwork((first, second, third), (convolutions[0], convolutions[1], convolutions[2]))
 
 
-def _normalisation(gdn: Gdn, inputs: Values, roots: Values, normalised: Values) -> tuple[Normalisation, Values]:
-    """Return an inverse GDN in integers, and the units of its results, given those of its inputs and at most of its
-    roots.
+def _normalisation(gdn: Gdn, inputs: Values, norms: Values, normalised: Values) -> tuple[Normalisation, Values]:
+    """Return an inverse GDN in integers, and the units of its results, given those of its inputs and the greatest norm
+    and result of each channel.
     """
     with torch.no_grad():
         gamma, beta = gdn.gamma.double().numpy(), gdn.beta.double().numpy()
     weights = gamma / inputs[None, :] ** 2
     rows = np.max(weights, axis=1) / 127
-    # Roots so fine that their multiplier does not fit bend the norm; so coarse that the results of a channel which
-    # stays small have next to no integers left cost more.
+    # Finer roots than these have a multiplier that does not fit, which would bend the norm.
     per_square = np.maximum(rows, np.finfo(np.float64).tiny) * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)
-    fitting = np.sqrt(_LARGEST_WORD / per_square)
-    coarsest = _LEAST_RANGE * 2.0 ** _shift(inputs * roots * normalised) / (inputs * normalised)
-    roots = np.minimum(roots, np.maximum(fitting, coarsest))
-    units = inputs * roots
-    shift = _shift(units * normalised)
+    finest = np.minimum(_LARGEST / norms, np.sqrt(_LARGEST_WORD / per_square))
+
+    def roots_at(shift: int) -> Values:
+        return np.asarray(np.minimum(finest, _LARGEST * 2.0**shift / (inputs * normalised)))
+
+    def fewest_integers(shift: int) -> float:
+        roots = roots_at(shift)
+        return float(min(np.min(roots * norms), np.min(roots * inputs * normalised) / 2.0**shift))
+
+    # A shift for all channels: what it takes from the roots of some, it gives to the results of others.
+    shift = max(range(LARGEST_SHIFT + 1), key=fewest_integers)
+    roots = roots_at(shift)
     part = Normalisation(
         np.rint(weights / np.where(rows > 0, rows, 1.0)[:, None]).astype(np.int8),
         _words(rows * roots**2 * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)),
         _words(beta * roots**2),
         shift,
     )
-    return part, units / 2.0**shift
-
-
-def _shift(results: Values) -> int:
-    """Return the shift by which the greatest of the results fits an activation."""
-    return int(np.clip(np.ceil(np.log2(np.max(results) / _LARGEST)), 0, LARGEST_SHIFT))
+    return part, inputs * roots / 2.0**shift
 
 
 def _convolution(weights: Values, inputs: Values, wanted: Values) -> tuple[Convolution, Values]:

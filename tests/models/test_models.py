@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 
 import codec
 import models
+from codec import eva
+from codec.eva_image import EvaImage
 from device_protocol.model_image import ModelImage, ModelImageError, sha256
+from textures.generate import wood
 
 LARGEST_BYTES = 1_000_000
 
@@ -41,6 +44,23 @@ def test_what_ships_is_whole(name: str) -> None:
         assert (about["bytes"], about["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
         assert len(data) < LARGEST_BYTES
     assert {"data", "held_back", "command", "seed"} <= model.card["training"].keys()
+
+
+@pytest.mark.parametrize("name", [model.name for model in models.shipped() if model.analysis])
+def test_the_integers_of_what_ships_stay_close_to_its_graph(name: str) -> None:
+    shipped = models.find(name)
+    model = codec.Model(shipped.tables, shipped.analysis)
+    if not EvaImage.unpack(model.tables).graph:
+        pytest.skip("its image holds no graph to compare with")
+    texture = wood(seconds=2.0, seed=5).samples
+    rates = EvaImage.unpack(model.tables).rates
+    coded = codec.encode(texture, 2800, {"quality": min(4, rates - 1)}, codec="eva", model=model)
+    integers, floats = (
+        codec.snr_db(texture, codec.decode(coded, eva.with_runtime(model.tables, runtime)))
+        for runtime in codec.RUNTIMES
+    )
+    assert integers is not None and floats is not None
+    assert integers > floats - 0.3
 
 
 def test_what_ships_is_listed_from_the_smallest_on() -> None:
