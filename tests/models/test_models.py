@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 import codec
 import models
-from codec import eva
-from codec.eva_image import EvaImage
+from codec.eva_image import EvaImage, with_runtime
 from device_protocol.model_image import ModelImage, ModelImageError, sha256
 from textures.generate import wood
 
@@ -56,8 +55,7 @@ def test_the_integers_of_what_ships_stay_close_to_its_graph(name: str) -> None:
     rates = EvaImage.unpack(model.tables).rates
     coded = codec.encode(texture, 2800, {"quality": min(4, rates - 1)}, codec="eva", model=model)
     integers, floats = (
-        codec.snr_db(texture, codec.decode(coded, eva.with_runtime(model.tables, runtime)))
-        for runtime in codec.RUNTIMES
+        codec.snr_db(texture, codec.decode(coded, with_runtime(model.tables, runtime))) for runtime in codec.RUNTIMES
     )
     assert integers is not None and floats is not None
     assert integers > floats - 0.3
