@@ -29,7 +29,6 @@ OWN = "mdct"
 """The project's codec without learning, which the learned ones have to beat."""
 TARGETS_S = {128: 1.0, 16: 0.1}
 """Seconds per million samples that a model of so many channels should not exceed, encoding or decoding."""
-MOST_NAMED = 6
 
 
 def section(folder: Path, measurements: Measurements) -> str:
@@ -45,12 +44,12 @@ def section(folder: Path, measurements: Measurements) -> str:
         _speed_targets(measurements),
         "### Where they win and lose",
         "Bits of each relative to every other codec's at equal quality: BD-rate, mean over the traces that can be "
-        "compared. The nearest rivals first.",
+        "compared. The nearest rivals first; all pairs, also by kind of texture: "
+        "[learned_bd_rate.csv](results/learned_bd_rate.csv).",
         "\n".join(_verdict(rivals, learned) for learned in measurements.learned),
-        "In brackets the traces on which it needs fewer bits, of those compared.",
+        "By kind of texture; in brackets the traces on which it needs fewer bits, of those compared.",
         _kinds_table(measurements, rivals),
         _spread_chart(folder, measurements),
-        "All pairs: [learned_bd_rate.csv](results/learned_bd_rate.csv).",
         "### What one more decibel costs",
         _prices(folder, measurements),
     )
@@ -145,26 +144,19 @@ def _prices(folder: Path, measurements: Measurements) -> str:
 
 
 def _verdict(rivals: Sequence[MeanBdRate], learned: str) -> str:
-    """Say in one item what a learned codec wins and loses against, in all and by kind of texture."""
-    own = [row for row in rivals if row.codec == learned]
+    """Say in one item whom a learned codec loses to, and how many it wins against, at each quality."""
     parts = []
     for scale in LEARNED_SCALES:
-        of_scale = [row for row in own if row.quality == scale.field and not row.kind]
-        lost, won = _named(of_scale, lost=True), _named(of_scale, lost=False)
-        if of_scale:
-            parts.append(f"at equal {_short(scale)} it loses to {lost or 'none'}; it wins against {won or 'none'}")
-    for kind in sorted({row.kind for row in own} - {""}):
-        of_kind = [row for row in own if row.kind == kind and row.quality == PSNR.field]
-        parts.append(f"on {kind} textures it loses at equal PSNR to {_named(of_kind, lost=True) or 'none'}")
-    return f"- {code(learned)}: " + (". ".join(part[0].upper() + part[1:] for part in parts) or "not comparable") + "."
-
-
-def _named(rows: Sequence[MeanBdRate], lost: bool) -> str:
-    """Return whom rows are won or lost against, the nearest first."""
-    chosen = sorted((row for row in rows if (row.mean >= 0) == lost), key=lambda row: abs(row.mean))
-    texts = [f"{code(row.anchor)} {percent(row.mean)}" for row in chosen]
-    more = [f"{len(texts) - MOST_NAMED} more"] if len(texts) > MOST_NAMED else []
-    return listed(texts[:MOST_NAMED] + more)
+        rows = [row for row in rivals if (row.codec, row.quality, row.kind) == (learned, scale.field, "")]
+        ranked = sorted(rows, key=lambda row: abs(row.mean))
+        lost = [f"{code(row.anchor)} ({percent(row.mean)})" for row in ranked if row.mean >= 0]
+        won = [f"{code(row.anchor)} ({percent(row.mean)})" for row in ranked if row.mean < 0]
+        if rows:
+            parts.append(
+                f"at equal {_short(scale)} it loses to {listed(lost) or 'none'}"
+                + (f", and wins against {len(won)}, the nearest {won[0]}" if won else "")
+            )
+    return f"- {code(learned)}: {'; '.join(parts) or 'not comparable'}."
 
 
 def _short(scale: Scale) -> str:
