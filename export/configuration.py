@@ -169,8 +169,8 @@ class Configuration:
         return (*self.archive, *self.folder, *((self.generator,) if self.generator else ()))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain tables, as a checkpoint stores it."""
-        return asdict(self)
+        """Return the configuration as plain tables, as a checkpoint stores it and `parsed` takes it."""
+        return asdict(self, dict_factory=lambda pairs: {name: value for name, value in pairs if value is not None})
 
 
 def read(path: Path) -> Configuration:

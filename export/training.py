@@ -118,7 +118,8 @@ class Training:
         state = load(path)
         ours = self.configuration.as_dict()
         # The schedule may be changed on the way: more steps, or a lower rate after an explosion.
-        if other := [name for name in ours if name != "training" and state.training.get(name) != ours[name]]:
+        names = sorted({*ours, *state.training} - {"training"})
+        if other := [name for name in names if state.training.get(name) != ours.get(name)]:
             raise ModelError(f"{path}: was trained with another {other[0]}; choose another --out, or undo the change")
         if state.shape != self.state.shape or state.prior.kind != self.state.prior.kind or state.optimiser is None:
             raise ModelError(f"{path}: not a checkpoint of this training to go on from; choose another --out")

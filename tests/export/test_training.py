@@ -1,5 +1,6 @@
 """Training of the learned codec, at a tiny width: it learns, resumes as if uncut, and refuses what it cannot use."""
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -337,6 +338,13 @@ def test_the_command_trains_resumes_and_refuses(tmp_path: Path) -> None:
     more = run(tmp_path / "tiny.toml", "--out", out, "--resume", "--threads", 1)
     assert "of 20" in more.output
     assert run(tmp_path / "missing.toml").exit_code == 2
+
+
+def test_a_checkpoint_s_configuration_is_read_again_with_what_it_leaves_out() -> None:
+    text = TINY[: TINY.index("[generator]")] + '[[folder]]\nfolder = "own"\n'
+    chosen = configuration.parsed(tomllib.loads(text))
+    assert chosen.folder[0].rate_hz is None and chosen.generator is None
+    assert configuration.parsed(chosen.as_dict()) == chosen
 
 
 def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
