@@ -73,5 +73,5 @@ class ModelImage:
 
 
 def sha256(image: bytes) -> bytes:
-    """Return the identity of a packed image: SHA-256 over all of its bytes; streams name it by the first few (coded_stream)."""
+    """Return the identity of a packed image: SHA-256 over all of its bytes; streams name it by its first bytes."""
     return hashlib.sha256(image).digest()
