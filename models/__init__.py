@@ -50,13 +50,6 @@ class Model:
         """The number of its codec in stream headers."""
         return ModelImage.unpack(self.image).codec_identifier
 
-    @property
-    def argument(self) -> str:
-        """What a person gives to ask for it: its name if it ships, else its file or folder."""
-        if self.path.parent.parent == _FOLDER:
-            return self.name
-        return str(self.path.parent if self.card else self.path)
-
 
 def names() -> list[str]:
     """Return the names of the models that ship."""

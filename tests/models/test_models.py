@@ -34,7 +34,6 @@ def folder(path: Path, **changes: Any) -> Path:
 def test_what_ships_is_whole(name: str) -> None:
     model = models.find(name)
     assert model.name == name == model.card["name"]
-    assert model.argument == name
     assert models.by_hash(sha256(model.image)[:8]) == model
     codec.check_tables(model.codec_identifier, model.tables)
     assert model.card["codec"] == codec.codec_by_identifier(model.codec_identifier).name
@@ -75,10 +74,8 @@ def test_a_folder_of_ones_own(tmp_path: Path) -> None:
     path = folder(tmp_path / "mine")
     model = models.find(str(path))
     assert (model.name, model.family, model.tables, model.analysis) == ("own", "kin", b"tables", b"graph")
-    assert model.argument == str(path)
     lone = models.find(str(path / "own.vcmi"))
     assert (lone.name, lone.family, lone.analysis, lone.card) == ("own", "own", b"", {})
-    assert lone.argument == str(path / "own.vcmi")
 
 
 @pytest.mark.parametrize(
