@@ -84,6 +84,8 @@ def export(
         name = name or trained_as.name
         out = out or Path(name)
         refuse_replacing_others(out)
+        # Before the work, so that a place that cannot be written to is not found out after it.
+        out.parent.mkdir(parents=True, exist_ok=True)
         with progress.shown("exporting") as update:
             update(0, "reading the training's data")
             traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)

@@ -82,8 +82,10 @@ def test_the_same_checkpoint_gives_the_same_files(best: Path, exported: Path, tm
 
 
 def test_an_image_holds_what_was_asked_for(best: Path, tmp_path: Path) -> None:
-    succeeds("export", best, "--name", "other", "--version", "2", "--out", tmp_path / "out", "--runtime", "onnx")
-    model = models.load(tmp_path / "out")
+    succeeds(
+        "export", best, "--name", "other", "--version", "2", "--out", tmp_path / "new" / "out", "--runtime", "onnx"
+    )
+    model = models.load(tmp_path / "new" / "out")
     image = EvaImage.unpack(model.tables)
     assert (model.name, model.card["version"], image.runtime, image.network) == ("other", "2", "onnx", None)
     encoding = coding.encode(texture(), setting={"quality": 2}, model=model)
