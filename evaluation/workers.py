@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import threading
+import traceback
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -84,10 +85,10 @@ def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Call
     with client:
         executor = client.get_executor(pure=False)
         for (piece, _), outcome in _outcomes(executor, same, lambda: 2 * _threads(client, address)):
-            if isinstance(outcome, distributed.KilledWorker):
-                lost.append(piece)
-            elif _is_of_another_version(outcome):
+            if _is_of_another_version(outcome):
                 raise WorkersError(f"a Dask worker does not have this version of vibrocast: {outcome}")
+            if _is_of_dask(outcome):
+                lost.append(piece)
             else:
                 yield piece[0], outcome
         # Some of these have killed their workers, others only waited there. Which, is seen where each runs alone.
@@ -106,6 +107,14 @@ def _is_of_another_version(outcome: object) -> bool:
     # The form in which Dask says that a worker lacks a module.
     lacks = type(outcome) is RuntimeError and isinstance(outcome.__cause__, ImportError)
     return lacks or isinstance(outcome, OtherVersionError)
+
+
+def _is_of_dask(outcome: object) -> bool:
+    """Return whether this is an exception of Dask's own, not of the work: a worker died, or a result with another's."""
+    if not isinstance(outcome, Exception) or outcome.__traceback__ is None:
+        return False
+    *_, (innermost, _) = traceback.walk_tb(outcome.__traceback__)
+    return str(innermost.f_globals.get("__name__")).startswith("distributed")
 
 
 def _threads(client: Any, address: str) -> int:
