@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 CORE := $(wildcard firmware/core/*.c firmware/core/*.h)
 SOURCES := pyproject.toml hatch_build.py $(CORE)
-C_SOURCES := $(filter-out %_tables.c,$(CORE)) $(wildcard tests/*/*.c)
+C_SOURCES := $(filter-out %_tables.c,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch])) $(wildcard tests/*/*.c)
 
 CHECKPOINTS ?= trained
 DATA ?= recordings

@@ -6,7 +6,7 @@ from typing import Self
 
 from device_protocol.frames import DELIMITER
 from device_protocol.transports import TransportError
-from simulated_device.controller import Controller
+from simulated_device.device import Device
 
 STEP_US = 1000
 
@@ -55,7 +55,7 @@ class MemoryLink:
     """
 
     def __init__(
-        self, controller: Controller, to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None
+        self, controller: Device, to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None
     ) -> None:
         self.now_us = 0
         self._controller = controller

@@ -10,7 +10,7 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from simulated_device.controller import Controller
+from simulated_device.device import Device
 from simulated_device.real_time import PERIOD_S, RealTimePort
 
 _READ_BYTES = 65_536
@@ -23,7 +23,7 @@ class PtyPort(RealTimePort):
     close and open it as it likes. Raises OSError where the system has no pseudo-terminals.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Device) -> None:
         super().__init__(controller)
         self._folder = tempfile.TemporaryDirectory(prefix="vibrocast-")
         self.name = str(Path(self._folder.name) / "controller")

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from device_protocol.transports import TransportError
-from simulated_device.controller import Controller
+from simulated_device.device import Device
 
 PERIOD_S = 0.005
 # A computer under load may keep the thread waiting, which no controller's own processor does: of a longer wait, the
@@ -22,7 +22,7 @@ class RealTimePort(ABC):
     with it; `close` then says why.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Device) -> None:
         self._controller = controller
         self._lock = threading.Lock()
         self._closing = threading.Event()

@@ -10,7 +10,7 @@ from typing import Any
 import usb.backend
 import usb.core
 
-from simulated_device.controller import Controller
+from simulated_device.device import Device
 from simulated_device.real_time import PERIOD_S, RealTimePort
 
 # The identifiers that pid.codes keeps for tests: no real product has them.
@@ -32,7 +32,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
     for a descriptor that is not there. A handle counts how often the cable had been pulled when it was opened.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Device) -> None:
         super().__init__(controller)
         self._plugged = True
         self._pulled = 0

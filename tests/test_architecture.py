@@ -17,10 +17,11 @@ ALLOWED = {
     "device_protocol": set[str](),
     "codec": set[str](),
     "models": {"device_protocol"},
-    "simulated_device": {"codec", "device_protocol"},
+    "firmware": set[str](),
+    "simulated_device": {"codec", "device_protocol", "firmware"},
     "export": {"codec", "textures", "device_protocol"},
-    "evaluation": {"codec", "device_protocol", "export", "host", "models", "simulated_device", "textures"},
-    "host": {"codec", "device_protocol", "evaluation", "export", "models", "simulated_device", "textures"},
+    "evaluation": {"codec", "device_protocol", "export", "firmware", "host", "models", "simulated_device", "textures"},
+    "host": {"codec", "device_protocol", "evaluation", "export", "firmware", "models", "simulated_device", "textures"},
 }
 SOURCES = [path for room in ALLOWED for path in sorted((ROOT / room).rglob("*.py"))]
 
