@@ -1,7 +1,6 @@
 """Compiles firmware/core into the shared library that codec/core.py loads; run directly, it recompiles in place."""
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +12,9 @@ except ImportError:  # run as a script where hatchling is not installed
     BuildHookInterface = object  # type: ignore[assignment, misc]
 
 ROOT = Path(__file__).parent
+sys.path.insert(0, str(ROOT))  # a build backend runs this file from elsewhere
+from firmware.declarations import cffi_declarations  # noqa: E402
+
 LIBRARY = {"darwin": "vibrocast_core.dylib", "win32": "vibrocast_core.dll"}.get(sys.platform, "vibrocast_core.so")
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-sanitize=all", "-shared"]
 
@@ -30,13 +32,8 @@ def compile_core(output_folder: Path) -> list[Path]:
     command = [sys.executable, "-m", "ziglang", "cc", *flags, *sources, "-o", str(library)]
     subprocess.run(command, check=True)
     declarations = output_folder / "vibrocast_core.cdef"
-    declarations.write_text("".join(cffi_declarations(path) for path in sorted(core.glob("*.h"))))
+    declarations.write_text(cffi_declarations(core))
     return [library, declarations]
-
-
-def cffi_declarations(header: Path) -> str:
-    """Return the part of a header between `/* cffi: begin */` and `/* cffi: end */`, which cffi can parse."""
-    return "\n".join(re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", header.read_text(), re.DOTALL))
 
 
 class CompileCore(BuildHookInterface):  # type: ignore[type-arg, unused-ignore]
