@@ -1,27 +1,13 @@
 /* Decoder of `dct`: packets to coded values, values to levels, levels to samples by a fixed-point inverse DCT. */
-#include "dct_model.h"
+#include "decoder_memory.h"
 
 #define MAX_PACKET_BLOCKS 4095u
 #define MAX_PACKET_SAMPLES (1u << 18)
-#define FADE_SAMPLES 64u /* of a fade where a packet misses, and of the rise behind it; no block is shorter */
 #define SYMBOLS 120u
 #define FIRST_CLASS 16u /* symbols from here on stand for classes of values, eight an octave */
 #define LONGEST_CODE 15u
 #define ONE (1 << 24)
 #define ROOT_OF_HALF 11863283 /* sqrt(1 / 2) in 1/2^24 */
-
-struct vc_dct_decoder {
-    unsigned channels;
-    uint32_t block, packet_blocks; /* samples in a block, blocks in a packet */
-    uint32_t first, end;           /* coefficients that are coded; the others are 0 */
-    int logarithmic, range_coded;
-    uint32_t levels;
-    uint32_t smallest[VC_MAX_CHANNELS]; /* range code of the least magnitude */
-    int rises;                          /* a packet was missing before the next one */
-    int16_t last[VC_MAX_CHANNELS][FADE_SAMPLES];
-    vc_dct_model model;
-    int32_t real[VC_DCT_MAX_BLOCK], imaginary[VC_DCT_MAX_BLOCK], spectrum[VC_DCT_MAX_BLOCK];
-};
 
 size_t vc_dct_decoder_size(void)
 {
@@ -33,35 +19,42 @@ static uint32_t number_at(const uint8_t *bytes)
     return bytes[0] | (uint32_t)bytes[1] << 8;
 }
 
+int vc_dct_configuration_read(vc_dct_configuration *configuration, const uint8_t *bytes, size_t length,
+                              unsigned channels)
+{
+    vc_dct_configuration read;
+    unsigned channel;
+    if (channels < 1 || channels > VC_MAX_CHANNELS || length < 9 || bytes[0] > 31 || (bytes[0] & 7u) > 4)
+        return VC_BAD_CONFIGURATION;
+    memset(&read, 0, sizeof read);
+    read.channels = channels;
+    read.block = 64u << (bytes[0] & 7u);
+    read.logarithmic = bytes[0] >> 3 & 1;
+    read.range_coded = bytes[0] >> 4 & 1;
+    read.packet_blocks = number_at(bytes + 1);
+    read.levels = number_at(bytes + 3);
+    read.first = number_at(bytes + 5);
+    read.end = number_at(bytes + 7);
+    if (read.packet_blocks < 1 || read.packet_blocks > MAX_PACKET_BLOCKS ||
+        read.packet_blocks * read.block > MAX_PACKET_SAMPLES || read.levels < VC_DCT_MIN_LEVELS ||
+        read.first >= read.end || read.end > read.block || length != 9u + (read.logarithmic ? 2 * channels : 0))
+        return VC_BAD_CONFIGURATION;
+    for (channel = 0; channel < channels && read.logarithmic; channel++)
+        read.smallest[channel] = number_at(bytes + 9 + 2 * channel);
+    *configuration = read;
+    return VC_OK;
+}
+
 int vc_dct_decoder_init(vc_dct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
                         unsigned channels)
 {
-    unsigned channel;
     memset(decoder, 0, sizeof *decoder);
-    if (channels < 1 || channels > VC_MAX_CHANNELS || configuration_length < 9 || configuration[0] > 31 ||
-        (configuration[0] & 7u) > 4)
-        return VC_BAD_CONFIGURATION;
-    decoder->channels = channels;
-    decoder->block = 64u << (configuration[0] & 7u);
-    decoder->logarithmic = configuration[0] >> 3 & 1;
-    decoder->range_coded = configuration[0] >> 4 & 1;
-    decoder->packet_blocks = number_at(configuration + 1);
-    decoder->levels = number_at(configuration + 3);
-    decoder->first = number_at(configuration + 5);
-    decoder->end = number_at(configuration + 7);
-    if (decoder->packet_blocks < 1 || decoder->packet_blocks > MAX_PACKET_BLOCKS ||
-        decoder->packet_blocks * decoder->block > MAX_PACKET_SAMPLES || decoder->levels < VC_DCT_MIN_LEVELS ||
-        decoder->first >= decoder->end || decoder->end > decoder->block ||
-        configuration_length != 9u + (decoder->logarithmic ? 2 * channels : 0))
-        return VC_BAD_CONFIGURATION;
-    for (channel = 0; channel < channels && decoder->logarithmic; channel++)
-        decoder->smallest[channel] = number_at(configuration + 9 + 2 * channel);
-    return VC_OK;
+    return vc_dct_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
 }
 
 uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder)
 {
-    return decoder->packet_blocks * decoder->block;
+    return decoder->configuration.packet_blocks * decoder->configuration.block;
 }
 
 /* cos(2 pi angle / (4 VC_DCT_MAX_BLOCK)) in 1/2^24 from a quarter of a turn. */
@@ -90,7 +83,7 @@ static uint32_t reversed(uint32_t index, uint32_t count)
  * as many points (Makhoul, "A fast cosine transform in one and two dimensions", 1980). */
 static void inverse_dct(vc_dct_decoder *decoder, int16_t *samples, unsigned stride)
 {
-    const uint32_t count = decoder->block, unit = VC_DCT_MAX_BLOCK / count;
+    const uint32_t count = decoder->configuration.block, unit = VC_DCT_MAX_BLOCK / count;
     const unsigned octaves = vc_floor_log2(count);
     /* sqrt(1 / count) and sqrt(1 / (2 count)) in 1/2^24: what X[0] and the others weigh; 4 times as much inside, so
      * that rounding at every stage does not show. */
@@ -227,14 +220,14 @@ typedef struct {
 static void decode_block(vc_dct_decoder *decoder, value_reader *reader, const vc_dct_quantiser *quantiser,
                          uint32_t block)
 {
-    const uint32_t bins = decoder->end - decoder->first;
-    const uint32_t first_pair = vc_dct_first_pair(decoder->logarithmic);
+    const uint32_t bins = decoder->configuration.end - decoder->configuration.first;
+    const uint32_t first_pair = vc_dct_first_pair(decoder->configuration.logarithmic);
     uint32_t bin;
     for (bin = 0; bin < bins; bin++) {
-        const uint32_t value = decoder->range_coded
+        const uint32_t value = decoder->configuration.range_coded
                                    ? range_value(&reader->range, &decoder->model, bin, block, first_pair, reader->zeros)
                                    : huffman_value(&reader->huffman, &reader->bits);
-        decoder->spectrum[decoder->first + bin] = vc_dct_level(quantiser, value);
+        decoder->spectrum[decoder->configuration.first + bin] = vc_dct_level(quantiser, value);
     }
 }
 
@@ -243,16 +236,17 @@ static void finish_channel(vc_dct_decoder *decoder, unsigned channel, int16_t *s
 {
     const uint32_t packet_samples = vc_dct_decoder_packet_samples(decoder);
     uint32_t n;
-    for (n = 0; n < FADE_SAMPLES && decoder->rises; n++)
-        samples[n * decoder->channels] =
-            (int16_t)(samples[n * decoder->channels] * (int32_t)(n + 1) / (int32_t)FADE_SAMPLES);
-    for (n = 0; n < FADE_SAMPLES; n++)
-        decoder->last[channel][n] = samples[(packet_samples - FADE_SAMPLES + n) * decoder->channels];
+    for (n = 0; n < VC_DCT_FADE_SAMPLES && decoder->rises; n++)
+        samples[n * decoder->configuration.channels] =
+            (int16_t)(samples[n * decoder->configuration.channels] * (int32_t)(n + 1) / (int32_t)VC_DCT_FADE_SAMPLES);
+    for (n = 0; n < VC_DCT_FADE_SAMPLES; n++)
+        decoder->last[channel][n] =
+            samples[(packet_samples - VC_DCT_FADE_SAMPLES + n) * decoder->configuration.channels];
 }
 
 int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
 {
-    const unsigned channels = decoder->channels;
+    const unsigned channels = decoder->configuration.channels;
     value_reader reader;
     uint32_t sequence, block;
     int refresh, sounds = 0;
@@ -267,9 +261,9 @@ int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length,
     reader.bits.bytes = packet + start;
     reader.bits.length = length - start;
     vc_range_decoder_init(&reader.range, packet + start, length - start);
-    reader.zeros =
-        decoder->range_coded ? (unsigned)vc_range_decode(&reader.range, VC_EVEN_ODDS) : read_bits(&reader.bits, 1);
-    if (sounds && !decoder->range_coded && !huffman_read(&reader.huffman, &reader.bits))
+    reader.zeros = decoder->configuration.range_coded ? (unsigned)vc_range_decode(&reader.range, VC_EVEN_ODDS)
+                                                      : read_bits(&reader.bits, 1);
+    if (sounds && !decoder->configuration.range_coded && !huffman_read(&reader.huffman, &reader.bits))
         return VC_BAD_PACKET;
     vc_dct_model_reset(&decoder->model);
     for (channel = 0; channel < channels; channel++) {
@@ -280,12 +274,12 @@ int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length,
         memset(decoder->spectrum, 0, sizeof decoder->spectrum);
         vc_dct_model_next_channel(&decoder->model);
         if (!silent)
-            vc_dct_quantiser_init(&quantiser, decoder->logarithmic, decoder->levels, reader.zeros,
-                                  decoder->smallest[channel], below, above);
-        for (block = 0; block < decoder->packet_blocks; block++) {
+            vc_dct_quantiser_init(&quantiser, decoder->configuration.logarithmic, decoder->configuration.levels,
+                                  reader.zeros, decoder->configuration.smallest[channel], below, above);
+        for (block = 0; block < decoder->configuration.packet_blocks; block++) {
             if (!silent)
                 decode_block(decoder, &reader, &quantiser, block);
-            inverse_dct(decoder, samples + (size_t)block * decoder->block * channels + channel, channels);
+            inverse_dct(decoder, samples + (size_t)block * decoder->configuration.block * channels + channel, channels);
         }
         finish_channel(decoder, channel, samples + channel);
     }
@@ -295,16 +289,16 @@ int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length,
 
 void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples)
 {
-    const size_t values = (size_t)vc_dct_decoder_packet_samples(decoder) * decoder->channels;
+    const size_t values = (size_t)vc_dct_decoder_packet_samples(decoder) * decoder->configuration.channels;
     uint32_t n;
     unsigned channel;
     memset(samples, 0, values * sizeof *samples);
     /* A DCT-II goes on behind its block as its mirror image: backwards there is no step. */
-    for (n = 0; n < FADE_SAMPLES; n++)
-        for (channel = 0; channel < decoder->channels; channel++)
-            samples[n * decoder->channels + channel] =
-                (int16_t)(decoder->last[channel][FADE_SAMPLES - 1 - n] * (int32_t)(FADE_SAMPLES - 1 - n) /
-                          (int32_t)FADE_SAMPLES);
+    for (n = 0; n < VC_DCT_FADE_SAMPLES; n++)
+        for (channel = 0; channel < decoder->configuration.channels; channel++)
+            samples[n * decoder->configuration.channels + channel] =
+                (int16_t)(decoder->last[channel][VC_DCT_FADE_SAMPLES - 1 - n] * (int32_t)(VC_DCT_FADE_SAMPLES - 1 - n) /
+                          (int32_t)VC_DCT_FADE_SAMPLES);
     memset(decoder->last, 0, sizeof decoder->last);
     decoder->rises = 1;
 }

@@ -8,10 +8,23 @@
 #define VC_DCT_MAX_BLOCK 1024
 #define VC_DCT_MIN_LEVELS 4u
 #define VC_DCT_MAX_LEVELS 65535u
+#define VC_DCT_FADE_SAMPLES 64 /* of a fade where a packet misses, and of the rise behind it; no block is shorter */
 #define VC_DCT_CONTEXTS 40
 #define VC_DCT_ZERO_CONTEXTS 8
 #define VC_DCT_UNARY_LIMIT 16u
 #define VC_DCT_ADAPTATION 4u /* a decision moves its probability by 1/2^4 of the way */
+
+typedef struct {
+    unsigned channels;
+    uint32_t block, packet_blocks; /* samples in a block, blocks in a packet */
+    uint32_t first, end;           /* coefficients that are coded; the others are 0 */
+    int logarithmic, range_coded;
+    uint32_t levels;
+    uint32_t smallest[VC_MAX_CHANNELS]; /* range code of the least magnitude */
+} vc_dct_configuration;
+
+int vc_dct_configuration_read(vc_dct_configuration *configuration, const uint8_t *bytes, size_t length,
+                              unsigned channels);
 
 /* The quantiser of one channel of a packet; magnitudes in 1/256 of a sample's least significant bit. */
 typedef struct {

@@ -1,26 +1,9 @@
 /* Decoder of `eva`: packets to latents, latents to samples, fades where packets miss; see eva.h. */
-#include "eva_synthesis.h"
+#include "decoder_memory.h"
 
 #define FADE_COLUMNS 8u /* longest time that concealment sounds */
 #define MAX_LATENT 32767
 #define STEPS_PER_UNIT 4096
-
-typedef struct {
-    vc_block_state block;
-    vc_eva_history history;
-    int16_t latents[VC_EVA_MAX_WIDTH]; /* of the last column */
-} channel_state;
-
-struct vc_eva_decoder {
-    vc_eva_model model;
-    vc_eva_configuration configuration;
-    vc_model prior;
-    uint32_t next_sequence;
-    int in_sequence; /* packets since the last refresh all came */
-    uint32_t random; /* state of the generator that gives concealment its signs */
-    channel_state channels[VC_MAX_CHANNELS];
-    vc_eva_work work;
-};
 
 /* Where a packet goes: to samples, or else to latents. */
 typedef struct {
@@ -80,7 +63,7 @@ static int16_t dequantised(int32_t level, int32_t step)
 static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, const int32_t *steps)
 {
     const vc_eva_model *model = &decoder->model;
-    channel_state *state = &decoder->channels[channel];
+    vc_eva_channel *state = &decoder->channels[channel];
     int32_t levels[VC_EVA_MAX_WIDTH];
     uint32_t k;
     if (model->adapts)
@@ -124,7 +107,7 @@ static void put_out(vc_eva_decoder *decoder, vc_range_coder *coder, output to)
     int32_t steps[VC_EVA_MAX_WIDTH];
     unsigned channel;
     for (channel = 0; channel < configuration->channels; channel++) {
-        channel_state *state = &decoder->channels[channel];
+        vc_eva_channel *state = &decoder->channels[channel];
         uint32_t column, gathered = 0;
         vc_eva_steps(&decoder->model, configuration->quality[channel], steps);
         for (column = 0; column < columns; column++) {

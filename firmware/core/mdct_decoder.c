@@ -1,23 +1,7 @@
 /* Decoder of `mdct`: packets to levels, levels to samples by fixed-point inverse MDCT, fades where packets miss. */
-#include "block_coder.h"
+#include "decoder_memory.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
-
-typedef struct {
-    vc_block_state block;
-    int32_t spectrum[VC_MAX_BINS]; /* of the last block, in 1/256 of a least significant bit */
-    int32_t overlap[VC_MAX_BINS];  /* windowed second half of the last block, in the same unit */
-} channel_state;
-
-struct vc_mdct_decoder {
-    vc_mdct_configuration configuration;
-    const uint8_t *tables;
-    vc_model model;
-    uint32_t next_sequence;
-    int in_sequence; /* packets since the last refresh all came */
-    uint32_t random; /* state of the generator that gives signs to fill and concealment */
-    channel_state channels[VC_MAX_CHANNELS];
-};
 
 size_t vc_mdct_decoder_size(void)
 {
@@ -111,7 +95,7 @@ static int32_t windowed(int32_t value, int32_t weight)
 /* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum, windowed and overlap-added
  * (Princen, Johnson and Bradley 1987). The first half of the transform's output is odd about its middle, the second
  * half even. */
-static void synthesise(channel_state *channel, uint32_t hop, int16_t *samples, unsigned stride)
+static void synthesise(vc_mdct_channel *channel, uint32_t hop, int16_t *samples, unsigned stride)
 {
     uint32_t n;
     for (n = 0; n < hop / 2; n++) {
@@ -137,7 +121,7 @@ static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsign
 {
     const uint32_t hop = decoder->configuration.hop;
     const int32_t step = decoder->configuration.step[number];
-    channel_state *channel = &decoder->channels[number];
+    vc_mdct_channel *channel = &decoder->channels[number];
     int32_t fill;
     uint32_t k;
     vc_block_decode(coder, &decoder->model, &channel->block, hop, channel->spectrum);
@@ -188,7 +172,7 @@ void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
     decoder->in_sequence = 0;
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++) {
-            channel_state *state = &decoder->channels[channel];
+            vc_mdct_channel *state = &decoder->channels[channel];
             /* Each block repeats the last spectrum with random signs, scaled so that it ramps to zero. */
             for (k = 0; k < configuration->hop; k++)
                 state->spectrum[k] = block < fade ? state->spectrum[k] / (int32_t)(fade - block) *

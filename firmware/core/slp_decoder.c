@@ -1,17 +1,7 @@
 /* Decoder of `slp`: packets to residual spectra, spectra to samples, fades where packets miss. */
-#include "slp_frame.h"
+#include "decoder_memory.h"
 
 #define FADE_SAMPLES 256u /* longest time that concealment sounds */
-
-struct vc_slp_decoder {
-    vc_slp_configuration configuration;
-    vc_slp_model model;
-    uint32_t next_sequence;
-    int in_sequence;    /* packets since the last refresh all came */
-    uint32_t concealed; /* samples of the gap so far, at most FADE_SAMPLES */
-    vc_slp_channel channels[VC_MAX_CHANNELS];
-    int16_t last[VC_MAX_CHANNELS][VC_SLP_MAX_FRAME]; /* the last frame played */
-};
 
 size_t vc_slp_decoder_size(void)
 {

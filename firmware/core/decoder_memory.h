@@ -1,0 +1,62 @@
+/* What the decoders keep, laid open for a caller that sets their memory aside at compile time.
+ *
+ * Only the decoders themselves read and write it. */
+#ifndef VIBROCAST_DECODER_MEMORY_H
+#define VIBROCAST_DECODER_MEMORY_H
+
+#include "dct_model.h"
+#include "eva_synthesis.h"
+#include "slp_frame.h"
+
+typedef struct {
+    vc_block_state block;
+    int32_t spectrum[VC_MAX_BINS]; /* of the last block, in 1/256 of a least significant bit */
+    int32_t overlap[VC_MAX_BINS];  /* windowed second half of the last block, in the same unit */
+} vc_mdct_channel;
+
+struct vc_mdct_decoder {
+    vc_mdct_configuration configuration;
+    const uint8_t *tables;
+    vc_model model;
+    uint32_t next_sequence;
+    int in_sequence; /* packets since the last refresh all came */
+    uint32_t random; /* state of the generator that gives signs to fill and concealment */
+    vc_mdct_channel channels[VC_MAX_CHANNELS];
+};
+
+struct vc_dct_decoder {
+    vc_dct_configuration configuration;
+    int rises; /* a packet was missing before the next one */
+    int16_t last[VC_MAX_CHANNELS][VC_DCT_FADE_SAMPLES];
+    vc_dct_model model;
+    int32_t real[VC_DCT_MAX_BLOCK], imaginary[VC_DCT_MAX_BLOCK], spectrum[VC_DCT_MAX_BLOCK];
+};
+
+struct vc_slp_decoder {
+    vc_slp_configuration configuration;
+    vc_slp_model model;
+    uint32_t next_sequence;
+    int in_sequence;    /* packets since the last refresh all came */
+    uint32_t concealed; /* samples of the gap so far, as long as it sounds */
+    vc_slp_channel channels[VC_MAX_CHANNELS];
+    int16_t last[VC_MAX_CHANNELS][VC_SLP_MAX_FRAME]; /* the last frame played */
+};
+
+typedef struct {
+    vc_block_state block;
+    vc_eva_history history;
+    int16_t latents[VC_EVA_MAX_WIDTH]; /* of the last column */
+} vc_eva_channel;
+
+struct vc_eva_decoder {
+    vc_eva_model model;
+    vc_eva_configuration configuration;
+    vc_model prior;
+    uint32_t next_sequence;
+    int in_sequence; /* packets since the last refresh all came */
+    uint32_t random; /* state of the generator that gives concealment its signs */
+    vc_eva_channel channels[VC_MAX_CHANNELS];
+    vc_eva_work work;
+};
+
+#endif
