@@ -3,8 +3,8 @@
 import contextlib
 import re
 from collections.abc import Iterator
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
 
 import libusb_package
 import usb.core
@@ -21,6 +21,9 @@ from device_protocol.transports import (
 )
 from host.controller import Controller
 
+if TYPE_CHECKING:
+    from simulated_device.actuator import Actuator
+
 SIMULATED = {
     "sim": "simulated controller behind a pseudo-terminal",
     "sim-usb": "simulated controller behind a simulated USB device",
@@ -29,11 +32,11 @@ ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
 
 
 @contextlib.contextmanager
-def connect(address: str, runtime: str | None = None) -> Iterator[Controller]:
+def connect(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Controller]:
     """Open a session with the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
 
-    A simulated controller lives as long as the session; `runtime` is that of its settings. Raises TransportError and
-    ControllerError.
+    A simulated controller lives as long as the session; `runtime` and `actuator` are those of its settings, None = the
+    default. Raises TransportError and ControllerError.
     """
     with contextlib.ExitStack() as stack:
         transport: Transport
@@ -43,12 +46,13 @@ def connect(address: str, runtime: str | None = None) -> Iterator[Controller]:
             from simulated_device.controller import Settings
             from simulated_device.pty_port import PtyPort
             from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
+
+            settings = Settings(runtime=runtime)
+            settings = settings if actuator is None else replace(settings, actuator=actuator)
         if address == "sim":
-            transport = SerialTransport(
-                stack.enter_context(PtyPort(SimulatedController(Settings(runtime=runtime)))).name
-            )
+            transport = SerialTransport(stack.enter_context(PtyPort(SimulatedController(settings))).name)
         elif address == "sim-usb":
-            port = UsbPort(SimulatedController(Settings(runtime=runtime)))
+            port = UsbPort(SimulatedController(settings))
             transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(port))
         else:
             transport = open_transport(address)

@@ -1,0 +1,336 @@
+"""The bench file: which controllers, actuators, sensors and textures a bench has, in TOML (docs/harness.md)."""
+
+import contextlib
+import math
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import textures
+from device_protocol.messages import ActuatorDescription
+from host import devices
+from host.controller import Controller
+from host.end_to_end import actuator_model
+from simulated_device.actuator import ACTUATORS, Actuator
+from textures import Recording
+
+MAX_BYTES = 1 << 20
+SENSOR_KINDS = ("accelerometer", "laser")
+SENSOR_PLACEHOLDERS = ("file", "seconds")
+SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
+DEFAULT_TEXTURE = "wood"
+
+
+class BenchFileError(ValueError):
+    """A bench file that is wrong; the message names file, table and key, and says what to do."""
+
+
+@dataclass(frozen=True)
+class BenchController:
+    """A controller of the bench. `address`: as `host.devices.connect` takes it."""
+
+    name: str
+    address: str
+
+
+@dataclass(frozen=True)
+class BenchActuator:
+    """An actuator behind a controller. `controller`: name; `channel`: from 1, None = every channel."""
+
+    model: Actuator
+    controller: str
+    channel: int | None
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor on an actuator, read by a program that records into a file.
+
+    `command`: program and arguments, with {file} and {seconds} to be filled in. `suffix`: of the file's name, one of
+    SUFFIXES. `rate_hz`, `unit` (one of textures.INPUT_UNITS), `axis`: as `textures.load` takes them. `sensitivity`:
+    what one `unit` makes in the file's numbers, where full scale of a WAV file or of integers is 1.
+    """
+
+    name: str
+    kind: str
+    controller: str
+    channel: int
+    command: tuple[str, ...]
+    suffix: str
+    rate_hz: float | None
+    unit: str | None
+    sensitivity: float | None
+    axis: str | None
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What a bench has; `controllers` has at least one entry, and `first` is the one under test."""
+
+    controllers: tuple[BenchController, ...]
+    actuators: tuple[BenchActuator, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    textures: tuple[Callable[[], Recording], ...] = field(default=(), repr=False)
+
+    @property
+    def first(self) -> BenchController:
+        """The controller under test."""
+        return self.controllers[0]
+
+    def actuator(self, controller: str, channel: int = 1) -> Actuator | None:
+        """Return the model of the actuator on a channel; None where the bench file says nothing of it."""
+        for each in self.actuators:
+            if each.controller == controller and each.channel in (None, channel):
+                return each.model
+        return None
+
+    def scene(self) -> tuple[Recording, ...]:
+        """Return the textures, loaded or made; a generated one where the bench names none. Raises TextureError."""
+        if not self.textures:
+            return (textures.GENERATORS[DEFAULT_TEXTURE](),)
+        return tuple(load() for load in self.textures)
+
+
+def read_bench(path: Path) -> Bench:
+    """Read a bench file. Raises BenchFileError, and OSError where it cannot be read."""
+    if path.exists() and not path.is_file():
+        raise BenchFileError(f"{path}: no file; give a bench file in TOML")
+    if path.stat().st_size > MAX_BYTES:
+        raise BenchFileError(f"{path}: longer than any bench file; give another")
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise BenchFileError(f"{path}: not a TOML file: {error}") from error
+    readers = {"controllers": _controller, "actuators": _actuator, "sensors": _sensor, "textures": _texture}
+    if unknown := sorted(set(document) - set(readers)):
+        raise BenchFileError(f"{path}: there is no {unknown[0]}; choose from {', '.join(readers)}")
+    read: dict[str, list[Any]] = {}
+    for kind, reader in readers.items():
+        tables = document.get(kind, [])
+        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+            raise BenchFileError(f"{path}: {kind} must be tables: begin each with [[{kind}]]")
+        read[kind] = [
+            reader(_Table(path, f"[[{kind}]] {number}", table, read.get("controllers", [])))
+            for number, table in enumerate(tables, 1)
+        ]
+    if not read["controllers"]:
+        raise BenchFileError(f"{path}: names no controller; add [[controllers]] with a name and an address")
+    for kind in ("controllers", "sensors"):
+        names = [entry.name for entry in read[kind]]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise BenchFileError(f"{path}: two [[{kind}]] are named {twice[0]!r}; give each its own name")
+    return Bench(**{kind: tuple(entries) for kind, entries in read.items()})
+
+
+def chosen(bench: Bench | None, device: str | None) -> Bench:
+    """Return the bench with the controller that `device` names, by name or address, as the first; None = as it is.
+
+    Without a bench, one with that controller alone. Raises BenchFileError for what is neither.
+    """
+    if bench is None:
+        bench = Bench((BenchController("controller", "sim"),))
+        if device is None:
+            return bench
+    elif device is None:
+        return bench
+    for each in bench.controllers:
+        if device in (each.name, each.address):
+            return replace(bench, controllers=(each, *(other for other in bench.controllers if other is not each)))
+    _check_address(device)
+    return replace(bench, controllers=(BenchController(bench.first.name, device), *bench.controllers[1:]))
+
+
+@contextlib.contextmanager
+def connect(bench: Bench, controller: BenchController | None = None) -> Iterator[Controller]:
+    """Open a session with a controller of the bench, the first if not given; a simulated one has the bench's actuator.
+
+    Raises as `host.devices.connect`.
+    """
+    controller = controller or bench.first
+    with devices.connect(controller.address, actuator=bench.actuator(controller.name)) as session:
+        yield session
+
+
+def actuator_of(bench: Bench, description: ActuatorDescription, channel: int = 1) -> Actuator:
+    """Return the model of the actuator on a channel of the first controller: the bench's, or as the controller says.
+
+    `description`: the controller's, whose DAC it is.
+    """
+    model = bench.actuator(bench.first.name, channel) or actuator_model(description)
+    return replace(model, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+
+
+def _check_address(address: str) -> str:
+    if address not in devices.SIMULATED and not devices.ADDRESS.fullmatch(address):
+        raise BenchFileError(
+            f"{address!r} is no controller: give a name in the bench file, {', '.join(devices.SIMULATED)}, "
+            "serial:PORT or usb:VID:PID"
+        )
+    return address
+
+
+class _Table:
+    """A table of the file, whose values are taken out one by one; what is left at the end is a mistake."""
+
+    def __init__(self, path: Path, where: str, table: Mapping[str, Any], controllers: list[BenchController]) -> None:
+        self.path = path
+        self._where = where
+        self._left = dict(table)
+        self._controllers = controllers
+        self._known: list[str] = []
+
+    def refuse(self, what: str) -> BenchFileError:
+        """Return the error that names the file and the table."""
+        return BenchFileError(f"{self.path}: {self._where}: {what}")
+
+    def take(self, key: str, read: Callable[[Any], Any], expected: str, default: Any = MISSING) -> Any:
+        """Return a value as `read` makes it of what the file says. Raises BenchFileError, which says what is right."""
+        self._known.append(key)
+        if key not in self._left:
+            if default is MISSING:
+                raise self.refuse(f"{key} is missing; it must be {expected}")
+            return default
+        value = self._left.pop(key)
+        try:
+            return read(value)
+        except (TypeError, ValueError) as error:
+            raise self.refuse(f"{key} must be {expected}, not {value!r}") from error
+
+    def text(self, key: str, default: Any = MISSING) -> Any:
+        """Return a text that is not empty."""
+        return self.take(key, _text, "a text", default)
+
+    def number(self, key: str, default: Any = MISSING) -> Any:
+        """Return a positive number."""
+        return self.take(key, _positive, "a positive number", default)
+
+    def whole(self, key: str, low: int, high: int, default: Any = MISSING) -> Any:
+        """Return a whole number in a range."""
+        return self.take(key, lambda value: _whole(value, low, high), f"a whole number from {low} to {high}", default)
+
+    def word(self, key: str, words: Any, default: Any = MISSING) -> Any:
+        """Return one of some words."""
+        return self.take(key, lambda value: _one_of(value, words), f"one of {', '.join(words)}", default)
+
+    def controller(self) -> str:
+        """Return the name of a controller; that of the only one if not given."""
+        names = [controller.name for controller in self._controllers]
+        return str(self.word("controller", names, names[0] if len(names) == 1 else MISSING))
+
+    def end(self) -> None:
+        """Raise BenchFileError for a key that was not taken."""
+        for key in self._left:
+            raise self.refuse(f"there is no key {key}; choose from {', '.join(self._known)}")
+
+
+def _controller(table: _Table) -> BenchController:
+    entry = BenchController(table.text("name"), table.take("address", _address, "an address such as 'sim'"))
+    table.end()
+    return entry
+
+
+def _actuator(table: _Table) -> BenchActuator:
+    model = table.word("model", ACTUATORS, None)
+    base = ACTUATORS[model] if model else None
+
+    def default(key: str) -> Any:
+        return getattr(base, key) if base else MISSING
+
+    required = ("stroke_um", "volts", "corner_hz", "slew_volts_per_second", "volts_limit", "power_limit")
+    given: dict[str, Any] = {key: table.number(key, default(key)) for key in required}
+    given["name"] = table.text("name", default("name"))
+    standard = {each.name: each.default for each in fields(Actuator)}
+    given["quality"] = table.number("quality", base.quality if base else None)
+    given["maximum_boost"] = table.number("maximum_boost", base.maximum_boost if base else standard["maximum_boost"])
+    given["dac_bits"] = table.whole("dac_bits", 8, 16, base.dac_bits if base else standard["dac_bits"])
+    rate_hz = base.dac_rate_hz if base else standard["dac_rate_hz"]
+    given["dac_rate_hz"] = table.whole("dac_rate_hz", 100, 1_000_000, rate_hz)
+    entry = BenchActuator(Actuator(**given), table.controller(), table.whole("channel", 1, 16, None))
+    table.end()
+    return entry
+
+
+def _sensor(table: _Table) -> Sensor:
+    entry = Sensor(
+        name=table.text("name"),
+        kind=table.word("kind", SENSOR_KINDS),
+        controller=table.controller(),
+        channel=table.whole("channel", 1, 16, 1),
+        command=table.take("command", _command, "a list of a program and its arguments, {file} among them"),
+        suffix=table.word("suffix", SUFFIXES, ".wav"),
+        rate_hz=table.number("rate_hz", None),
+        unit=table.word("unit", textures.INPUT_UNITS, None),
+        sensitivity=table.number("sensitivity", None),
+        axis=table.word("axis", textures.AXES, None),
+    )
+    if entry.sensitivity is not None and entry.unit is None:
+        raise table.refuse("sensitivity needs its unit: add unit, such as 'm/s^2'")
+    table.end()
+    return entry
+
+
+def _texture(table: _Table) -> Callable[[], Recording]:
+    """Return what loads or makes a texture: that raises TextureError, a wrong table BenchFileError."""
+    file = table.text("file", None)
+    if file is None:
+        make = textures.GENERATORS[table.word("generate", sorted(textures.GENERATORS))]
+        options = {
+            "seconds": table.number("seconds", None),
+            "hand_speed_mm_s": table.number("hand_speed_mm_s", None),
+            "seed": table.whole("seed", 0, 2**32 - 1, None),
+        }
+        table.end()
+        return lambda: make(**{key: value for key, value in options.items() if value is not None})
+    path = table.path.parent / file
+    if not path.exists():
+        raise table.refuse(f"file {path} does not exist")
+    options = {
+        "rate_hz": table.number("rate_hz", None),
+        "unit": table.word("unit", textures.INPUT_UNITS, None),
+        "full_scale": table.number("full_scale", None),
+        "axis": table.word("axis", textures.AXES, None),
+        "key": table.text("key", None),
+        "hand_speed_mm_s": table.number("hand_speed_mm_s", None),
+    }
+    table.end()
+    return lambda: textures.load(path, **options)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise TypeError(value)
+    return value
+
+
+def _positive(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+        raise ValueError(value)
+    return float(value)
+
+
+def _whole(value: Any, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(value)
+    return value
+
+
+def _one_of(value: Any, words: Any) -> str:
+    if not isinstance(value, str) or value not in words:
+        raise ValueError(value)
+    return value
+
+
+def _address(value: Any) -> str:
+    return _check_address(_text(value))
+
+
+def _command(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(part, str) and part for part in value):
+        raise TypeError(value)
+    named = {found for part in value for found in re.findall(r"\{(\w*)\}", part)}
+    if "file" not in named or named - set(SENSOR_PLACEHOLDERS):
+        raise ValueError(value)
+    return tuple(value)

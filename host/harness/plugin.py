@@ -1,0 +1,79 @@
+"""The pytest plugin: a team's own tests run on the simulated controller at a desk and on the real one at the bench.
+
+It is loaded with every pytest of the environment, so it imports what it needs only when a test asks for it. Where it is
+loaded by its module's name as well, `-p no:vibrocast -p host.harness.plugin` keeps the two from colliding.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from host.controller import Controller
+    from host.harness.bench_file import Bench
+    from simulated_device.actuator import Actuator
+    from textures import Recording
+
+_BENCH = pytest.StashKey["Bench"]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options that say what to test."""
+    group = parser.getgroup("vibrocast", "tactor controllers")
+    group.addoption(
+        "--device",
+        metavar="ADDRESS",
+        help="controller to test: an address as `vibrocast devices` lists them, or a name in the bench file; "
+        "the first one of the bench file if not given, and the simulated one without a bench file",
+    )
+    group.addoption("--bench", metavar="FILE.toml", help="bench file: controllers, actuators, sensors, textures")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Read the bench file, so that a mistake in it is told before any test runs."""
+    path = config.getoption("bench")
+    if path is None:
+        return
+    from host.harness.bench_file import BenchFileError, read_bench
+
+    try:
+        config.stash[_BENCH] = read_bench(Path(path))
+    except (BenchFileError, OSError) as error:
+        raise pytest.UsageError(str(error)) from error
+
+
+@pytest.fixture(scope="session")
+def bench(pytestconfig: pytest.Config) -> "Bench":
+    """The bench: that of --bench, or one with the controller of --device alone."""
+    from host.harness.bench_file import BenchFileError, chosen
+
+    try:
+        return chosen(pytestconfig.stash.get(_BENCH, None), pytestconfig.getoption("device"))
+    except BenchFileError as error:
+        raise pytest.UsageError(str(error)) from error
+
+
+@pytest.fixture
+def controller(bench: "Bench") -> "Iterator[Controller]":
+    """A session with the controller under test; its output is brought to rest after the test."""
+    from host.harness.bench_file import connect
+
+    with connect(bench) as session:
+        yield session
+        session.stop()
+
+
+@pytest.fixture
+def actuator(bench: "Bench", controller: "Controller") -> "Actuator":
+    """The model of the actuator on the controller's first channel: of the bench file, or as the controller says."""
+    from host.harness.bench_file import actuator_of
+
+    return actuator_of(bench, controller.description.actuator)
+
+
+@pytest.fixture(scope="session")
+def scene(bench: "Bench") -> "tuple[Recording, ...]":
+    """The textures to play: those of the bench file, or a generated one."""
+    return bench.scene()
