@@ -10,7 +10,11 @@
 void *memcpy(void *destination, const void *source, size_t length);
 void *memset(void *destination, int value, size_t length);
 
+/* Channels of a stream. A controller with fewer is compiled with fewer: its decoders refuse streams of more, and are
+ * smaller. */
+#ifndef VC_MAX_CHANNELS
 #define VC_MAX_CHANNELS 16
+#endif
 #define VC_PACKET_HEAD_BYTES 5
 #define VC_EVEN_ODDS 32768u
 /* Probability, in 1/65536, that an adaptive decision starts with where nothing is known. */

@@ -15,8 +15,8 @@ typedef struct vc_dct_decoder vc_dct_decoder;
 /* Bytes of memory, aligned for int64_t, that the caller provides for a decoder. */
 size_t vc_dct_decoder_size(void);
 
-/* Prepares a decoder. `configuration`: the codec's bytes from the stream header, for 1 to 16 channels. Returns VC_OK or
- * VC_BAD_CONFIGURATION. */
+/* Prepares a decoder. `configuration`: the codec's bytes from the stream header, for up to 16 channels (VC_MAX_CHANNELS
+ * of common.h). Returns VC_OK or VC_BAD_CONFIGURATION. */
 int vc_dct_decoder_init(vc_dct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
                         unsigned channels);
 

@@ -18,9 +18,9 @@ typedef struct vc_eva_encoder vc_eva_encoder;
 size_t vc_eva_decoder_size(void);
 size_t vc_eva_encoder_size(void);
 
-/* Prepares a decoder. `configuration`: the codec's bytes from the stream header, for 1 to 16 channels. `model`: the
- * payload of a model image; it must stay valid while the decoder is used. Returns VC_OK, VC_BAD_TABLES where that is no
- * model, or VC_BAD_CONFIGURATION. */
+/* Prepares a decoder. `configuration`: the codec's bytes from the stream header, for up to 16 channels (VC_MAX_CHANNELS
+ * of common.h). `model`: the payload of a model image; it must stay valid while the decoder is used. Returns VC_OK,
+ * VC_BAD_TABLES where that is no model, or VC_BAD_CONFIGURATION. */
 int vc_eva_decoder_init(vc_eva_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
                         unsigned channels, const uint8_t *model, size_t model_length);
 
