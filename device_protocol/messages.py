@@ -23,19 +23,6 @@ _VARINT_BITS = 32
 _Member = TypeVar("_Member", bound=IntEnum)
 
 
-class MessageError(ValueError):
-    """A message that cannot be packed, or bytes that are no message.
-
-    `sequence` is the sequence number to answer with (0: none could be read, or the type takes no answer) and `code`
-    the ErrorCode to answer.
-    """
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.sequence = NOTIFICATION
-        self.code = ErrorCode.MALFORMED
-
-
 class ErrorCode(IntEnum):
     """Why a controller refused a request."""
 
@@ -52,6 +39,19 @@ class ErrorCode(IntEnum):
     WRONG_HARDWARE = 11
     IMAGE_REFUSED = 12
     FLASH_FAILED = 13
+
+
+class MessageError(ValueError):
+    """A message that cannot be packed, or bytes that are no message.
+
+    `sequence` is the sequence number to answer with (0: none could be read, or the type takes no answer) and `code`
+    the ErrorCode to answer.
+    """
+
+    def __init__(self, text: str, code: ErrorCode = ErrorCode.MALFORMED) -> None:
+        super().__init__(text)
+        self.sequence = NOTIFICATION
+        self.code = code
 
 
 class State(IntEnum):
@@ -162,7 +162,8 @@ class Configure(Message):
         """Return the message that `body` packed. Raises MessageError, also for a flag that is not known."""
         (stream, flags, prebuffer_samples, packets, first_packet, loops, gain), rest = _unpack(cls.FIXED, body)
         if flags & ~cls.COMPENSATION:
-            raise MessageError(f"flags 0x{flags:02x} are asked for, only 0x{cls.COMPENSATION:02x} is known")
+            text = f"flags 0x{flags:02x} are asked for, only 0x{cls.COMPENSATION:02x} is known"
+            raise MessageError(text, ErrorCode.BAD_VALUE)
         header = dict(_tlvs(rest)).get(cls.HEADER_TAG)
         if header is None:
             raise MessageError("the stream header is missing")
@@ -647,14 +648,13 @@ def unpack(payload: bytes) -> tuple[int, Message]:
             _, sequence = _SEQUENCE.unpack_from(payload)
             body = payload[_SEQUENCE.size :]
         if message_type not in MESSAGES:
-            error = MessageError(f"message type 0x{message_type:02x} is not known to protocol version {PROTOCOL_MAJOR}")
-            error.code = ErrorCode.UNKNOWN_MESSAGE
-            raise error
+            text = f"message type 0x{message_type:02x} is not known to protocol version {PROTOCOL_MAJOR}"
+            raise MessageError(text, ErrorCode.UNKNOWN_MESSAGE)
         message = MESSAGES[message_type]
         try:
             return sequence, message.from_body(body)
         except MessageError as error:
-            raise MessageError(f"{message.__name__}: {error}") from error
+            raise MessageError(f"{message.__name__}: {error}", error.code) from error
     except MessageError as error:
         error.sequence = sequence
         raise
@@ -718,12 +718,12 @@ def _member(enumeration: type[_Member], value: int) -> _Member:
     try:
         return enumeration(value)
     except ValueError as error:
-        raise MessageError(f"{value} is no {enumeration.__name__}") from error
+        raise MessageError(f"{value} is no {enumeration.__name__}", ErrorCode.BAD_VALUE) from error
 
 
 def _check_gain(gain: float) -> None:
     if not (math.isfinite(gain) and gain >= 0):
-        raise MessageError(f"a gain of {gain} is not a finite factor of at least 0")
+        raise MessageError(f"a gain of {gain} is not a finite factor of at least 0", ErrorCode.BAD_VALUE)
 
 
 def _check_sha256(sha256: bytes) -> None:

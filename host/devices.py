@@ -33,10 +33,17 @@ ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
 
 @contextlib.contextmanager
 def connect(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Controller]:
-    """Open a session with the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
+    """Open a session with the controller at `address`, as `reach` does. Raises TransportError and ControllerError."""
+    with reach(address, runtime, actuator) as transport:
+        yield Controller(transport)
 
-    A simulated controller lives as long as the session; `runtime` and `actuator` are those of its settings, None = the
-    default. Raises TransportError and ControllerError.
+
+@contextlib.contextmanager
+def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Transport]:
+    """Open the way to the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
+
+    A simulated controller lives as long as the way is open; `runtime` and `actuator` are those of its settings, None =
+    the default. Raises TransportError.
     """
     with contextlib.ExitStack() as stack:
         transport: Transport
@@ -56,7 +63,7 @@ def connect(address: str, runtime: str | None = None, actuator: "Actuator | None
             transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(port))
         else:
             transport = open_transport(address)
-        yield Controller(stack.enter_context(transport))
+        yield stack.enter_context(transport)
 
 
 def available() -> dict[str, str]:

@@ -138,9 +138,21 @@ def test_fuzz_is_read_or_refused(payload: bytes) -> None:
     try:
         sequence, message = unpack(payload)
     except MessageError as error:
-        assert error.code in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_MESSAGE)
+        assert error.code in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_MESSAGE, ErrorCode.BAD_VALUE)
         return
     assert unpack(pack(message, sequence))[0] == sequence
+
+
+@pytest.mark.parametrize("place", ["tap", "flags", "gain"])
+def test_values_that_can_be_read_and_make_no_sense_are_no_malformed_message(place: str) -> None:
+    payloads = {
+        "tap": b"\x0b\x05\x00" + struct.pack("<BQH", 7, 0, 1),
+        "flags": b"\x03\x05\x00" + Configure.FIXED.pack(1, 0x82, 0, 1, 0, 1, 1.0) + b"\x01\x01\x00V",
+        "gain": b"\x09\x05\x00" + struct.pack("<f", float("nan")),
+    }
+    with pytest.raises(MessageError) as caught:
+        unpack(payloads[place])
+    assert (caught.value.sequence, caught.value.code) == (5, ErrorCode.BAD_VALUE)
 
 
 def test_unknown_type_says_whom_to_answer() -> None:
