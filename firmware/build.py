@@ -43,7 +43,7 @@ class Target:
     """One build of the firmware.
 
     `folders`: of its port, below firmware/, whose C sources are compiled beside the shared ones. `limits`: the sizes of
-    controller/limits.h (and options of the port) that it sets.
+    controller/sizes.h (and options of the port) that it sets.
     """
 
     summary: str

@@ -27,7 +27,7 @@ typedef struct {
 } vc_flash;
 
 /* What kind of controller this is; must stay valid. Texts end with a zero byte and have at most 63 bytes before it.
- * The other limits that hello tells are compiled in: limits.h. */
+ * The other limits that hello tells are compiled in: sizes.h. */
 typedef struct {
     const char *build, *hardware;
     const vc_actuator *actuator;

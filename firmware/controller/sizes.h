@@ -1,0 +1,55 @@
+/* Sizes of a controller, which a board sets by -D; those here are of a computer, and of the simulated controller. */
+#ifndef VIBROCAST_SIZES_H
+#define VIBROCAST_SIZES_H
+
+#include "common.h"
+
+/* Channels of a stream. VC_MAX_CHANNELS bounds them too, and is what decoders set memory aside for. */
+#ifndef VC_CHANNELS
+#define VC_CHANNELS 8
+#endif
+
+/* What is buffered of a stream: samples per channel, packets, and bytes of coded packets. */
+#ifndef VC_BUFFER_SAMPLES
+#define VC_BUFFER_SAMPLES 32768
+#endif
+#ifndef VC_BUFFER_PACKETS
+#define VC_BUFFER_PACKETS 1024
+#endif
+#ifndef VC_BUFFER_BYTES
+#define VC_BUFFER_BYTES (VC_BUFFER_PACKETS * VC_MAXIMUM_PACKET_BYTES)
+#endif
+
+/* Samples per channel of the longest packet: one is decoded at a time. */
+#ifndef VC_PACKET_SAMPLES
+#define VC_PACKET_SAMPLES VC_BUFFER_SAMPLES
+#endif
+
+/* Samples per channel that each capture keeps; 0 = none. */
+#ifndef VC_CAPTURE_SAMPLES
+#define VC_CAPTURE_SAMPLES 524288
+#endif
+
+/* Payload of a frame, both ways: 256 to 4096. */
+#ifndef VC_MAXIMUM_PAYLOAD_BYTES
+#define VC_MAXIMUM_PAYLOAD_BYTES 4096
+#endif
+/* Type, stream, iteration and the packet's length stand before a packet in a frame's payload. */
+#define VC_MAXIMUM_PACKET_BYTES (VC_MAXIMUM_PAYLOAD_BYTES - 12)
+
+/* What waits for the host: a few answers, which it repeats its requests for. */
+#ifndef VC_OUTGOING_BYTES
+#define VC_OUTGOING_BYTES (4 * VC_MAXIMUM_PAYLOAD_BYTES)
+#endif
+
+#if VC_CHANNELS < 1 || VC_CHANNELS > VC_MAX_CHANNELS
+#error "VC_CHANNELS: 1 to VC_MAX_CHANNELS"
+#endif
+#if VC_MAXIMUM_PAYLOAD_BYTES < 256 || VC_MAXIMUM_PAYLOAD_BYTES > 4096
+#error "VC_MAXIMUM_PAYLOAD_BYTES: 256 to 4096"
+#endif
+#if VC_BUFFER_BYTES < 4 * VC_MAXIMUM_PACKET_BYTES
+#error "VC_BUFFER_BYTES: room for four of the longest packets, or a host is kept waiting"
+#endif
+
+#endif
