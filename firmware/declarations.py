@@ -1,10 +1,19 @@
 """The parts of C headers that cffi can parse."""
 
 import re
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 
 def cffi_declarations(folder: Path) -> str:
-    """Return what stands between `/* cffi: begin */` and `/* cffi: end */` in a folder's headers."""
-    text = "\n".join(path.read_text() for path in sorted(folder.glob("*.h")))
+    """Return what stands between `/* cffi: begin */` and `/* cffi: end */` in a folder's headers.
+
+    A header's part comes after those of the headers that it includes.
+    """
+    texts = {path.name: path.read_text() for path in sorted(folder.glob("*.h"))}
+    included = {
+        name: [other for other in re.findall(r'#include "(.*?)"', text) if other in texts]
+        for name, text in texts.items()
+    }
+    text = "\n".join(texts[name] for name in TopologicalSorter(included).static_order())
     return "\n".join(re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", text, re.DOTALL))

@@ -1,0 +1,51 @@
+/* Fields of what the host sends, taken off the front of its bytes: numbers, texts, every length checked.
+ *
+ * A field that is not all there sets `cut`, and so is every one after it; their values are 0 and NULL. So a reader
+ * takes all fields and looks at `cut` once.
+ */
+#ifndef VIBROCAST_FIELDS_H
+#define VIBROCAST_FIELDS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* cffi: begin */
+/* Bytes, or a text without a zero behind it, in memory that belongs to somebody else. */
+typedef struct {
+    const uint8_t *bytes;
+    size_t length;
+} vc_piece;
+/* cffi: end */
+
+typedef struct {
+    vc_piece rest;
+    int cut;
+} vc_fields;
+
+void vc_fields_begin(vc_fields *fields, const uint8_t *bytes, size_t length);
+
+/* A number of 1 to 8 bytes, little endian. */
+uint64_t vc_take_number(vc_fields *fields, unsigned bytes);
+
+/* `length` bytes, where they lie. */
+vc_piece vc_take_piece(vc_fields *fields, size_t length);
+
+/* A LEB128 number below 2^bits, in at most so many bytes as those bits need; `bits` up to 63. */
+uint64_t vc_take_varint(vc_fields *fields, unsigned bits);
+
+/* The number of 1 to 8 bytes, little endian, at `bytes`; and its bytes. */
+uint64_t vc_number(const uint8_t *bytes, unsigned count);
+void vc_number_bytes(uint8_t *bytes, uint64_t number, unsigned count);
+
+int vc_same_bytes(const uint8_t *a, const uint8_t *b, size_t length);
+
+/* Whether a text is UTF-8 (RFC 3629): no byte out of place, no longer form than needed, no surrogate. */
+int vc_is_utf8(vc_piece text);
+
+/* Bytes of the longest beginning of a UTF-8 text that has at most `limit` bytes and cuts no character. */
+size_t vc_text_cut(vc_piece text, size_t limit);
+
+/* A text that a zero ends. */
+vc_piece vc_text_piece(const char *text);
+
+#endif

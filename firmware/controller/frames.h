@@ -1,0 +1,53 @@
+/* Frames on the wire: a payload and its CRC-16, COBS-encoded, closed by a zero byte; docs/protocol.md, "Frames". */
+#ifndef VIBROCAST_FRAMES_H
+#define VIBROCAST_FRAMES_H
+
+#include "cobs.h"
+#include "fields.h"
+#include "limits.h"
+
+#define VC_CRC_BYTES 2
+/* The longest frame, without and with the zero that closes it. */
+#define VC_ENCODED_BYTES VC_COBS_BYTES(VC_MAXIMUM_PAYLOAD_BYTES + VC_CRC_BYTES)
+#define VC_FRAME_BYTES (VC_ENCODED_BYTES + 1)
+
+/* cffi: begin */
+typedef struct vc_frame_reader vc_frame_reader;
+
+/* Bytes of memory, aligned for uint32_t, for a reader: it holds one frame, whatever it is fed. */
+size_t vc_frame_reader_size(void);
+
+void vc_frame_reader_init(vc_frame_reader *reader);
+
+/* Takes bytes up to the end of the first good frame among them; returns how many. Where there was one, `payload` says
+ * where its payload lies: in the reader, until the next call; otherwise its length is 0. A frame that is damaged, empty
+ * or too long is dropped and counted. To be called until all bytes are taken. */
+size_t vc_frame_reader_feed(vc_frame_reader *reader, const uint8_t *data, size_t length, vc_piece *payload);
+
+/* Frames dropped so far; stays at 2^32 - 1. */
+uint32_t vc_frame_reader_bad_frames(const vc_frame_reader *reader);
+
+/* Writes one frame, its payload in pieces. */
+typedef struct {
+    vc_cobs_encoder cobs;
+    size_t payload_bytes;
+    uint16_t crc;
+} vc_frame_writer;
+
+/* Begins a frame in frame[0..capacity), which must stay valid until the end. */
+void vc_frame_begin(vc_frame_writer *writer, uint8_t *frame, size_t capacity);
+void vc_frame_put(vc_frame_writer *writer, const uint8_t *payload, size_t length);
+/* A number of 1 to 8 bytes, little endian. */
+void vc_frame_put_number(vc_frame_writer *writer, uint64_t number, unsigned bytes);
+/* Ends it; returns its bytes, or 0 where they do not fit, or the payload has not 1 to VC_MAXIMUM_PAYLOAD_BYTES. */
+size_t vc_frame_end(vc_frame_writer *writer);
+/* cffi: end */
+
+struct vc_frame_reader {
+    uint32_t bad_frames;
+    uint32_t length;                       /* of `pending` */
+    int taken;                             /* `pending` is a payload that was handed out */
+    uint8_t pending[VC_ENCODED_BYTES + 1]; /* the frame that comes in; one byte more marks it as too long */
+};
+
+#endif

@@ -1,0 +1,68 @@
+/* Two slots for model images in flash, and the record of their states: whenever the power goes, an image that runs is
+ * left. docs/protocol.md, "Flashing".
+ */
+#ifndef VIBROCAST_IMAGE_STORE_H
+#define VIBROCAST_IMAGE_STORE_H
+
+#include "controller.h"
+#include "messages.h"
+#include "model_image.h"
+#include "sha256.h"
+
+#define VC_SLOTS 2
+
+/* cffi: begin */
+/* Says whether a codec can use the payload of an image: NULL, or the reason why not, for a person. */
+typedef const char *(*vc_payload_check)(uint8_t codec, const uint8_t *payload, size_t length);
+
+/* What the record says of a slot. */
+typedef struct {
+    uint8_t state;  /* enum vc_slot_state */
+    uint8_t booted; /* a slot on trial has been started once */
+    uint32_t size_bytes;
+    uint8_t sha256[32];
+} vc_slot;
+
+/* `whole`: the slot's image was whole when it was last looked at, and images[] describes it. `running`: the slot that
+ * runs, or -1. */
+typedef struct {
+    const vc_flash *flash;
+    const char *hardware;
+    vc_payload_check check;
+    uint32_t counter; /* of the newest record */
+    vc_slot slots[2];
+    vc_model_image images[2];
+    uint8_t whole[2];
+    uint32_t written[2]; /* bytes of an image that is being written */
+    int running;
+} vc_image_store;
+
+/* Boots: starts a slot that was put on trial, or falls back from one whose trial was not confirmed. `flash` and
+ * `hardware` must stay valid. Reads both slots and may write the record. */
+void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const char *hardware, vc_payload_check check);
+
+/* The image that runs, in flash, or NULL; and the 32 bytes of its SHA-256. */
+const vc_model_image *vc_image_store_running(const vc_image_store *store);
+const uint8_t *vc_image_store_running_sha256(const vc_image_store *store);
+
+/* What a slot, 0 or 1, holds, as hello tells it. Points into the store and the flash. */
+void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_image_description *description);
+
+/* The requests. Each returns 0 and fills `report`, which points into the store, or returns the refusal's code. A
+ * flash that fails is refused as VC_FLASH_FAILED, and no slot has then changed its state. */
+
+/* Makes a slot ready for an image, or goes on with the one that it is taking. Erases a slot. */
+int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_report *report,
+                         vc_refusal *refusal);
+/* Programs data at the offset that is next; at any other, writes nothing. */
+int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_report *report,
+                         vc_refusal *refusal);
+/* Reads the slot back and checks all of it; an image that is refused leaves the slot empty. */
+int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal);
+/* Puts a verified slot on trial at the next boot. */
+int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal);
+/* Keeps the slot that runs on trial; the one confirmed before becomes verified. */
+int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal);
+/* cffi: end */
+
+#endif

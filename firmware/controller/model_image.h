@@ -1,0 +1,23 @@
+/* Model images, read where they lie; docs/protocol.md, "Model image". */
+#ifndef VIBROCAST_MODEL_IMAGE_H
+#define VIBROCAST_MODEL_IMAGE_H
+
+#include "fields.h"
+#include "refusal.h"
+
+#define VC_IMAGE_LAYOUT_VERSION 1
+
+/* cffi: begin */
+/* Pieces point into the bytes that were read. Texts are UTF-8. */
+typedef struct {
+    uint8_t codec; /* identifier */
+    vc_piece name, version;
+    vc_piece hardware; /* the only hardware id that it may run on; empty: any */
+    vc_piece payload;  /* what the codec's decoder takes as its tables */
+} vc_model_image;
+
+/* Reads the image that `data` is, all of it. Returns 0, or the refusal's code, VC_IMAGE_REFUSED. Any bytes are safe. */
+int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t length, vc_refusal *refusal);
+/* cffi: end */
+
+#endif
