@@ -9,8 +9,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "output.h"
+
 /* cffi: begin */
-typedef struct vc_actuator vc_actuator; /* core/output.h */
 typedef struct vc_controller vc_controller;
 
 /* Flash for model images: memory-mapped NOR, read in place. Erasing sets bytes to 0xFF, programming only clears bits.
