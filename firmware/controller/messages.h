@@ -135,9 +135,9 @@ typedef struct {
     } body;
 } vc_message;
 
-/* Reads a payload whose type is below VC_HELLO_RESPONSE. Returns 0, or the refusal's code: VC_MALFORMED or
- * VC_UNKNOWN_MESSAGE; `sequence` is then the number to answer with (VC_NOTIFICATION where none could be read). Any
- * bytes are safe. */
+/* Reads a payload whose type is below VC_HELLO_RESPONSE. Returns 0, or the refusal's code: VC_MALFORMED,
+ * VC_BAD_VALUE or VC_UNKNOWN_MESSAGE; `sequence` is then the number to answer with (VC_NOTIFICATION where none could be
+ * read). Any bytes are safe. */
 int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_refusal *refusal);
 
 /* Takes the first packet off the packets of a message that was read; returns 0 when there are no more. */

@@ -1,0 +1,74 @@
+/* The header of a coded stream, and the heads of its packets; see stream_header.h. */
+#include "stream_header.h"
+
+#include "common.h"
+
+#define UNIT_BITS 0x03u
+#define UNITS 3u
+#define HAS_IMAGE_HASH 0x04u
+#define LENGTH_UNKNOWN 0x08u
+#define VARINT_BITS 63
+#define SEQUENCE_BITS 32
+#define INFINITE_GAIN 0x7F80u
+
+int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_refusal *refusal)
+{
+    vc_fields fields;
+    vc_piece magic, hash, configuration;
+    uint64_t rate_hz;
+    unsigned version_and_codec, flags, channel;
+    vc_fields_begin(&fields, data, length);
+    memset(header, 0, sizeof *header);
+    magic = vc_take_piece(&fields, 3);
+    version_and_codec = (unsigned)vc_take_number(&fields, 1);
+    if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)"VCT", 3))
+        return vc_refuse(refusal, VC_BAD_VALUE, "no stream header: it does not start with 'VCT'");
+    if (version_and_codec >> 4 != VC_STREAM_VERSION)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "a stream of version #; this controller reads version #",
+                                 version_and_codec >> 4, VC_STREAM_VERSION);
+    header->codec = version_and_codec & 0x0Fu;
+    flags = (unsigned)vc_take_number(&fields, 1);
+    header->output.unit = flags & UNIT_BITS;
+    header->output.channels = (uint8_t)((flags >> 4) + 1);
+    rate_hz = vc_take_varint(&fields, VARINT_BITS);
+    header->samples = flags & LENGTH_UNKNOWN ? VC_LENGTH_UNKNOWN : vc_take_varint(&fields, VARINT_BITS);
+    for (channel = 0; channel < header->output.channels; channel++)
+        header->output.gain[channel] = (uint16_t)vc_take_number(&fields, 2);
+    header->needs_image = (flags & HAS_IMAGE_HASH) != 0;
+    hash = vc_take_piece(&fields, header->needs_image ? VC_IMAGE_HASH_BYTES : 0);
+    configuration = vc_take_piece(&fields, (size_t)vc_take_number(&fields, 1));
+    if (fields.cut)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE,
+                                 "the stream header is cut at # bytes, or a number in it is too long", length, 0);
+    if (fields.rest.length > 0)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "# bytes are left after the stream header", fields.rest.length,
+                                 0);
+    if (header->codec == 0 || header->output.unit >= UNITS)
+        return vc_refuse(refusal, VC_BAD_VALUE,
+                         "the stream header is damaged: no codec has number 0, no unit number 3");
+    if (rate_hz < 1 || rate_hz > VC_STREAM_MAX_RATE_HZ)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "a rate of # Hz is outside 1 to # Hz: resample the signal",
+                                 rate_hz, VC_STREAM_MAX_RATE_HZ);
+    header->output.rate_hz = (uint32_t)rate_hz;
+    for (channel = 0; channel < header->output.channels; channel++)
+        if (header->output.gain[channel] == 0 || header->output.gain[channel] >= INFINITE_GAIN)
+            return vc_refuse_numbers(refusal, VC_BAD_VALUE, "the full scale of channel # is no positive number",
+                                     channel, 0);
+    if (hash.length > 0)
+        memcpy(header->image_hash, hash.bytes, hash.length);
+    header->configuration_length = (uint8_t)configuration.length;
+    if (configuration.length > 0)
+        memcpy(header->configuration, configuration.bytes, configuration.length);
+    return 0;
+}
+
+int vc_packet_sequence(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh)
+{
+    vc_fields fields;
+    uint64_t head;
+    vc_fields_begin(&fields, packet, length);
+    head = vc_take_varint(&fields, SEQUENCE_BITS + 1);
+    *sequence = (uint32_t)(head >> 1);
+    *refresh = (int)(head & 1u);
+    return fields.cut ? -1 : 0;
+}

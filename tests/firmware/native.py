@@ -1,0 +1,28 @@
+"""The firmware's C functions, built for this machine and called through cffi."""
+
+from functools import cache
+from typing import Any
+
+from cffi import FFI
+
+from firmware.build import build
+
+ffi: Any = FFI()
+
+
+@cache
+def native() -> Any:
+    """Return the library of firmware/core and firmware/controller."""
+    library = build("native")
+    ffi.cdef(library.with_suffix(".cdef").read_text(), override=True)
+    return ffi.dlopen(str(library))
+
+
+def piece_bytes(piece: Any) -> bytes:
+    """Return the bytes of a vc_piece."""
+    return bytes(ffi.buffer(piece.bytes, piece.length)) if piece.length else b""
+
+
+def refusal_text(refusal: Any) -> str:
+    """Return the text of a vc_refusal."""
+    return bytes(ffi.buffer(refusal.text, refusal.length)).decode()

@@ -1,0 +1,51 @@
+"""Model images in C against device_protocol/model_image.py: the same of any bytes."""
+
+import zlib
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device_protocol.model_image import ModelImage, ModelImageError
+from tests.device_protocol.test_model_image import images
+from tests.firmware.native import ffi, native, piece_bytes, refusal_text
+
+
+def check_read_as_in_python(data: bytes) -> None:
+    image, refusal, memory = ffi.new("vc_model_image *"), ffi.new("vc_refusal *"), ffi.new("uint8_t[]", data)
+    code = native().vc_model_image_read(image, memory, len(data), refusal)
+    try:
+        expected = ModelImage.unpack(data)
+    except ModelImageError:
+        assert code == refusal.code == native().VC_IMAGE_REFUSED
+        assert refusal_text(refusal)
+    else:
+        texts = (piece_bytes(text).decode() for text in (image.name, image.version, image.hardware))
+        assert code == 0
+        assert ModelImage(image.codec, *texts, piece_bytes(image.payload)) == expected
+
+
+def with_crc(data: bytes) -> bytes:
+    return data + zlib.crc32(data).to_bytes(4, "little")
+
+
+@given(images)
+def test_reads_every_image(image: ModelImage) -> None:
+    check_read_as_in_python(image.pack())
+
+
+@given(images, st.data())
+def test_reads_or_refuses_damaged_images_as_python(image: ModelImage, data: st.DataObject) -> None:
+    packed = bytearray(image.pack())
+    place = data.draw(st.integers(0, len(packed) - 1))
+    check_read_as_in_python(bytes(packed[:place]))
+    check_read_as_in_python(bytes(packed) + data.draw(st.binary(max_size=4)))
+    packed[place] = data.draw(st.integers(0, 255))
+    check_read_as_in_python(bytes(packed))
+    check_read_as_in_python(with_crc(bytes(packed[:-4])))
+
+
+@given(st.binary(max_size=60))
+def test_reads_or_refuses_any_bytes_as_python(data: bytes) -> None:
+    for start in (b"", b"VCMI\x01", b"VCMI\x01\x01\x02\x01\x03\x05\0\0\0"):
+        check_read_as_in_python(start + data)
+        check_read_as_in_python(with_crc(start + data))
