@@ -1,21 +1,15 @@
 """The firmware's C functions, built for this machine and called through cffi."""
 
-from functools import cache
 from typing import Any
 
 from cffi import FFI
 
 from firmware.build import build
 
+_library = build("native")
 ffi: Any = FFI()
-
-
-@cache
-def native() -> Any:
-    """Return the library of firmware/core and firmware/controller."""
-    library = build("native")
-    ffi.cdef(library.with_suffix(".cdef").read_text(), override=True)
-    return ffi.dlopen(str(library))
+ffi.cdef(_library.with_suffix(".cdef").read_text(), override=True)
+native: Any = ffi.dlopen(str(_library))
 
 
 def piece_bytes(piece: Any) -> bytes:

@@ -17,19 +17,19 @@ class CFrameReader:
     """The reader in C, as FrameReader."""
 
     def __init__(self) -> None:
-        self._memory = ffi.new("uint32_t[]", native().vc_frame_reader_size() // 4 + 1)
+        self._memory = ffi.new("uint32_t[]", native.vc_frame_reader_size() // 4 + 1)
         self._reader = ffi.cast("vc_frame_reader *", self._memory)
-        native().vc_frame_reader_init(self._reader)
+        native.vc_frame_reader_init(self._reader)
 
     @property
     def bad_frames(self) -> int:
-        return int(native().vc_frame_reader_bad_frames(self._reader))
+        return int(native.vc_frame_reader_bad_frames(self._reader))
 
     def feed(self, data: bytes) -> list[bytes]:
         received = []
         payload = ffi.new("vc_piece *")
         while data:
-            taken = native().vc_frame_reader_feed(self._reader, data, len(data), payload)
+            taken = native.vc_frame_reader_feed(self._reader, data, len(data), payload)
             assert taken > 0
             data = data[taken:]
             if payload.length:
@@ -39,11 +39,11 @@ class CFrameReader:
 
 def c_frame(payload: bytes, capacity: int = 5000, pieces: int = 3) -> bytes:
     frame, writer = ffi.new("uint8_t[]", capacity), ffi.new("vc_frame_writer *")
-    native().vc_frame_begin(writer, frame, capacity)
+    native.vc_frame_begin(writer, frame, capacity)
     edges = [len(payload) * piece // pieces for piece in range(pieces + 1)]
     for start, end in itertools.pairwise(edges):
-        native().vc_frame_put(writer, payload[start:end], end - start)
-    length = native().vc_frame_end(writer)
+        native.vc_frame_put(writer, payload[start:end], end - start)
+    length = native.vc_frame_end(writer)
     return bytes(frame)[:length]
 
 
@@ -103,8 +103,8 @@ def test_payload_that_does_not_fit_is_refused(payload: bytes) -> None:
 
 def test_numbers_are_little_endian() -> None:
     frame, writer = ffi.new("uint8_t[]", 50), ffi.new("vc_frame_writer *")
-    native().vc_frame_begin(writer, frame, 50)
-    native().vc_frame_put_number(writer, 0x0102030405060708, 8)
-    native().vc_frame_put_number(writer, 0xAABBCC, 2)
-    length: Any = native().vc_frame_end(writer)
+    native.vc_frame_begin(writer, frame, 50)
+    native.vc_frame_put_number(writer, 0x0102030405060708, 8)
+    native.vc_frame_put_number(writer, 0xAABBCC, 2)
+    length: Any = native.vc_frame_end(writer)
     assert bytes(frame)[:length] == write_frame(b"\x08\x07\x06\x05\x04\x03\x02\x01\xcc\xbb")

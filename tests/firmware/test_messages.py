@@ -1,6 +1,7 @@
 """Messages in C against device_protocol/messages.py: the same verdict on any bytes, the same values, the same bytes."""
 
 import struct
+from dataclasses import astuple
 from typing import Any
 
 import pytest
@@ -59,7 +60,7 @@ def float_bits(value: float) -> int:
 def packets_of(packets: Any) -> tuple[bytes, ...]:
     packet, found = ffi.new("vc_piece *"), []
     left = ffi.new("vc_piece *", packets)
-    while native().vc_next_packet(left, packet):
+    while native.vc_next_packet(left, packet):
         found.append(piece_bytes(packet))
     return tuple(found)
 
@@ -109,7 +110,7 @@ def in_python(message: Any) -> Message:
 def check_read_as_in_python(payload: bytes) -> None:
     message, refusal = ffi.new("vc_message *"), ffi.new("vc_refusal *")
     memory = ffi.new("uint8_t[]", payload)  # of this very length, so that a sanitiser sees what is read beyond it
-    code = native().vc_message_read(message, memory, len(payload), refusal)
+    code = native.vc_message_read(message, memory, len(payload), refusal)
     try:
         sequence, expected = messages.unpack(payload)
     except MessageError as error:
@@ -178,10 +179,10 @@ class Writer:
     def __init__(self) -> None:
         self._frame = ffi.new("uint8_t[]", 5000)
         self.pointer = ffi.new("vc_frame_writer *")
-        native().vc_frame_begin(self.pointer, self._frame, 5000)
+        native.vc_frame_begin(self.pointer, self._frame, 5000)
 
     def payload(self) -> bytes:
-        length = native().vc_frame_end(self.pointer)
+        length = native.vc_frame_end(self.pointer)
         (payload,) = FrameReader().feed(bytes(self._frame)[:length])
         return payload
 
@@ -199,7 +200,7 @@ def test_status(status: Status, sequence: int) -> None:
     for name in ("compensation_clipped", "voltage_limited", "slew_limited", "power_limited"):
         setattr(report.limited, name, getattr(status, name))
     writer = Writer()
-    native().vc_put_status(writer.pointer, sequence, report)
+    native.vc_put_status(writer.pointer, sequence, report)
     assert writer.payload() == messages.pack(status, sequence)
 
 
@@ -208,7 +209,7 @@ def test_flash_status(status: FlashStatus, sequence: int, verified: bool) -> Non
     sha256 = ffi.new("uint8_t[]", status.sha256) if verified else ffi.NULL
     report = ffi.new("vc_flash_report *", [status.slot, status.state, status.next_offset, sha256])
     writer = Writer()
-    native().vc_put_flash_status(writer.pointer, sequence, report)
+    native.vc_put_flash_status(writer.pointer, sequence, report)
     expected = FlashStatus(status.slot, status.state, status.next_offset, status.sha256 if verified else bytes(32))
     assert writer.payload() == messages.pack(expected, sequence)
 
@@ -218,18 +219,18 @@ def test_error_keeps_as_many_characters_as_fit(code: int, sequence: int, text: s
     encoded = text.encode()
     memory = ffi.new("uint8_t[]", encoded)
     refusal, writer = ffi.new("vc_refusal *"), Writer()
-    assert native().vc_refuse(refusal, 5, b"") == 5
-    native().vc_refusal_add_piece(refusal, [memory, len(encoded)])
+    assert native.vc_refuse(refusal, 5, b"") == 5
+    native.vc_refusal_add_piece(refusal, [memory, len(encoded)])
     refusal.code = code
-    native().vc_put_error(writer.pointer, sequence, refusal)
+    native.vc_put_error(writer.pointer, sequence, refusal)
     assert writer.payload() == messages.pack(Error(code, encoded[:200].decode(errors="ignore")), sequence)
 
 
 @given(st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1), st.binary(max_size=8))
 def test_texts_of_refusals(first: int, second: int, data: bytes) -> None:
     refusal = ffi.new("vc_refusal *")
-    native().vc_refuse_numbers(refusal, 9, b"# of #: ", first, second)
-    assert native().vc_refusal_add_hex(refusal, data, len(data)) == 9
+    native.vc_refuse_numbers(refusal, 9, b"# of #: ", first, second)
+    assert native.vc_refusal_add_hex(refusal, data, len(data)) == 9
     assert refusal_text(refusal) == f"{first} of {second}: {data.hex()}"
 
 
@@ -238,9 +239,9 @@ def test_capture_data(capture: CaptureData, sequence: int, cut: int) -> None:
     samples = ffi.new("int16_t[]", list(struct.unpack(f"<{len(capture.data) // 2}h", capture.data)))
     cut = min(cut, len(samples))
     writer = Writer()
-    native().vc_put_capture_data(writer.pointer, sequence, capture.tap, capture.channels, capture.offset, capture.end)
-    native().vc_put_samples(writer.pointer, samples, cut)
-    native().vc_put_samples(writer.pointer, samples + cut, len(samples) - cut)
+    native.vc_put_capture_data(writer.pointer, sequence, capture.tap, capture.channels, capture.offset, capture.end)
+    native.vc_put_samples(writer.pointer, samples, cut)
+    native.vc_put_samples(writer.pointer, samples + cut, len(samples) - cut)
     assert writer.payload() == messages.pack(capture, sequence)
 
 
@@ -276,7 +277,7 @@ def test_hello_response(
     floats = (actuator.stroke_um, actuator.volts, actuator.lower_hz, actuator.upper_hz, actuator.slew_volts_per_second)
     filled = ffi.new("vc_hello_response *")
     filled.build, filled.hardware = memory(build), memory(hardware)
-    filled.limits = list(messages.astuple(limits))
+    filled.limits = astuple(limits)
     filled.actuator = [memory(name), *map(float_bits, floats), actuator.dac_bits, actuator.dac_rate_hz]
     kept.append(ffi.new("vc_codec_description[]", [[number, memory(text)] for number, text in codecs]))
     filled.codecs, filled.codec_count = kept[-1], len(codecs)
@@ -287,7 +288,7 @@ def test_hello_response(
     kept.append(ffi.new("vc_image_description[]", descriptions))
     filled.images, filled.image_count = kept[-1], len(slots)
     writer = Writer()
-    native().vc_put_hello_response(writer.pointer, sequence, filled)
+    native.vc_put_hello_response(writer.pointer, sequence, filled)
     expected = HelloResponse(
         build, hardware, limits, ActuatorDescription(name, *floats, actuator.dac_bits, actuator.dac_rate_hz),
         tuple(codecs), tuple(slots),
@@ -298,6 +299,6 @@ def test_hello_response(
 def test_numbers_of_states_taps_and_slot_states_are_those_of_python() -> None:
     for prefix, enumeration in (("VC_STATE_", State), ("VC_TAP_", Tap), ("VC_SLOT_", SlotState)):
         for member in enumeration:
-            assert getattr(native(), prefix + member.name) == member
+            assert getattr(native, prefix + member.name) == member
     for code in messages.ErrorCode:
-        assert getattr(native(), "VC_" + code.name) == code
+        assert getattr(native, "VC_" + code.name) == code

@@ -12,16 +12,16 @@ from tests.firmware.native import ffi, native, piece_bytes, refusal_text
 
 def check_read_as_in_python(data: bytes) -> None:
     image, refusal, memory = ffi.new("vc_model_image *"), ffi.new("vc_refusal *"), ffi.new("uint8_t[]", data)
-    code = native().vc_model_image_read(image, memory, len(data), refusal)
+    code = native.vc_model_image_read(image, memory, len(data), refusal)
     try:
         expected = ModelImage.unpack(data)
     except ModelImageError:
-        assert code == refusal.code == native().VC_IMAGE_REFUSED
+        assert code == refusal.code == native.VC_IMAGE_REFUSED
         assert refusal_text(refusal)
     else:
-        texts = (piece_bytes(text).decode() for text in (image.name, image.version, image.hardware))
+        name, version, hardware = (piece_bytes(text).decode() for text in (image.name, image.version, image.hardware))
         assert code == 0
-        assert ModelImage(image.codec, *texts, piece_bytes(image.payload)) == expected
+        assert ModelImage(image.codec, name, version, hardware, piece_bytes(image.payload)) == expected
 
 
 def with_crc(data: bytes) -> bytes:

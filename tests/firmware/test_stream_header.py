@@ -16,13 +16,13 @@ LENGTH_UNKNOWN = 2**64 - 1
 
 def check_read_as_in_python(data: bytes) -> None:
     header, refusal, memory = ffi.new("vc_stream_header *"), ffi.new("vc_refusal *"), ffi.new("uint8_t[]", data)
-    code = native().vc_stream_header_read(header, memory, len(data), refusal)
+    code = native.vc_stream_header_read(header, memory, len(data), refusal)
     try:
         expected, used = StreamHeader.unpack(data)
     except StreamError:
         used = -1
     if used != len(data):
-        assert code == refusal.code == native().VC_BAD_VALUE
+        assert code == refusal.code == native.VC_BAD_VALUE
         assert refusal_text(refusal)
         return
     assert code == 0
@@ -66,7 +66,7 @@ def test_takes_the_rates_that_python_takes(rate: int) -> None:
 @given(st.one_of(st.binary(max_size=8), st.integers(0, 2**36).map(pack_varint)))
 def test_heads_of_packets_as_in_python(packet: bytes) -> None:
     sequence, refresh, memory = ffi.new("uint32_t *"), ffi.new("int *"), ffi.new("uint8_t[]", packet)
-    status = native().vc_packet_sequence(memory, len(packet), sequence, refresh)
+    status = native.vc_packet_sequence(memory, len(packet), sequence, refresh)
     try:
         expected = packet_sequence(packet)
     except StreamError:

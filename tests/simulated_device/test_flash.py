@@ -1,4 +1,4 @@
-"""Model images in flash: trial, confirmation and fall back, with the power cut at every byte."""
+"""Model images in flash, by the store in Python and the one in C: trial, fall back, the power cut at every byte."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +10,7 @@ from device_protocol.messages import ErrorCode, SlotState
 from device_protocol.model_image import ModelImage, sha256
 from simulated_device.flash import FlashMemory, ImageStore, PowerCut
 from simulated_device.refusal import Refusal
+from tests.firmware.c_image_store import CImageStore
 
 HARDWARE = "sim"
 OLD = ModelImage(1, "old", "1", HARDWARE, bytes(range(100))).pack()
@@ -26,18 +27,23 @@ def check_payload(codec_identifier: int, payload: bytes) -> None:
         raise CodecError("tables that the codec does not take")
 
 
-def boot(flash: FlashMemory) -> ImageStore:
-    return ImageStore(flash, HARDWARE, check_payload)
+Store = ImageStore | CImageStore
+Boot = Callable[[FlashMemory], Store]
 
 
-def write_image(store: ImageStore, slot: int, image: bytes) -> None:
+@pytest.fixture(params=[ImageStore, CImageStore])
+def boot(request: pytest.FixtureRequest) -> Boot:
+    return lambda flash: request.param(flash, HARDWARE, check_payload)
+
+
+def write_image(store: Store, slot: int, image: bytes) -> None:
     offset = store.begin(slot, len(image), sha256(image), HARDWARE).next_offset
     while offset < len(image):
         offset = store.write(slot, offset, image[offset : offset + 100]).next_offset
     assert store.verify(slot).sha256 == sha256(image)
 
 
-def install(flash: FlashMemory, slot: int, image: bytes) -> ImageStore:
+def install(boot: Boot, flash: FlashMemory, slot: int, image: bytes) -> Store:
     store = boot(flash)
     write_image(store, slot, image)
     store.activate(slot)
@@ -46,13 +52,13 @@ def install(flash: FlashMemory, slot: int, image: bytes) -> ImageStore:
     return store
 
 
-def running_name(store: ImageStore) -> str:
+def running_name(store: Store) -> str:
     return store.running.name if store.running else ""
 
 
-def test_trial_runs_once_and_falls_back_unless_confirmed() -> None:
+def test_trial_runs_once_and_falls_back_unless_confirmed(boot: Boot) -> None:
     flash = blank_flash()
-    store = install(flash, 0, OLD)
+    store = install(boot, flash, 0, OLD)
     assert running_name(store) == "old"
     write_image(store, 1, NEW)
     assert store.activate(1).state == SlotState.TRIAL
@@ -71,9 +77,9 @@ def test_trial_runs_once_and_falls_back_unless_confirmed() -> None:
     assert [image.name for image in store.describe()] == ["old", "new"]
 
 
-def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() -> None:
+def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs(boot: Boot) -> None:
     installed = blank_flash()
-    install(installed, 0, OLD)
+    install(boot, installed, 0, OLD)
     contents = installed.read(0, len(installed))
     cut_after_bytes = 0
     names = set()
@@ -82,7 +88,7 @@ def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() 
         flash.program(0, contents)
         flash.cut_after_bytes = cut_after_bytes
         try:
-            install(flash, 1, NEW)
+            install(boot, flash, 1, NEW)
         except PowerCut:
             pass
         else:
@@ -95,7 +101,7 @@ def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() 
         assert running_name(store) == ("new" if confirmed or on_trial else "old")
         assert running_name(boot(flash)) == ("new" if confirmed else "old")
         if not confirmed:
-            assert running_name(install(flash, 1, NEW)) == "new"
+            assert running_name(install(boot, flash, 1, NEW)) == "new"
         names.add(running_name(store))
         cut_after_bytes += 1
     assert cut_after_bytes > 768 + len(NEW)
@@ -110,13 +116,13 @@ def flip_bit(flash: FlashMemory, slot: int) -> None:
     assert flash.read(address, 1)[0] != value
 
 
-def states(store: ImageStore) -> list[SlotState]:
+def states(store: Store) -> list[SlotState]:
     return [image.state for image in store.describe()]
 
 
-def test_image_that_breaks_before_its_trial_is_never_confirmed() -> None:
+def test_image_that_breaks_before_its_trial_is_never_confirmed(boot: Boot) -> None:
     flash = blank_flash()
-    store = install(flash, 0, OLD)
+    store = install(boot, flash, 0, OLD)
     write_image(store, 1, NEW)
     flip_bit(flash, 1)
     store.activate(1)
@@ -127,9 +133,9 @@ def test_image_that_breaks_before_its_trial_is_never_confirmed() -> None:
     assert running_name(boot(flash)) == "old"
 
 
-def test_slot_on_trial_is_confirmed_only_while_it_runs() -> None:
+def test_slot_on_trial_is_confirmed_only_while_it_runs(boot: Boot) -> None:
     flash = blank_flash()
-    store = install(flash, 0, OLD)
+    store = install(boot, flash, 0, OLD)
     write_image(store, 1, NEW)
     store.activate(1)
     with pytest.raises(Refusal, match="does not run"):
@@ -139,10 +145,10 @@ def test_slot_on_trial_is_confirmed_only_while_it_runs() -> None:
     assert store.confirm(1).state == SlotState.CONFIRMED
 
 
-def test_confirmed_image_that_breaks_falls_back_to_the_one_before() -> None:
+def test_confirmed_image_that_breaks_falls_back_to_the_one_before(boot: Boot) -> None:
     flash = blank_flash()
-    install(flash, 0, OLD)
-    install(flash, 1, NEW)
+    install(boot, flash, 0, OLD)
+    install(boot, flash, 1, NEW)
     flip_bit(flash, 1)
     for _ in range(2):
         store = boot(flash)
@@ -152,7 +158,7 @@ def test_confirmed_image_that_breaks_falls_back_to_the_one_before() -> None:
     assert (store.running, states(store)) == (None, [SlotState.EMPTY, SlotState.EMPTY])
 
 
-def test_first_image_whose_trial_was_not_confirmed_does_not_run() -> None:
+def test_first_image_whose_trial_was_not_confirmed_does_not_run(boot: Boot) -> None:
     flash = blank_flash()
     store = boot(flash)
     write_image(store, 0, OLD)
@@ -185,9 +191,9 @@ class FailingFlash(FlashMemory):
 
 
 @pytest.mark.parametrize("changes", [0, 1])
-def test_flash_that_fails_while_confirming_keeps_the_slot_to_fall_back_to(changes: int) -> None:
+def test_flash_that_fails_while_confirming_keeps_the_slot_to_fall_back_to(boot: Boot, changes: int) -> None:
     flash = blank_flash()
-    store = install(flash, 0, OLD)
+    store = install(boot, flash, 0, OLD)
     write_image(store, 1, NEW)
     store.activate(1)
     failing = FailingFlash(flash.read(0, len(flash)), 2)
@@ -204,9 +210,9 @@ def test_flash_that_fails_while_confirming_keeps_the_slot_to_fall_back_to(change
 
 
 @pytest.mark.parametrize("changes", [0, 1])
-def test_flash_that_fails_at_a_boot_runs_what_is_confirmed(changes: int) -> None:
+def test_flash_that_fails_at_a_boot_runs_what_is_confirmed(boot: Boot, changes: int) -> None:
     flash = blank_flash()
-    store = install(flash, 0, OLD)
+    store = install(boot, flash, 0, OLD)
     write_image(store, 1, NEW)
     store.activate(1)
     failing = FailingFlash(flash.read(0, len(flash)), changes)
@@ -215,7 +221,7 @@ def test_flash_that_fails_at_a_boot_runs_what_is_confirmed(changes: int) -> None
     assert running_name(boot(failing)) == "new"
 
 
-def test_cut_session_goes_on_where_it_was() -> None:
+def test_cut_session_goes_on_where_it_was(boot: Boot) -> None:
     flash = blank_flash()
     store = boot(flash)
     store.begin(0, len(NEW), sha256(NEW), "")
@@ -230,20 +236,20 @@ def test_cut_session_goes_on_where_it_was() -> None:
     assert store.describe()[0].state == SlotState.VERIFIED
 
 
-def test_flash_lives_in_its_file(tmp_path: Path) -> None:
+def test_flash_lives_in_its_file(boot: Boot, tmp_path: Path) -> None:
     path = tmp_path / "flash.bin"
-    install(blank_flash(path), 0, OLD)
+    install(boot, blank_flash(path), 0, OLD)
     assert running_name(boot(blank_flash(path))) == "old"
     with pytest.raises(ValueError, match="delete it"):
         FlashMemory(100, path=path)
 
 
-def test_garbage_in_flash_boots_without_an_image() -> None:
+def test_garbage_in_flash_boots_without_an_image(boot: Boot) -> None:
     flash = blank_flash()
     flash.program(0, bytes(len(flash)))
     store = boot(flash)
     assert store.running is None
-    assert running_name(install(flash, 0, OLD)) == "old"
+    assert running_name(install(boot, flash, 0, OLD)) == "old"
 
 
 @pytest.mark.parametrize(
@@ -268,8 +274,8 @@ def test_garbage_in_flash_boots_without_an_image() -> None:
         ),
     ],
 )
-def test_requests_that_are_refused(request_: Callable[[ImageStore], object], code: ErrorCode) -> None:
-    store = install(blank_flash(), 0, OLD)
+def test_requests_that_are_refused(boot: Boot, request_: Callable[[Store], object], code: ErrorCode) -> None:
+    store = install(boot, blank_flash(), 0, OLD)
     with pytest.raises(Refusal) as refused:
         request_(store)
     assert refused.value.code == code
@@ -285,14 +291,14 @@ def test_requests_that_are_refused(request_: Callable[[ImageStore], object], cod
         ModelImage(1, "a", "1", "", b"corrupt tables").pack(),
     ],
 )
-def test_image_of_another_kind_is_refused_and_the_slot_is_empty(image: bytes) -> None:
+def test_image_of_another_kind_is_refused_and_the_slot_is_empty(boot: Boot, image: bytes) -> None:
     store = boot(blank_flash())
     with pytest.raises(Refusal):
         write_image(store, 0, image)
     assert store.describe()[0].state == SlotState.EMPTY
 
 
-def test_data_at_another_offset_writes_nothing() -> None:
+def test_data_at_another_offset_writes_nothing(boot: Boot) -> None:
     store = boot(blank_flash())
     store.begin(0, len(NEW), sha256(NEW), "")
     assert store.write(0, 50, NEW[50:100]).next_offset == 0
