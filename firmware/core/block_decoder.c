@@ -1,5 +1,6 @@
 /* Decoder of blocks: bits to levels; see block_coder.h. */
 #include "block_coder.h"
+#include "mdct_mixing.h"
 
 void vc_block_reset(vc_block_state *state)
 {
@@ -28,6 +29,7 @@ void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
 {
     vc_history *history = &state->history;
     vc_below below = {{0, 0, 0}, 0, 0};
+    vc_contexts contexts;
     uint32_t k;
     int silent = vc_range_decode(coder, vc_silence_predict(model, history));
     vc_silence_update(model, history, silent);
@@ -36,9 +38,9 @@ void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
         memset(levels, 0, bins * sizeof *levels);
         state->state = 0;
     }
+    memset(&contexts, 0, sizeof contexts);
     for (k = 0; k < bins && !silent; k++) {
         unsigned quantiser = vc_quantiser_of(state->state);
-        vc_contexts contexts;
         uint32_t index, level;
         vc_contexts_find(&contexts, model, history, bins, k, &below, quantiser);
         index = decode_index(coder, model, &contexts, quantiser);

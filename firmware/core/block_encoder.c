@@ -1,6 +1,7 @@
 /* Encoder of blocks: a search for the levels of least distortion + lambda * rate, then the decoder's steps mirrored;
  * see block_coder.h. */
 #include "block_coder.h"
+#include "mdct_mixing.h"
 #include "mdct_network.h"
 
 #define STATES 4
@@ -158,6 +159,7 @@ void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
     vc_history *history = &state->history;
     const task task = {model, history, search, bins, lambda};
     vc_below below = {{0, 0, 0}, 0, 0};
+    vc_contexts contexts;
     uint32_t k;
     int silent = search_block(&task, state->state, magnitudes);
     vc_range_encode(coder, silent, vc_silence_predict(model, history));
@@ -165,10 +167,10 @@ void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
     history->silent_history = (uint8_t)((history->silent_history << 1 | silent) & 3);
     if (silent)
         state->state = 0;
+    memset(&contexts, 0, sizeof contexts);
     for (k = 0; k < bins && !silent; k++) {
         unsigned quantiser = vc_quantiser_of(state->state);
         uint32_t index = search->indices[k];
-        vc_contexts contexts;
         vc_contexts_find(&contexts, model, history, bins, k, &below, quantiser);
         if (search->example_count < search->example_capacity) {
             int16_t *row = search->examples + search->example_count++ * VC_NETWORK_EXAMPLE;

@@ -44,10 +44,24 @@ static inline int32_t vc_limited(int64_t value)
     return (int32_t)(value > VC_MAX_VALUE ? VC_MAX_VALUE : value < -VC_MAX_VALUE ? -VC_MAX_VALUE : value);
 }
 
-/* value / 2^24, rounded, within +-VC_MAX_VALUE. */
+/* value / 2^24, rounded to the nearest, half away from zero. */
+static inline int64_t vc_rounded(int64_t value)
+{
+    const int64_t one = 1 << 24;
+    /* The bits below are cleared, so that a compiler needs no more than a shift. */
+    return ((value + one / 2 - (value < 0)) & -one) / one;
+}
+
+/* The same, within +-VC_MAX_VALUE. */
 static inline int32_t vc_scaled_down(int64_t value)
 {
-    return vc_limited((value + (value < 0 ? -(1 << 23) : (1 << 23))) / (1 << 24));
+    return vc_limited(vc_rounded(value));
+}
+
+/* value * weight / 2^24, rounded; `weight`: at most 2^24 in magnitude. */
+static inline int32_t vc_weighted(int32_t value, int32_t weight)
+{
+    return (int32_t)vc_rounded((int64_t)value * weight);
 }
 
 /* The sample of a signal value in 1/256 of its least significant bit. */
@@ -60,11 +74,15 @@ static inline int16_t vc_rounded_sample(int64_t value)
 /* Floor of the logarithm to base 2; value > 0. */
 static inline unsigned vc_floor_log2(uint32_t value)
 {
+#ifdef __GNUC__
+    return 31u - (unsigned)__builtin_clz(value);
+#else
     unsigned exponent = 0, step;
     for (step = 16; step > 0; step >>= 1)
         if (value >> (exponent + step) > 0)
             exponent += step;
     return exponent;
+#endif
 }
 
 #endif

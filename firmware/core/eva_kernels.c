@@ -2,11 +2,100 @@
  * eva_kernels.h. */
 #include "eva_kernels.h"
 
+#if defined __ARM_FEATURE_SIMD32 && !defined VC_PORTABLE
+#include <arm_acle.h>
+#define VC_DSP
+#endif
+
 #define MAX_CHANNELS 128
 #define MAX_ACTIVATION 32767
 #define MAX_ENERGY ((1u << 30) - 1)
 #define ENERGY_SHIFT 24
 #define COLUMNS_AT_ONCE 4u
+
+#ifdef VC_DSP
+
+/* The next four weights as pairs of 16 bits, w[1] w[0] in `lower` and w[3] w[2] in `upper`: SXTB16 widens every other
+ * byte, PKH puts the halves in order. */
+#define NEXT_WEIGHTS                                                                                                   \
+    "ldr %[upper], [%[weights]], #4\n\t"                                                                               \
+    "sxtb16 %[first], %[upper]\n\t"                                                                                    \
+    "sxtb16 %[upper], %[upper], ror #8\n\t"                                                                            \
+    "pkhbt %[lower], %[first], %[upper], lsl #16\n\t"                                                                  \
+    "pkhtb %[upper], %[upper], %[first], asr #16\n\t"
+/* Adds their products with the next four inputs of a column. */
+#define ADD_PRODUCTS(inputs, sum)                                                                                      \
+    "ldr %[first], [%[" inputs "]], #4\n\t"                                                                            \
+    "ldr %[second], [%[" inputs "]], #4\n\t"                                                                           \
+    "smlad %[" sum "], %[lower], %[first], %[" sum "]\n\t"                                                             \
+    "smlad %[" sum "], %[upper], %[second], %[" sum "]\n\t"
+#define NEXT_PRODUCTS                                                                                                  \
+    NEXT_WEIGHTS ADD_PRODUCTS("inputs", "a") ADD_PRODUCTS("second_inputs", "b") ADD_PRODUCTS("third_inputs", "c")      \
+        ADD_PRODUCTS("fourth_inputs", "d")
+#define ADD_TO_FOUR_SUMS(instructions)                                                                                 \
+    __asm__(instructions                                                                                               \
+            : [weights] "+r"(weights), [inputs] "+r"(inputs), [second_inputs] "+r"(second_inputs),                     \
+              [third_inputs] "+r"(third_inputs), [fourth_inputs] "+r"(fourth_inputs), [a] "+r"(a), [b] "+r"(b),        \
+              [c] "+r"(c), [d] "+r"(d), [lower] "=&r"(lower), [upper] "=&r"(upper), [first] "=&r"(first),              \
+              [second] "=&r"(second)                                                                                   \
+            :                                                                                                          \
+            : "memory")
+
+static int32_t product(const int8_t *weights, uint32_t length, const int16_t *inputs)
+{
+    const int8_t *const end = weights + length;
+    uint32_t lower, upper, first, second;
+    int32_t sum = 0;
+    while (end - weights >= 4)
+        __asm__(NEXT_WEIGHTS ADD_PRODUCTS("inputs", "sum")
+                : [weights] "+r"(weights), [inputs] "+r"(inputs), [sum] "+r"(sum), [lower] "=&r"(lower),
+                  [upper] "=&r"(upper), [first] "=&r"(first), [second] "=&r"(second)
+                :
+                : "memory");
+    while (weights != end)
+        sum += *weights++ * *inputs++;
+    return sum;
+}
+
+static void products_of_four(const int8_t *weights, uint32_t length, const int16_t *inputs, uint32_t stride,
+                             int32_t *sums, uint32_t rows)
+{
+    const int8_t *const end = weights + length;
+    const int16_t *second_inputs = inputs + stride, *third_inputs = second_inputs + stride;
+    const int16_t *fourth_inputs = third_inputs + stride;
+    uint32_t lower, upper, first, second;
+    int32_t a = 0, b = 0, c = 0, d = 0;
+    while (end - weights >= 8)
+        ADD_TO_FOUR_SUMS(NEXT_PRODUCTS NEXT_PRODUCTS);
+    if (end - weights >= 4)
+        ADD_TO_FOUR_SUMS(NEXT_PRODUCTS);
+    while (weights != end) {
+        a += *weights * *inputs++;
+        b += *weights * *second_inputs++;
+        c += *weights * *third_inputs++;
+        d += *weights++ * *fourth_inputs++;
+    }
+    sums[0] = a;
+    sums[rows] = b;
+    sums[2 * rows] = c;
+    sums[3 * rows] = d;
+}
+
+/* Square roots, rounded down, from a table of 8 bits by one step of Newton's method, which never ends below the root
+ * and here never more than one above it. */
+static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
+{
+    uint32_t i;
+    for (i = 0; i < count; i++) {
+        const uint32_t energy = energies[i] | (energies[i] == 0);
+        const unsigned even_shift = (unsigned)__builtin_clz(energy) & ~1u;
+        const uint32_t normal = energy << even_shift, start = vc_root[(normal >> 24) - 64];
+        const uint32_t root = ((start << 7) + (normal >> 9) / start) >> even_shift / 2;
+        roots[i] = root - (root * root > energies[i]);
+    }
+}
+
+#else
 
 static int32_t product(const int8_t *weights, uint32_t length, const int16_t *inputs)
 {
@@ -36,6 +125,23 @@ static void products_of_four(const int8_t *weights, uint32_t length, const int16
     sums[3 * rows] = d;
 }
 
+/* Square roots, rounded down, digit by digit and side by side; the energies are used up. */
+static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
+{
+    uint32_t digit, i;
+    for (i = 0; i < count; i++)
+        roots[i] = 0;
+    for (digit = 1u << 28; digit != 0; digit >>= 2)
+        for (i = 0; i < count; i++) {
+            uint32_t trial = roots[i] + digit;
+            uint32_t fits = energies[i] >= trial ? UINT32_MAX : 0;
+            energies[i] -= trial & fits;
+            roots[i] = (roots[i] >> 1) + (digit & fits);
+        }
+}
+
+#endif
+
 void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, uint32_t stride,
                      uint32_t columns, int32_t *sums)
 {
@@ -64,21 +170,6 @@ unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squar
         squares[i] = (int16_t)((value * value) >> 15);
     }
     return doubled;
-}
-
-/* Square roots, rounded down, digit by digit and side by side; the energies are used up. */
-static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
-{
-    uint32_t digit, i;
-    for (i = 0; i < count; i++)
-        roots[i] = 0;
-    for (digit = 1u << 28; digit != 0; digit >>= 2)
-        for (i = 0; i < count; i++) {
-            uint32_t trial = roots[i] + digit;
-            uint32_t fits = energies[i] >= trial ? UINT32_MAX : 0;
-            energies[i] -= trial & fits;
-            roots[i] = (roots[i] >> 1) + (digit & fits);
-        }
 }
 
 /* As many columns as fit MAX_CHANNELS values side by side. */

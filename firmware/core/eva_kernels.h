@@ -27,6 +27,8 @@ void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns
 /* scaled[i] = sums[i] * multipliers[i] / 2^32, within +-32767. */
 void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled);
 
+extern const uint8_t vc_root[192]; /* sqrt(256 (i + 64.5)), 255 at most */
+
 /* value * multiplier / 2^32, to the nearest, half away from zero, within +-limit. */
 int32_t vc_eva_scaled(int32_t value, uint32_t multiplier, uint32_t limit);
 

@@ -24,6 +24,8 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
         [256 * detection_threshold_db(2 ** (4 + i / 8)) / (20 * math.log10(2)) for i in range(57)],
     ),
     "vc_dct_cosine": ("int32_t", [2**24 * math.cos(2 * math.pi * i / 4096) for i in range(1025)]),
+    # sqrt(x) / 256 at the middles of 192 steps of x from 2^14 to 2^16.
+    "vc_root": ("uint8_t", [min(255, math.sqrt(256 * (i + 64.5))) for i in range(192)]),
     "vc_dct_exponential": ("uint32_t", [2 ** (30 + i / 256) for i in range(257)]),
 }
 
@@ -37,6 +39,6 @@ def table_source(name: str, kind: str, values: Sequence[float]) -> str:
 
 if __name__ == "__main__":
     definitions = "\n".join(table_source(name, kind, values) for name, (kind, values) in TABLES.items())
-    includes = "".join(f'#include "{name}.h"\n' for name in ("dct_model", "mdct", "slp_frame"))
+    includes = "".join(f'#include "{name}.h"\n' for name in ("dct_model", "eva_kernels", "mdct", "slp_frame"))
     head = f"/* Mathematical tables; written by generate_tables.py. */\n{includes}\n"
     Path(__file__).with_name("constant_tables.c").write_text(head + definitions)

@@ -39,6 +39,8 @@ typedef struct {
     const uint8_t *network; /* of mdct_network.h; NULL = none. A reset leaves it. */
 } vc_model;
 
+/* Greatest magnitude that a history keeps. */
+#define VC_MAX_KEPT_MAGNITUDE 126u
 /* Bins of padding on each side of a row. */
 #define VC_PADDING 2
 
@@ -67,14 +69,6 @@ typedef struct {
     int32_t network[VC_DECISIONS]; /* ln(p / (1 - p)) of each decision, in 1/256; 0 without a network */
 } vc_contexts;
 
-/* One prediction, kept for the update that follows. */
-typedef struct {
-    uint16_t *cell[VC_INPUTS];
-    int32_t *weight;
-    int32_t stretched[VC_MIXED];
-    int32_t mixed; /* probability of 1 in 1/65536 */
-} vc_prediction;
-
 /* The step that a step code, below VC_STEP_CODES, stands for: 64 codes an octave, from 64 on. */
 static inline int32_t vc_step_of(uint32_t code)
 {
@@ -91,28 +85,39 @@ void vc_model_export(const vc_model *model, uint8_t *tables);
 
 void vc_history_reset(vc_history *history);
 void vc_history_next_block(vc_history *history, uint32_t hop);
-/* A magnitude, in quantiser steps, as the history keeps it: at most 126. */
-uint32_t vc_kept_magnitude(uint32_t magnitude);
+
+/* A magnitude, in quantiser steps, as the history keeps it. */
+static inline uint32_t vc_kept_magnitude(uint32_t magnitude)
+{
+    return magnitude < VC_MAX_KEPT_MAGNITUDE ? magnitude : VC_MAX_KEPT_MAGNITUDE;
+}
+
 /* Records the magnitude of bin k of the current block; returns it as kept. */
-uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude);
+static inline uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude)
+{
+    const uint32_t kept = vc_kept_magnitude(magnitude);
+    history->rows[0][k + VC_PADDING] = (uint8_t)kept;
+    return kept;
+}
 
 /* Goes on to the next bin: `magnitude`, as kept, is that of bin k. */
-void vc_below_add(vc_below *below, const vc_history *history, uint32_t k, uint32_t magnitude);
+static inline void vc_below_add(vc_below *below, const vc_history *history, uint32_t k, uint32_t magnitude)
+{
+    below->nearest[2] = below->nearest[1];
+    below->nearest[1] = below->nearest[0];
+    below->nearest[0] = magnitude;
+    below->sum += magnitude;
+    below->mean_sum += history->mean[k + VC_PADDING];
+}
 
 /* Context of input 0, by which the encoder's search estimates rates where there is no network. */
 unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, const vc_below *below);
-/* Contexts of bin k. */
+/* Contexts of bin k; without a network, those for it stay as they are: 0 from the start. */
 void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_history *history, uint32_t hop, uint32_t k,
                       const vc_below *below, unsigned quantiser);
 /* Number of steps, four an octave from 4 up and one a unit below: a logarithm of x with two bits of mantissa. */
 unsigned vc_fine_class(uint32_t x);
-/* ln(p / (1 - p)) in 1/256, of a probability in 1/65536. */
-int32_t vc_stretched(uint32_t probability);
 
-/* Probability of 1 for decision `decision` (0: not zero; n: magnitude above n), and the update with what came. */
-uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decision, unsigned quantiser,
-                    vc_prediction *prediction);
-void vc_update(vc_prediction *prediction, int bit);
 uint32_t vc_silence_predict(const vc_model *model, const vc_history *history);
 void vc_silence_update(vc_model *model, const vc_history *history, int silent);
 

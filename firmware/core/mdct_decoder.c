@@ -66,19 +66,32 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop;
 }
 
-/* sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)); angles are in 1/1024 of a turn: N divides 128. */
-static int32_t inverse_mdct(const int32_t *spectrum, uint32_t hop, uint32_t n)
+/* A coefficient that is not 0, and 2 k + 1. */
+typedef struct {
+    int32_t value;
+    uint32_t frequency;
+} spectral_line;
+
+/* sum_k X[k] cos(angle (2 k + 1)), in 1/2^24, and the same a quarter of a turn later; angles in 1/1024 of a turn. By
+ * itself, so that all of the loop stays in registers. */
+__attribute__((noinline)) static void cosine_sums(const spectral_line *lines, uint32_t count, uint32_t angle,
+                                                  int64_t *sums)
 {
-    const int32_t root = hop == 16   ? 5931642
-                         : hop == 32 ? 4194304
-                         : hop == 64 ? 2965821
-                                     : 2097152; /* sqrt(2 / N) in 1/2^24 */
-    const uint32_t angle = (2 * n + 1 + hop) * (128 / hop);
-    int64_t sum = 0;
-    uint32_t k;
-    for (k = 0; k < hop; k++)
-        sum += (int64_t)spectrum[k] * vc_cosine[(angle * (2 * k + 1)) & 1023u];
-    return vc_scaled_down((int64_t)vc_scaled_down(sum) * root);
+    const spectral_line *const end = lines + count;
+    int64_t first = 0, second = 0;
+    for (; lines != end; lines++) {
+        const uint32_t turned = angle * lines->frequency;
+        first += (int64_t)lines->value * vc_cosine[turned & 1023u];
+        second += (int64_t)lines->value * vc_cosine[(turned + 256 * lines->frequency) & 1023u];
+    }
+    sums[0] = first;
+    sums[1] = second;
+}
+
+/* sqrt(2 / N) in 1/2^24. */
+static int32_t norm(uint32_t hop)
+{
+    return hop == 16 ? 5931642 : hop == 32 ? 4194304 : hop == 64 ? 2965821 : 2097152;
 }
 
 /* sin(pi (n + 1/2) / (2 N)) in 1/2^24, 0 <= n < N: the rising half of the sine window. */
@@ -87,26 +100,30 @@ static int32_t window(uint32_t hop, uint32_t n)
     return vc_cosine[((2 * n + 1) * (128 / hop) + 768) & 1023u];
 }
 
-static int32_t windowed(int32_t value, int32_t weight)
-{
-    return vc_scaled_down((int64_t)value * weight);
-}
-
-/* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum, windowed and overlap-added
- * (Princen, Johnson and Bradley 1987). The first half of the transform's output is odd about its middle, the second
- * half even. */
+/* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum,
+ * sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)), windowed and overlap-added (Princen, Johnson and
+ * Bradley 1987). The first half of the transform's output is odd about its middle, the second half even. */
 static void synthesise(vc_mdct_channel *channel, uint32_t hop, int16_t *samples, unsigned stride)
 {
-    uint32_t n;
+    spectral_line lines[VC_MAX_BINS];
+    uint32_t count = 0, k, n;
+    for (k = 0; k < hop; k++)
+        if (channel->spectrum[k] != 0) {
+            lines[count].value = channel->spectrum[k];
+            lines[count++].frequency = 2 * k + 1;
+        }
     for (n = 0; n < hop / 2; n++) {
-        uint32_t mirror = hop - 1 - n;
-        int32_t rising = window(hop, n), falling = window(hop, mirror);
-        int32_t first = inverse_mdct(channel->spectrum, hop, n);
-        int32_t second = inverse_mdct(channel->spectrum, hop, hop + n);
-        samples[n * stride] = vc_rounded_sample((int64_t)channel->overlap[n] + windowed(first, rising));
-        samples[mirror * stride] = vc_rounded_sample((int64_t)channel->overlap[mirror] - windowed(first, falling));
-        channel->overlap[n] = windowed(second, falling);
-        channel->overlap[mirror] = windowed(second, rising);
+        const uint32_t mirror = hop - 1 - n;
+        const int32_t rising = window(hop, n), falling = window(hop, mirror);
+        int64_t sums[2]; /* of samples n and N + n */
+        int32_t first, second;
+        cosine_sums(lines, count, (2 * n + 1 + hop) * (128 / hop), sums); /* N divides 128 */
+        first = vc_weighted(vc_scaled_down(sums[0]), norm(hop));
+        second = vc_weighted(vc_scaled_down(sums[1]), norm(hop));
+        samples[n * stride] = vc_rounded_sample((int64_t)channel->overlap[n] + vc_weighted(first, rising));
+        samples[mirror * stride] = vc_rounded_sample((int64_t)channel->overlap[mirror] - vc_weighted(first, falling));
+        channel->overlap[n] = vc_weighted(second, falling);
+        channel->overlap[mirror] = vc_weighted(second, rising);
     }
 }
 

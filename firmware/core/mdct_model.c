@@ -1,8 +1,5 @@
-/* Context model of `mdct`: decisions on the quantised spectrum, predicted by logistic mixing of four contexts
- * and, where a model image brings it, a network.
- *
- * Logistic mixing follows M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005.
- */
+/* Context model of `mdct`: its tables, the magnitudes coded so far, and the contexts that they make. */
+#include "mdct_mixing.h"
 #include "mdct_network.h"
 
 #define CELLS (VC_DECISIONS * 2 * VC_INPUTS * VC_CONTEXTS)
@@ -10,15 +7,8 @@
 #define WEIGHTS (WEIGHT_SETS * VC_MIXED)
 #define TABLES_BYTES (CELLS + 2 * WEIGHT_SETS * (VC_INPUTS + 1) + VC_SILENCE_CONTEXTS)
 
-#define MAX_MAGNITUDE 126u
-#define ADAPTATION_SHIFT 5
 #define NETWORK_WEIGHT (1 << 16)
 #define MEAN_BLOCKS 24u
-#define BIAS_INPUT 256
-#define LEARNING_RATE 6
-#define LEARNING_SHIFT 18
-#define MAX_WEIGHT (8 << 16)
-#define MIN_PROBABILITY 32u
 
 size_t vc_mdct_tables_size(void)
 {
@@ -46,16 +36,6 @@ const uint8_t *vc_model_network(const uint8_t *tables, size_t length)
     return tables != NULL && length > TABLES_BYTES ? tables + TABLES_BYTES : NULL;
 }
 
-static uint32_t squash(int32_t stretched)
-{
-    return vc_squash[(uint32_t)(vc_clamped(stretched, VC_MAX_STRETCHED) + 2048) >> 2];
-}
-
-int32_t vc_stretched(uint32_t probability)
-{
-    return vc_stretch[probability >> 5];
-}
-
 /* Tables: for each cell the stretched probability / 16 (int8), the weights in 1/4096 (int16, little endian), then the
  * probabilities of silence / 256 (uint8). The weight of the network is not among them. */
 void vc_model_reset(vc_model *model, const uint8_t *tables)
@@ -65,12 +45,12 @@ void vc_model_reset(vc_model *model, const uint8_t *tables)
     const uint8_t *source = tables == NULL ? vc_builtin_tables : tables;
     unsigned i;
     for (i = 0; i < CELLS; i++)
-        cells[i] = (uint16_t)squash(16 * (int8_t)*source++);
+        cells[i] = vc_squash[512 + 4 * (int8_t)*source++]; /* squash() of 16 times as much */
     for (i = 0; i < WEIGHTS; i++)
         if (i % VC_MIXED == VC_INPUTS) {
             weights[i] = NETWORK_WEIGHT;
         } else {
-            weights[i] = vc_clamped(16 * (int16_t)(source[0] | source[1] << 8), MAX_WEIGHT);
+            weights[i] = vc_clamped(16 * (int16_t)(source[0] | source[1] << 8), VC_MAX_WEIGHT);
             source += 2;
         }
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
@@ -98,18 +78,6 @@ void vc_history_reset(vc_history *history)
 {
     memset(history, 0, sizeof *history);
     history->silent_history = 1;
-}
-
-uint32_t vc_kept_magnitude(uint32_t magnitude)
-{
-    return magnitude < MAX_MAGNITUDE ? magnitude : MAX_MAGNITUDE;
-}
-
-uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t magnitude)
-{
-    uint32_t kept = vc_kept_magnitude(magnitude);
-    history->rows[0][k + VC_PADDING] = (uint8_t)kept;
-    return kept;
 }
 
 void vc_history_next_block(vc_history *history, uint32_t hop)
@@ -159,15 +127,6 @@ static uint32_t expected_magnitude(const vc_history *history, uint32_t k, const 
            1;
 }
 
-void vc_below_add(vc_below *below, const vc_history *history, uint32_t k, uint32_t magnitude)
-{
-    below->nearest[2] = below->nearest[1];
-    below->nearest[1] = below->nearest[0];
-    below->nearest[0] = magnitude;
-    below->sum += magnitude;
-    below->mean_sum += history->mean[k + VC_PADDING];
-}
-
 static unsigned first_context(unsigned expected_class, uint32_t hop, uint32_t k)
 {
     return (expected_class < 63 ? expected_class : 63) * 4 + k * 4 / hop;
@@ -186,7 +145,6 @@ void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_his
     unsigned expected_class = vc_fine_class(expected_magnitude(history, k, below));
     unsigned band = k * 16 / hop;
     unsigned around = 2u * below->nearest[0] + below->nearest[1] + 2u * last[0] + last[1] + last[-1];
-    memset(contexts, 0, sizeof *contexts);
     contexts->index[0] = first_context(expected_class, hop, k);
     contexts->index[1] = (expected_class / 2 < 15 ? expected_class / 2 : 15) * 16 + band;
     contexts->index[2] =
@@ -200,48 +158,6 @@ void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_his
     }
 }
 
-uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decision, unsigned quantiser,
-                    vc_prediction *prediction)
-{
-    unsigned kind = decision < VC_DECISIONS ? decision : VC_DECISIONS - 1;
-    int32_t *weight = model->weight[kind][quantiser][contexts->scale];
-    int64_t sum = 0;
-    uint32_t probability;
-    unsigned i;
-    for (i = 0; i < VC_INPUTS; i++) {
-        prediction->cell[i] = &model->probability[kind][quantiser][i][contexts->index[i]];
-        prediction->stretched[i] = vc_stretched(*prediction->cell[i]);
-    }
-    prediction->stretched[VC_INPUTS] = contexts->network[kind];
-    prediction->stretched[VC_INPUTS + 1] = BIAS_INPUT;
-    for (i = 0; i < VC_MIXED; i++)
-        sum += (int64_t)weight[i] * prediction->stretched[i];
-    probability = squash((int32_t)(sum / 65536));
-    prediction->weight = weight;
-    prediction->mixed = (int32_t)probability;
-    return probability < MIN_PROBABILITY           ? MIN_PROBABILITY
-           : probability > 65536 - MIN_PROBABILITY ? 65536 - MIN_PROBABILITY
-                                                   : probability;
-}
-
-static uint16_t adapted(uint16_t probability, int bit)
-{
-    return (uint16_t)(bit ? probability + ((65535 - probability) >> ADAPTATION_SHIFT)
-                          : probability - (probability >> ADAPTATION_SHIFT));
-}
-
-void vc_update(vc_prediction *prediction, int bit)
-{
-    int32_t error = LEARNING_RATE * ((bit ? 65536 : 0) - prediction->mixed);
-    unsigned i;
-    for (i = 0; i < VC_MIXED; i++) {
-        int32_t change = (error * prediction->stretched[i]) / (1 << LEARNING_SHIFT);
-        prediction->weight[i] = vc_clamped(prediction->weight[i] + change, MAX_WEIGHT);
-    }
-    for (i = 0; i < VC_INPUTS; i++)
-        *prediction->cell[i] = adapted(*prediction->cell[i], bit);
-}
-
 static unsigned silence_context(const vc_history *history)
 {
     unsigned loudness = (history->block_sum > 0) + (history->block_sum > 8) + (history->block_sum > 32);
@@ -250,14 +166,11 @@ static unsigned silence_context(const vc_history *history)
 
 uint32_t vc_silence_predict(const vc_model *model, const vc_history *history)
 {
-    uint32_t probability = model->silence[silence_context(history)];
-    return probability < MIN_PROBABILITY           ? MIN_PROBABILITY
-           : probability > 65536 - MIN_PROBABILITY ? 65536 - MIN_PROBABILITY
-                                                   : probability;
+    return vc_codable(model->silence[silence_context(history)]);
 }
 
 void vc_silence_update(vc_model *model, const vc_history *history, int silent)
 {
     uint16_t *probability = &model->silence[silence_context(history)];
-    *probability = adapted(*probability, silent);
+    *probability = vc_adapted(*probability, silent);
 }

@@ -2,6 +2,7 @@
 #include "mdct_network.h"
 
 #include "eva_kernels.h"
+#include "mdct_mixing.h"
 
 #define MAX_ACTIVATION 32767
 #define INPUT_DIVISOR 4       /* weights in 1/64 times inputs in 1/16, to 1/256 */

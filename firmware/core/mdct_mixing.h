@@ -1,0 +1,81 @@
+/* Logistic mixing: a decision's probability from four contexts and, where a model image brings it, a network; inline,
+ * for decoding spends most of its time here.
+ *
+ * After M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005. */
+#ifndef VIBROCAST_MDCT_MIXING_H
+#define VIBROCAST_MDCT_MIXING_H
+
+#include "mdct.h"
+
+#define VC_MIN_PROBABILITY 32u
+#define VC_ADAPTATION_SHIFT 5
+#define VC_BIAS_INPUT 256
+#define VC_LEARNING_RATE 6
+#define VC_LEARNING_SHIFT 18
+#define VC_MAX_WEIGHT (8 << 16)
+
+/* One prediction, kept for the update that follows. */
+typedef struct {
+    uint16_t *cell[VC_INPUTS];
+    int32_t *weight;
+    int32_t stretched[VC_MIXED];
+    int32_t mixed; /* probability of 1 in 1/65536 */
+} vc_prediction;
+
+/* ln(p / (1 - p)) in 1/256, of a probability in 1/65536. */
+static inline int32_t vc_stretched(uint32_t probability)
+{
+    return vc_stretch[probability >> 5];
+}
+
+/* A probability as the range coder takes it. */
+static inline uint32_t vc_codable(uint32_t probability)
+{
+    return probability < VC_MIN_PROBABILITY           ? VC_MIN_PROBABILITY
+           : probability > 65536 - VC_MIN_PROBABILITY ? 65536 - VC_MIN_PROBABILITY
+                                                      : probability;
+}
+
+static inline uint16_t vc_adapted(uint16_t probability, int bit)
+{
+    return (uint16_t)(bit ? probability + ((65535 - probability) >> VC_ADAPTATION_SHIFT)
+                          : probability - (probability >> VC_ADAPTATION_SHIFT));
+}
+
+/* Probability of 1 for decision `decision` (0: not zero; n: magnitude above n). */
+static inline uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decision, unsigned quantiser,
+                                  vc_prediction *prediction)
+{
+    const unsigned kind = decision < VC_DECISIONS ? decision : VC_DECISIONS - 1;
+    int32_t *weight = model->weight[kind][quantiser][contexts->scale];
+    int64_t sum = 0;
+    uint32_t probability;
+    unsigned i;
+    for (i = 0; i < VC_INPUTS; i++) {
+        prediction->cell[i] = &model->probability[kind][quantiser][i][contexts->index[i]];
+        prediction->stretched[i] = vc_stretched(*prediction->cell[i]);
+    }
+    prediction->stretched[VC_INPUTS] = contexts->network[kind];
+    prediction->stretched[VC_INPUTS + 1] = VC_BIAS_INPUT;
+    for (i = 0; i < VC_MIXED; i++)
+        sum += (int64_t)weight[i] * prediction->stretched[i];
+    probability = vc_squash[(vc_clamped((int32_t)(sum / 65536), VC_MAX_STRETCHED) + 2048) >> 2];
+    prediction->weight = weight;
+    prediction->mixed = (int32_t)probability;
+    return vc_codable(probability);
+}
+
+/* Learns from what came. */
+static inline void vc_update(const vc_prediction *prediction, int bit)
+{
+    const int32_t error = VC_LEARNING_RATE * ((bit ? 65536 : 0) - prediction->mixed);
+    unsigned i;
+    for (i = 0; i < VC_MIXED; i++) {
+        const int32_t change = (error * prediction->stretched[i]) / (1 << VC_LEARNING_SHIFT);
+        prediction->weight[i] = vc_clamped(prediction->weight[i] + change, VC_MAX_WEIGHT);
+    }
+    for (i = 0; i < VC_INPUTS; i++)
+        *prediction->cell[i] = vc_adapted(*prediction->cell[i], bit);
+}
+
+#endif
