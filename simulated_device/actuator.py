@@ -107,6 +107,21 @@ class Actuator:
         b, a = scipy.signal.bilinear([boost, boost * w / self.quality, boost * w * w], [1, w / broad, w * w], fs=0.5)
         return np.asarray(b), np.asarray(a)
 
+    def inverse_section(self) -> tuple[float, float, tuple[float, float, float, float]]:
+        """Return `inverse` as a state variable filter: g = tan(pi corner / rate), Q, and the weights of its outputs.
+
+        Those are high-pass, band-pass s / (s^2 + s / Q + 1), low-pass, and the band-pass one sample before. The
+        first-order response's inverse is (1 - p / z) / (1 - p) = 1 + p / (1 - p) (1 - 1 / z), and a low-pass grows by
+        g (band-pass + band-pass one sample before) from sample to sample.
+        """
+        if self.quality is None:
+            tangent = math.tan(math.pi * self._low_pass_hz / self.dac_rate_hz)
+            growth = tangent / math.expm1(2 * math.pi * self.corner_hz / self.dac_rate_hz)
+            return tangent, math.sqrt(0.5), (0.0, growth, 1.0, growth)
+        boost = max(1.0, self.maximum_boost)
+        tangent = math.tan(math.pi * self.corner_hz / self.dac_rate_hz)
+        return tangent, self.quality / boost, (boost, boost / self.quality, boost, 0.0)
+
     @property
     def low_pass_delay_seconds(self) -> float:
         """Delay at low frequencies of the low-pass in `inverse`; 0 for a resonance, which has none.

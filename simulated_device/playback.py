@@ -77,9 +77,12 @@ class Playback:
             raise Refusal(ErrorCode.UNKNOWN_CODEC, str(error)) from error
         self._packet_samples = self._decoder.packet_samples
         self._recording_end = recording_end(header, self._decoder.delay_samples)
-        self._drive = Drive(header, actuator, configure.compensation, self._decoder.delay_samples)
+        try:
+            self._drive = Drive(header, actuator, configure.compensation, self._decoder.delay_samples)
+        except ValueError as error:
+            raise Refusal(ErrorCode.BEYOND_LIMITS, str(error)) from error
         hold_samples = self._drive.drive_samples(self._decoder.delay_samples)
-        self._dac = Dac(actuator, self.channels, configure.gain, configure.compensation, hold_samples)
+        self._dac = Dac(header, actuator, configure.gain, configure.compensation, hold_samples)
         self._dac_rate_hz = actuator.dac_rate_hz
         self.captures = {tap: CaptureRing(capture_samples, self.channels) for tap in Tap}
         self._buffer_packets = min(BUFFER_PACKETS, buffer_samples // self._packet_samples)
@@ -89,7 +92,7 @@ class Playback:
         self._first = self._next = configure.first_packet
         self._newest = self._first - 1
         self._position = self._first * self._packet_samples
-        self._pending = np.zeros((0, self.channels))  # drive made and not yet played
+        self._pending = np.zeros((0, self.channels), np.int32)  # drive made and not yet played
         self._ramp: Codes = np.zeros((0, self.channels), np.int16)  # the way to rest, played before anything else
         self._drained = False  # all drive is made
         self._start_us = 0

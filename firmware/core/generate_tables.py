@@ -13,6 +13,23 @@ def detection_threshold_db(frequency_hz: float) -> float:
     return min(30.0, 62 * (math.log10(frequency_hz / 550 + 300 / 550) / math.log10(300 / 550)) ** 2)
 
 
+def resampling_kernel(crossings: float) -> float:
+    """Return the resampler's low-pass at so many zero crossings of its plain sinc: Kaiser window, stop band 60 dB.
+
+    Its -6 dB point is 0.9 of half the rate whose samples lie a crossing apart. Kaiser and Schafer, "On the use of the
+    I0-sinh window for spectrum analysis", 1980: beta = 0.1102 (60 - 8.7).
+    """
+    beta, ends = 0.1102 * (60 - 8.7), 8
+    window = bessel_i0(beta * math.sqrt(max(0.0, 1 - (crossings / ends) ** 2))) / bessel_i0(beta)
+    phase = 0.9 * math.pi * crossings
+    return window * (math.sin(phase) / phase if phase else 1.0)
+
+
+def bessel_i0(x: float) -> float:
+    """Return the modified Bessel function of order 0 by its series (Abramowitz and Stegun, 9.6.12)."""
+    return sum((x / 2) ** (2 * k) / math.factorial(k) ** 2 for k in range(40))
+
+
 TABLES: dict[str, tuple[str, Sequence[float]]] = {
     "vc_cosine": ("int32_t", [2**24 * math.cos(2 * math.pi * i / 1024) for i in range(1024)]),
     "vc_stretch": ("int16_t", [256 * math.log((i + 0.5) / (2047.5 - i)) for i in range(2048)]),
@@ -27,6 +44,8 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
     # sqrt(x) / 256 at the middles of 192 steps of x from 2^14 to 2^16.
     "vc_root": ("uint8_t", [min(255, math.sqrt(256 * (i + 64.5))) for i in range(192)]),
     "vc_dct_exponential": ("uint32_t", [2 ** (30 + i / 256) for i in range(257)]),
+    # 256 steps a crossing up to the window's end, where an interpolation may read one more.
+    "vc_resampling_kernel": ("int32_t", [2**23 * resampling_kernel(min(i, 2048) / 256) for i in range(2050)]),
 }
 
 
@@ -39,6 +58,8 @@ def table_source(name: str, kind: str, values: Sequence[float]) -> str:
 
 if __name__ == "__main__":
     definitions = "\n".join(table_source(name, kind, values) for name, (kind, values) in TABLES.items())
-    includes = "".join(f'#include "{name}.h"\n' for name in ("dct_model", "eva_kernels", "mdct", "slp_frame"))
+    names = ("dct_model", "eva_kernels", "mdct", "output_memory", "slp_frame")
+    includes = "".join(f'#include "{name}.h"
+' for name in names)
     head = f"/* Mathematical tables; written by generate_tables.py. */\n{includes}\n"
     Path(__file__).with_name("constant_tables.c").write_text(head + definitions)

@@ -13,11 +13,40 @@ from numpy.typing import NDArray
 from codec.interface import Decoded
 from device_protocol.coded_stream import UNITS, StreamHeader
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK, Actuator, Codes, Samples
-from simulated_device.output import FADE_SECONDS, Dac, Drive, LimitCounts, Resampler, displacement_filter, render
+from simulated_device.output import (
+    FADE_SECONDS,
+    HIGH_PASS_HZ,
+    Dac,
+    Drive,
+    DriveSamples,
+    LimitCounts,
+    displacement_filter,
+    render,
+)
+
+FULL_SCALE_DRIVE = 2**25
 
 
 def header(rate_hz: int, unit: str, gains: tuple[float, ...], samples: int | None = None) -> StreamHeader:
     return StreamHeader(1, rate_hz, samples, unit, gains, b"")
+
+
+def dac_of(actuator: Actuator, gain: float) -> Dac:
+    """A DAC of one channel whose drive is in parts of its full scale, without compensation."""
+    return Dac(header(actuator.dac_rate_hz, "full scale", (1.0,)), actuator, gain, False)
+
+
+def drive_of(parts: Samples) -> DriveSamples:
+    """The drive for parts of full scale."""
+    drive: DriveSamples = np.rint(parts * FULL_SCALE_DRIVE).astype(np.int32)
+    return drive
+
+
+def resampled(rate_hz: int, dac_rate_hz: int, samples: Samples) -> Samples:
+    """Samples of at most 1 at the rate of a DAC, before its limits."""
+    described = replace(PIEZO_STACK, dac_rate_hz=dac_rate_hz)
+    drive = Drive(header(rate_hz, "full scale", (1.0,)), described, compensation=False)
+    return drive.push(np.rint(32767 * samples).astype(np.int16)) / FULL_SCALE_DRIVE
 
 
 def noise(count: int, channels: int, seed: int, full_scale: float = 0.2) -> Decoded:
@@ -74,7 +103,7 @@ def test_pieces_give_the_same_bits_as_the_whole(
     options = {"compensation": compensation, "gain": gain, "loops": loops}
     whole, counts = render(head, decoded, delay_samples, ACTUATORS[actuator], **options)  # type: ignore[arg-type]
     drive = Drive(head, ACTUATORS[actuator], compensation, delay_samples)
-    dac = Dac(ACTUATORS[actuator], channels, gain, compensation, drive.drive_samples(delay_samples))
+    dac = Dac(head, ACTUATORS[actuator], gain, compensation, drive.drive_samples(delay_samples))
     pieces = [drive.push(piece) for piece in cut(decoded, cuts)]
     for _ in range(loops - 1):
         drive.join()
@@ -135,8 +164,8 @@ def test_limits_hold_whatever_is_asked_for(actuator: str, gain: float, kind: str
         "noise": lambda: noise(3 * limited.dac_rate_hz, 1, seed, 1.0) / 32768,
         "constant": lambda: np.ones((3 * limited.dac_rate_hz, 1)),
     }
-    dac = Dac(limited, 1, gain, False)
-    codes = np.concatenate((dac.play(signals[kind]()), dac.ramp_down())).astype(np.int64)
+    dac = dac_of(limited, gain)
+    codes = np.concatenate((dac.play(drive_of(signals[kind]())), dac.ramp_down())).astype(np.int64)
     assert codes.max() <= limited.code_limit
     assert codes.min() >= -limited.code_limit - 1
     assert np.abs(np.diff(codes, axis=0, prepend=0)).max() <= limited.code_step_limit
@@ -203,32 +232,32 @@ def test_rest_after_which_a_stream_may_follow_keeps_the_mean_power() -> None:
     for actuator in ACTUATORS.values():
         pieces: list[Codes] = []
         for seconds in (0.03, 0.007, 0.3, 0.05, 0.011, 1.0):
-            dac = Dac(actuator, 1, 1.0, False)
-            pieces += [dac.play(np.ones((round(seconds * actuator.dac_rate_hz), 1))), dac.ramp_down()]
+            dac = dac_of(actuator, 1.0)
+            pieces += [dac.play(drive_of(np.ones((round(seconds * actuator.dac_rate_hz), 1)))), dac.ramp_down()]
             pieces.append(np.zeros((dac.recovery_samples, 1), np.int16))
             assert dac.recovery_samples < actuator.dac_rate_hz / 2
         assert highest_second(np.concatenate(pieces * 2), actuator) <= actuator.power_limit
-    assert Dac(PIEZO_STACK, 1, 1.0, False).recovery_samples == 0
+    assert dac_of(PIEZO_STACK, 1.0).recovery_samples == 0
 
 
 @pytest.mark.parametrize("frequency_hz", [50, 200, 600, 900])
 def test_resampler_keeps_its_band(frequency_hz: int) -> None:
-    resampled = Resampler(2800, 3000, 1).push(sine(2800, frequency_hz, 1.0, 2.0))
-    assert amplitude_at(resampled, frequency_hz, 3000) == pytest.approx(1.0, abs=0.01)
+    sampled = resampled(2800, 3000, sine(2800, frequency_hz, 1.0, 2.0))
+    assert amplitude_at(sampled, frequency_hz, 3000) == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.parametrize("frequency_hz", [2000, 2600, 3900])
 def test_resampler_keeps_what_the_dac_cannot_play_out_of_its_band(frequency_hz: int) -> None:
-    resampled = Resampler(8000, 3000, 1).push(sine(8000, frequency_hz, 1.0, 2.0))
-    assert np.abs(resampled[500:]).max() < 2e-3
+    sampled = resampled(8000, 3000, sine(8000, frequency_hz, 1.0, 2.0))
+    assert np.abs(sampled[500:]).max() < 2e-3
 
 
 def test_resampler_delays_by_what_it_states() -> None:
-    resampler = Resampler(2800, 3000, 1)
+    delay_s = Drive(header(2800, "full scale", (1.0,)), PIEZO_STACK, compensation=False).delay_seconds
     impulse = np.zeros((100, 1))
     impulse[28] = 1.0
-    assert int(np.argmax(resampler.push(impulse))) == pytest.approx((28 + resampler.delay_samples) * 3000 / 2800, abs=1)
-    assert resampler.delay_samples == 8
+    assert int(np.argmax(resampled(2800, 3000, impulse))) == pytest.approx((28 + delay_s * 2800) * 3000 / 2800, abs=1)
+    assert delay_s * 2800 == pytest.approx(8)
 
 
 @pytest.mark.parametrize("frequency_hz", [60, 150, 300, 400])
@@ -237,13 +266,15 @@ def test_acceleration_becomes_displacement(frequency_hz: int) -> None:
     acceleration = amplitude_um * 1e-6 * (2 * np.pi * frequency_hz) ** 2
     decoded = np.rint(sine(2800, frequency_hz, acceleration / 64.0 * 32768, 3.0)).astype(np.int16)
     drive = Drive(header(2800, "m/s^2", (64.0,)), PIEZO_STACK, compensation=False).push(decoded)
-    assert amplitude_at(drive * 40.0, frequency_hz, 3000) == pytest.approx(amplitude_um, rel=0.02)
+    full_scale_um = 1e6 * 64.0 / (2 * np.pi * HIGH_PASS_HZ) ** 2
+    displacement_um = drive / FULL_SCALE_DRIVE * full_scale_um
+    assert amplitude_at(displacement_um, frequency_hz, 3000) == pytest.approx(amplitude_um, rel=0.02)
 
 
 def test_constant_acceleration_moves_nothing_in_the_end() -> None:
     drive = Drive(header(2800, "m/s^2", (64.0,)), PIEZO_STACK, compensation=False)
     settled = drive.push(np.full((28_000, 1), 30_000, np.int16))
-    assert np.abs(settled[-100:]).max() < 1e-6
+    assert not settled[-100:].any()
 
 
 def test_acceleration_filter_is_stable_at_every_rate() -> None:
@@ -271,10 +302,11 @@ def test_compensation_clips_and_says_so() -> None:
 
 
 def test_gain_moves_along_a_ramp() -> None:
-    dac = Dac(PIEZO_STACK, 1, 0.5, False)
-    dac.play(np.full((100, 1), 0.5))
+    dac = dac_of(PIEZO_STACK, 0.5)
+    half = drive_of(np.full((100, 1), 0.5))
+    dac.play(half)
     dac.set_gain(1.0)
-    codes = np.concatenate((dac.play(np.full((7, 1), 0.5)), dac.play(np.full((100, 1), 0.5))))[:, 0].astype(int)
+    codes = np.concatenate((dac.play(half[:7]), dac.play(half)))[:, 0].astype(int)
     assert codes[0] == 8192
     assert codes[-1] == 16384
     assert np.diff(codes).max() <= 8192 / 60 + 1
@@ -282,12 +314,13 @@ def test_gain_moves_along_a_ramp() -> None:
 
 
 def test_pause_ramps_down_and_the_next_sample_fades_in() -> None:
-    dac = Dac(PIEZO_STACK, 1, 1.0, False)
-    dac.play(np.full((100, 1), 0.5))
+    dac = dac_of(PIEZO_STACK, 1.0)
+    half = drive_of(np.full((100, 1), 0.5))
+    dac.play(half)
     down = dac.ramp_down()[:, 0].astype(int)
     assert down[-1] == 0
     assert (np.diff(down) < 0).all()
-    up = dac.play(np.full((100, 1), 0.5))[:, 0].astype(int)
+    up = dac.play(half)[:, 0].astype(int)
     assert 0 <= up[0] < 1000
     assert up[-1] == 16384
 
@@ -298,5 +331,5 @@ def test_every_actuator_has_its_own_name() -> None:
 
 
 def test_dac_of_twelve_bits_uses_its_codes() -> None:
-    codes: Codes = Dac(replace(PIEZO_STACK, dac_bits=12), 1, 1.0, False).play(np.full((100, 1), 0.5))
+    codes: Codes = dac_of(replace(PIEZO_STACK, dac_bits=12), 1.0).play(drive_of(np.full((100, 1), 0.5)))
     assert codes[-1, 0] == 1024
