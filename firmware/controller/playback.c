@@ -1,0 +1,419 @@
+/* One stream on the controller; see playback.h. */
+#include "playback.h"
+
+/* What bounds the work of a loop, which begins afresh and decodes padding in each iteration. */
+#define SHORTEST_ITERATION_MS 3u
+#define DECODED_PER_PLAYED 16u
+/* Playing begins with what is there when data has not come for so long: what is missing of the prebuffer was lost. */
+#define LONGEST_WAIT_US 1000000u
+#define US_PER_S 1000000u
+
+#define NO_END UINT64_MAX
+
+static uint64_t least(uint64_t a, uint64_t b)
+{
+    return a < b ? a : b;
+}
+
+/* value * numerator / denominator, rounded down or up; numerator and denominator are at most 10^6. */
+static uint64_t scaled(uint64_t value, uint32_t numerator, uint32_t denominator)
+{
+    return value / denominator * numerator + value % denominator * numerator / denominator;
+}
+
+static uint64_t scaled_up(uint64_t value, uint32_t numerator, uint32_t denominator)
+{
+    return value / denominator * numerator + (value % denominator * numerator + denominator - 1) / denominator;
+}
+
+static void count_one(uint32_t *count)
+{
+    if (*count < UINT32_MAX)
+        (*count)++;
+}
+
+/* ---- captures ---- */
+
+static void capture(vc_capture *capture, const int16_t *samples, uint32_t count, unsigned channels)
+{
+    capture->end += count;
+    if (count > VC_CAPTURE_SAMPLES) {
+        samples += (size_t)(count - VC_CAPTURE_SAMPLES) * channels;
+        count = VC_CAPTURE_SAMPLES;
+    }
+    while (count > 0) {
+        const uint32_t piece = (uint32_t)least(count, VC_CAPTURE_SAMPLES - capture->at);
+        memcpy(capture->samples + (size_t)capture->at * channels, samples, (size_t)piece * channels * sizeof *samples);
+        capture->at = (capture->at + piece) % VC_CAPTURE_SAMPLES;
+        samples += (size_t)piece * channels;
+        count -= piece;
+    }
+}
+
+uint32_t vc_capture_find(const vc_capture *capture, uint64_t *offset, uint32_t count)
+{
+    const uint64_t oldest = capture->end - least(capture->end, VC_CAPTURE_SAMPLES);
+    if (*offset < oldest)
+        *offset = oldest;
+    *offset = least(*offset, capture->end);
+    return (uint32_t)least(count, capture->end - *offset);
+}
+
+/* ---- set up ---- */
+
+/* Decoded samples of one iteration up to the recording's end, behind which comes only padding; NO_END for a stream of
+ * unknown length. */
+static uint64_t recording_end(const vc_stream_header *header, const vc_packet_shape *shape)
+{
+    return header->samples == VC_LENGTH_UNKNOWN ? NO_END : shape->delay_samples + header->samples;
+}
+
+static int refuse_short_iterations(const vc_stream_header *header, const vc_packet_shape *shape, uint32_t packets,
+                                   vc_refusal *refusal)
+{
+    const uint64_t decoded = (uint64_t)packets * shape->packet_samples;
+    const uint64_t end = least(decoded, recording_end(header, shape));
+    const uint64_t played = end - least(end, shape->delay_samples);
+    if (packets == 0)
+        return vc_refuse(refusal, VC_BAD_VALUE, "a live stream cannot loop");
+    if (played * 1000 < (uint64_t)SHORTEST_ITERATION_MS * header->output.rate_hz ||
+        played * DECODED_PER_PLAYED < decoded)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE,
+                                 "an iteration would play # of the # samples in its packets, too few or too small a "
+                                 "part to be repeated: send a longer one that holds several repeats",
+                                 played, decoded);
+    return 0;
+}
+
+/* Packets of this shape that the buffer's samples have room for. */
+static uint32_t buffer_packets_of(const vc_packet_shape *shape)
+{
+    return (uint32_t)least(VC_BUFFER_PACKETS, VC_BUFFER_SAMPLES / shape->packet_samples);
+}
+
+int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
+                      const vc_actuator *actuator, vc_refusal *refusal)
+{
+    const vc_output_stream *output = &header->output;
+    vc_packet_shape shape;
+    const char *reason;
+    uint64_t end, room;
+    size_t drive_bytes;
+    if (configure->packets > 0 && configure->first_packet >= configure->packets)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
+                                 configure->packets);
+    if (output->channels > VC_CHANNELS)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "# channels; there are # here", output->channels,
+                                 VC_CHANNELS);
+    if (output->rate_hz < VC_MINIMUM_RATE_HZ || output->rate_hz > VC_MAXIMUM_RATE_HZ)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+                                 "a rate outside # to # Hz: resample first", VC_MINIMUM_RATE_HZ, VC_MAXIMUM_RATE_HZ);
+    reason = vc_coding_check(coding, &shape);
+    if (reason != NULL)
+        return vc_refuse(refusal, VC_UNKNOWN_CODEC, reason);
+    drive_bytes = vc_drive_size(actuator, output);
+    if (drive_bytes == 0 || drive_bytes > VC_DRIVE_BYTES)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+                                 "# Hz cannot be brought to the DAC's # Hz within this controller's memory: resample "
+                                 "to a rate that has a larger divisor in common with it",
+                                 output->rate_hz, actuator->dac_rate_hz);
+    end = recording_end(header, &shape);
+    if (end != NO_END && (uint64_t)configure->packets * shape.packet_samples >= end + 2 * shape.packet_samples)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE,
+                                 "# packets are too many for the # samples that the stream header announces",
+                                 configure->packets, header->samples);
+    if (shape.packet_samples > VC_PACKET_SAMPLES)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+                                 "packets of # samples; here they have at most #: encode with shorter packets",
+                                 shape.packet_samples, VC_PACKET_SAMPLES);
+    room = (uint64_t)buffer_packets_of(&shape) * shape.packet_samples;
+    if (room == 0 || configure->prebuffer_samples > room)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+                                 "a prebuffer of # samples; the buffer has room for # samples in packets of this stream",
+                                 configure->prebuffer_samples, room);
+    return configure->loops == 1 ? 0 : refuse_short_iterations(header, &shape, configure->packets, refusal);
+}
+
+static vc_drive *drive_of(vc_playback *playback)
+{
+    return (vc_drive *)playback->drive;
+}
+
+static vc_dac *dac_of(vc_playback *playback)
+{
+    return (vc_dac *)playback->dac;
+}
+
+void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
+                      const vc_coding *coding)
+{
+    uint32_t hold_samples;
+    playback->header = *header;
+    playback->coding = *coding;
+    playback->coding.configuration = playback->header.configuration;
+    (void)vc_coding_check(&playback->coding, &playback->shape);
+    playback->stream = configure->stream;
+    playback->live = playback->open = configure->packets == 0;
+    playback->packets = configure->packets;
+    playback->loops = configure->loops;
+    playback->prebuffer_samples = configure->prebuffer_samples;
+    playback->buffer_packets = buffer_packets_of(&playback->shape);
+
+    playback->state = VC_STATE_BUFFERING;
+    playback->next = playback->newest_end = configure->first_packet;
+    playback->position = playback->next * playback->shape.packet_samples;
+    playback->start_us = playback->waiting_since_us = playback->rest_from_us = 0;
+    playback->clock_from_us = playback->clock_samples = 0;
+    playback->starved = 0;
+    playback->underruns = playback->lost_packets = 0;
+
+    vc_packet_buffer_clear(&playback->buffer);
+    vc_decoder_init(&playback->decoder, &playback->coding);
+    playback->decoded_at = playback->decoded_end = 0;
+    playback->pushed = 0;
+    playback->tail = 0;
+    playback->finishing = playback->drained = 0;
+    playback->drive_at = playback->drive_end = 0;
+    playback->ramping = 0;
+    (void)vc_drive_init(drive_of(playback), playback->actuator, &playback->header.output, configure->compensation,
+                        playback->shape.delay_samples);
+    hold_samples = vc_drive_samples(drive_of(playback), playback->shape.delay_samples);
+    vc_dac_init(dac_of(playback), playback->actuator, &playback->header.output, configure->gain_float_bits,
+                configure->compensation, hold_samples);
+    playback->captures[VC_TAP_DECODED].end = playback->captures[VC_TAP_DECODED].at = 0;
+    playback->captures[VC_TAP_DAC].end = playback->captures[VC_TAP_DAC].at = 0;
+}
+
+/* ---- packets ---- */
+
+/* The number of packets in all, NO_END while it is open. */
+static uint64_t end_of(const vc_playback *playback)
+{
+    const uint64_t in_iteration = playback->packets > 0 ? playback->packets : 1;
+    const uint64_t begun = (playback->next > 0 ? playback->next - 1 : 0) / in_iteration + 1;
+    if (playback->open || playback->loops == 0)
+        return NO_END;
+    return playback->packets * (playback->loops > begun ? playback->loops : begun);
+}
+
+/* The packet before which data may be sent: as many as the buffer's samples have room for, and its bytes however long
+ * the packets are that have not come. */
+static uint64_t credit_of(const vc_playback *playback)
+{
+    const vc_packet_buffer *buffer = &playback->buffer;
+    return playback->next + least(playback->buffer_packets, buffer->count + vc_packet_buffer_room(buffer));
+}
+
+uint32_t vc_playback_room_samples(const vc_playback *playback)
+{
+    return (uint32_t)least(playback->buffer_packets, VC_BUFFER_BYTES / VC_MAXIMUM_PACKET_BYTES) *
+           playback->shape.packet_samples;
+}
+
+void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us)
+{
+    uint32_t sequence;
+    int refresh;
+    uint64_t number;
+    if (playback->state < VC_STATE_BUFFERING || playback->state > VC_STATE_PAUSED ||
+        vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh) != 0 ||
+        (playback->open ? iteration > 0 : sequence >= playback->packets))
+        return;
+    number = (uint64_t)iteration * playback->packets + sequence;
+    if (number < playback->next || number >= credit_of(playback) || number >= end_of(playback) ||
+        packet.length > VC_MAXIMUM_PACKET_BYTES)
+        return;
+    (void)vc_packet_buffer_add(&playback->buffer, number, packet.bytes, packet.length);
+    if (number >= playback->newest_end)
+        playback->newest_end = number + 1;
+    playback->waiting_since_us = time_us;
+}
+
+/* ---- what the host asks ---- */
+
+static void ramp_down(vc_playback *playback)
+{
+    if (!playback->ramping)
+        vc_dac_begin_ramp(dac_of(playback));
+    playback->ramping = 1;
+}
+
+void vc_playback_start(vc_playback *playback, uint64_t start_us, uint64_t time_us)
+{
+    playback->state = VC_STATE_ARMED;
+    playback->start_us = start_us > time_us ? start_us : time_us;
+    playback->waiting_since_us = time_us;
+}
+
+void vc_playback_pause(vc_playback *playback)
+{
+    playback->state = VC_STATE_PAUSED;
+    ramp_down(playback);
+}
+
+void vc_playback_resume(vc_playback *playback)
+{
+    playback->state = VC_STATE_PLAYING;
+}
+
+void vc_playback_stop(vc_playback *playback, enum vc_state state)
+{
+    if (playback->state == VC_STATE_PLAYING)
+        ramp_down(playback);
+    playback->state = state;
+    vc_packet_buffer_clear(&playback->buffer);
+    playback->decoded_at = playback->decoded_end = playback->drive_at = playback->drive_end = playback->tail = 0;
+}
+
+int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_refusal *refusal)
+{
+    const uint32_t packets = playback->live ? 0 : playback->packets;
+    const int refused =
+        loops == 1 ? 0 : refuse_short_iterations(&playback->header, &playback->shape, packets, refusal);
+    if (!refused)
+        playback->loops = loops;
+    return refused;
+}
+
+void vc_playback_set_gain(vc_playback *playback, uint32_t gain_float_bits)
+{
+    vc_dac_set_gain(dac_of(playback), gain_float_bits);
+}
+
+void vc_playback_end_live(vc_playback *playback, uint32_t packets)
+{
+    playback->open = 0;
+    playback->packets = packets > playback->next ? packets : (uint32_t)least(playback->next, UINT32_MAX);
+}
+
+/* ---- playing ---- */
+
+/* Decodes the next packet, or conceals its loss; what is to be played of it waits for the drive. */
+static void decode_next(vc_playback *playback)
+{
+    const vc_packet_shape *shape = &playback->shape;
+    const uint64_t number = playback->next++;
+    const uint64_t iteration = playback->open ? 0 : number / playback->packets;
+    const uint64_t before = (number - iteration * playback->packets) * shape->packet_samples;
+    const uint64_t end = playback->live ? NO_END : recording_end(&playback->header, shape);
+    size_t length;
+    const uint8_t *packet;
+    int starved;
+    if (iteration > 0 && before == 0) {
+        vc_decoder_init(&playback->decoder, &playback->coding);
+        vc_drive_join(drive_of(playback));
+    }
+    packet = vc_packet_buffer_find(&playback->buffer, number, &length);
+    starved = playback->buffer.count == 0;
+    if (starved && !playback->starved)
+        count_one(&playback->underruns);
+    playback->starved = starved;
+    if (packet == NULL || !vc_decoder_decode(&playback->decoder, packet, length, playback->decoded)) {
+        count_one(&playback->lost_packets);
+        vc_decoder_conceal(&playback->decoder, playback->decoded);
+    }
+    vc_packet_buffer_remove(&playback->buffer, number);
+    capture(&playback->captures[VC_TAP_DECODED], playback->decoded, shape->packet_samples,
+            playback->header.output.channels);
+    /* Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording. */
+    playback->decoded_at = 0;
+    if (iteration > 0 && before < shape->delay_samples)
+        playback->decoded_at = (uint32_t)least(shape->delay_samples - before, shape->packet_samples);
+    playback->decoded_end = (uint32_t)least(end - least(end, before), shape->packet_samples);
+    if (playback->decoded_end < playback->decoded_at)
+        playback->decoded_end = playback->decoded_at;
+}
+
+/* Drive samples that so many more decoded ones make, in all that comes before the end. */
+static uint32_t drive_of_decoded(const vc_playback *playback, uint32_t samples)
+{
+    const uint32_t rate_hz = playback->header.output.rate_hz, dac_rate_hz = playback->actuator->dac_rate_hz;
+    const uint64_t begun = playback->pushed % rate_hz; /* the pattern repeats after a second */
+    return (uint32_t)(scaled_up(begun + samples, dac_rate_hz, rate_hz) - scaled_up(begun, dac_rate_hz, rate_hz));
+}
+
+/* Begins to finish the drive, which holds its last value for as long as the resampler lags. */
+static void finish_drive(vc_playback *playback)
+{
+    const uint32_t rate_hz = playback->header.output.rate_hz, dac_rate_hz = playback->actuator->dac_rate_hz;
+    const uint32_t begun = (uint32_t)(playback->pushed % rate_hz);
+    playback->finishing = 1;
+    playback->tail =
+        vc_drive_samples(drive_of(playback), begun) - (uint32_t)scaled_up(begun, dac_rate_hz, rate_hz);
+}
+
+/* Makes drive where none is left, decoding what it needs for it; returns how many samples the DAC may take. */
+static uint32_t ready_drive(vc_playback *playback)
+{
+    const unsigned channels = playback->header.output.channels;
+    while (playback->drive_at == playback->drive_end && !playback->drained) {
+        playback->drive_at = playback->drive_end = 0;
+        if (playback->finishing) {
+            playback->drive_end = vc_drive_finish(drive_of(playback), playback->drive_samples, VC_PIECE_SAMPLES);
+            playback->tail -= (uint32_t)least(playback->tail, playback->drive_end);
+            playback->drained = playback->drive_end == 0;
+        } else if (playback->decoded_at < playback->decoded_end) {
+            const uint32_t taken =
+                vc_drive_push(drive_of(playback), playback->decoded + (size_t)playback->decoded_at * channels,
+                              playback->decoded_end - playback->decoded_at, playback->drive_samples, VC_PIECE_SAMPLES,
+                              &playback->drive_end);
+            playback->decoded_at += taken;
+            playback->pushed += taken;
+        } else if (playback->next >= end_of(playback)) {
+            finish_drive(playback);
+        } else {
+            decode_next(playback);
+        }
+    }
+    return playback->drive_end - playback->drive_at;
+}
+
+static void begin_if_ready(vc_playback *playback, uint64_t time_us)
+{
+    const uint64_t buffered = (playback->newest_end - playback->next) * playback->shape.packet_samples;
+    const int full = credit_of(playback) - playback->next == playback->buffer.count;
+    if (buffered < playback->prebuffer_samples && playback->newest_end != end_of(playback) && !full &&
+        time_us - playback->waiting_since_us <= LONGEST_WAIT_US) {
+        /* The prebuffer has not come in time: it begins when it is there. */
+        if (playback->start_us < time_us)
+            playback->start_us = time_us;
+    } else if (playback->start_us <= time_us) {
+        playback->state = VC_STATE_PLAYING;
+        playback->clock_from_us = playback->start_us;
+        playback->clock_samples = 0;
+    }
+}
+
+static void put_out(vc_playback *playback, const int16_t *codes, uint32_t samples)
+{
+    const unsigned channels = playback->header.output.channels;
+    capture(&playback->captures[VC_TAP_DAC], codes, samples, channels);
+    playback->sink(playback->sink_context, codes, samples, channels);
+}
+
+/* Puts out at most `samples` codes; returns how many, 0 at rest. */
+static uint32_t play(vc_playback *playback, uint32_t samples)
+{
+    int16_t codes[VC_PIECE_SAMPLES * VC_CHANNELS];
+    uint32_t made = 0;
+    if (!playback->ramping && playback->state == VC_STATE_PLAYING) {
+        made = (uint32_t)least(samples, ready_drive(playback));
+        if (made > 0) {
+            vc_dac_play(dac_of(playback),
+                        playback->drive_samples + (size_t)playback->drive_at * playback->header.output.channels, made,
+                        codes);
+            playback->drive_at += made;
+        } else if (!vc_dac_at_rest(dac_of(playback))) {
+            ramp_down(playback);
+        }
+    }
+    if (playback->ramping) {
+        made = vc_dac_ramp(dac_of(playback), codes, samples);
+        playback->ramping = made > 0;
+        if (made == 0 && playback->state == VC_STATE_PLAYING)
+            return play_on;
+    }
+    if (made > 0)
+        put_out(playback, codes, made);
+    return made;
+}

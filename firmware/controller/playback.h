@@ -1,0 +1,113 @@
+/* One stream on the controller: packets buffered, decoded and concealed, drive, DAC, and the capture of both ends.
+ *
+ * What it does is docs/protocol.md, "Playing"; time comes from outside, in microseconds of the controller's clock.
+ * Packets are counted over all iterations.
+ */
+#ifndef VIBROCAST_PLAYBACK_H
+#define VIBROCAST_PLAYBACK_H
+
+#include "controller.h"
+#include "decoders.h"
+#include "messages.h"
+#include "output.h"
+#include "packet_buffer.h"
+#include "stream_header.h"
+
+#define VC_MINIMUM_RATE_HZ 100u
+#define VC_MAXIMUM_RATE_HZ 48000u
+
+/* Samples that are made and put out at a time. */
+#define VC_PIECE_SAMPLES 32u
+
+/* The last VC_CAPTURE_SAMPLES samples of a signal, by their number since the start. */
+typedef struct {
+    uint64_t end; /* samples so far */
+    uint32_t at;  /* where the next one goes */
+    int16_t samples[(VC_CAPTURE_SAMPLES > 0 ? VC_CAPTURE_SAMPLES : 1) * VC_CHANNELS];
+} vc_capture;
+
+typedef struct {
+    /* The stream. */
+    vc_stream_header header;
+    vc_coding coding; /* points into the header, and into a model image in flash */
+    vc_packet_shape shape;
+    uint8_t stream;
+    uint8_t live;
+    uint8_t open; /* a live stream whose end has not been said */
+    uint16_t loops;
+    uint32_t packets; /* in one iteration, where it is not open */
+    uint32_t prebuffer_samples;
+    uint32_t buffer_packets; /* that the buffer's samples have room for */
+
+    /* Where it is. */
+    enum vc_state state;
+    uint64_t next;       /* packet to decode */
+    uint64_t newest_end; /* one behind the newest packet that came */
+    uint64_t position;   /* as last told */
+    uint64_t start_us, waiting_since_us, rest_from_us;
+    uint64_t clock_from_us, clock_samples; /* DAC samples since then */
+    int starved;                           /* nothing was buffered for the packet decoded last */
+    uint32_t underruns, lost_packets;
+
+    /* Its way to the DAC. */
+    vc_packet_buffer buffer;
+    vc_decoder decoder;
+    int16_t decoded[VC_PACKET_SAMPLES * VC_CHANNELS];
+    uint32_t decoded_at, decoded_end; /* samples per channel that the drive has yet to take */
+    uint64_t pushed;                  /* that it has taken */
+    uint32_t tail;                    /* drive samples that finishing it still makes */
+    int finishing, drained;           /* the drive is being finished; all of it is made */
+    int32_t drive_samples[VC_PIECE_SAMPLES * VC_CHANNELS];
+    uint32_t drive_at, drive_end; /* of those, what the DAC has yet to take */
+    int ramping;                  /* the way to rest is played before anything else */
+    int64_t drive[VC_DRIVE_BYTES / 8];
+    int64_t dac[VC_DAC_BYTES / 8];
+    vc_capture captures[2]; /* by enum vc_tap */
+
+    const vc_actuator *actuator;
+    vc_dac_sink sink;
+    void *sink_context;
+} vc_playback;
+
+/* Sets up a stream. `coding`: as vc_coding_check takes it, its configuration that of the header. Returns 0, or the
+ * refusal's code; then nothing has changed. What was set up before must have stopped. */
+int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
+                      const vc_actuator *actuator, vc_refusal *refusal);
+/* Sets up what vc_playback_check has passed. Captures and sink stay. */
+void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
+                      const vc_coding *coding);
+
+/* Sorts in a packet of a message; drops it if it comes twice, too late, beyond credit or beyond the end. */
+void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us);
+
+/* Arms: plays from `start_us` on, or as soon as the prebuffer is there if that is later. */
+void vc_playback_start(vc_playback *playback, uint64_t start_us, uint64_t time_us);
+/* Ramps down and holds the position; fades in where that was. */
+void vc_playback_pause(vc_playback *playback);
+void vc_playback_resume(vc_playback *playback);
+/* Ramps down at once, drops the stream and stays in `state`. The captures remain. */
+void vc_playback_stop(vc_playback *playback, enum vc_state state);
+/* Sets all iterations, those played counted; 0 = until stopped. Returns 0, or the refusal's code. */
+int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_refusal *refusal);
+/* Moves to another gain, along a ramp. */
+void vc_playback_set_gain(vc_playback *playback, uint32_t gain_float_bits);
+/* Says how many packets the live stream has; if more have been decoded, it ends with those. */
+void vc_playback_end_live(vc_playback *playback, uint32_t packets);
+
+/* Puts out the codes that are due up to this time. */
+void vc_playback_advance(vc_playback *playback, uint64_t time_us);
+/* Puts out what is left of the ramp to rest after a stop: the DAC takes all of it now. */
+void vc_playback_flush(vc_playback *playback, uint64_t time_us);
+/* When the DAC has come to rest, and recovered as far as its power limit asks, if no more is played. */
+uint64_t vc_playback_free_us(const vc_playback *playback);
+
+/* Samples per channel of the first credit. */
+uint32_t vc_playback_room_samples(const vc_playback *playback);
+/* What a Status says of the stream; device time and bad frames are left to the caller. */
+void vc_playback_report(vc_playback *playback, vc_status_report *status);
+
+/* The captured samples from `offset` on, at most `count`: where they begin (later than asked if the first ones are
+ * gone), and how many there are. */
+uint32_t vc_capture_find(const vc_capture *capture, uint64_t *offset, uint32_t count);
+
+#endif
