@@ -5,7 +5,7 @@ enum { MDCT = 1, DCT = 2, SLP = 3, EVA = 4 };
 
 #define EVA_LAYOUT_VERSION 1
 
-const vc_codec vc_codecs[VC_CODECS] = {{MDCT, "mdct"}, {DCT, "dct"}, {SLP, "slp"}, {EVA, "eva"}};
+const vc_codec_description vc_codecs[VC_CODECS] = {{MDCT, "mdct"}, {DCT, "dct"}, {SLP, "slp"}, {EVA, "eva"}};
 
 const char *vc_tables_check(uint8_t codec, const uint8_t *tables, size_t length)
 {

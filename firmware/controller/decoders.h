@@ -3,15 +3,12 @@
 #define VIBROCAST_DECODERS_H
 
 #include "decoder_memory.h"
+#include "messages.h"
 
 #define VC_CODECS 4
 
-/* Identifiers in stream headers and model images, and names; in the order in which hello tells them. */
-typedef struct {
-    uint8_t identifier;
-    const char *name;
-} vc_codec;
-extern const vc_codec vc_codecs[VC_CODECS];
+/* Their identifiers in stream headers and model images, and names. */
+extern const vc_codec_description vc_codecs[VC_CODECS];
 
 /* What a decoder is made from; the bytes belong to the caller. `tables`: payload of the model image that the stream
  * needs, which must stay valid while the decoder is used; NULL = those built in. */

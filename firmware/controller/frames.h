@@ -4,7 +4,7 @@
 
 #include "cobs.h"
 #include "fields.h"
-#include "limits.h"
+#include "sizes.h"
 
 #define VC_CRC_BYTES 2
 /* The longest frame, without and with the zero that closes it. */

@@ -44,19 +44,29 @@ static void capture(vc_capture *capture, const int16_t *samples, uint32_t count,
     while (count > 0) {
         const uint32_t piece = (uint32_t)least(count, VC_CAPTURE_SAMPLES - capture->at);
         memcpy(capture->samples + (size_t)capture->at * channels, samples, (size_t)piece * channels * sizeof *samples);
-        capture->at = (capture->at + piece) % VC_CAPTURE_SAMPLES;
+        capture->at += piece;
+        if (capture->at == VC_CAPTURE_SAMPLES)
+            capture->at = 0;
         samples += (size_t)piece * channels;
         count -= piece;
     }
 }
 
-uint32_t vc_capture_find(const vc_capture *capture, uint64_t *offset, uint32_t count)
+void vc_playback_captured(const vc_playback *playback, enum vc_tap tap, uint64_t *offset, uint32_t count,
+                          vc_run runs[2])
 {
+    const vc_capture *capture = &playback->captures[tap];
+    const unsigned channels = playback->header.output.channels;
     const uint64_t oldest = capture->end - least(capture->end, VC_CAPTURE_SAMPLES);
-    if (*offset < oldest)
-        *offset = oldest;
-    *offset = least(*offset, capture->end);
-    return (uint32_t)least(count, capture->end - *offset);
+    uint32_t behind, at;
+    *offset = least(*offset > oldest ? *offset : oldest, capture->end);
+    count = (uint32_t)least(count, capture->end - *offset);
+    behind = (uint32_t)(capture->end - *offset);
+    at = capture->at >= behind ? capture->at - behind : capture->at + VC_CAPTURE_SAMPLES - behind;
+    runs[0].samples = capture->samples + (size_t)at * channels;
+    runs[0].count = (uint32_t)least(count, VC_CAPTURE_SAMPLES - at);
+    runs[1].samples = capture->samples;
+    runs[1].count = count - runs[0].count;
 }
 
 /* ---- set up ---- */
@@ -106,8 +116,8 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "# channels; there are # here", output->channels,
                                  VC_CHANNELS);
     if (output->rate_hz < VC_MINIMUM_RATE_HZ || output->rate_hz > VC_MAXIMUM_RATE_HZ)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
-                                 "a rate outside # to # Hz: resample first", VC_MINIMUM_RATE_HZ, VC_MAXIMUM_RATE_HZ);
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "a rate outside # to # Hz: resample first",
+                                 VC_MINIMUM_RATE_HZ, VC_MAXIMUM_RATE_HZ);
     reason = vc_coding_check(coding, &shape);
     if (reason != NULL)
         return vc_refuse(refusal, VC_UNKNOWN_CODEC, reason);
@@ -128,9 +138,10 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
                                  shape.packet_samples, VC_PACKET_SAMPLES);
     room = (uint64_t)buffer_packets_of(&shape) * shape.packet_samples;
     if (room == 0 || configure->prebuffer_samples > room)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
-                                 "a prebuffer of # samples; the buffer has room for # samples in packets of this stream",
-                                 configure->prebuffer_samples, room);
+        return vc_refuse_numbers(
+            refusal, VC_BEYOND_LIMITS,
+            "a prebuffer of # samples; the buffer has room for # samples in packets of this stream",
+            configure->prebuffer_samples, room);
     return configure->loops == 1 ? 0 : refuse_short_iterations(header, &shape, configure->packets, refusal);
 }
 
@@ -142,6 +153,16 @@ static vc_drive *drive_of(vc_playback *playback)
 static vc_dac *dac_of(vc_playback *playback)
 {
     return (vc_dac *)playback->dac;
+}
+
+static const vc_drive *const_drive_of(const vc_playback *playback)
+{
+    return (const vc_drive *)playback->drive;
+}
+
+static const vc_dac *const_dac_of(const vc_playback *playback)
+{
+    return (const vc_dac *)playback->dac;
 }
 
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
@@ -170,8 +191,7 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     vc_packet_buffer_clear(&playback->buffer);
     vc_decoder_init(&playback->decoder, &playback->coding);
     playback->decoded_at = playback->decoded_end = 0;
-    playback->pushed = 0;
-    playback->tail = 0;
+    playback->decoded_for_drive = playback->played = 0;
     playback->finishing = playback->drained = 0;
     playback->drive_at = playback->drive_end = 0;
     playback->ramping = 0;
@@ -262,14 +282,13 @@ void vc_playback_stop(vc_playback *playback, enum vc_state state)
         ramp_down(playback);
     playback->state = state;
     vc_packet_buffer_clear(&playback->buffer);
-    playback->decoded_at = playback->decoded_end = playback->drive_at = playback->drive_end = playback->tail = 0;
+    playback->decoded_at = playback->decoded_end = playback->drive_at = playback->drive_end = 0;
 }
 
 int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_refusal *refusal)
 {
     const uint32_t packets = playback->live ? 0 : playback->packets;
-    const int refused =
-        loops == 1 ? 0 : refuse_short_iterations(&playback->header, &playback->shape, packets, refusal);
+    const int refused = loops == 1 ? 0 : refuse_short_iterations(&playback->header, &playback->shape, packets, refusal);
     if (!refused)
         playback->loops = loops;
     return refused;
@@ -322,24 +341,7 @@ static void decode_next(vc_playback *playback)
     playback->decoded_end = (uint32_t)least(end - least(end, before), shape->packet_samples);
     if (playback->decoded_end < playback->decoded_at)
         playback->decoded_end = playback->decoded_at;
-}
-
-/* Drive samples that so many more decoded ones make, in all that comes before the end. */
-static uint32_t drive_of_decoded(const vc_playback *playback, uint32_t samples)
-{
-    const uint32_t rate_hz = playback->header.output.rate_hz, dac_rate_hz = playback->actuator->dac_rate_hz;
-    const uint64_t begun = playback->pushed % rate_hz; /* the pattern repeats after a second */
-    return (uint32_t)(scaled_up(begun + samples, dac_rate_hz, rate_hz) - scaled_up(begun, dac_rate_hz, rate_hz));
-}
-
-/* Begins to finish the drive, which holds its last value for as long as the resampler lags. */
-static void finish_drive(vc_playback *playback)
-{
-    const uint32_t rate_hz = playback->header.output.rate_hz, dac_rate_hz = playback->actuator->dac_rate_hz;
-    const uint32_t begun = (uint32_t)(playback->pushed % rate_hz);
-    playback->finishing = 1;
-    playback->tail =
-        vc_drive_samples(drive_of(playback), begun) - (uint32_t)scaled_up(begun, dac_rate_hz, rate_hz);
+    playback->decoded_for_drive += playback->decoded_end - playback->decoded_at;
 }
 
 /* Makes drive where none is left, decoding what it needs for it; returns how many samples the DAC may take. */
@@ -347,25 +349,34 @@ static uint32_t ready_drive(vc_playback *playback)
 {
     const unsigned channels = playback->header.output.channels;
     while (playback->drive_at == playback->drive_end && !playback->drained) {
+        const int full = playback->drive_end == VC_PIECE_SAMPLES; /* the last push may have more */
         playback->drive_at = playback->drive_end = 0;
         if (playback->finishing) {
             playback->drive_end = vc_drive_finish(drive_of(playback), playback->drive_samples, VC_PIECE_SAMPLES);
-            playback->tail -= (uint32_t)least(playback->tail, playback->drive_end);
             playback->drained = playback->drive_end == 0;
-        } else if (playback->decoded_at < playback->decoded_end) {
-            const uint32_t taken =
+        } else if (full || playback->decoded_at < playback->decoded_end) {
+            playback->decoded_at +=
                 vc_drive_push(drive_of(playback), playback->decoded + (size_t)playback->decoded_at * channels,
                               playback->decoded_end - playback->decoded_at, playback->drive_samples, VC_PIECE_SAMPLES,
                               &playback->drive_end);
-            playback->decoded_at += taken;
-            playback->pushed += taken;
         } else if (playback->next >= end_of(playback)) {
-            finish_drive(playback);
+            playback->finishing = 1;
         } else {
             decode_next(playback);
         }
     }
     return playback->drive_end - playback->drive_at;
+}
+
+/* Samples of the stream's rate that are decoded and not yet played. */
+static uint32_t pending_samples(const vc_playback *playback)
+{
+    const uint32_t rate_hz = playback->header.output.rate_hz, dac_rate_hz = playback->actuator->dac_rate_hz;
+    const uint64_t held = playback->finishing ? vc_drive_delay_samples(const_drive_of(playback)) : 0;
+    const uint64_t drive = scaled_up(playback->decoded_for_drive + held, dac_rate_hz, rate_hz) - playback->played;
+    if (playback->state != VC_STATE_PLAYING && playback->state != VC_STATE_PAUSED)
+        return 0;
+    return (uint32_t)scaled_up(drive, rate_hz, dac_rate_hz);
 }
 
 static void begin_if_ready(vc_playback *playback, uint64_t time_us)
@@ -384,36 +395,91 @@ static void begin_if_ready(vc_playback *playback, uint64_t time_us)
     }
 }
 
-static void put_out(vc_playback *playback, const int16_t *codes, uint32_t samples)
+/* Puts out codes, at most `samples` and VC_PIECE_SAMPLES; returns how many, 0 at rest. */
+static uint32_t play(vc_playback *playback, uint64_t samples)
 {
     const unsigned channels = playback->header.output.channels;
-    capture(&playback->captures[VC_TAP_DAC], codes, samples, channels);
-    playback->sink(playback->sink_context, codes, samples, channels);
-}
-
-/* Puts out at most `samples` codes; returns how many, 0 at rest. */
-static uint32_t play(vc_playback *playback, uint32_t samples)
-{
+    const uint32_t wanted = (uint32_t)least(samples, VC_PIECE_SAMPLES);
     int16_t codes[VC_PIECE_SAMPLES * VC_CHANNELS];
     uint32_t made = 0;
-    if (!playback->ramping && playback->state == VC_STATE_PLAYING) {
-        made = (uint32_t)least(samples, ready_drive(playback));
+    if (playback->ramping) {
+        made = vc_dac_ramp(dac_of(playback), codes, wanted);
+        playback->ramping = made > 0;
+    }
+    if (made == 0 && playback->state == VC_STATE_PLAYING) {
+        made = (uint32_t)least(wanted, ready_drive(playback));
         if (made > 0) {
-            vc_dac_play(dac_of(playback),
-                        playback->drive_samples + (size_t)playback->drive_at * playback->header.output.channels, made,
-                        codes);
+            vc_dac_play(dac_of(playback), playback->drive_samples + (size_t)playback->drive_at * channels, made, codes);
             playback->drive_at += made;
+            playback->played += made;
         } else if (!vc_dac_at_rest(dac_of(playback))) {
             ramp_down(playback);
+            made = vc_dac_ramp(dac_of(playback), codes, wanted);
         }
     }
-    if (playback->ramping) {
-        made = vc_dac_ramp(dac_of(playback), codes, samples);
-        playback->ramping = made > 0;
-        if (made == 0 && playback->state == VC_STATE_PLAYING)
-            return play_on;
+    if (made > 0) {
+        capture(&playback->captures[VC_TAP_DAC], codes, made, channels);
+        playback->sink(playback->sink_context, codes, made, channels);
     }
-    if (made > 0)
-        put_out(playback, codes, made);
     return made;
+}
+
+void vc_playback_advance(vc_playback *playback, uint64_t time_us)
+{
+    uint64_t due, begun;
+    if (playback->state == VC_STATE_ARMED)
+        begin_if_ready(playback, time_us);
+    begun = playback->clock_samples;
+    due = scaled(time_us - playback->clock_from_us, playback->actuator->dac_rate_hz, US_PER_S) - begun;
+    while (due > 0) {
+        const uint32_t made = play(playback, due);
+        if (made == 0)
+            break;
+        due -= made;
+        playback->clock_samples += made;
+    }
+    if (playback->clock_samples > begun)
+        playback->rest_from_us =
+            playback->clock_from_us + scaled_up(playback->clock_samples, US_PER_S, playback->actuator->dac_rate_hz);
+    if (due > 0) { /* at rest: the time that passes here owes no samples later */
+        playback->clock_from_us = time_us;
+        playback->clock_samples = 0;
+        if (playback->state == VC_STATE_PLAYING) {
+            playback->state = VC_STATE_FINISHED;
+            vc_packet_buffer_clear(&playback->buffer);
+        }
+    }
+}
+
+void vc_playback_flush(vc_playback *playback, uint64_t time_us)
+{
+    uint64_t samples = 0;
+    uint32_t made;
+    do {
+        made = play(playback, VC_PIECE_SAMPLES);
+        samples += made;
+    } while (made > 0);
+    if (samples > 0)
+        playback->rest_from_us = time_us + scaled_up(samples, US_PER_S, playback->actuator->dac_rate_hz);
+}
+
+uint64_t vc_playback_free_us(const vc_playback *playback)
+{
+    return playback->rest_from_us +
+           scaled_up(vc_dac_recovery_samples(const_dac_of(playback)), US_PER_S, playback->actuator->dac_rate_hz);
+}
+
+void vc_playback_report(vc_playback *playback, vc_status_report *status)
+{
+    const uint32_t pending = pending_samples(playback), packet_samples = playback->shape.packet_samples;
+    if (playback->next * packet_samples > playback->position + pending)
+        playback->position = playback->next * packet_samples - pending;
+    status->state = (uint8_t)playback->state;
+    status->stream = playback->stream;
+    status->position = playback->position;
+    status->credit_until = credit_of(playback) * packet_samples;
+    status->buffered_samples = playback->buffer.count * packet_samples + pending;
+    status->underruns = playback->underruns;
+    status->lost_packets = playback->lost_packets;
+    status->limited = *vc_dac_counts(const_dac_of(playback));
 }

@@ -54,8 +54,8 @@ typedef struct {
     vc_decoder decoder;
     int16_t decoded[VC_PACKET_SAMPLES * VC_CHANNELS];
     uint32_t decoded_at, decoded_end; /* samples per channel that the drive has yet to take */
-    uint64_t pushed;                  /* that it has taken */
-    uint32_t tail;                    /* drive samples that finishing it still makes */
+    uint64_t decoded_for_drive;       /* with those, all that were decoded for it */
+    uint64_t played;                  /* drive samples that the DAC has taken */
     int finishing, drained;           /* the drive is being finished; all of it is made */
     int32_t drive_samples[VC_PIECE_SAMPLES * VC_CHANNELS];
     uint32_t drive_at, drive_end; /* of those, what the DAC has yet to take */
@@ -106,8 +106,15 @@ uint32_t vc_playback_room_samples(const vc_playback *playback);
 /* What a Status says of the stream; device time and bad frames are left to the caller. */
 void vc_playback_report(vc_playback *playback, vc_status_report *status);
 
-/* The captured samples from `offset` on, at most `count`: where they begin (later than asked if the first ones are
- * gone), and how many there are. */
-uint32_t vc_capture_find(const vc_capture *capture, uint64_t *offset, uint32_t count);
+/* Samples in sequence, of all channels; `count`: per channel. */
+typedef struct {
+    const int16_t *samples;
+    uint32_t count;
+} vc_run;
+
+/* Finds the captured samples from `offset` on, at most `count` per channel, in the two runs that they lie in. An offset
+ * whose samples are gone becomes that of the oldest, one beyond the end becomes the end. */
+void vc_playback_captured(const vc_playback *playback, enum vc_tap tap, uint64_t *offset, uint32_t count,
+                          vc_run runs[2]);
 
 #endif

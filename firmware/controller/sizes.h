@@ -42,6 +42,14 @@
 #define VC_OUTGOING_BYTES (4 * VC_MAXIMUM_PAYLOAD_BYTES)
 #endif
 
+/* The drive and the DAC of a stream (core/output.h). */
+#ifndef VC_DRIVE_BYTES
+#define VC_DRIVE_BYTES 65536
+#endif
+#ifndef VC_DAC_BYTES
+#define VC_DAC_BYTES 8192
+#endif
+
 #if VC_CHANNELS < 1 || VC_CHANNELS > VC_MAX_CHANNELS
 #error "VC_CHANNELS: 1 to VC_MAX_CHANNELS"
 #endif

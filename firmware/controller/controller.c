@@ -1,0 +1,545 @@
+/* The controller: sessions, requests and their answers, the watchdog, notifications; see controller.h. */
+#include "image_store.h"
+#include "playback.h"
+
+#define STATUS_INTERVAL_US 100000u
+#define US_PER_MS 1000u
+#define TEXT_OF(number) #number
+#define VERSION_OF(major, minor) TEXT_OF(major) "." TEXT_OF(minor)
+#define VERSION_TEXT VERSION_OF(VC_PROTOCOL_MAJOR, VC_PROTOCOL_MINOR)
+/* What a host that does not read gets of notifications; answers have the rest. */
+#define UNREAD_NOTIFICATIONS_BYTES (VC_OUTGOING_BYTES / 4)
+
+struct vc_controller {
+    const vc_controller_settings *settings;
+    const vc_flash *flash;
+    uint64_t time_us, heard_us; /* now, and when the host was last heard */
+    uint64_t dac_free_us;       /* when the DAC is free for another stream */
+    vc_image_store images;
+    vc_frame_reader reader;
+
+    /* The session: the sequence numbers that opened it and of the last request, with the answer to that. */
+    int in_session;
+    uint16_t opened_by, last_sequence;
+    uint32_t answer_bytes;
+    uint8_t answer[VC_FRAME_BYTES];
+
+    int reported; /* there is a last Status, which is `last_report` */
+    vc_status_report last_report;
+    uint32_t outgoing_at, outgoing_end; /* what waits for the host */
+    uint8_t outgoing[VC_OUTGOING_BYTES];
+
+    int configured;                     /* there is a stream, or was one */
+    enum vc_state state_without_stream; /* until then */
+    vc_playback playback;
+};
+
+size_t vc_controller_size(void)
+{
+    return sizeof(vc_controller);
+}
+
+/* ---- what goes out ---- */
+
+static uint32_t outgoing_bytes(const vc_controller *controller)
+{
+    return controller->outgoing_end - controller->outgoing_at;
+}
+
+static void send(vc_controller *controller, const uint8_t *frame, uint32_t length)
+{
+    const uint32_t unread = outgoing_bytes(controller);
+    uint32_t i;
+    if (length > VC_OUTGOING_BYTES - unread)
+        return; /* the host repeats its request */
+    if (length > VC_OUTGOING_BYTES - controller->outgoing_end) {
+        for (i = 0; i < unread; i++)
+            controller->outgoing[i] = controller->outgoing[controller->outgoing_at + i];
+        controller->outgoing_at = 0;
+        controller->outgoing_end = unread;
+    }
+    memcpy(controller->outgoing + controller->outgoing_end, frame, length);
+    controller->outgoing_end += length;
+}
+
+size_t vc_controller_transmit(vc_controller *controller, uint8_t *data, size_t capacity)
+{
+    const uint32_t unread = outgoing_bytes(controller);
+    const uint32_t moved = capacity < unread ? (uint32_t)capacity : unread;
+    memcpy(data, controller->outgoing + controller->outgoing_at, moved);
+    controller->outgoing_at += moved;
+    return moved;
+}
+
+static enum vc_state state_of(const vc_controller *controller)
+{
+    return controller->configured ? controller->playback.state : controller->state_without_stream;
+}
+
+static int is_active(enum vc_state state)
+{
+    return state == VC_STATE_ARMED || state == VC_STATE_PLAYING || state == VC_STATE_PAUSED;
+}
+
+static vc_status_report status_of(vc_controller *controller)
+{
+    vc_status_report status;
+    memset(&status, 0, sizeof status);
+    status.state = (uint8_t)state_of(controller);
+    if (controller->configured)
+        vc_playback_report(&controller->playback, &status);
+    status.device_time_us = controller->time_us;
+    status.bad_frames = vc_frame_reader_bad_frames(&controller->reader);
+    return status;
+}
+
+static void put_status(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
+{
+    controller->last_report = status_of(controller);
+    controller->reported = 1;
+    vc_put_status(writer, sequence, &controller->last_report);
+}
+
+/* Frames that are not kept: errors and notifications. */
+#define SMALL_FRAME_BYTES 256
+
+static void send_error(vc_controller *controller, uint16_t sequence, const vc_refusal *refusal)
+{
+    uint8_t frame[SMALL_FRAME_BYTES];
+    vc_frame_writer writer;
+    vc_frame_begin(&writer, frame, sizeof frame);
+    vc_put_error(&writer, sequence, refusal);
+    send(controller, frame, (uint32_t)vc_frame_end(&writer));
+}
+
+/* Sends a Status where something has happened that the host needs to know, or has not heard for a while. */
+static void notify(vc_controller *controller)
+{
+    const vc_status_report *last = &controller->last_report;
+    uint8_t frame[SMALL_FRAME_BYTES];
+    vc_frame_writer writer;
+    vc_status_report status;
+    if (!controller->in_session || !controller->configured)
+        return;
+    status = status_of(controller);
+    if (controller->reported && status.state == last->state && status.underruns <= last->underruns &&
+        status.credit_until < last->credit_until + vc_playback_room_samples(&controller->playback) / 4 &&
+        !((status.state == VC_STATE_ARMED || status.state == VC_STATE_PLAYING) &&
+          status.device_time_us - last->device_time_us >= STATUS_INTERVAL_US))
+        return;
+    if (outgoing_bytes(controller) >= UNREAD_NOTIFICATIONS_BYTES)
+        return;
+    vc_frame_begin(&writer, frame, sizeof frame);
+    put_status(controller, &writer, VC_NOTIFICATION);
+    send(controller, frame, (uint32_t)vc_frame_end(&writer));
+}
+
+/* ---- requests: each puts its answer and returns 0, or returns the refusal's code ---- */
+
+/* Ramps down at once: the DAC takes the whole ramp, and is free for another stream when it has played it. */
+static void stop(vc_controller *controller)
+{
+    vc_playback *playback = &controller->playback;
+    uint64_t free_us;
+    controller->state_without_stream = VC_STATE_STOPPED;
+    if (!controller->configured)
+        return;
+    vc_playback_stop(playback, VC_STATE_STOPPED);
+    vc_playback_flush(playback, controller->time_us);
+    free_us = vc_playback_free_us(playback);
+    if (free_us > controller->dac_free_us)
+        controller->dac_free_us = free_us;
+}
+
+/* Refuses what is not carried out in this state; `states`: those in which it is, a bit for each. */
+static int refuse_outside(const vc_controller *controller, unsigned states, vc_refusal *refusal)
+{
+    static const char *const names[] = {"idle",     "buffering", "armed",    "playing", "paused",
+                                        "finished", "stopped",   "watchdog", "fault"};
+    const char *before = "; this needs it ";
+    unsigned state;
+    if (controller->configured && (states >> state_of(controller) & 1u))
+        return 0;
+    vc_refuse(refusal, VC_WRONG_STATE, "the controller is ");
+    vc_refusal_add(refusal, names[state_of(controller)]);
+    for (state = 0; state < sizeof names / sizeof names[0]; state++)
+        if (states >> state & 1u) {
+            vc_refusal_add(refusal, before);
+            vc_refusal_add(refusal, names[state]);
+            before = " or ";
+        }
+    return refusal->code;
+}
+
+static int refuse_while_active(const vc_controller *controller, vc_refusal *refusal)
+{
+    return is_active(state_of(controller))
+               ? vc_refuse(refusal, VC_WRONG_STATE, "a stream is being played: stop it first")
+               : 0;
+}
+
+/* Finds what the stream's decoders are made from: an image chooses its tables. */
+static int find_coding(const vc_controller *controller, const vc_stream_header *header, vc_coding *coding,
+                       vc_refusal *refusal)
+{
+    const vc_model_image *image = vc_image_store_running(&controller->images);
+    memset(coding, 0, sizeof *coding);
+    coding->codec = header->codec;
+    coding->channels = header->output.channels;
+    coding->configuration = header->configuration;
+    coding->configuration_length = header->configuration_length;
+    if (!header->needs_image)
+        return 0;
+    if (image == NULL ||
+        !vc_same_bytes(vc_image_store_running_sha256(&controller->images), header->image_hash, VC_IMAGE_HASH_BYTES)) {
+        vc_refuse(refusal, VC_UNKNOWN_IMAGE, "the stream needs model image ");
+        vc_refusal_add_hex(refusal, header->image_hash, VC_IMAGE_HASH_BYTES);
+        return vc_refusal_add(refusal, ", which does not run here: flash it first");
+    }
+    if (image->codec != header->codec)
+        return vc_refuse_numbers(refusal, VC_UNKNOWN_IMAGE, "the model image is for codec #, the stream is of codec #",
+                                 image->codec, header->codec);
+    coding->tables = image->payload.bytes;
+    coding->tables_length = image->payload.length;
+    return 0;
+}
+
+static int configure(vc_controller *controller, const vc_configure *configure, vc_refusal *refusal)
+{
+    vc_stream_header header;
+    vc_coding coding;
+    int refused = vc_stream_header_read(&header, configure->header.bytes, configure->header.length, refusal);
+    if (!refused)
+        refused = find_coding(controller, &header, &coding, refusal);
+    if (!refused)
+        refused = vc_playback_check(configure, &header, &coding, controller->settings->actuator, refusal);
+    if (refused)
+        return refused;
+    stop(controller);
+    vc_playback_init(&controller->playback, configure, &header, &coding);
+    controller->configured = 1;
+    return 0;
+}
+
+static int end_stream(vc_controller *controller, const vc_end_stream *end, vc_refusal *refusal)
+{
+    vc_playback *playback = &controller->playback;
+    if (!playback->live || end->stream != playback->stream)
+        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "stream # is not a live stream that plays here", end->stream,
+                                 0);
+    vc_playback_end_live(playback, end->packets);
+    return 0;
+}
+
+static int put_capture(vc_controller *controller, const vc_capture_read *read, uint16_t sequence,
+                       vc_frame_writer *writer, vc_refusal *refusal)
+{
+    const vc_playback *playback = &controller->playback;
+    const uint8_t channels = playback->header.output.channels;
+    const unsigned room = (VC_MAXIMUM_PAYLOAD_BYTES - VC_CAPTURE_DATA_HEAD_BYTES) / (2u * channels);
+    uint64_t offset = read->offset;
+    vc_run runs[2];
+    unsigned run;
+    if (!controller->configured)
+        return vc_refuse(refusal, VC_WRONG_STATE, "nothing has been captured yet: configure a stream first");
+    vc_playback_captured(playback, read->tap, &offset, read->count < room ? read->count : room, runs);
+    vc_put_capture_data(writer, sequence, read->tap, channels, offset, playback->captures[read->tap].end);
+    for (run = 0; run < 2; run++)
+        vc_put_samples(writer, runs[run].samples, (size_t)runs[run].count * channels);
+    return 0;
+}
+
+static int put_flash(vc_controller *controller, const vc_message *message, vc_frame_writer *writer, vc_refusal *refusal)
+{
+    vc_image_store *images = &controller->images;
+    vc_flash_report report;
+    int refused = 0;
+    if (message->type == VC_FLASH_BEGIN || message->type == VC_FLASH_ACTIVATE)
+        refused = refuse_while_active(controller, refusal);
+    if (refused)
+        return refused;
+    switch (message->type) {
+    case VC_FLASH_BEGIN:
+        refused = vc_image_store_begin(images, &message->body.flash_begin, &report, refusal);
+        break;
+    case VC_FLASH_DATA:
+        refused = vc_image_store_write(images, &message->body.flash_data, &report, refusal);
+        break;
+    case VC_FLASH_VERIFY:
+        refused = vc_image_store_verify(images, message->body.slot, &report, refusal);
+        break;
+    case VC_FLASH_ACTIVATE:
+        refused = vc_image_store_activate(images, message->body.slot, &report, refusal);
+        break;
+    default:
+        refused = vc_image_store_confirm(images, message->body.slot, &report, refusal);
+        break;
+    }
+    if (!refused)
+        vc_put_flash_status(writer, message->sequence, &report);
+    return refused;
+}
+
+#define IN(state) (1u << (state))
+#define IN_STREAM (IN(VC_STATE_BUFFERING) | IN(VC_STATE_ARMED) | IN(VC_STATE_PLAYING) | IN(VC_STATE_PAUSED))
+
+/* Carries out a request other than Hello and puts its answer. */
+static int carry_out(vc_controller *controller, const vc_message *message, vc_frame_writer *writer, vc_refusal *refusal)
+{
+    vc_playback *playback = &controller->playback;
+    uint64_t start_us;
+    int refused = 0;
+    switch (message->type) {
+    case VC_STATUS_REQUEST:
+        break;
+    case VC_CONFIGURE:
+        refused = configure(controller, &message->body.configure, refusal);
+        break;
+    case VC_START:
+        refused = refuse_outside(controller, IN(VC_STATE_BUFFERING), refusal);
+        start_us = message->body.start_us;
+        if (!refused)
+            vc_playback_start(playback, start_us > controller->dac_free_us ? start_us : controller->dac_free_us,
+                              controller->time_us);
+        break;
+    case VC_PAUSE:
+        refused = refuse_outside(controller, IN(VC_STATE_PLAYING), refusal);
+        if (!refused)
+            vc_playback_pause(playback);
+        break;
+    case VC_RESUME:
+        refused = refuse_outside(controller, IN(VC_STATE_PAUSED), refusal);
+        if (!refused)
+            vc_playback_resume(playback);
+        break;
+    case VC_STOP:
+        stop(controller);
+        break;
+    case VC_LOOP:
+        refused = refuse_outside(controller, IN_STREAM, refusal);
+        if (!refused)
+            refused = vc_playback_set_loops(playback, message->body.loops, refusal);
+        break;
+    case VC_GAIN:
+        refused = refuse_outside(controller, IN_STREAM, refusal);
+        if (!refused)
+            vc_playback_set_gain(playback, message->body.gain_float_bits);
+        break;
+    case VC_END_STREAM:
+        refused = refuse_outside(controller, IN_STREAM, refusal);
+        if (!refused)
+            refused = end_stream(controller, &message->body.end_stream, refusal);
+        break;
+    case VC_CAPTURE_READ:
+        return put_capture(controller, &message->body.capture_read, message->sequence, writer, refusal);
+    default:
+        return put_flash(controller, message, writer, refusal);
+    }
+    if (!refused)
+        put_status(controller, writer, message->sequence);
+    return refused;
+}
+
+static void put_description(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
+{
+    const vc_actuator *actuator = controller->settings->actuator;
+    vc_image_description images[VC_SLOTS];
+    vc_hello_response hello;
+    unsigned slot;
+    memset(&hello, 0, sizeof hello);
+    hello.build = controller->settings->build;
+    hello.hardware = controller->settings->hardware;
+    hello.limits.maximum_payload_bytes = VC_MAXIMUM_PAYLOAD_BYTES;
+    hello.limits.maximum_packet_bytes = VC_MAXIMUM_PACKET_BYTES;
+    hello.limits.buffer_samples = VC_BUFFER_SAMPLES;
+    hello.limits.capture_samples = VC_CAPTURE_SAMPLES;
+    hello.limits.channels = VC_CHANNELS;
+    hello.limits.minimum_rate_hz = VC_MINIMUM_RATE_HZ;
+    hello.limits.maximum_rate_hz = VC_MAXIMUM_RATE_HZ;
+    hello.limits.watchdog_ms = controller->settings->watchdog_ms;
+    hello.actuator.name = actuator->name;
+    hello.actuator.stroke_um_float_bits = actuator->stroke_um;
+    hello.actuator.volts_float_bits = actuator->volts;
+    hello.actuator.lower_hz_float_bits = actuator->lower_hz;
+    hello.actuator.upper_hz_float_bits = actuator->upper_hz;
+    hello.actuator.slew_volts_per_second_float_bits = actuator->slew_volts_per_second;
+    hello.actuator.dac_bits = actuator->dac_bits;
+    hello.actuator.dac_rate_hz = actuator->dac_rate_hz;
+    hello.codecs = vc_codecs;
+    hello.codec_count = VC_CODECS;
+    for (slot = 0; slot < VC_SLOTS; slot++)
+        vc_image_store_describe(&controller->images, slot, &images[slot]);
+    hello.images = images;
+    hello.image_count = VC_SLOTS;
+    vc_put_hello_response(writer, sequence, &hello);
+}
+
+/* ---- sessions ---- */
+
+static void boot(vc_controller *controller)
+{
+    vc_image_store_boot(&controller->images, controller->flash, controller->settings->hardware, vc_tables_check);
+    controller->configured = 0;
+    controller->state_without_stream = VC_STATE_IDLE;
+    controller->in_session = 0;
+    controller->heard_us = controller->time_us;
+    controller->reported = 0;
+}
+
+static void send_again(vc_controller *controller)
+{
+    send(controller, controller->answer, controller->answer_bytes);
+}
+
+/* Whether a request is to be carried out; sends the kept answer again if it is the last one's copy. */
+static int is_new(vc_controller *controller, uint16_t sequence)
+{
+    const uint16_t ahead = (uint16_t)(sequence - controller->last_sequence);
+    if (controller->in_session && ahead == 0)
+        send_again(controller);
+    return !controller->in_session || (ahead > 0 && ahead < 0x8000u);
+}
+
+/* Sends the answer whose frame is done, and keeps it. */
+static void answer(vc_controller *controller, uint16_t sequence, vc_frame_writer *writer)
+{
+    controller->answer_bytes = (uint32_t)vc_frame_end(writer);
+    controller->last_sequence = sequence;
+    send_again(controller);
+}
+
+static void begin_answer(vc_controller *controller, vc_frame_writer *writer)
+{
+    vc_frame_begin(writer, controller->answer, sizeof controller->answer);
+}
+
+static void answer_error(vc_controller *controller, uint16_t sequence, const vc_refusal *refusal)
+{
+    vc_frame_writer writer;
+    begin_answer(controller, &writer);
+    vc_put_error(&writer, sequence, refusal);
+    answer(controller, sequence, &writer);
+}
+
+/* Opens a session; to copies of the Hello that opened this one, answers again until another request has come. */
+static void greet(vc_controller *controller, uint16_t sequence, const vc_hello *hello)
+{
+    vc_frame_writer writer;
+    vc_refusal refusal;
+    if (controller->in_session && sequence == controller->opened_by) {
+        if (sequence == controller->last_sequence)
+            send_again(controller);
+    } else if (hello->major != VC_PROTOCOL_MAJOR) {
+        vc_refuse_numbers(&refusal, VC_UNSUPPORTED_VERSION,
+                          "this controller speaks protocol " VERSION_TEXT ", the host #.#: update the older one",
+                          hello->major, hello->minor);
+        send_error(controller, sequence, &refusal);
+    } else {
+        controller->in_session = 1;
+        controller->opened_by = sequence;
+        begin_answer(controller, &writer);
+        put_description(controller, &writer, sequence);
+        answer(controller, sequence, &writer);
+    }
+}
+
+static void take_request(vc_controller *controller, const vc_message *message)
+{
+    vc_frame_writer writer;
+    vc_refusal refusal;
+    int refused;
+    if (!controller->in_session && message->type != VC_STOP) {
+        vc_refuse(&refusal, VC_HELLO_FIRST, "no session is open: say hello first");
+        answer_error(controller, message->sequence, &refusal);
+        return;
+    }
+    if (!is_new(controller, message->sequence))
+        return;
+    begin_answer(controller, &writer);
+    refused = carry_out(controller, message, &writer, &refusal);
+    if (refused)
+        vc_put_error(&writer, message->sequence, &refusal);
+    answer(controller, message->sequence, &writer);
+    if (message->type == VC_FLASH_ACTIVATE && !refused) {
+        stop(controller);
+        boot(controller);
+    }
+}
+
+/* Acts on a message and answers it; docs/protocol.md, "Sequence numbers". */
+static void handle(vc_controller *controller, vc_piece payload)
+{
+    vc_playback *playback = &controller->playback;
+    vc_message message;
+    vc_refusal refusal;
+    vc_piece packet;
+    int refused;
+    if (payload.bytes[0] >= VC_HELLO_RESPONSE)
+        return;
+    controller->heard_us = controller->time_us;
+    refused = vc_message_read(&message, payload.bytes, payload.length, &refusal);
+    if (!refused && message.sequence == VC_NOTIFICATION && message.type != VC_STREAM_DATA)
+        refused = vc_refuse(&refusal, VC_MALFORMED, "a request needs a sequence number of 1 or more");
+    if (refused && message.sequence == VC_NOTIFICATION) {
+        if (outgoing_bytes(controller) < UNREAD_NOTIFICATIONS_BYTES)
+            send_error(controller, VC_NOTIFICATION, &refusal);
+    } else if (refused) {
+        if (is_new(controller, message.sequence))
+            answer_error(controller, message.sequence, &refusal);
+    } else if (message.type == VC_HELLO) {
+        greet(controller, message.sequence, &message.body.hello);
+    } else if (message.type != VC_STREAM_DATA) {
+        take_request(controller, &message);
+    } else if (controller->configured && message.body.stream_data.stream == playback->stream) {
+        while (vc_next_packet(&message.body.stream_data.packets, &packet))
+            vc_playback_add(playback, message.body.stream_data.iteration, packet, controller->time_us);
+    }
+}
+
+/* ---- time ---- */
+
+void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
+                        vc_dac_sink dac, void *dac_context, uint64_t now_us)
+{
+    controller->settings = settings;
+    controller->flash = flash;
+    controller->time_us = now_us;
+    controller->dac_free_us = 0;
+    controller->outgoing_at = controller->outgoing_end = 0;
+    controller->playback.actuator = settings->actuator;
+    controller->playback.sink = dac;
+    controller->playback.sink_context = dac_context;
+    vc_frame_reader_init(&controller->reader);
+    boot(controller);
+}
+
+void vc_controller_advance(vc_controller *controller, uint64_t now_us)
+{
+    vc_playback *playback = &controller->playback;
+    const uint64_t longest_us = (uint64_t)controller->settings->watchdog_ms * US_PER_MS;
+    if (now_us > controller->time_us)
+        controller->time_us = now_us;
+    if (!controller->configured)
+        return;
+    if (is_active(playback->state) && controller->time_us - controller->heard_us > longest_us) {
+        vc_playback_advance(playback, controller->heard_us + longest_us);
+        if (is_active(playback->state))
+            vc_playback_stop(playback, VC_STATE_WATCHDOG);
+    }
+    vc_playback_advance(playback, controller->time_us);
+    notify(controller);
+}
+
+void vc_controller_receive(vc_controller *controller, const uint8_t *data, size_t length, uint64_t now_us)
+{
+    vc_controller_advance(controller, now_us);
+    while (length > 0) {
+        vc_piece payload;
+        const size_t taken = vc_frame_reader_feed(&controller->reader, data, length, &payload);
+        if (payload.length > 0)
+            handle(controller, payload);
+        data += taken;
+        length -= taken;
+    }
+    notify(controller);
+}
