@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -71,13 +71,14 @@ _NATIVE = Target(
 TARGETS: Mapping[str, Target] = {"native": _NATIVE}
 
 
-def build(name: str) -> Path:
+def build(name: str, limits: Mapping[str, int] | None = None) -> Path:
     """Build a target of TARGETS, unless it is there already, and return its file.
 
-    A library's declarations for cffi lie beside it, with the suffix ".cdef". What is built is kept in firmware/build,
+    `limits`: further sizes of controller/sizes.h to set. A library's declarations for cffi lie beside it, with the suffix ".cdef". What is built is kept in firmware/build,
     or in the user's cache where that cannot be written, by a hash of all that it is made from. Raises BuildError.
     """
     target = TARGETS[name]
+    target = replace(target, limits={**target.limits, **(limits or {})})
     if find_spec("ziglang") is None:
         raise BuildError('the firmware is compiled by ziglang: pip install "vibrocast[firmware]"')
     folder = _build_folder() / f"{name}-{_fingerprint(target)}"

@@ -42,6 +42,11 @@ class FlashMemory:
     def __len__(self) -> int:
         return len(self._data)
 
+    @property
+    def contents(self) -> memoryview:
+        """All bytes, read in place as they change."""
+        return memoryview(self._data).toreadonly()
+
     def read(self, address: int, count: int) -> bytes:
         """Return `count` bytes from `address` on."""
         return bytes(self._data[address : address + count])

@@ -355,7 +355,7 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     hello.limits.capture_samples = VC_CAPTURE_SAMPLES;
     hello.limits.channels = VC_CHANNELS;
     hello.limits.minimum_rate_hz = VC_MINIMUM_RATE_HZ;
-    hello.limits.maximum_rate_hz = VC_MAXIMUM_RATE_HZ;
+    hello.limits.maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
     hello.limits.watchdog_ms = controller->settings->watchdog_ms;
     hello.actuator.name = actuator->name;
     hello.actuator.stroke_um_float_bits = actuator->stroke_um;

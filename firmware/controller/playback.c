@@ -101,32 +101,33 @@ static uint32_t buffer_packets_of(const vc_packet_shape *shape)
     return (uint32_t)least(VC_BUFFER_PACKETS, VC_BUFFER_SAMPLES / shape->packet_samples);
 }
 
+uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator)
+{
+    return (uint32_t)least(VC_MAXIMUM_RATE_HZ, (uint64_t)VC_RATE_RATIO * actuator->dac_rate_hz);
+}
+
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
                       const vc_actuator *actuator, vc_refusal *refusal)
 {
     const vc_output_stream *output = &header->output;
+    const uint32_t maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
     vc_packet_shape shape;
     const char *reason;
     uint64_t end, room;
-    size_t drive_bytes;
     if (configure->packets > 0 && configure->first_packet >= configure->packets)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
                                  configure->packets);
     if (output->channels > VC_CHANNELS)
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "# channels; there are # here", output->channels,
                                  VC_CHANNELS);
-    if (output->rate_hz < VC_MINIMUM_RATE_HZ || output->rate_hz > VC_MAXIMUM_RATE_HZ)
+    if (output->rate_hz < VC_MINIMUM_RATE_HZ || output->rate_hz > maximum_rate_hz)
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "a rate outside # to # Hz: resample first",
-                                 VC_MINIMUM_RATE_HZ, VC_MAXIMUM_RATE_HZ);
+                                 VC_MINIMUM_RATE_HZ, maximum_rate_hz);
     reason = vc_coding_check(coding, &shape);
     if (reason != NULL)
         return vc_refuse(refusal, VC_UNKNOWN_CODEC, reason);
-    drive_bytes = vc_drive_size(actuator, output);
-    if (drive_bytes == 0 || drive_bytes > VC_DRIVE_BYTES)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
-                                 "# Hz cannot be brought to the DAC's # Hz within this controller's memory: resample "
-                                 "to a rate that has a larger divisor in common with it",
-                                 output->rate_hz, actuator->dac_rate_hz);
+    if (vc_drive_size(actuator, output) == 0)
+        return vc_refuse(refusal, VC_BEYOND_LIMITS, "the output cannot play a stream of this kind");
     end = recording_end(header, &shape);
     if (end != NO_END && (uint64_t)configure->packets * shape.packet_samples >= end + 2 * shape.packet_samples)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE,
@@ -150,19 +151,9 @@ static vc_drive *drive_of(vc_playback *playback)
     return (vc_drive *)playback->drive;
 }
 
-static vc_dac *dac_of(vc_playback *playback)
-{
-    return (vc_dac *)playback->dac;
-}
-
 static const vc_drive *const_drive_of(const vc_playback *playback)
 {
     return (const vc_drive *)playback->drive;
-}
-
-static const vc_dac *const_dac_of(const vc_playback *playback)
-{
-    return (const vc_dac *)playback->dac;
 }
 
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
@@ -198,7 +189,7 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     (void)vc_drive_init(drive_of(playback), playback->actuator, &playback->header.output, configure->compensation,
                         playback->shape.delay_samples);
     hold_samples = vc_drive_samples(drive_of(playback), playback->shape.delay_samples);
-    vc_dac_init(dac_of(playback), playback->actuator, &playback->header.output, configure->gain_float_bits,
+    vc_dac_init(&playback->dac, playback->actuator, &playback->header.output, configure->gain_float_bits,
                 configure->compensation, hold_samples);
     playback->captures[VC_TAP_DECODED].end = playback->captures[VC_TAP_DECODED].at = 0;
     playback->captures[VC_TAP_DAC].end = playback->captures[VC_TAP_DAC].at = 0;
@@ -254,7 +245,7 @@ void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet,
 static void ramp_down(vc_playback *playback)
 {
     if (!playback->ramping)
-        vc_dac_begin_ramp(dac_of(playback));
+        vc_dac_begin_ramp(&playback->dac);
     playback->ramping = 1;
 }
 
@@ -296,7 +287,7 @@ int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_refusal *ref
 
 void vc_playback_set_gain(vc_playback *playback, uint32_t gain_float_bits)
 {
-    vc_dac_set_gain(dac_of(playback), gain_float_bits);
+    vc_dac_set_gain(&playback->dac, gain_float_bits);
 }
 
 void vc_playback_end_live(vc_playback *playback, uint32_t packets)
@@ -403,18 +394,18 @@ static uint32_t play(vc_playback *playback, uint64_t samples)
     int16_t codes[VC_PIECE_SAMPLES * VC_CHANNELS];
     uint32_t made = 0;
     if (playback->ramping) {
-        made = vc_dac_ramp(dac_of(playback), codes, wanted);
+        made = vc_dac_ramp(&playback->dac, codes, wanted);
         playback->ramping = made > 0;
     }
     if (made == 0 && playback->state == VC_STATE_PLAYING) {
         made = (uint32_t)least(wanted, ready_drive(playback));
         if (made > 0) {
-            vc_dac_play(dac_of(playback), playback->drive_samples + (size_t)playback->drive_at * channels, made, codes);
+            vc_dac_play(&playback->dac, playback->drive_samples + (size_t)playback->drive_at * channels, made, codes);
             playback->drive_at += made;
             playback->played += made;
-        } else if (!vc_dac_at_rest(dac_of(playback))) {
+        } else if (!vc_dac_at_rest(&playback->dac)) {
             ramp_down(playback);
-            made = vc_dac_ramp(dac_of(playback), codes, wanted);
+            made = vc_dac_ramp(&playback->dac, codes, wanted);
         }
     }
     if (made > 0) {
@@ -466,7 +457,7 @@ void vc_playback_flush(vc_playback *playback, uint64_t time_us)
 uint64_t vc_playback_free_us(const vc_playback *playback)
 {
     return playback->rest_from_us +
-           scaled_up(vc_dac_recovery_samples(const_dac_of(playback)), US_PER_S, playback->actuator->dac_rate_hz);
+           scaled_up(vc_dac_recovery_samples(&playback->dac), US_PER_S, playback->actuator->dac_rate_hz);
 }
 
 void vc_playback_report(vc_playback *playback, vc_status_report *status)
@@ -481,5 +472,5 @@ void vc_playback_report(vc_playback *playback, vc_status_report *status)
     status->buffered_samples = playback->buffer.count * packet_samples + pending;
     status->underruns = playback->underruns;
     status->lost_packets = playback->lost_packets;
-    status->limited = *vc_dac_counts(const_dac_of(playback));
+    status->limited = *vc_dac_counts(&playback->dac);
 }

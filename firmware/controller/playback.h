@@ -9,10 +9,10 @@
 #include "controller.h"
 #include "decoders.h"
 #include "messages.h"
-#include "output.h"
 #include "packet_buffer.h"
 #include "stream_header.h"
 
+/* Rates of a stream, in Hz. */
 #define VC_MINIMUM_RATE_HZ 100u
 #define VC_MAXIMUM_RATE_HZ 48000u
 
@@ -60,14 +60,17 @@ typedef struct {
     int32_t drive_samples[VC_PIECE_SAMPLES * VC_CHANNELS];
     uint32_t drive_at, drive_end; /* of those, what the DAC has yet to take */
     int ramping;                  /* the way to rest is played before anything else */
-    int64_t drive[VC_DRIVE_BYTES / 8];
-    int64_t dac[VC_DAC_BYTES / 8];
+    int64_t drive[VC_DRIVE_MEMORY(VC_CHANNELS, VC_RATE_RATIO) / sizeof(int64_t) + 1];
+    vc_dac dac;
     vc_capture captures[2]; /* by enum vc_tap */
 
     const vc_actuator *actuator;
     vc_dac_sink sink;
     void *sink_context;
 } vc_playback;
+
+/* The highest rate of a stream for a DAC. */
+uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator);
 
 /* Sets up a stream. `coding`: as vc_coding_check takes it, its configuration that of the header. Returns 0, or the
  * refusal's code; then nothing has changed. What was set up before must have stopped. */

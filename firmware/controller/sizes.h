@@ -2,7 +2,7 @@
 #ifndef VIBROCAST_SIZES_H
 #define VIBROCAST_SIZES_H
 
-#include "common.h"
+#include "output_memory.h"
 
 /* Channels of a stream. VC_MAX_CHANNELS bounds them too, and is what decoders set memory aside for. */
 #ifndef VC_CHANNELS
@@ -42,12 +42,9 @@
 #define VC_OUTGOING_BYTES (4 * VC_MAXIMUM_PAYLOAD_BYTES)
 #endif
 
-/* The drive and the DAC of a stream (core/output.h). */
-#ifndef VC_DRIVE_BYTES
-#define VC_DRIVE_BYTES 65536
-#endif
-#ifndef VC_DAC_BYTES
-#define VC_DAC_BYTES 8192
+/* Highest rate of a stream, in rates of the DAC: what the resampler has memory for. */
+#ifndef VC_RATE_RATIO
+#define VC_RATE_RATIO 16
 #endif
 
 #if VC_CHANNELS < 1 || VC_CHANNELS > VC_MAX_CHANNELS
@@ -58,6 +55,9 @@
 #endif
 #if VC_BUFFER_BYTES < 4 * VC_MAXIMUM_PACKET_BYTES
 #error "VC_BUFFER_BYTES: room for four of the longest packets, or a host is kept waiting"
+#endif
+#if VC_RATE_RATIO < 1 || VC_RATE_RATIO > VC_RESAMPLER_MAX_RATIO
+#error "VC_RATE_RATIO: 1 to VC_RESAMPLER_MAX_RATIO"
 #endif
 
 #endif

@@ -25,9 +25,14 @@ from device_protocol.messages import (
 )
 from simulated_device.actuator import Codes
 from simulated_device.controller import Controller, Settings
+from simulated_device.firmware import Firmware
 from simulated_device.flash import FlashMemory
 
 RATE_HZ = 2800
+
+Kind = type[Controller] | type[Firmware]
+SMALL = Settings(channels=2, buffer_samples=4096, capture_samples=2048)
+"""The sizes of a small board, which the firmware is compiled for once."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,9 @@ def stream(seconds: float = 1.0, channels: int = 1, unit: str = "um") -> Stream:
 
 @dataclass
 class Bench:
-    """A controller under test. `codes`: all that went to its DAC."""
+    """A controller of a kind under test. `codes`: all that went to its DAC."""
 
+    kind: Kind
     settings: Settings = field(default_factory=Settings)
     flash: FlashMemory | None = None
     now_us: int = 0
@@ -66,7 +72,7 @@ class Bench:
     notified: list[Message] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.controller = Controller(self.settings, self.flash, self.codes.append)
+        self.controller = self.kind(self.settings, self.flash, self.codes.append)
         self._reader = FrameReader()
 
     def ask(self, message: Message) -> Message:

@@ -1,0 +1,14 @@
+"""The controllers that the tests of one are run on."""
+
+import pytest
+
+from simulated_device.controller import Controller
+from simulated_device.firmware import Firmware
+from tests.simulated_device.bench import Kind
+
+
+@pytest.fixture(scope="session", params=[Controller, Firmware])
+def kind(request: pytest.FixtureRequest) -> Kind:
+    """The simulated controller, and the firmware in C."""
+    chosen: Kind = request.param
+    return chosen
