@@ -7,28 +7,38 @@ enum { MDCT = 1, DCT = 2, SLP = 3, EVA = 4 };
 
 const vc_codec_description vc_codecs[VC_CODECS] = {{MDCT, "mdct"}, {DCT, "dct"}, {SLP, "slp"}, {EVA, "eva"}};
 
-const char *vc_tables_check(uint8_t codec, const uint8_t *tables, size_t length)
+/* Returns 0 if a codec's decoder takes the payload of a model image; else refuses with `code`. */
+static int check_tables(uint8_t codec, const uint8_t *tables, size_t length, enum vc_error_code code,
+                        vc_refusal *refusal)
 {
     vc_eva_model model;
     switch (codec) {
     case MDCT:
-        return vc_model_check_tables(tables, length) == VC_OK ? NULL
-                                                              : "tables of the wrong size for mdct: export them again";
+        return vc_model_check_tables(tables, length) == VC_OK
+                   ? 0
+                   : vc_refuse(refusal, code, "tables of the wrong size for mdct: export them again");
     case EVA:
         if (length > 0 && tables[0] != EVA_LAYOUT_VERSION)
-            return "a model image of EVA with another layout than 1: update the older of host and controller";
+            return vc_refuse_numbers(refusal, code,
+                                     "a model image of EVA with layout #; this controller reads layout #", tables[0],
+                                     EVA_LAYOUT_VERSION);
         if (vc_eva_model_read(&model, tables, length) != VC_OK)
-            return "the model image of EVA is damaged; export it again";
-        return model.has_network ? NULL : "the model has no integer network, which this controller needs: export it";
-    case DCT:
-    case SLP:
-        return "this codec takes no model image";
+            return vc_refuse(refusal, code, "the model image of EVA is damaged; export it again");
+        return model.has_network ? 0
+                                 : vc_refuse(refusal, code,
+                                             "the model has no integer network, the only one that this controller "
+                                             "runs: export it with one");
     default:
-        return "the model image is of a codec that this controller does not have";
+        return vc_refuse_numbers(refusal, code, "codec # takes no model image on this controller", codec, 0);
     }
 }
 
-const char *vc_coding_check(const vc_coding *coding, vc_packet_shape *shape)
+int vc_tables_check(uint8_t codec, const uint8_t *tables, size_t length, vc_refusal *refusal)
+{
+    return check_tables(codec, tables, length, VC_IMAGE_REFUSED, refusal);
+}
+
+int vc_coding_check(vc_coding *coding, vc_refusal *refusal)
 {
     union {
         vc_mdct_configuration mdct;
@@ -39,45 +49,48 @@ const char *vc_coding_check(const vc_coding *coding, vc_packet_shape *shape)
     vc_eva_model model;
     const uint8_t *bytes = coding->configuration;
     const size_t length = coding->configuration_length;
-    const char *refusal =
-        coding->tables != NULL ? vc_tables_check(coding->codec, coding->tables, coding->tables_length) : NULL;
-    int status = VC_BAD_CONFIGURATION;
-    if (refusal != NULL)
-        return refusal;
-    shape->delay_samples = 0;
+    int status;
+    if (coding->tables != NULL &&
+        check_tables(coding->codec, coding->tables, coding->tables_length, VC_UNKNOWN_CODEC, refusal))
+        return VC_UNKNOWN_CODEC;
+    coding->delay_samples = 0;
     switch (coding->codec) {
     case MDCT:
         status = vc_configuration_read(&read.mdct, bytes, length, coding->channels);
         if (status == VC_OK) {
-            shape->packet_samples = read.mdct.packet_blocks * read.mdct.hop;
-            shape->delay_samples = read.mdct.hop;
+            coding->packet_samples = read.mdct.packet_blocks * read.mdct.hop;
+            coding->delay_samples = read.mdct.hop;
         }
         break;
     case DCT:
         status = vc_dct_configuration_read(&read.dct, bytes, length, coding->channels);
         if (status == VC_OK)
-            shape->packet_samples = read.dct.packet_blocks * read.dct.block;
+            coding->packet_samples = read.dct.packet_blocks * read.dct.block;
         break;
     case SLP:
         status = vc_slp_configuration_read(&read.slp, bytes, length, coding->channels);
         if (status == VC_OK)
-            shape->packet_samples = read.slp.packet_frames * read.slp.frame;
+            coding->packet_samples = read.slp.packet_frames * read.slp.frame;
         break;
     case EVA:
         if (coding->tables == NULL)
-            return "the codec eva needs a model: the stream has to name the model image that runs here";
+            return vc_refuse(refusal, VC_UNKNOWN_CODEC,
+                             "the codec eva needs a model: flash the model image that the stream was coded for");
         status = vc_eva_model_read(&model, coding->tables, coding->tables_length);
         if (status == VC_OK)
             status = vc_eva_configuration_read(&read.eva, &model, bytes, length, coding->channels);
         if (status == VC_OK) {
-            shape->packet_samples = read.eva.packet_columns * VC_EVA_HOP;
-            shape->delay_samples = VC_EVA_DELAY;
+            coding->packet_samples = read.eva.packet_columns * VC_EVA_HOP;
+            coding->delay_samples = VC_EVA_DELAY;
         }
         break;
     default:
-        return "the stream is of a codec that this controller does not have";
+        return vc_refuse_numbers(refusal, VC_UNKNOWN_CODEC, "codec # is needed, which this controller does not have",
+                                 coding->codec, 0);
     }
-    return status == VC_OK ? NULL : "the codec configuration is damaged or of another version";
+    return status == VC_OK
+               ? 0
+               : vc_refuse(refusal, VC_UNKNOWN_CODEC, "the codec configuration is damaged or of another version");
 }
 
 void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding)

@@ -19,12 +19,9 @@ typedef struct {
     size_t configuration_length;
     const uint8_t *tables;
     size_t tables_length;
-} vc_coding;
-
-/* Samples per channel in each packet, and by which the output lags the input. */
-typedef struct {
+    /* What vc_coding_check finds: samples per channel in each packet, and by which the output lags the input. */
     uint32_t packet_samples, delay_samples;
-} vc_packet_shape;
+} vc_coding;
 
 typedef struct {
     uint8_t codec;
@@ -36,11 +33,13 @@ typedef struct {
     } of;
 } vc_decoder;
 
-/* Returns NULL if the stream can be decoded, and what its packets are; otherwise the reason why not. */
-const char *vc_coding_check(const vc_coding *coding, vc_packet_shape *shape);
+/* Finds what the packets of a stream are. Returns 0, or the refusal's code, VC_UNKNOWN_CODEC, where it cannot be
+ * decoded. Any bytes are safe. */
+int vc_coding_check(vc_coding *coding, vc_refusal *refusal);
 
-/* Returns NULL if a codec's decoder takes the payload of a model image, otherwise the reason why not. */
-const char *vc_tables_check(uint8_t codec, const uint8_t *tables, size_t length);
+/* Returns 0 if a codec's decoder takes the payload of a model image, or the refusal's code, VC_IMAGE_REFUSED. Any bytes
+ * are safe. */
+int vc_tables_check(uint8_t codec, const uint8_t *tables, size_t length, vc_refusal *refusal);
 
 /* Makes a fresh decoder of what vc_coding_check has passed. */
 void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding);

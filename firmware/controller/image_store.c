@@ -296,14 +296,11 @@ int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_fl
 static int check_image(vc_image_store *store, unsigned number, vc_refusal *refusal)
 {
     const vc_model_image *image = &store->images[number];
-    const char *reason;
     int refused = look_at_image(store, number, refusal);
     if (!refused)
         refused = wrong_hardware(store, image->hardware, VC_IMAGE_REFUSED, refusal);
-    if (!refused) {
-        reason = store->check(image->codec, image->payload.bytes, image->payload.length);
-        refused = reason == NULL ? 0 : vc_refuse(refusal, VC_IMAGE_REFUSED, reason);
-    }
+    if (!refused)
+        refused = store->check(image->codec, image->payload.bytes, image->payload.length, refusal);
     return refused;
 }
 

@@ -12,8 +12,8 @@
 #define VC_SLOTS 2
 
 /* cffi: begin */
-/* Says whether a codec can use the payload of an image: NULL, or the reason why not, for a person. */
-typedef const char *(*vc_payload_check)(uint8_t codec, const uint8_t *payload, size_t length);
+/* Says whether a codec can use the payload of an image: returns 0, or the refusal's code, VC_IMAGE_REFUSED. */
+typedef int (*vc_payload_check)(uint8_t codec, const uint8_t *payload, size_t length, vc_refusal *refusal);
 
 /* What the record says of a slot. */
 typedef struct {

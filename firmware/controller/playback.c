@@ -73,17 +73,17 @@ void vc_playback_captured(const vc_playback *playback, enum vc_tap tap, uint64_t
 
 /* Decoded samples of one iteration up to the recording's end, behind which comes only padding; NO_END for a stream of
  * unknown length. */
-static uint64_t recording_end(const vc_stream_header *header, const vc_packet_shape *shape)
+static uint64_t recording_end(const vc_stream_header *header, const vc_coding *coding)
 {
-    return header->samples == VC_LENGTH_UNKNOWN ? NO_END : shape->delay_samples + header->samples;
+    return header->samples == VC_LENGTH_UNKNOWN ? NO_END : coding->delay_samples + header->samples;
 }
 
-static int refuse_short_iterations(const vc_stream_header *header, const vc_packet_shape *shape, uint32_t packets,
+static int refuse_short_iterations(const vc_stream_header *header, const vc_coding *coding, uint32_t packets,
                                    vc_refusal *refusal)
 {
-    const uint64_t decoded = (uint64_t)packets * shape->packet_samples;
-    const uint64_t end = least(decoded, recording_end(header, shape));
-    const uint64_t played = end - least(end, shape->delay_samples);
+    const uint64_t decoded = (uint64_t)packets * coding->packet_samples;
+    const uint64_t end = least(decoded, recording_end(header, coding));
+    const uint64_t played = end - least(end, coding->delay_samples);
     if (packets == 0)
         return vc_refuse(refusal, VC_BAD_VALUE, "a live stream cannot loop");
     if (played * 1000 < (uint64_t)SHORTEST_ITERATION_MS * header->output.rate_hz ||
@@ -95,10 +95,10 @@ static int refuse_short_iterations(const vc_stream_header *header, const vc_pack
     return 0;
 }
 
-/* Packets of this shape that the buffer's samples have room for. */
-static uint32_t buffer_packets_of(const vc_packet_shape *shape)
+/* Packets of a stream that the buffer's samples have room for. */
+static uint32_t buffer_packets_of(const vc_coding *coding)
 {
-    return (uint32_t)least(VC_BUFFER_PACKETS, VC_BUFFER_SAMPLES / shape->packet_samples);
+    return (uint32_t)least(VC_BUFFER_PACKETS, VC_BUFFER_SAMPLES / coding->packet_samples);
 }
 
 uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator)
@@ -106,13 +106,11 @@ uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator)
     return (uint32_t)least(VC_MAXIMUM_RATE_HZ, (uint64_t)VC_RATE_RATIO * actuator->dac_rate_hz);
 }
 
-int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
+int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
                       const vc_actuator *actuator, vc_refusal *refusal)
 {
     const vc_output_stream *output = &header->output;
     const uint32_t maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
-    vc_packet_shape shape;
-    const char *reason;
     uint64_t end, room;
     if (configure->packets > 0 && configure->first_packet >= configure->packets)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
@@ -123,27 +121,26 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
     if (output->rate_hz < VC_MINIMUM_RATE_HZ || output->rate_hz > maximum_rate_hz)
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "a rate outside # to # Hz: resample first",
                                  VC_MINIMUM_RATE_HZ, maximum_rate_hz);
-    reason = vc_coding_check(coding, &shape);
-    if (reason != NULL)
-        return vc_refuse(refusal, VC_UNKNOWN_CODEC, reason);
+    if (vc_coding_check(coding, refusal))
+        return refusal->code;
     if (vc_drive_size(actuator, output) == 0)
         return vc_refuse(refusal, VC_BEYOND_LIMITS, "the output cannot play a stream of this kind");
-    end = recording_end(header, &shape);
-    if (end != NO_END && (uint64_t)configure->packets * shape.packet_samples >= end + 2 * shape.packet_samples)
+    end = recording_end(header, coding);
+    if (end != NO_END && (uint64_t)configure->packets * coding->packet_samples >= end + 2 * coding->packet_samples)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE,
                                  "# packets are too many for the # samples that the stream header announces",
                                  configure->packets, header->samples);
-    if (shape.packet_samples > VC_PACKET_SAMPLES)
+    if (coding->packet_samples > VC_PACKET_SAMPLES)
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
                                  "packets of # samples; here they have at most #: encode with shorter packets",
-                                 shape.packet_samples, VC_PACKET_SAMPLES);
-    room = (uint64_t)buffer_packets_of(&shape) * shape.packet_samples;
+                                 coding->packet_samples, VC_PACKET_SAMPLES);
+    room = (uint64_t)buffer_packets_of(coding) * coding->packet_samples;
     if (room == 0 || configure->prebuffer_samples > room)
         return vc_refuse_numbers(
             refusal, VC_BEYOND_LIMITS,
             "a prebuffer of # samples; the buffer has room for # samples in packets of this stream",
             configure->prebuffer_samples, room);
-    return configure->loops == 1 ? 0 : refuse_short_iterations(header, &shape, configure->packets, refusal);
+    return configure->loops == 1 ? 0 : refuse_short_iterations(header, coding, configure->packets, refusal);
 }
 
 static vc_drive *drive_of(vc_playback *playback)
@@ -163,17 +160,16 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     playback->header = *header;
     playback->coding = *coding;
     playback->coding.configuration = playback->header.configuration;
-    (void)vc_coding_check(&playback->coding, &playback->shape);
     playback->stream = configure->stream;
     playback->live = playback->open = configure->packets == 0;
     playback->packets = configure->packets;
     playback->loops = configure->loops;
     playback->prebuffer_samples = configure->prebuffer_samples;
-    playback->buffer_packets = buffer_packets_of(&playback->shape);
+    playback->buffer_packets = buffer_packets_of(&playback->coding);
 
     playback->state = VC_STATE_BUFFERING;
     playback->next = playback->newest_end = configure->first_packet;
-    playback->position = playback->next * playback->shape.packet_samples;
+    playback->position = playback->next * playback->coding.packet_samples;
     playback->start_us = playback->waiting_since_us = playback->rest_from_us = 0;
     playback->clock_from_us = playback->clock_samples = 0;
     playback->starved = 0;
@@ -187,8 +183,8 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     playback->drive_at = playback->drive_end = 0;
     playback->ramping = 0;
     (void)vc_drive_init(drive_of(playback), playback->actuator, &playback->header.output, configure->compensation,
-                        playback->shape.delay_samples);
-    hold_samples = vc_drive_samples(drive_of(playback), playback->shape.delay_samples);
+                        playback->coding.delay_samples);
+    hold_samples = vc_drive_samples(drive_of(playback), playback->coding.delay_samples);
     vc_dac_init(&playback->dac, playback->actuator, &playback->header.output, configure->gain_float_bits,
                 configure->compensation, hold_samples);
     playback->captures[VC_TAP_DECODED].end = playback->captures[VC_TAP_DECODED].at = 0;
@@ -218,7 +214,7 @@ static uint64_t credit_of(const vc_playback *playback)
 uint32_t vc_playback_room_samples(const vc_playback *playback)
 {
     return (uint32_t)least(playback->buffer_packets, VC_BUFFER_BYTES / VC_MAXIMUM_PACKET_BYTES) *
-           playback->shape.packet_samples;
+           playback->coding.packet_samples;
 }
 
 void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us)
@@ -279,7 +275,8 @@ void vc_playback_stop(vc_playback *playback, enum vc_state state)
 int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_refusal *refusal)
 {
     const uint32_t packets = playback->live ? 0 : playback->packets;
-    const int refused = loops == 1 ? 0 : refuse_short_iterations(&playback->header, &playback->shape, packets, refusal);
+    const int refused =
+        loops == 1 ? 0 : refuse_short_iterations(&playback->header, &playback->coding, packets, refusal);
     if (!refused)
         playback->loops = loops;
     return refused;
@@ -301,11 +298,11 @@ void vc_playback_end_live(vc_playback *playback, uint32_t packets)
 /* Decodes the next packet, or conceals its loss; what is to be played of it waits for the drive. */
 static void decode_next(vc_playback *playback)
 {
-    const vc_packet_shape *shape = &playback->shape;
+    const vc_coding *coding = &playback->coding;
     const uint64_t number = playback->next++;
     const uint64_t iteration = playback->open ? 0 : number / playback->packets;
-    const uint64_t before = (number - iteration * playback->packets) * shape->packet_samples;
-    const uint64_t end = playback->live ? NO_END : recording_end(&playback->header, shape);
+    const uint64_t before = (number - iteration * playback->packets) * coding->packet_samples;
+    const uint64_t end = playback->live ? NO_END : recording_end(&playback->header, coding);
     size_t length;
     const uint8_t *packet;
     int starved;
@@ -323,13 +320,13 @@ static void decode_next(vc_playback *playback)
         vc_decoder_conceal(&playback->decoder, playback->decoded);
     }
     vc_packet_buffer_remove(&playback->buffer, number);
-    capture(&playback->captures[VC_TAP_DECODED], playback->decoded, shape->packet_samples,
+    capture(&playback->captures[VC_TAP_DECODED], playback->decoded, coding->packet_samples,
             playback->header.output.channels);
     /* Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording. */
     playback->decoded_at = 0;
-    if (iteration > 0 && before < shape->delay_samples)
-        playback->decoded_at = (uint32_t)least(shape->delay_samples - before, shape->packet_samples);
-    playback->decoded_end = (uint32_t)least(end - least(end, before), shape->packet_samples);
+    if (iteration > 0 && before < coding->delay_samples)
+        playback->decoded_at = (uint32_t)least(coding->delay_samples - before, coding->packet_samples);
+    playback->decoded_end = (uint32_t)least(end - least(end, before), coding->packet_samples);
     if (playback->decoded_end < playback->decoded_at)
         playback->decoded_end = playback->decoded_at;
     playback->decoded_for_drive += playback->decoded_end - playback->decoded_at;
@@ -372,7 +369,7 @@ static uint32_t pending_samples(const vc_playback *playback)
 
 static void begin_if_ready(vc_playback *playback, uint64_t time_us)
 {
-    const uint64_t buffered = (playback->newest_end - playback->next) * playback->shape.packet_samples;
+    const uint64_t buffered = (playback->newest_end - playback->next) * playback->coding.packet_samples;
     const int full = credit_of(playback) - playback->next == playback->buffer.count;
     if (buffered < playback->prebuffer_samples && playback->newest_end != end_of(playback) && !full &&
         time_us - playback->waiting_since_us <= LONGEST_WAIT_US) {
@@ -462,7 +459,7 @@ uint64_t vc_playback_free_us(const vc_playback *playback)
 
 void vc_playback_report(vc_playback *playback, vc_status_report *status)
 {
-    const uint32_t pending = pending_samples(playback), packet_samples = playback->shape.packet_samples;
+    const uint32_t pending = pending_samples(playback), packet_samples = playback->coding.packet_samples;
     if (playback->next * packet_samples > playback->position + pending)
         playback->position = playback->next * packet_samples - pending;
     status->state = (uint8_t)playback->state;

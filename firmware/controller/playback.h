@@ -30,7 +30,6 @@ typedef struct {
     /* The stream. */
     vc_stream_header header;
     vc_coding coding; /* points into the header, and into a model image in flash */
-    vc_packet_shape shape;
     uint8_t stream;
     uint8_t live;
     uint8_t open; /* a live stream whose end has not been said */
@@ -72,11 +71,12 @@ typedef struct {
 /* The highest rate of a stream for a DAC. */
 uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator);
 
-/* Sets up a stream. `coding`: as vc_coding_check takes it, its configuration that of the header. Returns 0, or the
- * refusal's code; then nothing has changed. What was set up before must have stopped. */
-int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
+/* Says whether a stream can be played: returns 0, or the refusal's code. `coding`: of the header's codec and
+ * configuration; what its packets are is filled in. */
+int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
                       const vc_actuator *actuator, vc_refusal *refusal);
-/* Sets up what vc_playback_check has passed. Captures and sink stay. */
+/* Sets up what vc_playback_check has passed, in the place of what has stopped. `actuator`, `sink` and `sink_context`
+ * stay. */
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding);
 

@@ -23,7 +23,7 @@ class CImageStore:
         self._slot_bytes = (len(flash) // sector_bytes - 2) // SLOTS * sector_bytes
         self._erase = ffi.callback("int(void *, uint32_t, uint32_t)", self._on_erase)
         self._program = ffi.callback("int(void *, uint32_t, const uint8_t *, uint32_t)", self._on_program)
-        self._check = ffi.callback("const char *(uint8_t, const uint8_t *, size_t)", self._on_check)
+        self._check = ffi.callback("int(uint8_t, const uint8_t *, size_t, vc_refusal *)", self._on_check)
         self._flash = ffi.new("vc_flash *")
         self._flash.base = ffi.cast("const uint8_t *", self._contents)
         self._flash.record, self._flash.record_bytes = [0, sector_bytes], sector_bytes
@@ -31,7 +31,6 @@ class CImageStore:
         self._flash.slot_bytes = self._slot_bytes
         self._flash.erase, self._flash.program = self._erase, self._program
         self._hardware = ffi.new("char[]", hardware.encode())
-        self._reason: Any = None
         self._store, self._refusal = ffi.new("vc_image_store *"), ffi.new("vc_refusal *")
         self._report = ffi.new("vc_flash_report *")
         native.vc_image_store_boot(self._store, self._flash, self._hardware, self._check)
@@ -108,10 +107,9 @@ class CImageStore:
                 return 0
         return 1
 
-    def _on_check(self, codec_identifier: int, payload: Any, length: int) -> Any:
+    def _on_check(self, codec_identifier: int, payload: Any, length: int, refusal: Any) -> int:
         try:
             self._check_payload(codec_identifier, bytes(ffi.buffer(payload, length)))
         except CodecError as error:
-            self._reason = ffi.new("char[]", str(error).encode())
-            return self._reason
-        return ffi.NULL
+            return int(native.vc_refuse(refusal, ErrorCode.IMAGE_REFUSED, ffi.new("char[]", str(error).encode())))
+        return 0

@@ -1,4 +1,7 @@
-"""The learned codec on the simulated controller: either runtime, and images that it cannot use."""
+"""The learned codec on the controllers: either runtime of the simulated one, and images that they cannot use.
+
+The firmware runs models in integers only: what asks for ONNX Runtime is of the simulated controller.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +13,8 @@ import torch
 import codec
 import models
 import textures
-from codec.eva_image import EvaImage
+from codec import eva
+from codec.eva_image import EvaImage, with_runtime
 from device_protocol.messages import SlotState
 from device_protocol.model_image import ModelImage
 from export.eva import Eva, EvaShape
@@ -20,12 +24,14 @@ from host.controller import Controller as Host
 from host.controller import ControllerError
 from host.flasher import flash, running
 from simulated_device.controller import Controller, Settings
+from simulated_device.firmware import Firmware
 from simulated_device.memory_link import MemoryLink
 from tests.export import tiny
+from tests.simulated_device.bench import Kind
 
 
-def session(runtime: str | None = None) -> Host:
-    link = MemoryLink(Controller(Settings(runtime=runtime)))
+def session(runtime: str | None = None, kind: Kind = Controller) -> Host:
+    link = MemoryLink(kind(Settings(runtime=runtime)))
     return Host(link, link.clock, link.sleep)
 
 
@@ -43,12 +49,25 @@ def played(host: Host, stream: coding.Stream) -> codec.Decoded:
     return result.decoded
 
 
-@pytest.mark.parametrize("runtime", [None, "core", "onnx"])
-def test_a_stream_decodes_as_offline_by_either_runtime(runtime: str | None) -> None:
-    model, host = tiny.model(), session(runtime)
+@pytest.mark.parametrize(
+    ("kind", "runtime"), [(Controller, None), (Controller, "core"), (Controller, "onnx"), (Firmware, None)]
+)
+def test_a_stream_decodes_as_offline_by_either_runtime(kind: Kind, runtime: str | None) -> None:
+    model, host = tiny.model(), session(runtime, kind)
     flash(host, model.image)
     stream = streamed(model, channels=2)
     np.testing.assert_array_equal(played(host, stream), replace(stream, runtime=runtime).decode_integers())
+
+
+def test_the_firmware_runs_what_prefers_onnx_in_integers_and_refuses_what_has_none() -> None:
+    tables = with_runtime(tiny.model().tables, "onnx")
+    model = replace(tiny.model(), image=ModelImage(eva.IDENTIFIER, "both", "1", "", tables).pack())
+    host = session(kind=Firmware)
+    flash(host, model.image)
+    stream = streamed(model)
+    np.testing.assert_array_equal(played(host, stream), replace(stream, runtime="core").decode_integers())
+    with pytest.raises(ControllerError, match="no integer network"):
+        flash(host, tiny.model("onnx").image)
 
 
 def test_the_image_chooses_the_runtime_and_the_setting_overrules_it() -> None:
@@ -102,16 +121,22 @@ BAD_PAYLOADS: dict[str, tuple[Callable[[], bytes], str]] = {
         lambda: damaged(lambda payload: payload.__setitem__(slice(10, 12), b"\xff\xff")),
         "damaged",
     ),
+}
+# What the firmware never looks at.
+BAD_GRAPHS: dict[str, tuple[Callable[[], bytes], str]] = {
     "no graph at all": (lambda: with_graph(b"not ONNX"), "no ONNX graph"),
     "the analysis": (lambda: with_graph(tiny.model().analysis), "in place of latents and signal"),
     "a graph of other latents": (lambda: with_graph(graph_of(24)), "ONNX graph"),
 }
 
 
-@pytest.mark.parametrize("kind", BAD_PAYLOADS)
-def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(kind: str) -> None:
-    payload, reason = BAD_PAYLOADS[kind]
-    model, host = tiny.model(), session()
+@pytest.mark.parametrize(
+    ("kind", "flaw"),
+    [*((Controller, flaw) for flaw in BAD_PAYLOADS | BAD_GRAPHS), *((Firmware, flaw) for flaw in BAD_PAYLOADS)],
+)
+def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(kind: Kind, flaw: str) -> None:
+    payload, reason = (BAD_PAYLOADS | BAD_GRAPHS)[flaw]
+    model, host = tiny.model(), session(kind=kind)
     flash(host, model.image)
     bad = ModelImage(model.codec_identifier, "bad", "1", "", payload()).pack()
     with pytest.raises(ControllerError, match=reason):
