@@ -74,8 +74,9 @@ TARGETS: Mapping[str, Target] = {"native": _NATIVE}
 def build(name: str, limits: Mapping[str, int] | None = None) -> Path:
     """Build a target of TARGETS, unless it is there already, and return its file.
 
-    `limits`: further sizes of controller/sizes.h to set. A library's declarations for cffi lie beside it, with the suffix ".cdef". What is built is kept in firmware/build,
-    or in the user's cache where that cannot be written, by a hash of all that it is made from. Raises BuildError.
+    `limits`: further sizes of controller/sizes.h. A library's declarations for cffi lie beside it, with the suffix
+    ".cdef". What is built is kept in firmware/build, or in the user's cache where that cannot be written, by a hash of
+    all that it is made from. Raises BuildError.
     """
     target = TARGETS[name]
     target = replace(target, limits={**target.limits, **(limits or {})})

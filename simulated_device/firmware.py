@@ -10,6 +10,7 @@ from cffi import FFI
 
 from firmware.build import build
 from simulated_device.actuator import Codes
+from simulated_device.actuator_tables import constants
 from simulated_device.controller import FLASH_BYTES, Settings
 from simulated_device.flash import SLOTS, FlashMemory
 
@@ -52,10 +53,10 @@ class Firmware:
         self._flash = _FlashPort(ffi, flash or FlashMemory(FLASH_BYTES), self._raised)
         self._sink = ffi.callback("vc_dac_sink", _sink(ffi, on_dac, self._raised))
         self._texts = [ffi.new("char[]", text.encode()) for text in (BUILD, self.settings.hardware)]
-        self._actuator = actuator_constants(ffi, self.settings.actuator)
+        self._actuator = ffi.new("vc_actuator *", constants(self.settings.actuator))
         self._settings = ffi.new(
             "vc_controller_settings *",
-            (*self._texts, ffi.cast("vc_actuator *", self._actuator), self.settings.watchdog_ms),
+            (*self._texts, self._actuator, self.settings.watchdog_ms),
         )
         self._memory = np.zeros(-(-self._library.vc_controller_size() // 8), np.int64)
         self._controller = ffi.cast("vc_controller *", self._memory.ctypes.data)
@@ -150,21 +151,3 @@ class _FlashPort:
                 "program": program_callback,
             },
         )
-
-
-def actuator_constants(ffi, actuator):  # SCRATCH
-    import struct, math
-
-    c = ffi.new("vc_actuator *")
-    c.name = actuator.name.encode()
-    bits = lambda x: struct.unpack("<I", struct.pack("<f", x))[0]
-    c.stroke_um, c.volts = bits(actuator.stroke_um), bits(actuator.volts)
-    c.lower_hz, c.upper_hz = map(bits, actuator.band_hz)
-    c.slew_volts_per_second = bits(actuator.slew_volts_per_second)
-    c.dac_rate_hz, c.dac_bits = actuator.dac_rate_hz, actuator.dac_bits
-    m, e = math.frexp(actuator.full_scale / actuator.excursion_um)
-    c.codes_per_um_mantissa, c.codes_per_um_exponent = int(m * 2**31), e - 31
-    c.code_limit, c.code_step_limit = actuator.code_limit, actuator.code_step_limit
-    c.power_limit = int(actuator.power_limit * 2**30)
-    c.compensation = (1 << 27, 1 << 27, 1 << 29, [1 << 26] * 4)
-    return c

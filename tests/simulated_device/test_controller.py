@@ -882,10 +882,10 @@ def test_every_request_is_answered(kind: Kind) -> None:
     examples = {Hello: Hello(), StatusRequest: StatusRequest(), Stop: Stop()}
     bench = Bench(kind)
     bench.ask(Hello())
-    for kind in REQUESTS:
-        if kind in examples:
-            assert not isinstance(bench.ask(examples[kind]), Error)
+    for request in REQUESTS:
+        if request in examples:
+            assert not isinstance(bench.ask(examples[request]), Error)
         else:
-            (answer,) = bench.send_payload(bytes([kind.TYPE]) + (bench.sequence + 1).to_bytes(2, "little"))
+            (answer,) = bench.send_payload(bytes([request.TYPE]) + (bench.sequence + 1).to_bytes(2, "little"))
             bench.sequence += 1
             assert isinstance(answer[1], Error)
