@@ -35,6 +35,7 @@ void vc_golomb_encode(vc_range_coder *coder, uint32_t value);
 uint32_t vc_golomb_decode(vc_range_coder *coder);
 
 extern const int32_t vc_cosine[1024]; /* cos(2 pi i / 1024) in 1/2^24 */
+extern const uint8_t vc_root[192];    /* sqrt(256 (i + 64.5)), 255 at most */
 
 /* Largest signal value, in 1/256 of a sample's least significant bit; only hostile streams come near. */
 #define VC_MAX_VALUE (1 << 30)
@@ -67,7 +68,8 @@ static inline int32_t vc_weighted(int32_t value, int32_t weight)
 /* The sample of a signal value in 1/256 of its least significant bit. */
 static inline int16_t vc_rounded_sample(int64_t value)
 {
-    int64_t sample = (value + (value < 0 ? -128 : 128)) / 256;
+    const int32_t limited = vc_limited(value); /* far beyond what a sample holds */
+    const int32_t sample = (limited + (limited < 0 ? -128 : 128)) / 256;
     return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
 }
 

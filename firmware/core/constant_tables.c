@@ -1,6 +1,5 @@
 /* Mathematical tables; written by generate_tables.py. */
 #include "dct_model.h"
-#include "eva_kernels.h"
 #include "mdct.h"
 #include "output_memory.h"
 #include "slp_frame.h"

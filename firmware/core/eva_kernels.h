@@ -1,4 +1,5 @@
-/* The inner loops of EVA's synthesis, apart so that a processor's own instructions can take their place.
+/* The inner loops of EVA's synthesis: in portable C (eva_kernels.c), and with the DSP instructions of a Cortex-M4, M7
+ * or M33 (eva_kernels_dsp.c), of which a build has one. Both give the same integers.
  *
  * Activations are 16-bit integers within +-32767; no sum here can overflow for layers of at most 128 channels. */
 #ifndef VIBROCAST_EVA_KERNELS_H
@@ -6,6 +7,15 @@
 
 #include <stddef.h>
 #include <stdint.h>
+
+/* VC_PORTABLE: defined for a build in portable C where the instructions are there. */
+#if defined __ARM_FEATURE_SIMD32 && !defined VC_PORTABLE
+#define VC_DSP
+#endif
+
+#define VC_EVA_MAX_ACTIVATION 32767
+#define VC_EVA_MAX_ENERGY ((1u << 30) - 1)
+#define VC_EVA_ENERGY_SHIFT 24
 
 /* sums[column * rows + row] = sum over i < length of weights[row * length + i] * inputs[column * stride + i];
  * length <= 384. */
@@ -18,18 +28,10 @@ void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, cons
 unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squares);
 
 /* Inverse GDN of columns: values * sqrt(constants + sums * multipliers / 2^(24 + 2 doubled)) / 2^shift, where `sums`
- * are the weighted sums of a column's squares, and `doubled` goes with them. The root is that of at most 2^30 - 1,
- * rounded down. */
+ * are the weighted sums of a column's squares, and `doubled` goes with them; `constants`: VC_EVA_MAX_ENERGY at most.
+ * The root is that of at most VC_EVA_MAX_ENERGY, rounded down. */
 void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
                       const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants, unsigned shift,
                       int16_t *normalised);
-
-/* scaled[i] = sums[i] * multipliers[i] / 2^32, within +-32767. */
-void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled);
-
-extern const uint8_t vc_root[192]; /* sqrt(256 (i + 64.5)), 255 at most */
-
-/* value * multiplier / 2^32, to the nearest, half away from zero, within +-limit. */
-int32_t vc_eva_scaled(int32_t value, uint32_t multiplier, uint32_t limit);
 
 #endif

@@ -58,7 +58,7 @@ def table_source(name: str, kind: str, values: Sequence[float]) -> str:
 
 if __name__ == "__main__":
     definitions = "\n".join(table_source(name, kind, values) for name, (kind, values) in TABLES.items())
-    names = ("dct_model", "eva_kernels", "mdct", "output_memory", "slp_frame")
+    names = ("dct_model", "mdct", "output_memory", "slp_frame")
     includes = "".join(f'#include "{name}.h"\n' for name in names)
     head = f"/* Mathematical tables; written by generate_tables.py. */\n{includes}\n"
     Path(__file__).with_name("constant_tables.c").write_text(head + definitions)
