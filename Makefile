@@ -9,7 +9,7 @@ C_SOURCES := $(filter-out %_tables.c,$(wildcard firmware/*/*.[ch] firmware/*/*/*
 CHECKPOINTS ?= trained
 DATA ?= recordings
 
-.PHONY: install play test lint models
+.PHONY: install play test lint fuzz models
 
 install: .venv/installed
 
@@ -34,6 +34,11 @@ lint: .venv/installed-for-tests
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
+
+# Looks for bytes that the firmware does not take; needs clang.
+FUZZ_SECONDS ?= 60
+fuzz: .venv/installed-for-tests
+	$(BIN)/python -m tests.firmware.fuzzing --seconds $(FUZZ_SECONDS)
 
 # All but the largest image hold the ONNX graph as well, so that a controller can choose.
 models: .venv/installed-for-tests

@@ -1,0 +1,147 @@
+/* Target: the image store over a flash with any contents, and requests to it. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "crc.h"
+#include "image_store.h"
+#include "targets.h"
+
+enum { PIECE_BYTES = 256, SLOT_BYTES = 2048, FLASH_BYTES = 2 * PIECE_BYTES + 2 * SLOT_BYTES, RECORD_BYTES = 84 };
+enum { BEGIN, WRITE, VERIFY, ACTIVATE, CONFIRM, RESTART, REQUESTS };
+
+typedef struct {
+    uint8_t bytes[FLASH_BYTES];
+    unsigned changes_until_cut;
+} flash_memory;
+
+static int takes(flash_memory *memory)
+{
+    return memory->changes_until_cut > 0 && memory->changes_until_cut-- > 0;
+}
+
+static int erase(void *context, uint32_t offset, uint32_t length)
+{
+    flash_memory *memory = context;
+    vc_fuzz_check(offset % PIECE_BYTES == 0 && length % PIECE_BYTES == 0 && offset + length <= FLASH_BYTES,
+                  "erasing what is no piece of the flash");
+    if (!takes(memory))
+        return 1;
+    memset(memory->bytes + offset, 0xFF, length);
+    return 0;
+}
+
+static int program(void *context, uint32_t offset, const uint8_t *data, uint32_t length)
+{
+    flash_memory *memory = context;
+    uint32_t i;
+    vc_fuzz_check(offset <= FLASH_BYTES && length <= FLASH_BYTES - offset, "programming beyond the flash");
+    if (!takes(memory))
+        return 1;
+    for (i = 0; i < length; i++)
+        memory->bytes[offset + i] &= data[i];
+    return 0;
+}
+
+static int check(uint8_t codec, const uint8_t *payload, size_t length, vc_refusal *refusal)
+{
+    return length > 0 && payload[0] == codec ? vc_refuse(refusal, VC_IMAGE_REFUSED, "no tables of this codec") : 0;
+}
+
+static void boot(vc_image_store *store, const vc_flash *flash)
+{
+    vc_image_description description;
+    const vc_model_image *image;
+    unsigned number;
+    vc_image_store_boot(store, flash, "board", check);
+    image = vc_image_store_running(store);
+    vc_fuzz_check((image != NULL) == (vc_image_store_running_sha256(store) != NULL), "an image without its hash");
+    if (image != NULL)
+        vc_fuzz_check(image->payload.bytes >= flash->base && image->payload.length < SLOT_BYTES &&
+                          image->payload.bytes + image->payload.length <= flash->base + FLASH_BYTES,
+                      "an image beyond the flash");
+    for (number = 0; number < VC_SLOTS; number++) {
+        vc_image_store_describe(store, number, &description);
+        vc_fuzz_check(description.state <= VC_SLOT_CONFIRMED && vc_is_utf8(description.name), "no description");
+    }
+}
+
+static void carry_out(vc_image_store *store, const vc_flash *flash, const uint8_t *record, size_t length)
+{
+    unsigned request = record[0] % REQUESTS, slot = record[0] / REQUESTS % (VC_SLOTS + 1);
+    vc_piece rest = {record + 1, length - 1};
+    vc_flash_begin begin = {(uint8_t)slot, 0, NULL, {NULL, 0}};
+    vc_flash_data data = {(uint8_t)slot, 0, {NULL, 0}};
+    vc_flash_report report;
+    vc_refusal refusal;
+    vc_fields fields;
+    uint8_t sha256[VC_SHA256_BYTES];
+    int code = 0;
+    vc_fields_begin(&fields, rest.bytes, rest.length);
+    switch (request) {
+    case BEGIN:
+        /* The rest is the image itself. */
+        vc_sha256(rest.bytes, rest.length, sha256);
+        begin.size_bytes = (uint32_t)rest.length;
+        begin.sha256 = sha256;
+        code = vc_image_store_begin(store, &begin, &report, &refusal);
+        break;
+    case WRITE:
+        data.offset = (uint32_t)vc_take_number(&fields, 2);
+        data.data = fields.rest;
+        if (!fields.cut)
+            code = vc_image_store_write(store, &data, &report, &refusal);
+        break;
+    case VERIFY:
+        code = vc_image_store_verify(store, slot, &report, &refusal);
+        break;
+    case ACTIVATE:
+        code = vc_image_store_activate(store, slot, &report, &refusal);
+        break;
+    case CONFIRM:
+        code = vc_image_store_confirm(store, slot, &report, &refusal);
+        break;
+    default:
+        ((flash_memory *)flash->context)->changes_until_cut = (unsigned)vc_take_number(&fields, 1);
+        boot(store, flash);
+    }
+    if (code != 0)
+        vc_fuzz_check(code == refusal.code && refusal.length > 0, "a refusal without a reason");
+}
+
+void vc_fuzz_flash(const uint8_t *data, size_t length)
+{
+    flash_memory *memory = malloc(sizeof *memory);
+    vc_flash flash = {
+        memory->bytes, {0, PIECE_BYTES}, PIECE_BYTES, {2 * PIECE_BYTES, 2 * PIECE_BYTES + SLOT_BYTES}, SLOT_BYTES,
+        erase,         program,          memory};
+    static const struct {
+        uint32_t offset, room;
+    } parts[] = {{0, RECORD_BYTES},
+                 {PIECE_BYTES, RECORD_BYTES},
+                 {2 * PIECE_BYTES, SLOT_BYTES},
+                 {2 * PIECE_BYTES + SLOT_BYTES, SLOT_BYTES}};
+    vc_image_store *store = malloc(sizeof *store);
+    uint8_t *record;
+    size_t record_length;
+    unsigned part;
+    memset(memory->bytes, 0xFF, sizeof memory->bytes);
+    memory->changes_until_cut = 1000;
+    for (part = 0; part < 4 && vc_fuzz_record(&data, &length, &record, &record_length); part++) {
+        if (record_length > parts[part].room)
+            record_length = parts[part].room;
+        if (record_length > 0)
+            memcpy(memory->bytes + parts[part].offset, record, record_length);
+        free(record);
+    }
+    for (part = 0; part < 2; part++)
+        vc_number_bytes(memory->bytes + parts[part].offset + RECORD_BYTES,
+                        vc_crc32(memory->bytes + parts[part].offset, RECORD_BYTES, 0), 4);
+    boot(store, &flash);
+    while (vc_fuzz_record(&data, &length, &record, &record_length)) {
+        if (record_length > 0)
+            carry_out(store, &flash, record, record_length);
+        free(record);
+    }
+    free(store);
+    free(memory);
+}

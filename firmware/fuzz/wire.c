@@ -1,0 +1,131 @@
+/* Targets: frames, messages, model images. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "crc.h"
+#include "decoders.h"
+#include "messages.h"
+#include "model_image.h"
+#include "stream_header.h"
+#include "targets.h"
+
+static volatile uint8_t seen;
+
+/* Reads all of a piece, for a sanitiser to see. */
+static void touch(vc_piece piece)
+{
+    size_t i;
+    for (i = 0; i < piece.length; i++)
+        seen ^= piece.bytes[i];
+}
+
+static void check_refusal(int code, const vc_refusal *refusal)
+{
+    uint8_t frame[VC_FRAME_BYTES];
+    vc_piece text = {(const uint8_t *)refusal->text, refusal->length};
+    vc_frame_writer writer;
+    vc_fuzz_check(code == refusal->code && code >= VC_UNKNOWN_MESSAGE && code <= VC_FLASH_FAILED, "no error code");
+    vc_fuzz_check(text.length > 0 && vc_is_utf8(text), "an error without a text");
+    vc_frame_begin(&writer, frame, sizeof frame);
+    vc_put_error(&writer, 1, refusal);
+    vc_fuzz_check(vc_frame_end(&writer) > 0, "an error that fits no frame");
+}
+
+static void read_configure(const vc_configure *configure)
+{
+    vc_stream_header header;
+    vc_refusal refusal;
+    int code = vc_stream_header_read(&header, configure->header.bytes, configure->header.length, &refusal);
+    if (code != 0) {
+        check_refusal(code, &refusal);
+        return;
+    }
+    vc_fuzz_check(header.output.channels >= 1 && header.output.channels <= VC_STREAM_MAX_CHANNELS &&
+                      header.output.rate_hz >= 1 && header.output.rate_hz <= VC_STREAM_MAX_RATE_HZ &&
+                      header.output.unit <= 2 && header.codec >= 1 && header.codec <= 15,
+                  "a stream header out of range");
+}
+
+static void read_packets(const vc_stream_data *data)
+{
+    vc_piece packets = data->packets, packet;
+    uint32_t sequence;
+    int refresh;
+    while (vc_next_packet(&packets, &packet)) {
+        touch(packet);
+        (void)vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh);
+    }
+}
+
+void vc_fuzz_messages(const uint8_t *data, size_t length)
+{
+    vc_message message;
+    vc_refusal refusal;
+    int code;
+    if (length > 0 && data[0] >= VC_HELLO_RESPONSE)
+        return;
+    code = vc_message_read(&message, data, length, &refusal);
+    if (code != 0)
+        check_refusal(code, &refusal);
+    else if (message.type == VC_CONFIGURE)
+        read_configure(&message.body.configure);
+    else if (message.type == VC_STREAM_DATA)
+        read_packets(&message.body.stream_data);
+    else if (message.type == VC_FLASH_DATA)
+        touch(message.body.flash_data.data);
+    else if (message.type == VC_FLASH_BEGIN)
+        vc_fuzz_check(vc_is_utf8(message.body.flash_begin.hardware), "a text that is not UTF-8");
+}
+
+void vc_fuzz_frames(const uint8_t *data, size_t length)
+{
+    vc_frame_reader *reader = malloc(vc_frame_reader_size());
+    uint8_t frame[VC_FRAME_BYTES];
+    vc_frame_writer writer;
+    vc_piece payload;
+    size_t at = 0, piece, taken;
+    vc_frame_reader_init(reader);
+    while (at < length) {
+        piece = 1 + data[at] % 64;
+        taken = vc_frame_reader_feed(reader, data + at, piece < length - at ? piece : length - at, &payload);
+        vc_fuzz_check(taken > 0 && payload.length <= VC_MAXIMUM_PAYLOAD_BYTES, "a reader that takes nothing");
+        at += taken;
+        if (payload.length == 0)
+            continue;
+        vc_frame_begin(&writer, frame, sizeof frame);
+        vc_frame_put(&writer, payload.bytes, payload.length);
+        vc_fuzz_check(vc_frame_end(&writer) > 0, "a payload that was read and cannot be written");
+        vc_fuzz_messages(payload.bytes, payload.length);
+    }
+    free(reader);
+}
+
+static void read_image(const uint8_t *data, size_t length)
+{
+    vc_model_image image;
+    vc_refusal refusal;
+    int code = vc_model_image_read(&image, data, length, &refusal);
+    if (code != 0) {
+        check_refusal(code, &refusal);
+        return;
+    }
+    vc_fuzz_check(image.name.length + image.version.length + image.hardware.length + image.payload.length < length,
+                  "an image whose parts are longer than it");
+    touch(image.payload);
+    code = vc_tables_check(image.codec, image.payload.bytes, image.payload.length, &refusal);
+    if (code != 0)
+        check_refusal(code, &refusal);
+}
+
+void vc_fuzz_images(const uint8_t *data, size_t length)
+{
+    uint8_t *mended;
+    read_image(data, length);
+    if (length < 4)
+        return;
+    mended = malloc(length);
+    memcpy(mended, data, length - 4);
+    vc_number_bytes(mended + length - 4, vc_crc32(data, length - 4, 0), 4);
+    read_image(mended, length);
+    free(mended);
+}
