@@ -235,15 +235,15 @@ static int put_capture(vc_controller *controller, const vc_capture_read *read, u
                        vc_frame_writer *writer, vc_refusal *refusal)
 {
     const vc_playback *playback = &controller->playback;
-    const uint8_t channels = playback->header.output.channels;
-    const unsigned room = (VC_MAXIMUM_PAYLOAD_BYTES - VC_CAPTURE_DATA_HEAD_BYTES) / (2u * channels);
     uint64_t offset = read->offset;
     vc_run runs[2];
-    unsigned run;
+    unsigned channels, room, run;
     if (!controller->configured)
         return vc_refuse(refusal, VC_WRONG_STATE, "nothing has been captured yet: configure a stream first");
+    channels = playback->header.output.channels;
+    room = (VC_MAXIMUM_PAYLOAD_BYTES - VC_CAPTURE_DATA_HEAD_BYTES) / (2u * channels);
     vc_playback_captured(playback, read->tap, &offset, read->count < room ? read->count : room, runs);
-    vc_put_capture_data(writer, sequence, read->tap, channels, offset, playback->captures[read->tap].end);
+    vc_put_capture_data(writer, sequence, read->tap, (uint8_t)channels, offset, playback->captures[read->tap].end);
     for (run = 0; run < 2; run++)
         vc_put_samples(writer, runs[run].samples, (size_t)runs[run].count * channels);
     return 0;

@@ -147,9 +147,12 @@ static void take(vc_drive *drive, const int16_t *decoded)
 
 static int32_t kernel(uint32_t position)
 {
-    const int32_t *entry = vc_resampling_kernel + (position >> KERNEL_BITS);
     const int32_t part = (int32_t)(position & ((1u << KERNEL_BITS) - 1));
-    return position > KERNEL_END ? 0 : entry[0] + (((entry[1] - entry[0]) * part) >> KERNEL_BITS);
+    const int32_t *entry;
+    if (position > KERNEL_END)
+        return 0;
+    entry = vc_resampling_kernel + (position >> KERNEL_BITS);
+    return entry[0] + (((entry[1] - entry[0]) * part) >> KERNEL_BITS);
 }
 
 /* Writes the taps for the present phase; returns their sum. */
