@@ -30,7 +30,7 @@ _FLAGS = (
     "-ffunction-sections",
     "-fdata-sections",
 )
-_BARE = ("-ffreestanding", "-fno-builtin", "-nostdlib", "-fno-unwind-tables", "-g0", "-Wl,--gc-sections")
+_BARE = ("-ffreestanding", "-fno-builtin", "-fno-unwind-tables", "-g0", "-Wl,--gc-sections")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
@@ -42,44 +42,101 @@ class BuildError(Exception):
 class Target:
     """One build of the firmware.
 
-    `folders`: of its port, below firmware/, whose C sources are compiled beside the shared ones. `limits`: the sizes of
-    controller/sizes.h (and options of the port) that it sets.
+    `folders`: of its port, below firmware/, whose C sources are compiled beside the shared ones. `defines`: sizes of
+    controller/sizes.h, and what its port asks for.
     """
 
     summary: str
     suffix: str
     flags: tuple[str, ...]
     folders: tuple[str, ...] = ()
-    limits: Mapping[str, int] = field(default_factory=dict)
+    defines: Mapping[str, int | str] = field(default_factory=dict)
 
     def sources(self) -> list[Path]:
-        """Return its C sources."""
-        return [path for folder in (*SHARED, *self.folders) for path in sorted((ROOT / folder).glob("*.c"))]
+        """Return its C sources, from ROOT on."""
+        folders = [ROOT / folder for folder in (*SHARED, *self.folders)]
+        return [path.relative_to(ROOT) for folder in folders for path in sorted(folder.glob("*.c"))]
 
     def command(self) -> list[str]:
-        """Return the compiler's arguments but for the output."""
-        includes = [f"-I{ROOT / folder}" for folder in (*SHARED, *self.folders)]
-        sizes = [f"-D{name}={value}" for name, value in self.limits.items()]
-        return [*_FLAGS, *self.flags, *sizes, *includes, *map(str, self.sources())]
+        """Return the compiler's arguments but for the output; it is to run in ROOT."""
+        includes = [f"-I{folder}" for folder in (*SHARED, *self.folders)]
+        texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
+        defines = [f"-D{name}={value}" for name, value in texts.items()]
+        return [*_FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
 
 
-_NATIVE = Target(
-    "shared library of core and controller, for cffi",
-    _LIBRARY_SUFFIX,
-    (*(() if sys.platform == "win32" else ("-fPIC",)), "-shared", f"-mcpu={os.environ.get('VIBROCAST_CPU', 'native')}"),
-)
-TARGETS: Mapping[str, Target] = {"native": _NATIVE}
+def _cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...], **defines: int | str) -> Target:
+    """Return the target of a Cortex-M with an FPU. `script`: its linker script, in the first of `folders`."""
+    layout = ("-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
+    flags = ("-target", "thumb-freestanding-eabihf", f"-mcpu={processor}", *_BARE, *layout)
+    return Target(summary, ".elf", flags, ("ports", "ports/cortex_m", *folders), defines)
 
 
-def build(name: str, limits: Mapping[str, int] | None = None) -> Path:
+def _mps2(core: str, processor: str, board: str, script: str = "mps2.ld", **defines: int | str) -> dict[str, Target]:
+    """Return the two targets of an MPS2 board, polled and with interrupts."""
+    return {
+        f"{core}{suffix}": _cortex_m(
+            f"{core} on an MPS2 board ({board}), {kind}",
+            processor,
+            script,
+            ("ports/mps2", f"ports/mps2/{kind}"),
+            VC_HARDWARE=f"mps2-{board}",
+            **_EMULATED,
+            **defines,
+        )
+        for kind, suffix in (("polled", ""), ("interrupt", "-interrupt"))
+    }
+
+
+_POSITION_INDEPENDENT = () if sys.platform == "win32" else ("-fPIC",)
+_PROCESSOR = os.environ.get("VIBROCAST_CPU", "native")
+# Four channels, and captures of some 20 s, in 4 MiB.
+_EMULATED = {"VC_CHANNELS": 4, "VC_MAX_CHANNELS": 4, "VC_BUFFER_BYTES": 1 << 18, "VC_CAPTURE_SAMPLES": 1 << 16}
+# Two channels in 128 KiB; the longest packets are those of files, 128 blocks of 32 samples.
+_STM32F405 = {
+    "VC_CHANNELS": 2,
+    "VC_MAX_CHANNELS": 2,
+    "VC_BUFFER_SAMPLES": 16384,
+    "VC_BUFFER_PACKETS": 128,
+    "VC_BUFFER_BYTES": 16384,
+    "VC_PACKET_SAMPLES": 4096,
+    "VC_CAPTURE_SAMPLES": 2048,
+    "VC_OUTGOING_BYTES": 8192,
+    "VC_RATE_RATIO": 4,
+}
+
+TARGETS: Mapping[str, Target] = {
+    "native": Target(
+        "shared library of core and controller, for cffi",
+        _LIBRARY_SUFFIX,
+        ("-shared", *_POSITION_INDEPENDENT, f"-mcpu={_PROCESSOR}"),
+    ),
+    "host": Target(
+        "program for this machine, behind a pseudo-terminal", "", (f"-mcpu={_PROCESSOR}",), ("ports", "ports/host")
+    ),
+    **_mps2("cortex-m4", "cortex_m4+vfp4d16sp", "an386"),
+    **_mps2("cortex-m7", "cortex_m7+fp_armv8d16", "an500"),
+    **_mps2("cortex-m33", "cortex_m33+fp_armv8d16sp+dsp", "an505", "an505.ld", VC_AN505=1),
+    "stm32f405": _cortex_m(
+        "Adafruit Feather STM32F405 Express",
+        "cortex_m4+vfp4d16sp",
+        "board.ld",
+        ("ports/stm32f405",),
+        VC_HARDWARE="feather-stm32f405",
+        **_STM32F405,
+    ),
+}
+
+
+def build(name: str, sizes: Mapping[str, int] | None = None) -> Path:
     """Build a target of TARGETS, unless it is there already, and return its file.
 
-    `limits`: further sizes of controller/sizes.h. A library's declarations for cffi lie beside it, with the suffix
-    ".cdef". What is built is kept in firmware/build, or in the user's cache where that cannot be written, by a hash of
-    all that it is made from. Raises BuildError.
+    `sizes`: of controller/sizes.h, in place of the target's. A library's declarations for cffi lie beside it, with the
+    suffix ".cdef". What is built is kept in firmware/build, or in the user's cache where that cannot be written, by a
+    hash of all that it is made from. Raises BuildError.
     """
     target = TARGETS[name]
-    target = replace(target, limits={**target.limits, **(limits or {})})
+    target = replace(target, defines={**target.defines, **(sizes or {})})
     if find_spec("ziglang") is None:
         raise BuildError('the firmware is compiled by ziglang: pip install "vibrocast[firmware]"')
     folder = _build_folder() / f"{name}-{_fingerprint(target)}"
@@ -126,7 +183,7 @@ def _fingerprint(target: Target) -> str:
 
 def _compile(target: Target, output: Path) -> None:
     command = [sys.executable, "-m", "ziglang", "cc", *target.command(), "-o", str(output)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if done.returncode != 0:
         raise BuildError(f"the firmware cannot be compiled:\n{done.stderr}")
 

@@ -44,8 +44,8 @@ class FlashMemory:
 
     @property
     def contents(self) -> memoryview:
-        """All bytes, read in place as they change."""
-        return memoryview(self._data).toreadonly()
+        """All bytes, in place; what is written here does not go to the file."""
+        return memoryview(self._data)
 
     def read(self, address: int, count: int) -> bytes:
         """Return `count` bytes from `address` on."""

@@ -1,6 +1,5 @@
 /* The controller: sessions, requests and their answers, the watchdog, notifications; see controller.h. */
-#include "image_store.h"
-#include "playback.h"
+#include "controller_memory.h"
 
 #define STATUS_INTERVAL_US 100000u
 #define US_PER_MS 1000u
@@ -9,30 +8,6 @@
 #define VERSION_TEXT VERSION_OF(VC_PROTOCOL_MAJOR, VC_PROTOCOL_MINOR)
 /* What a host that does not read gets of notifications; answers have the rest. */
 #define UNREAD_NOTIFICATIONS_BYTES (VC_OUTGOING_BYTES / 4)
-
-struct vc_controller {
-    const vc_controller_settings *settings;
-    const vc_flash *flash;
-    uint64_t time_us, heard_us; /* now, and when the host was last heard */
-    uint64_t dac_free_us;       /* when the DAC is free for another stream */
-    vc_image_store images;
-    vc_frame_reader reader;
-
-    /* The session: the sequence numbers that opened it and of the last request, with the answer to that. */
-    int in_session;
-    uint16_t opened_by, last_sequence;
-    uint32_t answer_bytes;
-    uint8_t answer[VC_FRAME_BYTES];
-
-    int reported; /* there is a last Status, which is `last_report` */
-    vc_status_report last_report;
-    uint32_t outgoing_at, outgoing_end; /* what waits for the host */
-    uint8_t outgoing[VC_OUTGOING_BYTES];
-
-    int configured;                     /* there is a stream, or was one */
-    enum vc_state state_without_stream; /* until then */
-    vc_playback playback;
-};
 
 size_t vc_controller_size(void)
 {

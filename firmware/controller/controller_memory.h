@@ -1,0 +1,33 @@
+/* What a controller keeps, laid open for a port that sets its memory aside at compile time; nobody else looks inside.
+ */
+#ifndef VIBROCAST_CONTROLLER_MEMORY_H
+#define VIBROCAST_CONTROLLER_MEMORY_H
+
+#include "image_store.h"
+#include "playback.h"
+
+struct vc_controller {
+    const vc_controller_settings *settings;
+    const vc_flash *flash;
+    uint64_t time_us, heard_us; /* now, and when the host was last heard */
+    uint64_t dac_free_us;       /* when the DAC is free for another stream */
+    vc_image_store images;
+    vc_frame_reader reader;
+
+    /* The session: the sequence numbers that opened it and of the last request, with the answer to that. */
+    int in_session;
+    uint16_t opened_by, last_sequence;
+    uint32_t answer_bytes;
+    uint8_t answer[VC_FRAME_BYTES];
+
+    int reported; /* there is a last Status, which is `last_report` */
+    vc_status_report last_report;
+    uint32_t outgoing_at, outgoing_end; /* what waits for the host */
+    uint8_t outgoing[VC_OUTGOING_BYTES];
+
+    int configured;                     /* there is a stream, or was one */
+    enum vc_state state_without_stream; /* until then */
+    vc_playback playback;
+};
+
+#endif

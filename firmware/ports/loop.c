@@ -1,0 +1,32 @@
+/* The loop that runs a controller on any port. */
+#include "port.h"
+#include "controller_memory.h"
+
+#define VC_PIECE_BYTES 256 /* read, and written, at once */
+
+static vc_controller controller;
+static uint8_t outgoing[VC_PIECE_BYTES];
+static size_t filled, sent; /* bytes of `outgoing` */
+
+void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash)
+{
+    vc_controller_init(&controller, settings, flash, vc_port_play, NULL, vc_port_now_us());
+}
+
+int vc_loop_turn(void)
+{
+    uint8_t incoming[VC_PIECE_BYTES];
+    size_t came = vc_port_read(incoming, sizeof incoming), went;
+    uint64_t now_us = vc_port_now_us();
+    if (came > 0)
+        vc_controller_receive(&controller, incoming, came, now_us);
+    else
+        vc_controller_advance(&controller, now_us);
+    if (sent == filled) {
+        filled = vc_controller_transmit(&controller, outgoing, sizeof outgoing);
+        sent = 0;
+    }
+    went = vc_port_write(outgoing + sent, filled - sent);
+    sent += went;
+    return came > 0 || went > 0;
+}

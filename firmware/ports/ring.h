@@ -1,0 +1,38 @@
+/* A ring of bytes between an interrupt and the main loop: one of them puts in, the other takes out. */
+#ifndef VIBROCAST_RING_H
+#define VIBROCAST_RING_H
+
+#include <stdint.h>
+
+/* `capacity`: a power of two. The counts run on for ever; each is written on one side only. */
+typedef struct {
+    uint8_t *bytes;
+    uint32_t capacity;
+    volatile uint32_t put, taken;
+} vc_ring;
+
+/* Returns 0, and drops the byte, when the ring is full. */
+static inline int vc_ring_put(vc_ring *ring, uint8_t byte)
+{
+    uint32_t put = ring->put;
+    if (put - ring->taken == ring->capacity)
+        return 0;
+    ring->bytes[put & (ring->capacity - 1)] = byte;
+    __asm volatile("" ::: "memory"); /* the byte is there before the count says so */
+    ring->put = put + 1;
+    return 1;
+}
+
+/* Returns 0 when the ring is empty. */
+static inline int vc_ring_take(vc_ring *ring, uint8_t *byte)
+{
+    uint32_t taken = ring->taken;
+    if (taken == ring->put)
+        return 0;
+    *byte = ring->bytes[taken & (ring->capacity - 1)];
+    __asm volatile("" ::: "memory"); /* the byte is read before its place is free */
+    ring->taken = taken + 1;
+    return 1;
+}
+
+#endif

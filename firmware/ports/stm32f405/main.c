@@ -1,0 +1,46 @@
+/* A controller on an Adafruit Feather STM32F405 Express. */
+#include "actuator_tables.h"
+#include "board.h"
+#include "common.h"
+#include "port.h"
+#include "systick.h"
+
+#define ACTUATOR vc_piezo_stack_12_bits
+
+/* In RAM, for flash cannot be read while it is being erased; aligned as VTOR asks of 98 entries. */
+static struct {
+    vc_core_vectors core;
+    vc_handler lines[VC_LINES];
+} vectors __attribute__((aligned(512)));
+
+static const vc_core_vectors boot_vectors __attribute__((section(".vectors"), used)) =
+    VC_CORE_VECTORS(vc_dac_output_rest, SysTick_Handler);
+
+int main(void)
+{
+    static const vc_controller_settings settings = {
+        .build = VC_BUILD, .hardware = VC_HARDWARE, .actuator = &ACTUATOR, .watchdog_ms = 2000};
+    unsigned line;
+    vc_watchdog_start();
+    vc_clocks_start();
+    vectors.core = boot_vectors;
+    for (line = 0; line < VC_LINES; line++)
+        vectors.lines[line] = vc_dac_output_rest;
+    vectors.lines[VC_USART3_LINE] = USART3_IRQHandler;
+    vectors.lines[VC_TIM6_LINE] = TIM6_DAC_IRQHandler;
+    VC_VECTOR_TABLE = (uint32_t)(uintptr_t)&vectors;
+    vc_systick_start(VC_PROCESSOR_HZ / 1000000);
+    vc_dac_output_start(ACTUATOR.dac_rate_hz, ACTUATOR.dac_bits);
+    vc_uart_start();
+    vc_loop_start(&settings, &vc_board_flash);
+    for (;;) {
+        vc_watchdog_feed();
+        if (!vc_loop_turn())
+            vc_wait_for_interrupt();
+    }
+}
+
+uint64_t vc_port_now_us(void)
+{
+    return vc_systick_now_us();
+}

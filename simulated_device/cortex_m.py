@@ -1,0 +1,143 @@
+"""The controller's firmware on an emulated MPS2 board with a Cortex-M4, M7 or M33: the image that a board would run."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from unicorn import arm_const
+
+from firmware.build import build
+from firmware.elf import Elf
+from simulated_device.actuator import Codes
+from simulated_device.emulator import SYSTEM_SPACE, Processor
+from simulated_device.flash import FlashMemory
+
+FLASH_BYTES = 2056 * 1024
+"""Flash for model images: two sectors of 4096 bytes for records, two slots of 1 MiB."""
+
+_MEMORY_BYTES = 4 << 20
+# What the host does not take fills the line; then the image keeps the rest, and bounds it.
+_LINE_BYTES = 65_536
+_TIMER_DIVIDER = 16
+
+# Registers, as in firmware/ports/mps2/board.h.
+_UART_DATA, _UART_STATE = 0x0, 0x4
+_SEND_FULL, _RECEIVE_FULL = 1, 2
+_TIMER_VALUE = 0x4
+_OUTPUT_SAMPLES = 0x8
+
+
+@dataclass(frozen=True)
+class _Board:
+    """An MPS2 board: its processor, and addresses as in firmware/ports/mps2/board.h."""
+
+    processor: int
+    uart: int = 0x4000_4000
+    timer: int = 0x4000_2000
+    output: int = 0x4002_4000
+    clock_mhz: int = 25
+
+
+_BOARDS = {
+    "cortex-m4": _Board(arm_const.UC_CPU_ARM_CORTEX_M4),
+    "cortex-m7": _Board(arm_const.UC_CPU_ARM_CORTEX_M7),
+    "cortex-m33": _Board(arm_const.UC_CPU_ARM_CORTEX_M33, 0x5020_0000, 0x5000_2000, 0x5030_1000, 20),
+}
+CORES = tuple(_BOARDS)
+
+
+class CortexM:
+    """A controller (simulated_device.device.Device): the firmware built for `core`, one of CORES, on an emulated board.
+
+    `flash`: of FLASH_BYTES, in which images outlive this object; None = a blank one. A file behind it is not written.
+    `on_dac`: called with each run of codes int16 (n, channels) as they go to the DAC. `drift_ppm`: how much faster than
+    true time the board's clock runs. `count_instructions`: as in Processor, which `processor` is.
+
+    The clock stands still while the image computes; each call runs its main loop until there is nothing left to do.
+    Raises BuildError, and EmulationError where the image does what a processor stops at.
+    """
+
+    def __init__(
+        self,
+        core: str = "cortex-m4",
+        flash: FlashMemory | None = None,
+        on_dac: Callable[[Codes], None] | None = None,
+        drift_ppm: int = 0,
+        count_instructions: bool = False,
+    ) -> None:
+        image, board = Elf(build(core)), _BOARDS[core]
+        memories = {image.segments[0].address: _MEMORY_BYTES, image.sections[".stack"].address: _MEMORY_BYTES}
+        model_flash = (image.sections[".model_flash"].address, flash or FlashMemory(FLASH_BYTES))
+        self.processor = Processor(image, board.processor, memories, model_flash, count_instructions)
+        self.processor.add_registers(board.uart, self._read_uart, self._write_uart)
+        self.processor.add_registers(SYSTEM_SPACE, lambda offset: 0, lambda offset, value: None)
+        self.processor.add_registers(board.timer, self._read_timer, lambda offset, value: None)
+        self.processor.add_registers(board.output, lambda offset: 0, self._write_output)
+        self._on_dac = on_dac
+        self._drift_ppm = drift_ppm
+        self._clock_mhz = board.clock_mhz
+        self._origin_us: int | None = None
+        self._board_us = 0
+        self._incoming = bytearray()
+        self._outgoing = bytearray()
+        self._codes: list[Codes] = []
+        self._output = [0, 0]
+        self._carried = True  # whether a byte has gone either way since the image last looked at the clock
+        self._run()
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        """Take bytes from the host."""
+        self._incoming += data
+        self.advance(now_us)
+
+    def advance(self, now_us: int) -> None:
+        """Play what is due, and watch over the host; to be called every few milliseconds."""
+        if self._origin_us is None:
+            self._origin_us = now_us
+        true_us = now_us - self._origin_us
+        self._board_us = max(self._board_us, true_us + true_us * self._drift_ppm // 1_000_000)
+        self._run()
+
+    def transmit(self) -> bytes:
+        """Return the bytes to send to the host, once."""
+        data = bytes(self._outgoing)
+        self._outgoing.clear()
+        return data
+
+    def _run(self) -> None:
+        """Run the image until its loop, which looks at the clock once a turn, has gone round with nothing to do."""
+        self._carried = True
+        self.processor.run()
+        codes, self._codes = self._codes, []
+        if self._on_dac is not None:
+            for run in codes:
+                self._on_dac(run)
+
+    def _read_uart(self, offset: int) -> int:
+        if offset == _UART_DATA:
+            self._carried = True
+            return self._incoming.pop(0) if self._incoming else 0
+        if offset != _UART_STATE:
+            return 0
+        return (_RECEIVE_FULL if self._incoming else 0) | (_SEND_FULL if len(self._outgoing) >= _LINE_BYTES else 0)
+
+    def _write_uart(self, offset: int, value: int) -> None:
+        if offset == _UART_DATA:
+            self._outgoing.append(value & 0xFF)
+            self._carried = True
+
+    def _read_timer(self, offset: int) -> int:
+        if offset != _TIMER_VALUE:
+            return 0
+        if not self._carried:
+            self.processor.stop()
+        self._carried = False
+        return -(self._board_us * self._clock_mhz // _TIMER_DIVIDER) & 0xFFFF_FFFF
+
+    def _write_output(self, offset: int, value: int) -> None:
+        if offset < _OUTPUT_SAMPLES:
+            self._output[offset // 4] = value
+        elif offset == _OUTPUT_SAMPLES:
+            address, channels = self._output
+            shown = self.processor.unicorn.mem_read(address, 2 * channels * value)
+            self._codes.append(np.frombuffer(bytes(shown), "<i2").astype(np.int16).reshape(value, channels))

@@ -1,0 +1,126 @@
+"""A firmware image on an emulated Cortex-M: processor and memory in Unicorn, to which a board adds its peripherals."""
+
+import ctypes
+from collections.abc import Callable
+from typing import Any
+
+import unicorn
+from unicorn import arm_const
+
+from firmware.elf import Elf
+from simulated_device.flash import FlashMemory
+
+PAGE_BYTES = 4096
+SYSTEM_SPACE = 0xE000_E000
+"""Where the processor's own registers are: SysTick, interrupt controller, FPU (DDI 0403, B3.2.1)."""
+
+_PAINT = b"\xa5"
+# An odd address to be sure: nothing is ever fetched from there.
+_NOWHERE = 0xFFFF_FFFF
+
+
+class EmulationError(Exception):
+    """What an image did that a processor stops at."""
+
+
+class Processor:
+    """A Cortex-M with an image in its memory, about to come out of reset.
+
+    `processor`: one of unicorn.arm_const.UC_CPU_ARM_CORTEX_M.... `memories`: address and size of each memory, but for
+    `flash`, which is mapped, not copied: what the image writes to it stays there. `count_instructions`: whether
+    `instructions` counts those carried out, which takes several times as long.
+    """
+
+    def __init__(
+        self,
+        image: Elf,
+        processor: int,
+        memories: dict[int, int],
+        flash: tuple[int, FlashMemory],
+        count_instructions: bool = False,
+    ) -> None:
+        self.instructions = 0
+        self._image = image
+        self._flash = flash[1]  # keeps the mapped bytes alive
+        self._failure = ""
+        self._block_instructions: dict[int, int] = {}
+        self.unicorn: Any = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        self.unicorn.ctl_set_cpu_model(processor)
+        for address, size_bytes in memories.items():
+            self.unicorn.mem_map(address, size_bytes)
+        data = flash[1].contents
+        pointer = ctypes.addressof(ctypes.c_char.from_buffer(data))
+        self.unicorn.mem_map_ptr(flash[0], len(data), unicorn.UC_PROT_ALL, pointer)
+        for segment in image.segments:
+            self.unicorn.mem_write(segment.load_address, segment.data)
+        self._stack = image.sections[".stack"]
+        self.unicorn.mem_write(self._stack.address, _PAINT * self._stack.size_bytes)
+        self.unicorn.hook_add(unicorn.UC_HOOK_INTR, self._stop_at_exception)
+        self.unicorn.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._stop_at_no_memory)
+        if count_instructions:
+            self.unicorn.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
+        vectors = image.segments[0].load_address
+        stack_top, reset = (int.from_bytes(self.unicorn.mem_read(vectors + 4 * index, 4), "little") for index in (0, 1))
+        self.unicorn.reg_write(arm_const.UC_ARM_REG_SP, stack_top)
+        self.unicorn.reg_write(arm_const.UC_ARM_REG_PC, reset)
+
+    def add_registers(
+        self, address: int, read: Callable[[int], int], write: Callable[[int, int], None], size_bytes: int = PAGE_BYTES
+    ) -> None:
+        """Put a peripheral's registers at `address`: `read` is called with an offset, `write` with offset and value."""
+        self.unicorn.mmio_map(
+            address,
+            size_bytes,
+            lambda _, offset, size, context: read(offset),
+            None,
+            lambda _, offset, size, value, context: write(offset, value),
+            None,
+        )
+
+    def run(self) -> None:
+        """Go on until `stop`. Raises EmulationError."""
+        where = self.unicorn.reg_read(arm_const.UC_ARM_REG_PC) | 1
+        try:
+            self.unicorn.emu_start(where, _NOWHERE)
+        except unicorn.UcError as error:
+            self._failure = self._failure or str(error)
+        if self._failure:
+            where = self.unicorn.reg_read(arm_const.UC_ARM_REG_PC)
+            raise EmulationError(
+                f"the image stopped at 0x{where:08x} ({self._image.function_at(where)}): {self._failure}"
+            )
+
+    def stop(self) -> None:
+        """Have `run` return; to be called by a peripheral."""
+        self.unicorn.emu_stop()
+
+    def stack_bytes(self) -> int:
+        """Return the bytes of stack that have been used so far at most."""
+        stack = bytes(self.unicorn.mem_read(self._stack.address, self._stack.size_bytes))
+        return len(stack.lstrip(_PAINT))
+
+    def _stop_at_exception(self, emulator: Any, number: int, context: object) -> None:
+        self._failure = f"exception {number}"
+        emulator.emu_stop()
+
+    def _stop_at_no_memory(
+        self, emulator: Any, kind: int, address: int, size_bytes: int, value: int, context: object
+    ) -> bool:
+        self._failure = f"there is nothing at 0x{address:08x}"
+        return False
+
+    def _count(self, emulator: Any, address: int, size_bytes: int, context: object) -> None:
+        count = self._block_instructions.get(address)
+        if count is None:
+            count = _instructions(bytes(emulator.mem_read(address, size_bytes)))
+            self._block_instructions[address] = count
+        self.instructions += count
+
+
+def _instructions(code: bytes) -> int:
+    """Return the number of Thumb instructions; those of 32 bits are known by their first five (DDI 0403, A5.1)."""
+    count = offset = 0
+    while offset < len(code):
+        offset += 4 if code[offset + 1] >> 3 in (0b11101, 0b11110, 0b11111) else 2
+        count += 1
+    return count

@@ -1,0 +1,45 @@
+"""The controller's firmware as a process of this machine, behind a pseudo-terminal of its own."""
+
+import subprocess
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from device_protocol.transports import TransportError
+from firmware.build import build
+
+
+class HostProcess:
+    """Runs the firmware built for `host`; a context manager. `name`: what a host program opens, as a serial port.
+
+    `options`: of the program, firmware/ports/host/main.c. Raises BuildError, and TransportError where the program does
+    not start.
+    """
+
+    def __init__(self, *options: str | Path) -> None:
+        # It ends with its input: nothing outlives a host program that is killed.
+        self._process = subprocess.Popen(
+            [build("host"), *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert self._process.stdout is not None
+        self.name = self._process.stdout.readline().rstrip("\n")
+        if not self.name:
+            _, errors = self._process.communicate()
+            raise TransportError(f"the controller's process did not start: {errors.strip()}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the process; may be called again. Raises TransportError if it had failed."""
+        try:
+            _, errors = self._process.communicate()
+        except ValueError:
+            return
+        if self._process.returncode != 0:
+            raise TransportError(f"the controller's process failed: {errors.strip() or self._process.returncode}")
