@@ -1,0 +1,71 @@
+"""Lays a recording over what was sent: lag, gain and the drift of the recorder's clock, to fractions of a sample."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+Samples = NDArray[np.float64]
+
+# The recording is interpolated by cubic splines between so many points a sample.
+_OVERSAMPLING = 8
+_ITERATIONS = 12
+_SMALLEST_CORRELATION = 0.1
+
+
+class AlignmentError(ValueError):
+    """A recording that holds nothing of what was sent; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How a recording lies over its reference.
+
+    `lag_s`: from the recording's first sample to where the reference begins in it. `gain`: recorded over sent, negative
+    for a sensor the other way round. `drift_ppm`: how much faster the recorder's clock runs. `aligned`: the recording
+    at the reference's samples, float64 (n,), divided by the gain.
+    """
+
+    lag_s: float
+    gain: float
+    drift_ppm: float
+    aligned: Samples
+
+
+def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
+    """Align a recording (m,) with its reference (n,), both at `rate_hz`, m >= n.
+
+    Begins at the peak of the cross-correlation; from there the least squared difference over lag, drift and gain, by
+    Gauss and Newton. Raises AlignmentError where the two have too little in common.
+    """
+    if len(recorded) < len(reference):
+        raise AlignmentError("the recording is shorter than what was played: let the sensor's program record {seconds}")
+    correlation = scipy.signal.correlate(recorded, reference, mode="full", method="fft")
+    peak = int(np.argmax(np.abs(correlation)))
+    sample = float(peak - (len(reference) - 1))
+    first = max(0, round(sample))
+    part = recorded[first : first + len(reference)]
+    power = float(np.sqrt(np.sum(np.square(reference)) * np.sum(np.square(part))))
+    if not power or abs(correlation[peak]) < _SMALLEST_CORRELATION * power:
+        raise AlignmentError("the recording holds nothing of what was played: check the sensor and its sensitivity")
+    fine = scipy.signal.resample_poly(recorded, _OVERSAMPLING, 1)
+    spline = scipy.interpolate.CubicSpline(np.arange(len(fine)) / _OVERSAMPLING, fine)
+    slope = spline.derivative()
+    numbers = np.arange(len(reference), dtype=np.float64)
+    centred = numbers - np.mean(numbers)
+    stretch = 0.0
+    for _ in range(_ITERATIONS):
+        at = np.clip(sample + numbers + stretch * centred, 0, len(recorded) - 1)
+        values, slopes = spline(at), slope(at)
+        # reference = a values + b slopes + c slopes centred, to first order around this lag and stretch.
+        terms = np.column_stack((values, slopes, slopes * centred))
+        (factor, shift, stretched), *_ = np.linalg.lstsq(terms, reference, rcond=None)
+        sample += shift / factor
+        stretch += stretched / factor
+    return Alignment(
+        lag_s=(sample - stretch * float(np.mean(numbers))) / rate_hz,
+        gain=1 / factor,
+        drift_ppm=1e6 * stretch,
+        aligned=factor * spline(np.clip(sample + numbers + stretch * centred, 0, len(recorded) - 1)),
+    )

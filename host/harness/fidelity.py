@@ -1,0 +1,132 @@
+"""Measures how near what is played comes to what was sent: DAC codes bit by bit, and the skin, recorded or modelled."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+import textures
+from evaluation import metrics
+from host import coding, end_to_end
+from host.controller import Controller
+from host.harness.alignment import align
+from host.harness.sensors import Recorder
+from host.picture import third_octave_levels
+from simulated_device.output import HIGH_PASS_HZ, displacement_filter
+from textures import Recording
+
+Samples = NDArray[np.float64]
+
+# Recorded before and after what is played: how late the controller starts, and the ends that filters need.
+_AROUND_S = 1.0
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Levels in third octaves, dB re 1 um peak, at `frequencies_hz`."""
+
+    frequencies_hz: tuple[float, ...]
+    sent_db: tuple[float, ...]
+    residual_db: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """How one texture came out.
+
+    `as_decoded`, `as_computed`: whether the samples that the controller decoded, and the codes that went to the DAC,
+    are bit for bit what the host computes; None where the controller has no read-back. `coding_snr_db`: of the decoded
+    signal. The rest is of the displacement at the skin above 20 Hz, `source` says by what it is known: `snr_db` and
+    `st_sim` hold it against the texture, `playing_snr_db` against the decoded signal, which leaves the codec out.
+    `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock.
+    """
+
+    texture: str
+    source: str
+    as_decoded: bool | None
+    as_computed: bool | None
+    coding_snr_db: float | None
+    snr_db: float | None
+    st_sim: float | None
+    playing_snr_db: float | None
+    gain: float
+    lag_ms: float
+    drift_ppm: float
+    spectrum: Spectrum
+
+
+def measure(
+    controller: Controller,
+    address: str,
+    texture: Recording,
+    *,
+    recorder: Recorder | None = None,
+    sensor_name: str = "",
+    stream_rate_hz: int = coding.DEFAULT_STREAM_RATE_HZ,
+    progress: Callable[[float], None] | None = None,
+) -> Fidelity:
+    """Play the first channel of a texture and hold the skin against what was sent.
+
+    `recorder`: the sensor on that channel; None = the DAC's codes through the model of the actuator. Raises
+    SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
+    """
+    one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
+    encoding = coding.encode(one, stream_rate_hz, live=True)
+    finish = None if recorder is None else recorder(one.seconds + 2 * _AROUND_S)
+    if finish is not None:
+        controller.sleep(_AROUND_S)
+    outcome = end_to_end.play(
+        controller,
+        address,
+        texture.name,
+        encoding.stream,
+        encoding,
+        progress=progress and (lambda now: progress(now.position_s / (now.duration_s or 1.0))),
+    )
+    sent, decoded, skin = outcome.traces
+    rate_hz = round(sent.rate_hz)
+    if finish is None:
+        recorded, source = Recording(skin.values, skin.rate_hz, "um", "skin"), "the DAC's codes and a model"
+    else:
+        recorded, source = finish(), sensor_name
+    recorded_um = displacement_above_20_hz(recorded, rate_hz)
+    sent_um, decoded_um = (_high_passed(trace.displacement_um[:, 0], rate_hz) for trace in (sent, decoded))
+    margin = np.zeros(rate_hz // 10)  # the model's skin has no time before and after
+    laid = align(sent_um, np.concatenate((margin, recorded_um, margin)), rate_hz)
+    laid_on_decoded = align(decoded_um, np.concatenate((margin, recorded_um, margin)), rate_hz)
+    against_sent = metrics.measure(sent_um[:, None], laid.aligned[:, None], rate_hz)
+    against_decoded = metrics.measure(decoded_um[:, None], laid_on_decoded.aligned[:, None], rate_hz)
+    frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
+    _, residual_db = third_octave_levels(sent_um - laid.aligned, rate_hz)
+    return Fidelity(
+        texture=texture.name,
+        source=source,
+        as_decoded=outcome.report.decoded_equals_offline,
+        as_computed=outcome.report.dac_equals_offline,
+        coding_snr_db=encoding.snr_db,
+        snr_db=against_sent.snr_db,
+        st_sim=against_sent.st_sim_2800,
+        playing_snr_db=against_decoded.snr_db,
+        gain=laid.gain,
+        lag_ms=1e3 * (laid.lag_s - len(margin) / rate_hz),
+        drift_ppm=laid.drift_ppm,
+        spectrum=Spectrum(tuple(frequencies_hz.tolist()), tuple(sent_db.tolist()), tuple(residual_db.tolist())),
+    )
+
+
+def displacement_above_20_hz(recorded: Recording, rate_hz: int) -> Samples:
+    """Return what a sensor recorded as displacement in um, (n,) at `rate_hz`."""
+    samples = textures.resample(recorded, rate_hz).samples[:, 0]
+    samples = samples - np.mean(samples)
+    if recorded.unit == "m/s^2":
+        return np.asarray(scipy.signal.lfilter(*displacement_filter(rate_hz), samples))
+    return _high_passed(samples, rate_hz)
+
+
+def _high_passed(displacement_um: Samples, rate_hz: int) -> Samples:
+    """Return displacement through the high-pass that is in `displacement_filter`, so that the two can be compared."""
+    return np.asarray(
+        scipy.signal.lfilter(*scipy.signal.butter(4, HIGH_PASS_HZ, "highpass", fs=rate_hz), displacement_um)
+    )

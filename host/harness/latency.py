@@ -1,0 +1,220 @@
+"""Measures the delay from a block's last sample at the host to the DAC, part by part, and the least that is stable."""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+import codec
+import textures
+from device_protocol.messages import State, Tap
+from host import live
+from host.controller import Controller
+from host.harness.device_clock import ClockFit, DeviceClock
+from host.harness.read_back import read_capture
+from simulated_device.actuator import Actuator
+from simulated_device.output import Drive
+from textures import Recording
+
+# In the order in which a sample goes through them.
+PARTS = {
+    "wake": "until the host's program runs",
+    "encode": "the codec's encoder",
+    "send": "until the operating system has taken the packet",
+    "wire": "until the controller has the packet",
+    "buffer": "the packet lies ready until it is needed",
+    "codec": "the packet's length and the overlap of blocks, after its first sample is due",
+    "drive": "resampling to the DAC's rate and the compensation's low-pass",
+    "dac": "one DAC sample, by which the compensation looks back",
+}
+# A trial of the search is as long as some hundred packets; what it finds is tried once more for longer.
+TRIAL_S = 1.5
+MARGINS_S = (0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
+HOPS = ("16", "32")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Of many blocks, in ms: the median and the value that 95 % of them keep below."""
+
+    median_ms: float
+    high_ms: float
+
+
+@dataclass(frozen=True)
+class Latency:
+    """The delay of a live stream, from a block's last sample at the host to the DAC.
+
+    `parts`: by the names of PARTS. `total_ms`: the median, the sum of what a sample waits; every sample of a stream has
+    the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, held against when their
+    samples were taken. `margin_ms`: what was asked for as the time that packets lie ready. `stable`: no underrun and no
+    lost packet. `as_sent`: what the controller decoded is, bit for bit, what the packets hold.
+    """
+
+    codec: str
+    setting: dict[str, str]
+    rate_hz: int
+    packet_samples: int
+    margin_ms: float
+    blocks: int
+    parts: dict[str, Spread]
+    total_ms: float
+    jitter_ms: float
+    underruns: int
+    lost_packets: int
+    as_sent: bool
+    clock: ClockFit
+
+    @property
+    def stable(self) -> bool:
+        """Whether every packet came in time."""
+        return not self.underruns and not self.lost_packets
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One setting that the search for the least delay has tried; `total_ms` is None where it was not stable."""
+
+    hop: str
+    margin_ms: float
+    total_ms: float | None
+
+
+@dataclass(frozen=True)
+class SmallestDelay:
+    """What the search has found: the least stable delay, None where nothing was stable, and all trials."""
+
+    found: Latency | None
+    trials: tuple[Trial, ...]
+
+
+def measure(
+    controller: Controller,
+    actuator: Actuator,
+    texture: Recording,
+    *,
+    seconds: float = 4.0,
+    rate_hz: int = 2800,
+    setting: codec.Setting | None = None,
+    margin_s: float = live.MARGIN_S,
+    progress: Callable[[float], None] | None = None,
+) -> Latency:
+    """Stream a texture live, as long as `seconds`, and measure where the time goes; `actuator`: the controller's.
+
+    Everything is by the session's clock and the device's, whose offset and drift come from a Status round trip after
+    each packet; its answer also tells when the packet was there. Raises as `live.LiveStream`.
+    """
+    samples = looped(texture, seconds, rate_hz)
+    rms = np.sqrt(np.mean(np.square(samples), axis=0))
+    signal_format = live.live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)), list(rms))
+    stream = live.LiveStream(controller, signal_format, setting=setting, margin_s=margin_s)
+    clock = DeviceClock(controller)
+    packets: list[bytes] = []
+    times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent
+    arrived_device_s: list[float] = []
+    began_device_s: list[float] = []
+    try:
+        for due_s, block in live.paced(stream, samples, stream.packet_samples):
+            awake_s = controller.clock()
+            coded = stream.code(block)
+            coded_s = controller.clock()
+            stream.send_packets(coded)
+            sent_s = controller.clock()
+            status = clock.probe()
+            if status.state == State.PLAYING and status.position:
+                # Positions are whole samples that have been played: the earliest estimate is the best.
+                began_device_s.append(status.device_time_us / 1e6 - status.position / rate_hz)
+            packets += coded
+            times_s.append((due_s, awake_s, coded_s, sent_s))
+            arrived_device_s.append(status.device_time_us / 1e6)
+            if progress is not None:
+                progress(len(times_s) * stream.packet_samples / len(samples))
+        result = stream.finish()
+    except BaseException:
+        with contextlib.suppress(Exception):
+            controller.stop()
+        raise
+    fit = clock.fit()
+    decoder = codec.decoder(stream.header.codec_identifier, stream.header.configuration, stream.header.channels)
+    decoded = read_capture(controller, Tap.DECODED, stream.header.channels)
+    expected = np.concatenate([decoder.decode(packet) for packet in packets])
+    # The first packet is left out: it waited for the start of the stream.
+    numbers = np.arange(1, len(times_s))
+    due_s_, awake_s_, coded_s_, sent_s_ = np.array(times_s)[numbers].T
+    arrived_s = np.array([fit.host_time_s(device_s) for device_s in arrived_device_s])[numbers]
+    began_s = fit.host_time_s(min(began_device_s, default=arrived_device_s[0]))
+    needed_s = began_s + numbers * stream.packet_samples / rate_hz
+    drive_s = Drive(stream.header, actuator, compensation=True).delay_seconds
+    codec_s = (stream.packet_samples - 1 + decoder.delay_samples) / rate_hz
+    parts_s = {
+        "wake": awake_s_ - due_s_,
+        "encode": coded_s_ - awake_s_,
+        "send": sent_s_ - coded_s_,
+        "wire": np.maximum(0.0, arrived_s - sent_s_),
+        "buffer": needed_s - arrived_s,
+        "codec": np.full(len(numbers), codec_s),
+        "drive": np.full(len(numbers), drive_s),
+        "dac": np.full(len(numbers), 1 / actuator.dac_rate_hz),
+    }
+    early_s, late_s = np.quantile(arrived_s - due_s_, (0.05, 0.95))
+    return Latency(
+        codec=codec.codec_by_identifier(stream.header.codec_identifier).name,
+        setting={name: str(value) for name, value in stream.setting.items()},
+        rate_hz=rate_hz,
+        packet_samples=stream.packet_samples,
+        margin_ms=1e3 * margin_s,
+        blocks=len(numbers),
+        parts={name: _spread(values_s) for name, values_s in parts_s.items()},
+        total_ms=1e3 * float(np.median(sum(parts_s.values()))),
+        jitter_ms=1e3 * float(late_s - early_s),
+        underruns=result.underruns,
+        lost_packets=result.lost_packets,
+        as_sent=bool(np.array_equal(decoded[: len(expected)], expected)),
+        clock=fit,
+    )
+
+
+def smallest(
+    controller: Controller,
+    actuator: Actuator,
+    texture: Recording,
+    *,
+    seconds: float = 4.0,
+    rate_hz: int = 2800,
+    progress: Callable[[float], None] | None = None,
+) -> SmallestDelay:
+    """Search the least delay that is stable: for each length of a block, the margin down until packets come too late.
+
+    The best is tried again for `seconds`, and given up for the next where it does not hold. Raises as `measure`.
+    """
+    trials: list[Trial] = []
+    stable: list[tuple[float, str, float]] = []
+    for hop in HOPS:
+        for margin_s in MARGINS_S:
+            once = measure(
+                controller, actuator, texture, seconds=TRIAL_S, rate_hz=rate_hz, setting={"hop": hop}, margin_s=margin_s
+            )
+            trials.append(Trial(hop, 1e3 * margin_s, once.total_ms if once.stable else None))
+            if progress is not None:
+                progress((HOPS.index(hop) + MARGINS_S.index(margin_s) / len(MARGINS_S)) / len(HOPS))
+            if not once.stable:
+                break
+            stable.append((once.total_ms, hop, margin_s))
+    for _, hop, margin_s in sorted(stable):
+        found = measure(
+            controller, actuator, texture, seconds=seconds, rate_hz=rate_hz, setting={"hop": hop}, margin_s=margin_s
+        )
+        if found.stable:
+            return SmallestDelay(found, tuple(trials))
+    return SmallestDelay(None, tuple(trials))
+
+
+def looped(texture: Recording, seconds: float, rate_hz: int) -> codec.Signal:
+    """Return the first channel of a texture at another rate, (n, 1), again and again until `seconds` are full."""
+    samples = textures.resample(texture, rate_hz).samples[:, :1]
+    return np.resize(samples, (round(seconds * rate_hz), 1))
+
+
+def _spread(values_s: Sequence[float]) -> Spread:
+    return Spread(1e3 * float(np.median(values_s)), 1e3 * float(np.quantile(values_s, 0.95)))

@@ -1,0 +1,242 @@
+"""Streams a live source to a controller: blocks are coded as they come, and each packet is sent at once. No threads."""
+
+import contextlib
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+import codec
+from codec import Signal, SignalFormat
+from device_protocol.coded_stream import StreamHeader
+from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
+from device_protocol.transports import TransportError
+from host.coding import DEFAULT_CODEC
+from host.controller import ConnectionLost, Controller, ControllerError
+from host.player import RECONNECT_S, check_limits
+
+# How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
+MARGIN_S = 0.01
+REFRESH_S = 0.25
+# RMS value that a source is taken to have where nothing is known of it, relative to its full scale.
+EXPECTED_RMS = 0.2
+
+# The controller's clock and the source's drift apart: beyond the margin on one side, or so much on the other, for so
+# long, the stream is begun anew.
+_LARGEST_GROWTH_S = 0.02
+_OUT_OF_STEP_S = 0.25
+_END_S = 5.0
+_POLL_S = 0.005
+_SHORTEST_WAIT_S = 1e-6
+
+
+@dataclass(frozen=True)
+class LiveResult:
+    """What live streaming did.
+
+    `status`: the last one. `underruns`, `lost_packets`: of all streams. `streams`: more than one where it was begun
+    anew, as clocks had drifted apart, the source had paused or the connection was lost.
+    """
+
+    status: Status
+    underruns: int
+    lost_packets: int
+    streams: int
+
+
+def live_format(
+    rate_hz: int, unit: str, full_scales: Sequence[float], rms: Sequence[float] | None = None
+) -> SignalFormat:
+    """Return what an encoder is told of a live source before it comes.
+
+    `full_scales`: the largest magnitude expected of each channel, in `unit`. `rms`: RMS values in `unit`, None =
+    EXPECTED_RMS of full scale. Raises CodecError for what cannot be coded.
+    """
+    gains = tuple(codec.gain_for(full_scale) for full_scale in full_scales)
+    if rms is None:
+        return SignalFormat(rate_hz, unit, gains, (EXPECTED_RMS,) * len(gains))
+    relative = tuple(value / gain or 1.0 for value, gain in zip(rms, gains, strict=True))
+    return SignalFormat(rate_hz, unit, gains, relative)
+
+
+class LiveStream:
+    """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
+
+    `margin_s`: how long packets lie on the controller before they are needed. `packet_samples`: samples per channel in
+    a packet, at least those asked for and the codec's shortest block. `header`, `stream`, `packets_sent`, `status`:
+    of the stream under way. `begun`: streams so far; `earlier`: the last status of each of those before this one.
+    Raises CodecError, StreamError for what the controller does not take, ControllerError and TransportError.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        signal_format: SignalFormat,
+        *,
+        codec_name: str = DEFAULT_CODEC,
+        setting: codec.Setting | None = None,
+        packet_samples: int = 1,
+        margin_s: float = MARGIN_S,
+        gain: float = 1.0,
+        compensation: bool = True,
+    ) -> None:
+        check_limits(controller, signal_format.channels, signal_format.rate_hz)
+        self.controller = controller
+        self.format = signal_format
+        self.margin_s = margin_s
+        self.earlier: list[Status] = []
+        self._codec = codec.codec_by_name(codec_name)
+        self.setting = self._codec.complete({**live_setting(codec_name, signal_format.rate_hz), **(setting or {})})
+        # Rounded up to whole blocks: by how many samples, an encoder says.
+        self.packet_samples = self._make_encoder(codec.Framing(packet_samples, 1)).packet_samples
+        self._gain, self._compensation = gain, compensation
+        self._configure()
+
+    @property
+    def begun(self) -> int:
+        """How many streams have been begun."""
+        return len(self.earlier) + 1
+
+    def begin_anew(self) -> None:
+        """Set up another stream in place of the one under way; its first packet will start it."""
+        self.earlier.append(self.status)
+        self._configure()
+
+    def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
+        return self._codec.make_encoder(self.setting, self.format, framing, None)
+
+    def _configure(self) -> None:
+        refresh_packets = max(1, math.floor(REFRESH_S * self.format.rate_hz / self.packet_samples))
+        self._encoder = self._make_encoder(codec.Framing(self.packet_samples, refresh_packets))
+        self.header = StreamHeader(
+            self._codec.identifier,
+            self.format.rate_hz,
+            None,
+            self.format.unit,
+            self.format.gains,
+            self._encoder.configuration,
+        )
+        self.stream = (self.controller.request_status().stream + 1) % 256
+        configure = Configure(
+            self.stream, self.header.pack(), self.packet_samples, compensation=self._compensation, gain=self._gain
+        )
+        self.status = self.controller.request(configure, Status)
+        self.packets_sent = 0
+        self._out_of_step_since_s: float | None = None
+
+    def code(self, samples: Signal) -> list[bytes]:
+        """Code samples (n, channels) in the format's unit; return the packets that they complete. Raises CodecError."""
+        return self._encoder.encode(samples / np.array(self.format.gains))
+
+    def send_packets(self, packets: Sequence[bytes]) -> None:
+        """Send packets at once, each in a frame of its own."""
+        for packet in packets:
+            self.controller.send(StreamData(self.stream, 0, (packet,)))
+            self.packets_sent += 1
+            if self.packets_sent == 1:
+                # From here on the packets come as evenly as the samples do, so the margin stays as it begins.
+                arrived_us = self.controller.request_status().device_time_us
+                self.status = self.controller.request(Start(arrived_us + round(1e6 * self.margin_s)), Status)
+
+    def send(self, samples: Signal) -> None:
+        """Code and send samples (n, channels), take in what has come; begin anew where the clocks are out of step."""
+        self.send_packets(self.code(samples))
+        self.poll(0)
+        since_s = self._out_of_step_since_s
+        out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
+        if out_of_step or self.status.state == State.WATCHDOG:
+            self.begin_anew()
+
+    def poll(self, timeout_s: float) -> None:
+        """Take in what the controller sends, waiting for it at most `timeout_s`."""
+        self.controller.poll(timeout_s)
+        status = self.controller.status
+        if status is None or status is self.status or status.stream != self.stream:
+            return
+        if status.state == State.FAULT:
+            raise ControllerError("the controller reports a fault of its hardware and has stopped")
+        self.status = status
+        ahead_s = (self.packets_sent * self.packet_samples - status.position) / self.format.rate_hz
+        longest_s = self.margin_s + self.packet_samples / self.format.rate_hz + _LARGEST_GROWTH_S
+        if status.state != State.PLAYING or 0 <= ahead_s <= longest_s:
+            self._out_of_step_since_s = None
+        elif self._out_of_step_since_s is None:
+            self._out_of_step_since_s = self.controller.clock()
+
+    def finish(self) -> LiveResult:
+        """Send the end, wait until it has been played, and return what happened."""
+        self.send_packets(self._encoder.finish())
+        if self.packets_sent:
+            self.controller.request(EndStream(self.stream, self.packets_sent), Status)
+            self._wait_for_the_end()
+        else:
+            self.status = self.controller.stop()
+        streams = [*self.earlier, self.status]
+        return LiveResult(
+            status=self.status,
+            underruns=sum(status.underruns for status in streams),
+            lost_packets=sum(status.lost_packets for status in streams),
+            streams=len(streams),
+        )
+
+    def _wait_for_the_end(self) -> None:
+        left_samples = self.packets_sent * self.packet_samples - self.controller.request_status().position
+        deadline_s = self.controller.clock() + left_samples / self.format.rate_hz + _END_S
+        while self.controller.clock() < deadline_s:
+            self.status = self.controller.request_status()
+            if self.status.state in (State.FINISHED, State.STOPPED, State.WATCHDOG):
+                return
+            self.controller.poll(_POLL_S)
+        raise ControllerError(
+            f"the stream's end has not been played {_END_S:g} s after its time. Restart the controller."
+        )
+
+
+def live_setting(codec_name: str, rate_hz: int) -> codec.Setting:
+    """Return what of a codec's setting is another for the least delay: half the hop of `mdct`."""
+    return {"hop": "16" if rate_hz < 5600 else "32"} if codec_name == "mdct" else {}
+
+
+def play(
+    stream: LiveStream,
+    blocks: Iterable[Signal],
+    *,
+    reconnect_s: float = RECONNECT_S,
+    progress: Callable[[Status], None] | None = None,
+) -> LiveResult:
+    """Stream blocks (n, channels), each as soon as the iterator yields it, to its end; return what happened.
+
+    Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken connection is opened anew
+    for `reconnect_s`; what comes from the source meanwhile is dropped. Raises as `LiveStream`.
+    """
+    try:
+        for block in blocks:
+            try:
+                stream.send(block)
+            except (TransportError, ConnectionLost):
+                stream.controller.reconnect(reconnect_s)
+                stream.begin_anew()
+            if progress is not None:
+                progress(stream.status)
+        return stream.finish()
+    except BaseException:
+        # Where the controller is out of reach, its own watchdog stops it.
+        with contextlib.suppress(ControllerError, TransportError):
+            stream.controller.stop()
+        raise
+
+
+def paced(stream: LiveStream, samples: Signal, block_samples: int) -> Iterator[tuple[float, Signal]]:
+    """Yield blocks of samples (n, channels), each when its last sample would have been taken, and with that time.
+
+    Times are in seconds of the controller session's clock. While it waits it takes in what the controller sends.
+    """
+    controller, rate_hz = stream.controller, stream.format.rate_hz
+    began_s = controller.clock()
+    for start in range(0, len(samples), block_samples):
+        block = samples[start : start + block_samples]
+        due_s = began_s + (start + len(block)) / rate_hz
+        while (left_s := due_s - controller.clock()) >= _SHORTEST_WAIT_S:
+            stream.poll(min(left_s, _POLL_S))
+        yield due_s, block

@@ -1,0 +1,54 @@
+"""A recording laid over what was sent: lag, gain and drift, to fractions of a sample."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from host.harness.alignment import AlignmentError, align
+
+RATE_HZ = 2800
+RNG = np.random.default_rng(1)
+FINE = 16
+
+
+def textured(samples: int) -> CubicSpline:
+    """Return band-limited noise, 30 to 400 Hz, as a function of time in samples."""
+    spectrum = np.fft.rfft(RNG.standard_normal(samples * FINE))
+    frequencies_hz = np.fft.rfftfreq(samples * FINE, 1 / (RATE_HZ * FINE))
+    spectrum[(frequencies_hz < 30) | (frequencies_hz > 400)] = 0
+    return CubicSpline(np.arange(samples * FINE) / FINE, np.fft.irfft(spectrum, samples * FINE))
+
+
+SIGNAL = textured(8400)
+REFERENCE = SIGNAL(np.arange(1000, 6600))
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    lag=st.floats(0, 1400), gain=st.floats(-4, 4).filter(lambda gain: abs(gain) > 0.1), drift_ppm=st.floats(-120, 120)
+)
+def test_lag_gain_and_drift_are_found(lag: float, gain: float, drift_ppm: float) -> None:
+    stretch = 1 + drift_ppm / 1e6
+    recorded = gain * SIGNAL(1000 + (np.arange(7200) - lag) / stretch)
+    recorded += 0.01 * np.std(recorded) * np.random.default_rng(3).standard_normal(len(recorded))
+    found = align(REFERENCE, recorded, RATE_HZ)
+    assert found.lag_s * RATE_HZ == pytest.approx(lag, abs=0.02)
+    assert found.gain == pytest.approx(gain, rel=1e-3)
+    assert found.drift_ppm == pytest.approx(drift_ppm, abs=1.0)
+    assert np.std(found.aligned - REFERENCE) < 0.02 * np.std(REFERENCE)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "message"),
+    [
+        (np.zeros(7200), "holds nothing"),
+        (RNG.standard_normal(7200), "holds nothing"),
+        (np.zeros(5000), "shorter than what was played"),
+    ],
+)
+def test_a_recording_of_something_else_is_told(recorded: NDArray[np.float64], message: str) -> None:
+    with pytest.raises(AlignmentError, match=message):
+        align(REFERENCE, recorded, RATE_HZ)

@@ -1,0 +1,88 @@
+"""Latency in simulated time: the figures are held against when the codes really went to the DAC."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from host import live
+from host.controller import Controller
+from host.harness import latency
+from host.harness.device_clock import DeviceClock
+from simulated_device.actuator import PIEZO_STACK, Codes
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
+from simulated_device.memory_link import MemoryLink
+from textures import Recording
+
+RATE_HZ = 2800
+
+
+@dataclass
+class Bench:
+    """A controller in simulated time; `played`: when each run of codes went to the DAC, and the codes."""
+
+    drift_ppm: int = 0
+    played: list[tuple[float, Codes]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        settings = Settings(drift_ppm=self.drift_ppm)
+        self.link = MemoryLink(SimulatedController(settings, on_dac=self._note))
+        self.session = Controller(self.link, self.link.clock, self.link.sleep)
+
+    def _note(self, codes: Codes) -> None:
+        self.played.append((self.link.clock(), codes))
+
+
+def noise(seconds: float = 1.0) -> Recording:
+    samples = np.random.default_rng(2).standard_normal((round(seconds * RATE_HZ), 1))
+    return Recording(3.0 * samples, RATE_HZ, "um", "noise")
+
+
+@pytest.mark.parametrize("drift_ppm", [0, 200])
+@pytest.mark.parametrize("margin_s", [0.004, 0.02])
+def test_the_whole_is_the_sum_of_its_parts_and_the_margin_is_kept(margin_s: float, drift_ppm: int) -> None:
+    measured = latency.measure(Bench(drift_ppm).session, PIEZO_STACK, noise(), seconds=2.0, margin_s=margin_s)
+    assert measured.stable
+    assert measured.as_sent
+    assert measured.total_ms == pytest.approx(sum(part.median_ms for part in measured.parts.values()), abs=0.5)
+    # Time steps by 1 ms here, and nothing takes any in between.
+    assert measured.parts["buffer"].median_ms == pytest.approx(1e3 * margin_s, abs=1.5)
+    assert measured.parts["wire"].median_ms == pytest.approx(0.0, abs=1.0)
+    assert measured.clock.drift_ppm == pytest.approx(drift_ppm, abs=5.0)
+
+
+def test_what_is_measured_is_when_the_dac_has_it() -> None:
+    bench = Bench()
+    silence, knock = np.zeros((RATE_HZ, 1)), np.zeros((RATE_HZ, 1))
+    knock[RATE_HZ // 2] = 30.0
+    texture = Recording(np.concatenate((silence, knock)), RATE_HZ, "um", "knock")
+    measured = latency.measure(bench.session, PIEZO_STACK, texture, seconds=2.0)
+    peak_s = max((np.max(np.abs(codes)), time_s) for time_s, codes in bench.played)[1]
+    # The source begins when the stream does, which is set up without time passing.
+    assert 1e3 * (peak_s - 1.5) == pytest.approx(measured.total_ms, abs=2.0)
+
+
+def test_default_buffers_stay_below_30_ms_with_a_usb_class_link() -> None:
+    measured = latency.measure(Bench().session, PIEZO_STACK, noise(), seconds=1.0)
+    assert measured.margin_ms == 1e3 * live.MARGIN_S
+    assert measured.total_ms < 30.0
+
+
+def test_search_finds_the_least_that_is_stable() -> None:
+    found = latency.smallest(Bench().session, PIEZO_STACK, noise(), seconds=1.0)
+    assert found.found is not None
+    stable = [trial.total_ms for trial in found.trials if trial.total_ms is not None]
+    assert found.found.total_ms == pytest.approx(min(stable), abs=1.0)
+
+
+def test_a_clock_is_fitted_through_the_shortest_round_trips() -> None:
+    bench = Bench(drift_ppm=-80)
+    clock = DeviceClock(bench.session)
+    for _ in range(100):
+        clock.probe()
+        bench.session.sleep(0.02)
+    fit = clock.fit()
+    assert fit.drift_ppm == pytest.approx(-80.0, abs=2.0)
+    device_s = bench.session.request_status().device_time_us / 1e6
+    assert fit.host_time_s(device_s) == pytest.approx(bench.session.clock(), abs=1e-4)

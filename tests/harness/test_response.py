@@ -1,0 +1,102 @@
+"""The frequency response by a sweep: an unknown actuator's parameters from a noisy sensor, and what they do."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from host.controller import Controller
+from host.harness import response
+from host.harness.alignment import AlignmentError
+from host.harness.sensors import Recorder
+from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Codes
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
+from simulated_device.memory_link import MemoryLink
+from textures import Recording
+
+OVERSAMPLING = 4
+SWEEP_S = 4.0
+DRIFT_PPM = 40.0  # of the sensor's clock, whose file does not know it
+NOISE_DB = -20.0  # of the sensor, relative to what it records of the sweep
+
+
+def bench(believed: Actuator, real: Actuator, unit: str, drift_ppm: float = 0.0) -> tuple[Controller, Recorder]:
+    """Return a controller that believes in one actuator and drives another, and a noisy sensor on that."""
+    codes: list[Codes] = []
+    link = MemoryLink(SimulatedController(Settings(actuator=believed), on_dac=codes.append))
+    rate_hz = OVERSAMPLING * real.dac_rate_hz
+
+    def start(seconds: float) -> Callable[[], Recording]:
+        codes.clear()
+
+        def finish() -> Recording:
+            before = np.zeros((real.dac_rate_hz // 3, 1), np.int16)
+            skin = real.displacement_um(np.concatenate((before, *codes, before)), OVERSAMPLING)[:, 0]
+            if unit == "m/s^2":
+                skin = 1e-6 * np.gradient(np.gradient(skin, 1 / rate_hz), 1 / rate_hz)
+            noise = np.random.default_rng(3).standard_normal(len(skin))
+            noise *= 10 ** (NOISE_DB / 20) * np.sqrt(np.mean(np.square(skin)))
+            return Recording((skin + noise)[:, None], rate_hz / (1 + drift_ppm / 1e6), unit, "sensor")
+
+        return finish
+
+    return Controller(link, link.clock, link.sleep), start
+
+
+@pytest.mark.parametrize(
+    ("believed", "real", "unit"),
+    [
+        (PIEZO_STACK, replace(PIEZO_STACK, corner_hz=212.0, stroke_um=93.0), "um"),
+        (LRA, replace(LRA, corner_hz=161.0, quality=11.3, stroke_um=170.0), "m/s^2"),
+        (VOICE_COIL, replace(VOICE_COIL, corner_hz=74.0, quality=4.1), "um"),
+    ],
+    ids=lambda value: value.name if isinstance(value, Actuator) else value,
+)
+def test_an_unknown_actuator_is_recovered_from_a_noisy_sensor(believed: Actuator, real: Actuator, unit: str) -> None:
+    controller, recorder = bench(believed, real, unit, DRIFT_PPM)
+    measured = response.measure(controller, believed, recorder=recorder, seconds=SWEEP_S)
+    fit = measured.fit
+    assert fit.corner_hz == pytest.approx(real.corner_hz, rel=0.02)
+    assert fit.stroke_um == pytest.approx(real.stroke_um, rel=0.02)
+    if real.quality is None:
+        assert fit.quality is None
+    else:
+        assert fit.quality == pytest.approx(real.quality, rel=0.02)
+    assert fit.drift_ppm == pytest.approx(DRIFT_PPM, abs=10.0)
+    assert 0 < fit.corner_error_hz < 0.02 * real.corner_hz
+
+
+def test_compensation_with_the_fitted_actuator_flattens_the_response() -> None:
+    real = replace(PIEZO_STACK, corner_hz=150.0, stroke_um=93.0)
+    controller, recorder = bench(PIEZO_STACK, real, "um")
+    fit = response.measure(controller, PIEZO_STACK, recorder=recorder, seconds=SWEEP_S).fit
+    flatness_db = []
+    for believed in (PIEZO_STACK, response.fitted(PIEZO_STACK, fit, "fitted")):
+        controller, recorder = bench(believed, real, "um")
+        sweep = response.play_sweep(controller, believed, True, recorder, SWEEP_S)
+        curve = response.curve(sweep)
+        gain_db = np.array(curve.gain_db)[np.array(curve.frequencies_hz) <= 400]
+        flatness_db.append(np.ptp(gain_db))
+    assert flatness_db[0] > 3.0
+    assert flatness_db[1] < 0.5
+
+
+def test_a_sensor_that_is_not_there_is_told() -> None:
+    controller, _ = bench(PIEZO_STACK, PIEZO_STACK, "um")
+
+    def silent(seconds: float) -> Callable[[], Recording]:
+        noise = np.random.default_rng(4).standard_normal((round(seconds * 8000), 1))
+        return lambda: Recording(noise, 8000.0, "um", "sensor")
+
+    with pytest.raises(AlignmentError, match="check the sensor"):
+        response.measure(controller, PIEZO_STACK, recorder=silent, seconds=SWEEP_S)
+
+
+def test_without_a_sensor_the_model_is_found_again() -> None:
+    controller, _ = bench(LRA, LRA, "um")
+    measured = response.measure(controller, LRA, seconds=SWEEP_S)
+    assert measured.source == "the model itself"
+    assert measured.fit.corner_hz == pytest.approx(LRA.corner_hz, rel=1e-3)
+    assert measured.fit.quality == pytest.approx(LRA.quality, rel=1e-2)
