@@ -237,7 +237,7 @@ class Controller:
             last is None
             or status.state != last.state
             or status.underruns > last.underruns
-            or status.credit_until - last.credit_until >= self.settings.buffer_samples // 4
+            or status.credit_until - last.credit_until >= self._playback.room_samples // 4
             or (status.state in _ACTIVE[:2] and status.device_time_us - last.device_time_us >= STATUS_INTERVAL_US)
         ):
             self._send_notification(status)

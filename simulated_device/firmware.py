@@ -1,6 +1,6 @@
 """The controller's firmware in C, in this process: bytes and time in, bytes and DAC codes out, as for any device."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,10 @@ def _loaded(path: Path) -> tuple[Any, Any]:
 class Firmware:
     """A tactor controller, as simulated_device.controller.Controller is one: see there.
 
-    Its sizes are compiled in: those of the settings are built on demand and kept (firmware.build). Raises ValueError
-    for a runtime other than the integer core, the one that it has, and firmware.build.BuildError. A PowerCut of the
-    flash passes through the method that was called; the controller is then without power.
+    Its sizes are compiled in: those of the settings, and further `sizes` of firmware/controller/sizes.h, are built on
+    demand and kept (firmware.build). Raises ValueError for a runtime other than the integer core, the one that it has,
+    and firmware.build.BuildError. A PowerCut of the flash passes through the method that was called; the controller is
+    then without power. `memory_bytes`: all that it keeps.
     """
 
     def __init__(
@@ -39,16 +40,17 @@ class Firmware:
         settings: Settings | None = None,
         flash: FlashMemory | None = None,
         on_dac: Callable[[Codes], None] | None = None,
+        sizes: Mapping[str, int] | None = None,
     ) -> None:
         self.settings = settings or Settings()
         if self.settings.runtime not in (None, "core"):
             raise ValueError(f"the firmware decodes by the integer core, not by {self.settings.runtime}")
-        sizes = {
+        settings_sizes = {
             "VC_CHANNELS": self.settings.channels,
             "VC_BUFFER_SAMPLES": self.settings.buffer_samples,
             "VC_CAPTURE_SAMPLES": self.settings.capture_samples,
         }
-        ffi, self._library = _loaded(build("native", sizes))
+        ffi, self._library = _loaded(build("native", settings_sizes | dict(sizes or {})))
         self._raised: list[BaseException] = []
         self._flash = _FlashPort(ffi, flash or FlashMemory(FLASH_BYTES), self._raised)
         self._sink = ffi.callback("vc_dac_sink", _sink(ffi, on_dac, self._raised))
@@ -58,7 +60,8 @@ class Firmware:
             "vc_controller_settings *",
             (*self._texts, self._actuator, self.settings.watchdog_ms),
         )
-        self._memory = np.zeros(-(-self._library.vc_controller_size() // 8), np.int64)
+        self.memory_bytes: int = self._library.vc_controller_size()
+        self._memory = np.zeros(-(-self.memory_bytes // 8), np.int64)
         self._controller = ffi.cast("vc_controller *", self._memory.ctypes.data)
         self._origin_us: int | None = None
         self._time_us = 0

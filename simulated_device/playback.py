@@ -114,6 +114,11 @@ class Playback:
         """The position up to which data may be sent."""
         return (self._next + self._buffer_packets) * self._packet_samples
 
+    @property
+    def room_samples(self) -> int:
+        """What the buffer holds in packets of this stream: the first credit."""
+        return self._buffer_packets * self._packet_samples
+
     def add(self, iteration: int, packets: Sequence[bytes], time_us: int) -> None:
         """Sort in packets; drop those that come twice, too late, beyond credit or beyond the end, or are malformed."""
         if self.state not in _TAKING_DATA:
@@ -238,7 +243,7 @@ class Playback:
                 f"{packets} packets of {packet_samples} samples are too many for the {self._header.samples} samples "
                 "that the stream header announces",
             )
-        room = self._buffer_packets * packet_samples
+        room = self.room_samples
         if not room or self._prebuffer_samples > room:
             raise Refusal(
                 ErrorCode.BEYOND_LIMITS,

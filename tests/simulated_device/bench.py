@@ -1,5 +1,6 @@
 """A bench for tests: a coded stream, and a controller that is spoken to message by message in simulated time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -30,7 +31,7 @@ from simulated_device.flash import FlashMemory
 
 RATE_HZ = 2800
 
-Kind = type[Controller] | type[Firmware]
+Kind = Callable[..., Controller | Firmware]
 SMALL = Settings(channels=2, buffer_samples=4096, capture_samples=2048)
 """The sizes of a small board, which the firmware is compiled for once."""
 

@@ -1,0 +1,169 @@
+"""What is the firmware's alone: sizes that are compiled in, the pool of coded packets, what a small board can hold."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec import mdct
+from device_protocol.coded_stream import StreamHeader
+from device_protocol.messages import (
+    CaptureData,
+    CaptureRead,
+    Configure,
+    Error,
+    ErrorCode,
+    Hello,
+    HelloResponse,
+    Start,
+    State,
+    Status,
+    StreamData,
+    Tap,
+    pack,
+)
+from host.controller import Controller as Host
+from host.player import play
+from simulated_device.actuator import PIEZO_STACK, Codes
+from simulated_device.controller import Settings
+from simulated_device.firmware import Firmware
+from simulated_device.memory_link import MemoryLink
+from simulated_device.output import render
+from tests.simulated_device.bench import SMALL, Bench, stream
+
+# A microcontroller with 128 KiB of memory: the STM32F405 has 64 KiB more.
+BOARD = {
+    "VC_MAX_CHANNELS": 2,
+    "VC_PACKET_SAMPLES": 2048,
+    "VC_BUFFER_PACKETS": 128,
+    "VC_BUFFER_BYTES": 8192,
+    "VC_MAXIMUM_PAYLOAD_BYTES": 1024,
+    "VC_RATE_RATIO": 4,
+}
+PACKET_BYTES = BOARD["VC_MAXIMUM_PAYLOAD_BYTES"] - 12
+
+
+def board() -> Bench:
+    return Bench(partial(Firmware, sizes=BOARD), SMALL)
+
+
+def test_controller_of_a_small_board_fits_its_memory_and_says_its_limits() -> None:
+    firmware = Firmware(SMALL, sizes=BOARD)
+    # With pointers of eight bytes, where the board has four.
+    print(f"{firmware.memory_bytes} bytes of memory")
+    assert firmware.memory_bytes < 112 * 1024
+    hello = board().ask(Hello())
+    assert isinstance(hello, HelloResponse)
+    limits = hello.limits
+    assert (limits.channels, limits.buffer_samples, limits.capture_samples) == (2, 4096, 2048)
+    assert (limits.maximum_payload_bytes, limits.maximum_packet_bytes) == (1024, PACKET_BYTES)
+    assert limits.maximum_rate_hz == 4 * hello.actuator.dac_rate_hz
+
+
+def test_runtime_that_the_firmware_does_not_have_is_refused() -> None:
+    with pytest.raises(ValueError, match="integer core"):
+        Firmware(Settings(runtime="onnx"))
+
+
+def refused(bench: Bench, header: StreamHeader, prebuffer_samples: int = 0) -> ErrorCode:
+    bench.ask(Hello())
+    answer = bench.ask(Configure(7, header.pack(), prebuffer_samples))
+    assert isinstance(answer, Error)
+    return ErrorCode(answer.code)
+
+
+def test_streams_that_have_no_room_on_a_small_board_are_refused() -> None:
+    header = replace(stream().header, samples=None)
+    long = replace(header, configuration=mdct.configuration(64, 33, [600]))
+    assert refused(board(), long) == ErrorCode.BEYOND_LIMITS
+    assert refused(board(), replace(header, rate_hz=12_001)) == ErrorCode.BEYOND_LIMITS
+    assert refused(board(), header, prebuffer_samples=4097) == ErrorCode.BEYOND_LIMITS
+
+
+def padded(packet: bytes, length: int) -> bytes:
+    """Return a packet made longer: a decoder reads no further than it needs."""
+    return packet + bytes(max(0, length - len(packet)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    lengths=st.lists(st.integers(1, PACKET_BYTES), min_size=44, max_size=44)
+    | st.just([PACKET_BYTES] * 44)
+    | st.just([1] * 44),
+    seed=st.integers(0, 99),
+)
+def test_what_credit_has_granted_always_has_room(lengths: list[int], seed: int) -> None:
+    played = stream(2.0)
+    assert len(played.packets) == len(lengths)
+    order = np.random.default_rng(seed)
+    bench = board()
+    answer = bench.configure(played)
+    assert isinstance(answer, Status)
+    status = answer
+    # Of the longest packets, so many as the pool holds.
+    assert status.credit_until == BOARD["VC_BUFFER_BYTES"] // PACKET_BYTES * played.packet_samples
+    unsent = list(range(len(played.packets)))
+
+    def send_granted() -> None:
+        nonlocal status
+        while granted := [n for n in unsent if (n + 1) * played.packet_samples <= status.credit_until]:
+            number = int(order.choice(granted))
+            unsent.remove(number)
+            packet = padded(played.packets[number], lengths[number])
+            bench.send_payload(pack(StreamData(7, 0, (packet,))))
+            before, status = status, bench.status()
+            assert status.buffered_samples == before.buffered_samples + played.packet_samples
+            assert status.credit_until >= before.credit_until
+
+    send_granted()
+    assert unsent  # the pool or the buffer is full
+    assert isinstance(bench.ask(Start()), Status)
+    while status.state != State.FINISHED:
+        bench.run(10)
+        status = bench.status()
+        send_granted()
+    assert (status.underruns, status.lost_packets) == (0, 0)
+    kept = bench.ask(CaptureRead(Tap.DECODED, len(played.decoded) - 400, 400))
+    assert isinstance(kept, CaptureData)
+    assert kept.data == played.decoded[-400:].astype("<i2").tobytes()
+
+
+def test_playing_begins_when_no_more_of_the_prebuffer_has_room() -> None:
+    played = stream(2.0)
+    bench = board()
+    bench.configure(played, prebuffer_samples=SMALL.buffer_samples)
+    bench.ask(Start())
+    for number in range(8):
+        bench.run(1)
+        assert bench.status().state == State.ARMED
+        packet = padded(played.packets[number], PACKET_BYTES)
+        bench.send_payload(pack(StreamData(7, 0, (packet,))))
+    bench.run(1)
+    assert bench.status().state == State.PLAYING
+
+
+def test_credit_that_grows_while_data_comes_is_notified() -> None:
+    played = stream(2.0)
+    bench = board()
+    bench.configure(played)
+    bench.send(played, range(8))
+    grown = [message for message in bench.notified if isinstance(message, Status)]
+    assert grown[-1].state == State.BUFFERING
+    assert grown[-1].credit_until > 8 * played.packet_samples
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+def test_host_plays_on_a_small_board_as_on_a_large_one(channels: int) -> None:
+    played = stream(3.0, channels)
+    codes: list[Codes] = []
+    link = MemoryLink(Firmware(SMALL, on_dac=codes.append, sizes=BOARD))
+    host = Host(link, link.clock, link.sleep)
+    result = play(host, played.header, played.packets, played.packet_samples, capture=True)
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+    assert result.decoded is not None
+    np.testing.assert_array_equal(result.decoded, played.decoded)
+    expected, _ = render(played.header, played.decoded, played.delay_samples, PIEZO_STACK)
+    np.testing.assert_array_equal(np.concatenate(codes), expected)
