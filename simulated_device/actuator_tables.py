@@ -58,20 +58,19 @@ def _float_bits(value: float) -> int:
 def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[str, Constant]:
     """Return the fields of vc_section."""
     divisor = 1 + tangent / quality + tangent**2
-    # A bound on the sums of magnitudes that vc_section names: damped and low-pass ring longer the higher the Q.
-    ringing = (2 + 1.3 * quality) * divisor
-    shift = max(0, math.ceil(math.log2(ringing / 24)))
-    damping, magnitudes = 1 / quality + tangent, sum(map(abs, weights))
-    if tangent >= 4 or damping >= 32 or magnitudes >= 128 or shift > 16:
+    # A bound on the sums of magnitudes that vc_section names: all three ring longer the higher the Q.
+    shift = max(0, math.ceil(math.log2((2 + 1.3 * quality) * divisor / 12)))
+    damping, scaled = 1 / quality + tangent, [2.0**shift * weight for weight in weights]
+    if tangent >= 4 or damping >= 32 or sum(map(abs, scaled)) >= 128:
         raise ValueError(
             f"the compensation, a resonance of Q {quality:.3g} at {math.atan(tangent) / math.pi:.3g} of the DAC's rate "
-            f"with gains of {magnitudes:.3g} in all, is out of range: change maximum_boost or the DAC's rate"
+            f"with gains up to {max(weights):.3g}, is out of range: choose another maximum_boost"
         )
     return {
         "tangent": round(tangent * 2**29),
         "damping": round(damping * 2**26),
         "gain": min(2**31 - 1, round(2**30 / divisor)),
-        "weight": [round(weight * 2**24) for weight in weights],
+        "weight": [round(weight * 2**24) for weight in scaled],
         "shift": shift,
     }
 

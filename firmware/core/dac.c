@@ -20,7 +20,7 @@
 #define BLOCKS_PER_SECOND 100
 #define MEAN_BITS 46
 #define LARGEST_KNEE (((uint64_t)1 << MEAN_BITS) / 20)
-#define WHOLE_FACTOR (1u << 16)
+#define WHOLE_FACTOR (1 << 16)
 
 static vc_scale scale_of(uint64_t mantissa, int32_t exponent)
 {
@@ -113,16 +113,16 @@ static uint64_t next_mean(const vc_dac *dac, const vc_dac_channel *channel)
 }
 
 /* Square root of value / 2^32, in 1/2^16, rounded down. */
-static uint32_t root(uint32_t value)
+static int32_t root(uint32_t value)
 {
     uint32_t result = 0, bit;
     for (bit = 1u << 15; bit > 0; bit >>= 1)
         if ((result | bit) * (result | bit) <= value)
             result |= bit;
-    return result;
+    return (int32_t)result;
 }
 
-static uint32_t power_factor(const vc_dac *dac, uint64_t mean)
+static int32_t power_factor(const vc_dac *dac, uint64_t mean)
 {
     /* Both parts fit 32 bits when their lowest 12 are left out. */
     if (mean <= dac->floor)
@@ -143,12 +143,10 @@ static int16_t step(vc_dac *dac, vc_dac_channel *channel, int32_t code)
     return (int16_t)code;
 }
 
-/* After a sample of all channels. */
+/* At the end of a block. */
 static void measure(vc_dac *dac)
 {
     uint32_t i;
-    if (++dac->measured < dac->block_samples)
-        return;
     dac->measured = 0;
     for (i = 0; i < dac->channels; i++) {
         vc_dac_channel *channel = &dac->channel[i];
@@ -197,13 +195,12 @@ static int32_t within_voltage(vc_dac *dac, int32_t drive, vc_scale scale, vc_sca
 
 static int32_t within_power(vc_dac *dac, const vc_dac_channel *channel, int32_t code)
 {
-    const int32_t rise = (int32_t)(channel->factor_to - channel->factor_from);
-    const int32_t factor =
-        (int32_t)channel->factor_from + rise * (int32_t)(dac->measured + 1) / (int32_t)dac->block_samples;
-    if (factor == (int32_t)WHOLE_FACTOR || code == 0)
+    const int32_t from = channel->factor_from, rise = channel->factor_to - from;
+    const int32_t factor = rise == 0 ? from : from + rise * (int32_t)(dac->measured + 1) / (int32_t)dac->block_samples;
+    if (factor == WHOLE_FACTOR || code == 0)
         return code;
     count(&dac->counts.power_limited);
-    return (code * factor + (int32_t)WHOLE_FACTOR / 2) >> 16;
+    return (code * factor + WHOLE_FACTOR / 2) >> 16;
 }
 
 void vc_dac_play(vc_dac *dac, const int32_t *drive, uint32_t samples, int16_t *codes)
@@ -216,7 +213,8 @@ void vc_dac_play(vc_dac *dac, const int32_t *drive, uint32_t samples, int16_t *c
             const int32_t code = within_voltage(dac, *drive++, channel->scale, level);
             *codes++ = step(dac, channel, within_power(dac, channel, code));
         }
-        measure(dac);
+        if (++dac->measured == dac->block_samples)
+            measure(dac);
     }
 }
 
@@ -248,7 +246,8 @@ uint32_t vc_dac_ramp(vc_dac *dac, int16_t *codes, uint32_t capacity)
             const int64_t share = vc_raised_cosine(dac->ramp_samples, dac->fade_samples);
             *codes++ = step(dac, channel, (int32_t)((share * channel->ramp_from + (1 << 23)) >> 24));
         }
-        measure(dac);
+        if (++dac->measured == dac->block_samples)
+            measure(dac);
     }
     return made;
 }

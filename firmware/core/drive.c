@@ -19,6 +19,7 @@ enum { FULL_SCALE, ACCELERATION, DISPLACEMENT, UNITS };
 
 /* Position in vc_resampling_kernel: bits behind its index; and its last entry. */
 #define KERNEL_BITS 14
+#define PART ((1u << KERNEL_BITS) - 1)
 #define KERNEL_END (2048u << KERNEL_BITS)
 
 uint32_t vc_fade_samples(uint32_t rate_hz)
@@ -71,20 +72,20 @@ static void prepare_integrator(vc_drive *drive)
 /* One sample through a section. None of its numbers overflows: see vc_section. */
 static int32_t filtered(const vc_section *section, vc_section_state *state, int32_t sample)
 {
-    const int64_t below = (int64_t)(sample >> section->shift) - (state->low >> TANGENT_BITS);
-    const int64_t damping = ((state->band >> TANGENT_BITS) * section->damping) >> DAMPING_BITS;
-    const int32_t high = (int32_t)(((int64_t)(int32_t)(below - damping) * section->gain) >> GAIN_BITS);
-    const int64_t band_step = (int64_t)section->tangent * high;
-    const int32_t band = (int32_t)((state->band + band_step) >> TANGENT_BITS);
-    const int64_t low_step = (int64_t)section->tangent * band;
-    const int32_t low = (int32_t)((state->low + low_step) >> TANGENT_BITS);
+    const int32_t below = (sample >> section->shift) - (int32_t)(state->low >> TANGENT_BITS);
+    const int64_t damping = (int64_t)(int32_t)(state->band >> TANGENT_BITS) * section->damping;
+    const int32_t high =
+        (int32_t)(((int64_t)(below - (int32_t)(damping >> DAMPING_BITS)) * section->gain) >> GAIN_BITS);
+    const int64_t band_step = (int64_t)section->tangent * high, band_sum = state->band + band_step;
+    const int32_t band = (int32_t)(band_sum >> TANGENT_BITS);
+    const int64_t low_step = (int64_t)section->tangent * band, low_sum = state->low + low_step;
+    const int32_t low = (int32_t)(low_sum >> TANGENT_BITS);
     const int64_t sum = (int64_t)section->weight[0] * high + (int64_t)section->weight[1] * band +
                         (int64_t)section->weight[2] * low + (int64_t)section->weight[3] * state->last_band;
-    const unsigned down = WEIGHT_BITS - section->shift;
-    state->band += 2 * band_step;
-    state->low += 2 * low_step;
+    state->band = band_sum + band_step;
+    state->low = low_sum + low_step;
     state->last_band = band;
-    return vc_limited((sum + ((int64_t)1 << (down - 1))) >> down);
+    return vc_limited((sum + (1 << (WEIGHT_BITS - 1))) >> WEIGHT_BITS);
 }
 
 static int32_t displacement(vc_drive *drive, vc_drive_channel *channel, int32_t decoded)
@@ -135,8 +136,10 @@ static void take(vc_drive *drive, const int16_t *decoded)
         if (decoded)
             joined(drive, channel,
                    drive->integrates ? displacement(drive, channel, decoded[i]) : decoded[i] * (1 << DRIVE_BITS));
-        if (drive->taps > 0)
-            drive->values[drive->taps * (1 + i) + drive->newest] = channel->last;
+        if (drive->taps > 0) {
+            int32_t *history = drive->values + drive->taps * (1 + 2 * i);
+            history[drive->newest] = history[drive->newest + drive->taps] = channel->last;
+        }
     }
     if (decoded) {
         drive->joining = 0;
@@ -145,55 +148,70 @@ static void take(vc_drive *drive, const int16_t *decoded)
     }
 }
 
-static int32_t kernel(uint32_t position)
+/* The kernel between two entries of its table. */
+static int32_t between(uint32_t index, int32_t part)
 {
-    const int32_t part = (int32_t)(position & ((1u << KERNEL_BITS) - 1));
-    const int32_t *entry;
-    if (position > KERNEL_END)
-        return 0;
-    entry = vc_resampling_kernel + (position >> KERNEL_BITS);
+    const int32_t *entry = vc_resampling_kernel + index;
     return entry[0] + (((entry[1] - entry[0]) * part) >> KERNEL_BITS);
+}
+
+/* Writes the kernel at `count` positions, `step` apart, forwards or backwards in memory; returns their sum. The last
+ * one may be beyond its end, where it is 0. */
+static uint32_t fill(int32_t *tap, int direction, uint32_t count, uint32_t position, uint32_t step)
+{
+    const int32_t part = (int32_t)(position & PART);
+    uint32_t sum = 0;
+    if ((step & PART) == 0) /* the DAC's rate is the higher: all of them are alike between two entries */
+        for (; count > 0; count--, position += step, tap += direction)
+            sum += (uint32_t)(*tap = between(position >> KERNEL_BITS, part));
+    for (; count > 0; count--, position += step, tap += direction) {
+        *tap = position > KERNEL_END ? 0 : between(position >> KERNEL_BITS, (int32_t)(position & PART));
+        sum += (uint32_t)*tap;
+    }
+    return sum;
 }
 
 /* Writes the taps for the present phase; returns their sum. */
 static uint32_t make_taps(vc_drive *drive)
 {
+    const uint32_t half = drive->delay_samples, step = drive->tap_step;
     const uint32_t behind = (uint32_t)((drive->phase * drive->phase_step) >> (52 - 22));
-    uint32_t i, sum = 0, position = drive->delay_samples * drive->tap_step - behind;
-    for (i = 0; i < drive->delay_samples; i++, position -= drive->tap_step)
-        sum += (uint32_t)(drive->values[i] = kernel(position));
-    for (position = behind; i < drive->taps; i++, position += drive->tap_step)
-        sum += (uint32_t)(drive->values[i] = kernel(position));
+    return fill(drive->values + half, 1, half, behind, step) +
+           fill(drive->values + half - 1, -1, half, step - behind, step);
+}
+
+/* 2^(31 + sum_shift) / sum, from that of phase 0: the sums differ by 1/1000 at most, and a step of Newton's method
+ * leaves the square of that. */
+static uint32_t reciprocal(const vc_drive *drive, uint32_t sum)
+{
+    const int64_t missing = ((int64_t)1 << (31 + drive->sum_shift)) - (int64_t)sum * drive->reciprocal;
+    return drive->reciprocal + (uint32_t)((drive->reciprocal * (missing >> drive->sum_shift)) >> 31);
+}
+
+static int64_t dot_product(const int32_t *taps, const int32_t *history, uint32_t count)
+{
+    int64_t sum = 0;
+    for (; count > 0; count--)
+        sum += (int64_t)*taps++ * *history++;
     return sum;
 }
 
 /* Writes one drive sample of all channels. */
 static void give(vc_drive *drive, int32_t *made)
 {
-    const uint32_t until_end = drive->taps - drive->newest;
-    uint32_t i, k, reciprocal = 0;
-    if (drive->taps > 0) {
-        /* 1 / sum from that of phase 0: the sums differ by 1/1000 at most, and one step of Newton's leaves its square.
-         */
-        const int64_t missing = ((int64_t)1 << (31 + drive->sum_shift)) - (int64_t)make_taps(drive) * drive->reciprocal;
-        reciprocal = drive->reciprocal + (uint32_t)((drive->reciprocal * (missing >> drive->sum_shift)) >> 31);
-    }
-    for (i = 0; i < drive->channels; i++) {
+    const uint32_t taps = drive->taps, scale = taps > 0 ? reciprocal(drive, make_taps(drive)) : 0;
+    const int32_t *history = drive->values + taps + drive->newest;
+    uint32_t i;
+    for (i = 0; i < drive->channels; i++, history += 2 * taps) {
         vc_drive_channel *channel = &drive->channel[i];
         int32_t value = channel->last;
-        if (drive->taps > 0) {
-            const int32_t *history = drive->values + drive->taps * (1 + i);
-            int64_t sum = 0;
-            for (k = 0; k < until_end; k++)
-                sum += (int64_t)drive->values[k] * history[drive->newest + k];
-            for (; k < drive->taps; k++)
-                sum += (int64_t)drive->values[k] * history[k - until_end];
-            value = (int32_t)(((sum >> drive->sum_shift) * reciprocal + (1 << 30)) >> 31);
-        }
+        if (taps > 0)
+            value =
+                (int32_t)(((dot_product(drive->values, history, taps) >> drive->sum_shift) * scale + (1 << 30)) >> 31);
         made[i] = drive->compensation ? filtered(drive->compensation, &channel->compensation, value) : value;
     }
-    drive->wait = drive->rate_hz / drive->dac_rate_hz;
-    drive->phase += drive->rate_hz % drive->dac_rate_hz;
+    drive->wait = drive->whole_step;
+    drive->phase += drive->part_step;
     if (drive->phase >= drive->dac_rate_hz) {
         drive->phase -= drive->dac_rate_hz;
         drive->wait++;
@@ -204,22 +222,22 @@ static void give(vc_drive *drive, int32_t *made)
 static uint32_t run(vc_drive *drive, const int16_t *decoded, uint32_t samples, int32_t *made_drive, uint32_t capacity,
                     uint32_t *made)
 {
-    uint32_t taken = 0;
-    *made = 0;
+    uint32_t taken = 0, count = 0;
     for (;;) {
         if (drive->wait == 0) {
-            if (*made == capacity)
-                return taken;
-            give(drive, made_drive + (size_t)*made * drive->channels);
-            ++*made;
+            if (count == capacity)
+                break;
+            give(drive, made_drive + (size_t)count++ * drive->channels);
         } else {
             if (taken == samples)
-                return taken;
+                break;
             take(drive, decoded ? decoded + (size_t)taken * drive->channels : NULL);
             taken++;
             drive->wait--;
         }
     }
+    *made = count;
+    return taken;
 }
 
 static uint32_t delay_samples(uint32_t rate_hz, uint32_t dac_rate_hz)
@@ -241,7 +259,7 @@ size_t vc_drive_size(const vc_actuator *actuator, const vc_output_stream *stream
         if (stream->gain[i] == 0 || stream->gain[i] >= 0x7F80)
             return 0;
     return sizeof(vc_drive) +
-           (size_t)2 * delay_samples(rate_hz, dac_rate_hz) * (1u + stream->channels) * sizeof(int32_t);
+           (size_t)2 * delay_samples(rate_hz, dac_rate_hz) * (1u + 2u * stream->channels) * sizeof(int32_t);
 }
 
 int vc_drive_init(vc_drive *drive, const vc_actuator *actuator, const vc_output_stream *stream, int compensation,
@@ -262,6 +280,8 @@ int vc_drive_init(vc_drive *drive, const vc_actuator *actuator, const vc_output_
     drive->unmeasured = decoder_delay_samples < UINT32_MAX ? decoder_delay_samples + 1 : UINT32_MAX;
     drive->fade_samples = drive->fade_at = vc_fade_samples(stream->rate_hz);
     drive->wait = 1;
+    drive->whole_step = stream->rate_hz / actuator->dac_rate_hz;
+    drive->part_step = stream->rate_hz % actuator->dac_rate_hz;
     drive->delay_samples = drive->held_samples = delay_samples(drive->rate_hz, drive->dac_rate_hz);
     drive->taps = 2 * drive->delay_samples;
     if (drive->taps > 0) {

@@ -24,16 +24,17 @@ typedef struct vc_drive vc_drive;
 typedef struct vc_dac vc_dac;
 
 /* A second-order filter as a state variable filter (Zavalishin, The Art of VA Filter Design, 3.10 and 4.4): its
- * high-pass, band-pass s / (s^2 + s / Q + 1) and low-pass, by the bilinear transform, weighted and added. Its input is
- * below 5 times full scale; scaled down by 2^shift, it must keep the high-pass, times 1 / gain, the band-pass and the
- * low-pass below 2^31: the sums of the magnitudes of their impulse responses are at most 24 * 2^shift. */
+ * high-pass, band-pass s / (s^2 + s / Q + 1) and low-pass, by the bilinear transform, weighted and added.
+ * Its input is below twice full scale, 2^26, and is scaled down by 2^shift, so that all numbers stay below 2^31: the
+ * sum of the magnitudes of the impulse response is at most 12 * 2^shift for high-pass / gain, band-pass and low-pass.
+ */
 typedef struct {
     int32_t tangent;   /* g = tan(pi corner / rate), in 1/2^29: below 4 */
     int32_t damping;   /* 1 / Q + g, in 1/2^26: below 32 */
     int32_t gain;      /* 1 / (1 + g / Q + g^2), in 1/2^30 */
-    int32_t weight[4]; /* of high-pass, band-pass, low-pass and the band-pass one sample before, in 1/2^24: their
-                          magnitudes are below 128 in all */
-    uint8_t shift;     /* at most 16 */
+    int32_t weight[4]; /* of high-pass, band-pass, low-pass and the band-pass one sample before, times 2^shift, in
+                          1/2^24: their magnitudes are below 128 in all */
+    uint8_t shift;     /* below 32 */
 } vc_section;
 
 /* An actuator with its amplifier and DAC: constants alone, which a board keeps in flash. `python -m

@@ -17,7 +17,7 @@
 /* Bytes of a vc_drive for `channels` of a stream whose rate is at most `ratio` (whole, 1 to VC_RESAMPLER_MAX_RATIO)
  * times the DAC's. */
 #define VC_DRIVE_MEMORY(channels, ratio)                                                                               \
-    (sizeof(struct vc_drive) + VC_RESAMPLER_TAPS * (ratio) * (1 + (channels)) * sizeof(int32_t))
+    (sizeof(struct vc_drive) + VC_RESAMPLER_TAPS * (ratio) * (1 + 2 * (channels)) * sizeof(int32_t))
 
 /* The integrators of a state variable filter, in 1/2^29 of the signal's unit so that nothing is rounded where it would
  * add up, and the band-pass of the last sample. */
@@ -46,14 +46,15 @@ struct vc_drive {
      * the newest. */
     uint32_t delay_samples, taps; /* 0 where both rates are the same */
     uint32_t wait, phase;
-    uint32_t held_samples; /* of the last value, still to be taken by vc_drive_finish() */
-    uint32_t tap_step;     /* from tap to tap, in 1/2^22 of a zero crossing's distance */
-    uint64_t phase_step;   /* of a phase of 1, in 1/2^52 of it */
-    uint32_t reciprocal;   /* 2^(31 + sum_shift) / sum of the taps at phase 0 */
-    uint32_t sum_shift;    /* so that the sum is from 4 to 8 times 2^sum_shift */
-    uint32_t newest;       /* index of the newest sample; those before it follow, round the end */
+    uint32_t whole_step, part_step; /* what a drive sample adds to both */
+    uint32_t held_samples;          /* of the last value, still to be taken by vc_drive_finish() */
+    uint32_t tap_step;              /* from tap to tap, in 1/2^22 of a zero crossing's distance */
+    uint64_t phase_step;            /* of a phase of 1, in 1/2^52 of it */
+    uint32_t reciprocal;            /* 2^(31 + sum_shift) / sum of the taps at phase 0 */
+    uint32_t sum_shift;             /* so that the sum is from 4 to 8 times 2^sum_shift */
+    uint32_t newest;                /* index of the newest sample; those before it follow, round the end */
     vc_drive_channel channel[VC_MAX_CHANNELS];
-    int32_t values[]; /* taps of this drive sample, then a history of as many samples for each channel */
+    int32_t values[]; /* taps of this drive sample, then as many samples of history, twice, for each channel */
 };
 
 /* A positive number: mantissa * 2^exponent, mantissa from 2^30 to below 2^31; or a mantissa of 0. */
@@ -68,7 +69,7 @@ typedef struct {
     int32_t ramp_from;
     /* Power limit: factor, in 1/2^16, at the beginning and end of this block; mean of the squared drive, in 1/2^46 of
      * full drive; sum of the squared codes of this block. */
-    uint32_t factor_from, factor_to;
+    int32_t factor_from, factor_to;
     uint64_t mean, energy;
 } vc_dac_channel;
 
