@@ -20,6 +20,7 @@ enum { FULL_SCALE, ACCELERATION, DISPLACEMENT, UNITS };
 /* Position in vc_resampling_kernel: bits behind its index; and its last entry. */
 #define KERNEL_BITS 14
 #define PART ((1u << KERNEL_BITS) - 1)
+#define CROSSING (256u << KERNEL_BITS)
 #define KERNEL_END (2048u << KERNEL_BITS)
 
 uint32_t vc_fade_samples(uint32_t rate_hz)
@@ -155,18 +156,18 @@ static int32_t between(uint32_t index, int32_t part)
     return entry[0] + (((entry[1] - entry[0]) * part) >> KERNEL_BITS);
 }
 
-/* Writes the kernel at `count` positions, `step` apart, forwards or backwards in memory; returns their sum. The last
- * one may be beyond its end, where it is 0. */
-static uint32_t fill(int32_t *tap, int direction, uint32_t count, uint32_t position, uint32_t step)
+/* Writes the kernel at `count` positions, `step` apart, into every `direction`-th tap from `at` on; returns their sum.
+ * The last one may be beyond its end, where it is 0. */
+static uint32_t fill(int32_t *taps, uint32_t at, uint32_t direction, uint32_t count, uint32_t position, uint32_t step)
 {
     const int32_t part = (int32_t)(position & PART);
-    uint32_t sum = 0;
-    if ((step & PART) == 0) /* the DAC's rate is the higher: all of them are alike between two entries */
-        for (; count > 0; count--, position += step, tap += direction)
-            sum += (uint32_t)(*tap = between(position >> KERNEL_BITS, part));
-    for (; count > 0; count--, position += step, tap += direction) {
-        *tap = position > KERNEL_END ? 0 : between(position >> KERNEL_BITS, (int32_t)(position & PART));
-        sum += (uint32_t)*tap;
+    uint32_t sum = 0, index = position >> KERNEL_BITS;
+    if (step == CROSSING) /* the DAC's rate is the higher: all of them are alike between two entries */
+        for (; count > 0; count--, index += CROSSING >> KERNEL_BITS, at += direction)
+            sum += (uint32_t)(taps[at] = between(index, part));
+    for (; count > 0; count--, position += step, at += direction) {
+        taps[at] = position > KERNEL_END ? 0 : between(position >> KERNEL_BITS, (int32_t)(position & PART));
+        sum += (uint32_t)taps[at];
     }
     return sum;
 }
@@ -176,8 +177,8 @@ static uint32_t make_taps(vc_drive *drive)
 {
     const uint32_t half = drive->delay_samples, step = drive->tap_step;
     const uint32_t behind = (uint32_t)((drive->phase * drive->phase_step) >> (52 - 22));
-    return fill(drive->values + half, 1, half, behind, step) +
-           fill(drive->values + half - 1, -1, half, step - behind, step);
+    return fill(drive->values, half, 1, half, behind, step) +
+           fill(drive->values, half - 1, UINT32_MAX, half, step - behind, step);
 }
 
 /* 2^(31 + sum_shift) / sum, from that of phase 0: the sums differ by 1/1000 at most, and a step of Newton's method
