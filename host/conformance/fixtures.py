@@ -1,0 +1,80 @@
+"""What the modules of the suite share: the session with the controller, and the mark with the place in the protocol.
+
+Whoever runs them gives the fixture `line`, a host.conformance.line.Line to the controller under test.
+"""
+
+import contextlib
+from collections.abc import Iterator
+
+import pytest
+
+from device_protocol.messages import (
+    FlashActivate,
+    FlashConfirm,
+    FlashStatus,
+    HelloResponse,
+    ImageDescription,
+    SlotState,
+)
+from device_protocol.transports import TransportError
+from host.conformance.line import Line
+from host.conformance.probe import Gone, NotConforming, Probe
+
+section = pytest.mark.section
+long = pytest.mark.long
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make the marks known."""
+    config.addinivalue_line("markers", "section(heading): of docs/protocol.md, where the requirement stands")
+    config.addinivalue_line("markers", "long: takes more than a second of the controller's time")
+
+
+@pytest.fixture
+def probe(line: Line) -> Iterator[Probe]:
+    """A session with the controller, whose output is at rest before the test and after it."""
+    line.heal()
+    opened = Probe(line)
+    opened.open()
+    opened.stop()
+    yield opened
+    with contextlib.suppress(NotConforming, TransportError, Gone):
+        line.heal()
+        opened.open()
+        opened.stop()
+
+
+@pytest.fixture
+def hello(probe: Probe) -> HelloResponse:
+    """What the controller says of itself."""
+    return probe.description
+
+
+@pytest.fixture
+def slot(probe: Probe) -> Iterator[int]:
+    """A slot that may be written: none that runs. The image that ran before the test runs after it again."""
+    if not probe.line.may_flash:
+        pytest.skip("slots for model images are not to be written")
+    images = probe.description.images
+    if any(image.state == SlotState.TRIAL for image in images):
+        pytest.skip("an image is on trial: confirm it, or restart the controller")
+    kept = next((image for image in images if image.state == SlotState.CONFIRMED), None)
+    yield min((image for image in images if image != kept), key=lambda image: image.state).slot
+    with contextlib.suppress(NotConforming, TransportError, Gone):
+        _run_again(probe, kept)
+
+
+def _run_again(probe: Probe, kept: ImageDescription | None) -> None:
+    """End a trial that a test has left, and start the image that was kept before it."""
+    probe.line.heal()
+    probe.open()
+    probe.stop()
+    states = {image.slot: image.state for image in probe.description.images}
+    for number, state in states.items():
+        if state == SlotState.TRIAL:
+            probe.expect(FlashConfirm(number), FlashStatus)
+            states[number] = SlotState.CONFIRMED
+    if kept is not None and states[kept.slot] != SlotState.CONFIRMED:
+        probe.expect(FlashActivate(kept.slot), FlashStatus)
+        probe.open()
+        probe.expect(FlashConfirm(kept.slot), FlashStatus)

@@ -1,0 +1,95 @@
+"""The way to the controller under test: it notes which messages pass, and does harm where a test asks for it."""
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from device_protocol.frames import FrameReader
+from device_protocol.messages import Error, MessageError, unpack
+from device_protocol.transports import Transport, TransportError
+from simulated_device.memory_link import FaultyLine
+
+
+class Line:
+    """A transport (device_protocol.transports.Transport) around another one.
+
+    `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
+    controller and gives it back; None where nobody can. `may_flash`: whether slots for model images may be written.
+    `message_types`, `error_codes`: of the undamaged frames that passed either way. `to_controller`, `to_host`: faults.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+        restart: Callable[[], None] | None = None,
+        may_flash: bool = True,
+    ) -> None:
+        self.clock = clock
+        self.sleep = sleep
+        self.restart = restart
+        self.may_flash = may_flash
+        self.message_types: set[int] = set()
+        self.error_codes: set[int] = set()
+        self.to_controller: FaultyLine | None = None
+        self.to_host: FaultyLine | None = None
+        self._transport = transport
+        self._is_cut = False
+        self._readers = (FrameReader(), FrameReader())
+
+    def cut(self) -> None:
+        """Fail, as a pulled cable does, until the transport is opened anew."""
+        self._is_cut = True
+
+    def heal(self) -> None:
+        """End all harm. Raises TransportError where the transport cannot be opened anew."""
+        self.to_controller = self.to_host = None
+        if self._is_cut:
+            self.reopen()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. Raises TransportError."""
+        self._need_cable()
+        self._note(0, data)
+        self._transport.write(data if self.to_controller is None else self.to_controller.carry(data))
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come, waiting for it at most `timeout_s`. Raises TransportError."""
+        self._need_cable()
+        data = self._transport.read(timeout_s)
+        self._note(1, data)
+        return data if self.to_host is None else self.to_host.carry(data)
+
+    def reopen(self) -> None:
+        """Close, and open anew. Raises TransportError."""
+        self._transport.reopen()
+        self._is_cut = False
+
+    def close(self) -> None:
+        """Release the port."""
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _need_cable(self) -> None:
+        if self._is_cut:
+            raise TransportError("the suite has cut the connection")
+
+    def _note(self, way: int, data: bytes) -> None:
+        for payload in self._readers[way].feed(data):
+            self.message_types.add(payload[0])
+            if payload[0] == Error.TYPE:
+                try:
+                    _, message = unpack(payload)
+                except MessageError:
+                    continue  # the test that reads it says so
+                assert isinstance(message, Error)
+                self.error_codes.add(message.code)

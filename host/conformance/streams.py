@@ -1,0 +1,131 @@
+"""Streams to play on the controller under test, within its limits, and what they decode to."""
+
+from collections.abc import Collection
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import codec
+import models
+import textures
+from device_protocol.messages import ActuatorDescription, HelloResponse, Limits
+from device_protocol.model_image import ModelImage
+from host import coding
+from host.coding import Stream
+from simulated_device.actuator import ACTUATORS, Actuator
+
+RATE_HZ = 2800
+SECONDS = 0.4
+# Moderate: no limit of the actuator acts. Of the displacement, or of the drive, from rest.
+STRENGTH = 0.1
+TONE_HZ = 150.0
+MODEL = "eva-16"
+# Type, number, iteration and length before a packet that has a frame of its own.
+_FRAME_BYTES = 12
+
+
+def stream_for(
+    hello: HelloResponse,
+    codec_name: str = codec.mdct.NAME,
+    channels: int = 1,
+    unit: str = "um",
+    seconds: float = SECONDS,
+    buffered: bool = True,
+) -> Stream:
+    """Return a coded texture that the controller can take, with refresh packets; skip the test where there is none.
+
+    `buffered`: no longer than the controller's buffer.
+    """
+    limits = hello.limits
+    if (codec.codec_by_name(codec_name).identifier, codec_name) not in hello.codecs:
+        pytest.skip(f"the controller has no codec {codec_name}")
+    if channels > limits.channels:
+        pytest.skip(f"the controller has {limits.channels} channels")
+    rate_hz = min(max(RATE_HZ, limits.minimum_rate_hz), limits.maximum_rate_hz)
+    if buffered:
+        seconds = min(seconds, 0.8 * limits.buffer_samples / rate_hz)
+    stream = coded(codec_name, rate_hz, channels, unit, amplitude(hello.actuator, unit), seconds, _packet_bytes(limits))
+    if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
+        pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
+    return stream
+
+
+@cache
+def coded(
+    codec_name: str, rate_hz: int, channels: int, unit: str, peak: float, seconds: float, packet_bytes: int
+) -> Stream | None:
+    """Return a texture coded by a middle setting, or the next coarser one whose packets are small enough, if any is."""
+    chosen = codec.codec_by_name(codec_name)
+    ladder = next(iter(chosen.ladders.values()))
+    for setting in reversed(ladder[: len(ladder) // 2 + 1]):
+        encoding = coding.encode(
+            texture(rate_hz, channels, unit, peak, seconds),
+            rate_hz,
+            codec_name,
+            setting=setting,
+            model=model() if chosen.needs_model else None,
+            live=True,
+        )
+        if max(map(len, encoding.stream.packets)) <= packet_bytes:
+            return encoding.stream
+    return None
+
+
+def texture(rate_hz: int, channels: int, unit: str, peak: float, seconds: float) -> textures.Recording:
+    """Return a tone with noise, another in each channel, of about this peak in the unit."""
+    samples = round(seconds * rate_hz)
+    phase = 2 * np.pi * TONE_HZ * np.arange(samples)[:, None] / rate_hz + np.arange(channels)
+    noise = np.random.default_rng(5).standard_normal((samples, channels))
+    return textures.Recording(peak * (0.6 * np.sin(phase) + 0.1 * noise), float(rate_hz), unit, "conformance")
+
+
+def amplitude(actuator: ActuatorDescription, unit: str) -> float:
+    """Return a moderate peak value in the unit, for this actuator."""
+    if unit == "full scale":
+        return STRENGTH
+    peak_um = STRENGTH * actuator.stroke_um / 2
+    return peak_um if unit == "um" else peak_um * 1e-6 * (2 * np.pi * TONE_HZ) ** 2
+
+
+@cache
+def model() -> models.Model:
+    """Return a learned model whose image is decoded by its integer network, which gives the same bits everywhere."""
+    shipped = models.find(MODEL)
+    image = ModelImage.unpack(shipped.image)
+    with_runtime = codec.codec_by_identifier(image.codec_identifier).with_runtime
+    assert with_runtime is not None, "a learned codec leaves the choice"
+    payload = with_runtime(image.payload, "core")
+    return replace(shipped, image=replace(image, name="conformance", payload=payload).pack())
+
+
+def decoded(stream: Stream, first_packet: int = 0, missing: Collection[int] = ()) -> NDArray[np.int16]:
+    """Return what a controller decodes, int16 (samples, channels), from a packet on, where some do not come."""
+    header = stream.header
+    decoder = codec.decoder(header.codec_identifier, header.configuration, header.channels, stream.tables)
+    return np.concatenate(
+        [
+            decoder.conceal() if number in missing else decoder.decode(stream.packets[number])
+            for number in range(first_packet, len(stream.packets))
+        ]
+    )
+
+
+def known_actuator(description: ActuatorDescription) -> Actuator:
+    """Return the model of an actuator whose DAC codes can be computed here; skip the test for any other."""
+    if description.name not in ACTUATORS:
+        pytest.skip(f"the actuator {description.name!r} is none whose DAC codes can be computed here")
+    # The same actuator may hang on another DAC.
+    return replace(ACTUATORS[description.name], dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+
+
+def _packet_bytes(limits: Limits) -> int:
+    return min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - _FRAME_BYTES)
+
+
+def need_capture(hello: HelloResponse) -> None:
+    """Skip the test where the controller captures nothing."""
+    if hello.limits.capture_samples == 0:
+        pytest.skip("the controller captures nothing to read back")

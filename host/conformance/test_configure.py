@@ -1,0 +1,185 @@
+"""Configure: what it refuses, by which code, and the credit that it grants."""
+
+import struct
+from dataclasses import replace
+
+import pytest
+
+from device_protocol.coded_stream import IMAGE_HASH_BYTES, MAX_CHANNELS, MAX_RATE_HZ
+from device_protocol.messages import Configure, ErrorCode, Gain, HelloResponse, Loop, State, Status
+from host.coding import Stream
+from host.conformance.fixtures import section
+from host.conformance.probe import Probe, an_error, in_state, told
+from host.conformance.streams import stream_for
+
+_MOST_PACKETS = 1024
+_UNIT_BITS = 0x03
+_FLAGS_BYTE = 4
+
+
+@pytest.fixture
+def stream(hello: HelloResponse) -> Stream:
+    """A stream that can be played."""
+    return stream_for(hello)
+
+
+def refused(probe: Probe, stream: Stream, header: bytes, code: ErrorCode, **options: int | float) -> str:
+    """Send a Configure that must be refused; return the text of the Error."""
+    return probe.refused(replace(probe.configuration(stream, **options), header=header), code).text
+
+
+@section("Playing: Configure")
+@pytest.mark.parametrize("fault", ["empty", "cut", "magic", "version", "unit", "surplus"])
+def test_stream_header_that_cannot_be_read(probe: Probe, stream: Stream, fault: str) -> None:
+    """A stream header that cannot be read ({fault}) is answered BAD_VALUE."""
+    header = stream.header.pack()
+    faulty = {
+        "empty": b"",
+        "cut": header[:-1],
+        "magic": b"VCX" + header[3:],
+        "version": header[:3] + bytes([header[3] + 0x10]) + header[4:],
+        "unit": header[:_FLAGS_BYTE] + bytes([header[_FLAGS_BYTE] | _UNIT_BITS]) + header[_FLAGS_BYTE + 1 :],
+        "surplus": header + b"\x00",
+    }
+    refused(probe, stream, faulty[fault], ErrorCode.BAD_VALUE)
+
+
+@section("Messages: Error codes")
+def test_codec_that_is_not_there(probe: Probe, stream: Stream) -> None:
+    """A stream of a codec that hello does not name is answered UNKNOWN_CODEC."""
+    announced = {number for number, _ in probe.description.codecs}
+    for number in set(range(1, 16)) - announced:
+        refused(probe, stream, replace(stream.header, codec_identifier=number).pack(), ErrorCode.UNKNOWN_CODEC)
+
+
+@section("Messages: Error codes")
+def test_configuration_that_the_codec_does_not_take(probe: Probe, stream: Stream) -> None:
+    """A configuration that the stream's codec cannot read is answered UNKNOWN_CODEC."""
+    configuration = stream.header.configuration
+    for faulty in (b"", configuration + bytes(200), b"\xff" * max(1, len(configuration))):
+        refused(probe, stream, replace(stream.header, configuration=faulty).pack(), ErrorCode.UNKNOWN_CODEC)
+
+
+@section("Messages: Error codes")
+def test_image_that_does_not_run(probe: Probe, stream: Stream) -> None:
+    """A stream that names a model image that does not run is answered UNKNOWN_IMAGE; the text names the image."""
+    unknown = b"\xab\xcd\xef\x01"
+    assert len(unknown) == IMAGE_HASH_BYTES, "an image is named by four bytes"
+    text = refused(probe, stream, replace(stream.header, image_hash=unknown).pack(), ErrorCode.UNKNOWN_IMAGE)
+    assert unknown.hex() in text.lower(), f"expected {unknown.hex()} in the text, came {text!r}"
+
+
+@section("Messages: Error codes")
+def test_more_channels_than_there_are(probe: Probe, stream: Stream) -> None:
+    """A stream of more channels than the limit is answered BEYOND_LIMITS."""
+    channels = probe.description.limits.channels
+    if channels == MAX_CHANNELS:
+        pytest.skip("the controller has as many channels as a stream can have")
+    for count in {channels + 1, MAX_CHANNELS}:
+        header = replace(stream.header, gains=stream.header.gains * count)
+        refused(probe, stream, header.pack(), ErrorCode.BEYOND_LIMITS)
+
+
+@section("Messages: Error codes")
+def test_rates_beyond_the_limits(probe: Probe, stream: Stream) -> None:
+    """A stream of a rate outside the limits is answered BEYOND_LIMITS."""
+    limits = probe.description.limits
+    rates = [rate for rate in (limits.minimum_rate_hz - 1, limits.maximum_rate_hz + 1) if 1 <= rate <= MAX_RATE_HZ]
+    if not rates:
+        pytest.skip("the controller takes every rate")
+    for rate_hz in rates:
+        refused(probe, stream, replace(stream.header, rate_hz=rate_hz).pack(), ErrorCode.BEYOND_LIMITS)
+
+
+@section("Playing: Configure")
+def test_first_packet_is_one_of_the_iteration(probe: Probe, stream: Stream) -> None:
+    """A first packet that the iteration does not have is answered BAD_VALUE."""
+    packets = len(stream.packets)
+    for first_packet in (packets, packets + 1, 0xFFFFFFFF):
+        refused(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, first_packet=first_packet)
+
+
+@section("Playing: Configure")
+def test_live_stream_has_one_iteration(probe: Probe, stream: Stream) -> None:
+    """A live stream with any other number of loops than 1 is answered BAD_VALUE, by Configure and by Loop."""
+    for loops in (0, 2, 0xFFFF):
+        refused(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=0, loops=loops)
+    probe.configure(stream, packets=0)
+    probe.refused(Loop(2), ErrorCode.BAD_VALUE)
+
+
+@section("Playing: Configure")
+def test_more_packets_than_samples(probe: Probe, stream: Stream) -> None:
+    """More packets than the samples in the stream header can fill are answered BAD_VALUE."""
+    for packets in (len(stream.packets) + 2, 0xFFFFFFFF):
+        refused(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=packets)
+
+
+@section("Playing: Configure")
+def test_iteration_too_short_to_be_repeated(probe: Probe, stream: Stream) -> None:
+    """To repeat an iteration of less than 3 ms is answered BAD_VALUE, by Configure and by Loop."""
+    header = replace(stream.header, samples=max(1, stream.header.rate_hz * 2 // 1000)).pack()
+    for loops in (0, 2):
+        refused(probe, stream, header, ErrorCode.BAD_VALUE, packets=1, loops=loops)
+    in_state(
+        probe.expect(replace(probe.configuration(stream, packets=1), header=header), Status),
+        State.BUFFERING,
+        "Configure",
+    )
+    probe.refused(Loop(2), ErrorCode.BAD_VALUE)
+    in_state(probe.expect(Loop(1), Status), State.BUFFERING, "Loop")
+
+
+@section("Playing: Configure")
+def test_unknown_flags_are_refused(probe: Probe, stream: Stream) -> None:
+    """A flag other than 0x01 is answered BAD_VALUE."""
+    body = bytearray(probe.configuration(stream).body())
+    for flag in (0x02, 0x80):
+        body[1] = flag
+        an_error(probe.ask_body(Configure.TYPE, bytes(body)), ErrorCode.BAD_VALUE, f"Configure with flag 0x{flag:02x}")
+
+
+@section("Playing: Configure")
+@pytest.mark.parametrize("gain", [-1.0, float("nan"), float("inf")], ids=["negative", "nan", "infinity"])
+def test_gain_is_a_finite_factor(probe: Probe, stream: Stream, gain: float) -> None:
+    """A gain of {gain} is answered BAD_VALUE, by Configure and by Gain."""
+    body = probe.configuration(stream).body()
+    packed = struct.pack("<f", gain)
+    end = Configure.FIXED.size
+    answer = probe.ask_body(Configure.TYPE, body[: end - len(packed)] + packed + body[end:])
+    an_error(answer, ErrorCode.BAD_VALUE, f"Configure with gain {gain}")
+    probe.configure(stream)
+    an_error(probe.ask_body(Gain.TYPE, packed), ErrorCode.BAD_VALUE, f"Gain {gain}")
+
+
+@section("Playing: Configure")
+def test_refused_configure_changes_nothing(probe: Probe, stream: Stream) -> None:
+    """A Configure that is refused leaves the stream of before as it was."""
+    before = probe.configure(stream)
+    probe.feed(before.stream, stream.packets)
+    before = probe.status()
+    header = replace(stream.header, image_hash=b"\xab\xcd\xef\x01").pack()
+    refused(probe, stream, header, ErrorCode.UNKNOWN_IMAGE)
+    after = probe.status()
+    kept = replace(after, device_time_us=before.device_time_us)
+    assert kept == before, f"expected {told(before)}, came {told(after)}"
+
+
+@section("Playing: Credit")
+def test_first_credit(probe: Probe, stream: Stream) -> None:
+    """The answer to Configure grants as many whole packets as the buffer holds, at most 1024."""
+    packet_samples = stream.decoder().packet_samples
+    packets = min(_MOST_PACKETS, probe.description.limits.buffer_samples // packet_samples)
+    status = probe.configure(stream)
+    expected = packets * packet_samples
+    assert status.credit_until == expected, f"expected credit until {expected}, came {told(status)}"
+    assert (status.position, status.buffered_samples) == (0, 0), f"expected an empty buffer, came {told(status)}"
+
+
+@section("Playing: Credit")
+def test_prebuffer_longer_than_the_buffer(probe: Probe, stream: Stream) -> None:
+    """A prebuffer longer than the first credit is answered BEYOND_LIMITS; one as long is taken."""
+    credit = probe.configure(stream).credit_until
+    probe.configure(stream, prebuffer_samples=credit)
+    for prebuffer_samples in (credit + 1, 0xFFFFFFFF):
+        refused(probe, stream, stream.header.pack(), ErrorCode.BEYOND_LIMITS, prebuffer_samples=prebuffer_samples)

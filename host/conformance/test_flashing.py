@@ -1,0 +1,300 @@
+"""Flashing: transfer, checks, trial, confirmation; a cut session is resumed, what must not be written is refused."""
+
+import zlib
+from dataclasses import replace
+
+import pytest
+
+import codec
+from device_protocol.messages import (
+    CaptureRead,
+    ErrorCode,
+    FlashActivate,
+    FlashBegin,
+    FlashConfirm,
+    FlashData,
+    FlashStatus,
+    FlashVerify,
+    HelloResponse,
+    ImageDescription,
+    Message,
+    SlotState,
+    Start,
+    State,
+    Status,
+    StatusRequest,
+    Stop,
+    Tap,
+    pack,
+)
+from device_protocol.model_image import ModelImage, sha256
+from host.coding import image_hash
+from host.conformance.fixtures import section
+from host.conformance.probe import NotConforming, Probe, an_error, in_state, same_samples, told
+from host.conformance.streams import decoded, model, need_capture, stream_for
+
+_NO_SLOTS = (0x7F, 0xFF)
+
+
+@pytest.fixture
+def image(hello: HelloResponse) -> ModelImage:
+    """A model image for a codec of the controller; skip the test where no image is known for any."""
+    for number, _ in hello.codecs:
+        if number == codec.mdct.IDENTIFIER:
+            return ModelImage(number, "conformance", "1", hello.hardware, codec.mdct.built_in_tables())
+        if number == codec.eva.IDENTIFIER:
+            return replace(ModelImage.unpack(model().image), hardware=hello.hardware)
+    pytest.skip("no model image is known for any codec of the controller")
+
+
+def begin(probe: Probe, slot: int, data: bytes, hardware: str = "", digest: bytes | None = None) -> FlashStatus:
+    """Announce an image."""
+    announced = sha256(data) if digest is None else digest
+    return probe.expect(FlashBegin(slot, len(data), announced, hardware), FlashStatus)
+
+
+def write(probe: Probe, slot: int, data: bytes, first: int = 0, last: int | None = None) -> None:
+    """Write an image from one byte up to another."""
+    room = probe.description.limits.maximum_payload_bytes - len(pack(FlashData(slot, 0, b"")))
+    last = len(data) if last is None else last
+    while first < last:
+        piece = data[first : min(last, first + room)]
+        status = probe.expect(FlashData(slot, first, piece), FlashStatus)
+        first += len(piece)
+        if status.next_offset != first:
+            raise NotConforming(f"FlashData up to byte {first}: expected next_offset {first}, came {told(status)}")
+
+
+def verify(probe: Probe, slot: int, data: bytes) -> None:
+    """Write a whole image and have it read back."""
+    begin(probe, slot, data)
+    write(probe, slot, data)
+    status = probe.expect(FlashVerify(slot), FlashStatus)
+    expected = replace(status, slot=slot, state=SlotState.VERIFIED, sha256=sha256(data))
+    if status != expected:
+        raise NotConforming(f"FlashVerify: expected {told(expected)}, came {told(status)}")
+
+
+def described(probe: Probe, slot: int) -> ImageDescription:
+    """Return what the controller says of a slot."""
+    probe.open()
+    return next(image for image in probe.description.images if image.slot == slot)
+
+
+def new_image(probe: Probe, image: ModelImage) -> bytes:
+    """Return an image that no slot holds."""
+    held = {description.sha256 for description in probe.description.images}
+    packed = (replace(image, version=str(version)).pack() for version in range(1, 10))
+    return next(data for data in packed if sha256(data) not in held)
+
+
+@section("Messages: Error codes")
+def test_slots_that_are_not_there(probe: Probe) -> None:
+    """Every request for a slot that is not there is answered NO_SUCH_SLOT."""
+    there = {image.slot for image in probe.description.images}
+    for slot in set(_NO_SLOTS) - there:
+        requests: tuple[Message, ...] = (
+            FlashBegin(slot, 100, bytes(32), ""),
+            FlashData(slot, 0, b"data"),
+            FlashVerify(slot),
+            FlashActivate(slot),
+            FlashConfirm(slot),
+        )
+        for request in requests:
+            probe.refused(request, ErrorCode.NO_SUCH_SLOT)
+
+
+@section("Flashing")
+def test_image_for_other_hardware_is_refused(probe: Probe, slot: int) -> None:
+    """FlashBegin for other hardware is answered WRONG_HARDWARE; for this one, and for any, it is carried out."""
+    hardware = probe.description.hardware
+    for other in (f"not {hardware}", hardware + "x", hardware[:-1]):
+        if other:
+            probe.refused(FlashBegin(slot, 100, bytes(32), other), ErrorCode.WRONG_HARDWARE)
+    for digest, fitting in ((b"\x01" * 32, hardware), (b"\x02" * 32, "")):
+        status = probe.expect(FlashBegin(slot, 100, digest, fitting), FlashStatus)
+        assert (status.state, status.next_offset) == (SlotState.WRITING, 0), f"expected to begin, came {told(status)}"
+
+
+@section("Messages: Error codes")
+def test_image_larger_than_a_slot_is_refused(probe: Probe, slot: int) -> None:
+    """FlashBegin with a size that no slot has is answered BEYOND_LIMITS."""
+    probe.refused(FlashBegin(slot, 0xFFFFFFFF, bytes(32), ""), ErrorCode.BEYOND_LIMITS)
+
+
+@section("Flashing")
+def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
+    """FlashData at any other offset than next_offset writes nothing; the answer says where to go on."""
+    data = bytes(range(200))
+    begin(probe, slot, data)
+    write(probe, slot, data, last=50)
+    for offset in (0, 49, 51, 100, 0xFFFFFFFF):
+        status = probe.expect(FlashData(slot, offset, data[50:60]), FlashStatus)
+        assert status.next_offset == 50, f"data at {offset}: expected next_offset 50, came {told(status)}"
+
+
+@section("Flashing")
+def test_data_beyond_the_image_is_refused(probe: Probe, slot: int) -> None:
+    """FlashData beyond the size that FlashBegin named is answered BAD_VALUE and not written."""
+    data = bytes(range(100))
+    begin(probe, slot, data)
+    write(probe, slot, data, last=90)
+    probe.refused(FlashData(slot, 90, bytes(11)), ErrorCode.BAD_VALUE)
+    write(probe, slot, data, first=90)
+
+
+@section("Flashing")
+def test_slot_in_the_wrong_state(probe: Probe, slot: int, image: ModelImage) -> None:
+    """Data for, and verification of, a slot that takes no image, and the start of one not verified, are WRONG_STATE."""
+    begin(probe, slot, b"some image")
+    probe.refused(FlashActivate(slot), ErrorCode.WRONG_STATE)
+    probe.refused(FlashConfirm(slot), ErrorCode.WRONG_STATE)
+    verify(probe, slot, new_image(probe, image))
+    probe.refused(FlashData(slot, 0, b"data"), ErrorCode.WRONG_STATE)
+    probe.refused(FlashVerify(slot), ErrorCode.WRONG_STATE)
+    probe.refused(FlashConfirm(slot), ErrorCode.WRONG_STATE)
+
+
+@section("Flashing")
+def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> None:
+    """After a new connection, FlashBegin of the same image says where to go on; that of another begins anew."""
+    data = new_image(probe, image)
+    half = len(data) // 2
+    begin(probe, slot, data)
+    write(probe, slot, data, last=half)
+    probe.line.cut()
+    found = described(probe, slot)
+    assert found.state == SlotState.WRITING, f"expected a slot in writing, came {found}"
+    status = begin(probe, slot, data)
+    assert status.next_offset == half, f"expected to go on at byte {half}, came {told(status)}"
+    write(probe, slot, data, first=half)
+    status = probe.expect(FlashVerify(slot), FlashStatus)
+    assert status.sha256 == sha256(data), f"expected the hash of the image, came {told(status)}"
+    status = begin(probe, slot, data[:-1])
+    assert (status.state, status.next_offset) == (SlotState.WRITING, 0), f"expected to begin, came {told(status)}"
+
+
+@section("Flashing")
+@pytest.mark.parametrize(
+    "fault", ["hash", "damage", "crc", "magic", "layout", "codec", "hardware", "length", "payload", "text"]
+)
+def test_faulty_image_is_refused(probe: Probe, slot: int, image: ModelImage, fault: str) -> None:
+    """FlashVerify of an image with the wrong {fault} is answered IMAGE_REFUSED, and the slot is EMPTY."""
+    data = image.pack()
+    faulty = {
+        "hash": data,
+        "damage": data[:100] + bytes([data[100] ^ 1]) + data[101:],
+        "crc": data[:-1] + bytes([data[-1] ^ 1]),
+        "magic": with_crc(b"VCMX" + data[4:-4]),
+        "layout": with_crc(data[:4] + b"\x7f" + data[5:-4]),
+        "codec": replace(image, codec_identifier=unknown_codec(probe)).pack(),
+        "hardware": replace(image, hardware="other hardware").pack(),
+        "length": with_crc(data[:-5]),
+        "payload": replace(image, payload=image.payload[:-1]).pack(),
+        "text": with_crc(data[:13] + b"\xff" + data[14:-4]),
+    }[fault]
+    digest = {"hash": bytes(32), "damage": sha256(data)}.get(fault)
+    begin(probe, slot, faulty, digest=digest)
+    write(probe, slot, faulty)
+    probe.refused(FlashVerify(slot), ErrorCode.IMAGE_REFUSED)
+    found = described(probe, slot)
+    assert found.state == SlotState.EMPTY, f"expected an EMPTY slot, came {found}"
+
+
+@section("Flashing")
+def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> None:
+    """FlashData and FlashVerify are carried out while a stream plays, which they do not disturb."""
+    need_capture(probe.description)
+    data = new_image(probe, image)
+    stream = stream_for(probe.description, seconds=1.0)
+    begin(probe, slot, data)
+    number = probe.configure(stream).stream
+    probe.feed(number, stream.packets)
+    probe.expect(Start(), Status)
+    write(probe, slot, data)
+    status = probe.expect(FlashVerify(slot), FlashStatus)
+    assert status.state == SlotState.VERIFIED, f"expected a VERIFIED slot, came {told(status)}"
+    played = probe.wait_for_state(State.FINISHED, 2.0 + 2 * stream.seconds)
+    assert (played.underruns, played.lost_packets) == (0, 0), f"expected no loss, came {told(played)}"
+    first, came = probe.captured(Tap.DECODED, 1)
+    same_samples(came, decoded(stream)[first:], "a stream during a transfer")
+
+
+@section("Flashing")
+def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> None:
+    """FlashActivate restarts into the verified slot: no session, no stream, state TRIAL; FlashConfirm keeps it."""
+    data = new_image(probe, image)
+    before = {found.slot: found for found in probe.description.images}
+    probe.play(stream_for(probe.description))
+    verify(probe, slot, data)
+    status = probe.expect(FlashActivate(slot), FlashStatus)
+    assert status.slot == slot, f"expected an answer for slot {slot}, came {told(status)}"
+    an_error(probe.insist(StatusRequest()), ErrorCode.HELLO_FIRST, "StatusRequest after the restart")
+    an_error(probe.ask(FlashActivate(slot)), ErrorCode.HELLO_FIRST, "a copy of FlashActivate after the restart")
+    in_state(probe.expect(Stop(), Status), State.STOPPED, "Stop before a hello")
+    found = described(probe, slot)
+    expected = ImageDescription(slot, SlotState.TRIAL, sha256(data), image.name, ModelImage.unpack(data).version)
+    assert found == expected, f"expected {expected}, came {found}"
+    probe.refused(CaptureRead(Tap.DECODED, 0, 1), ErrorCode.WRONG_STATE)
+    probe.refused(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
+    status = probe.expect(FlashConfirm(slot), FlashStatus)
+    assert status.state == SlotState.CONFIRMED, f"expected a CONFIRMED slot, came {told(status)}"
+    probe.open()
+    after = {found.slot: found for found in probe.description.images}
+    assert after[slot] == replace(expected, state=SlotState.CONFIRMED), f"expected it kept, came {after[slot]}"
+    for other, found in before.items():
+        if found.state == SlotState.CONFIRMED:
+            expected = replace(found, state=SlotState.VERIFIED)
+            assert after[other] == expected, f"expected {expected}, came {after[other]}"
+    probe.refused(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
+
+
+@section("Flashing: Model image")
+def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, image: ModelImage) -> None:
+    """A stream that names the image on trial plays; once another one runs, it is answered UNKNOWN_IMAGE."""
+    if image.codec_identifier != codec.mdct.IDENTIFIER:
+        pytest.skip("the controller's codec has no built-in tables to compare with")
+    need_capture(probe.description)
+    stream = stream_for(probe.description)
+    data = new_image(probe, image)
+    named = replace(stream.header, image_hash=image_hash(data)).pack()
+    answer = probe.ask(replace(probe.configuration(stream), header=named))
+    an_error(answer, ErrorCode.UNKNOWN_IMAGE, "Configure before the image is flashed")
+    verify(probe, slot, data)
+    probe.expect(FlashActivate(slot), FlashStatus)
+    probe.open()
+    number = in_state(
+        probe.expect(replace(probe.configuration(stream), header=named), Status), State.BUFFERING, "Configure"
+    ).stream
+    probe.feed(number, stream.packets)
+    probe.expect(Start(), Status)
+    probe.wait_for_state(State.FINISHED, 2.0 + 2 * stream.seconds)
+    first, came = probe.captured(Tap.DECODED, 1)
+    same_samples(came, decoded(stream)[first:], "a stream with its image")
+
+
+@section("Flashing")
+def test_trial_that_is_not_confirmed_ends_with_a_restart(probe: Probe, slot: int, image: ModelImage) -> None:
+    """A restart without FlashConfirm falls back to the CONFIRMED slot, and the trial's slot is VERIFIED again."""
+    if probe.line.restart is None:
+        pytest.skip("this controller cannot be restarted from here")
+    kept = [found for found in probe.description.images if found.state == SlotState.CONFIRMED]
+    data = new_image(probe, image)
+    verify(probe, slot, data)
+    probe.expect(FlashActivate(slot), FlashStatus)
+    assert described(probe, slot).state == SlotState.TRIAL, f"expected a trial, came {described(probe, slot)}"
+    probe.line.restart()
+    found = described(probe, slot)
+    assert found.state == SlotState.VERIFIED, f"expected the slot VERIFIED again, came {found}"
+    still = [found for found in probe.description.images if found.state == SlotState.CONFIRMED]
+    assert still == kept, f"expected {kept}, came {still}"
+
+
+def with_crc(data: bytes) -> bytes:
+    """Return an image's bytes with the CRC-32 behind them."""
+    return data + zlib.crc32(data).to_bytes(4, "little")
+
+
+def unknown_codec(probe: Probe) -> int:
+    """Return the number of a codec that the controller does not have."""
+    return min(set(range(1, 0x100)) - {number for number, _ in probe.description.codecs})

@@ -1,0 +1,98 @@
+"""Hello: what a controller says of itself, and which versions it speaks with."""
+
+import math
+
+import pytest
+
+from device_protocol.coded_stream import MAX_CHANNELS, MAX_RATE_HZ
+from device_protocol.frames import MAXIMUM_PAYLOAD_BYTES
+from device_protocol.messages import (
+    MAXIMUM_SEQUENCE,
+    PROTOCOL_MAJOR,
+    PROTOCOL_MINOR,
+    ErrorCode,
+    Hello,
+    HelloResponse,
+    SlotState,
+    Status,
+    StatusRequest,
+)
+from host.conformance.fixtures import section
+from host.conformance.probe import Probe, an_error, told
+from host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMIT_BYTES, SMALLEST_WATCHDOG_MS
+
+
+@section("Session")
+def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
+    """Hello is answered with the version, a build and a hardware id."""
+    assert hello.major == PROTOCOL_MAJOR, f"expected major version {PROTOCOL_MAJOR}, came {hello.major}"
+    assert hello.build, "expected a build, came an empty text"
+    assert hello.hardware, "expected a hardware id, came an empty text"
+
+
+@section("Messages")
+def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
+    """The limits leave room to play: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
+    limits = hello.limits
+    assert SMALLEST_PAYLOAD_LIMIT_BYTES <= limits.maximum_payload_bytes <= MAXIMUM_PAYLOAD_BYTES, (
+        f"expected payloads of {SMALLEST_PAYLOAD_LIMIT_BYTES} to {MAXIMUM_PAYLOAD_BYTES} bytes, came {limits}"
+    )
+    assert limits.maximum_packet_bytes > 0, f"expected room for a packet, came {limits}"
+    assert 1 <= limits.channels <= MAX_CHANNELS, f"expected 1 to {MAX_CHANNELS} channels, came {limits}"
+    assert 1 <= limits.minimum_rate_hz <= limits.maximum_rate_hz <= MAX_RATE_HZ, f"expected a range of rates: {limits}"
+    assert limits.buffer_samples > 0, f"expected a buffer, came {limits}"
+    assert limits.watchdog_ms >= SMALLEST_WATCHDOG_MS, f"expected {SMALLEST_WATCHDOG_MS} ms or more, came {limits}"
+
+
+@section("Messages")
+def test_actuator_is_described(hello: HelloResponse) -> None:
+    """The actuator is described: a name, and numbers that can be its stroke, voltage, band, slew and DAC."""
+    actuator = hello.actuator
+    values = (actuator.stroke_um, actuator.volts, actuator.lower_hz, actuator.upper_hz, actuator.slew_volts_per_second)
+    assert actuator.name, "expected a name, came an empty text"
+    assert all(map(math.isfinite, values)), f"expected numbers, came {actuator}"
+    assert actuator.stroke_um > 0, f"expected a stroke above 0, came {actuator}"
+    assert actuator.volts > 0, f"expected a voltage above 0, came {actuator}"
+    assert 0 <= actuator.lower_hz < actuator.upper_hz, f"expected a band, came {actuator}"
+    assert actuator.slew_volts_per_second >= 0, f"expected a slew of 0 or more, came {actuator}"
+    assert 1 <= actuator.dac_bits <= 16, f"expected codes of 1 to 16 bits, came {actuator}"
+    assert 1 <= actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ, f"expected up to {LARGEST_DAC_RATE_HZ} Hz, came {actuator}"
+
+
+@section("Messages")
+def test_codecs_are_named(hello: HelloResponse) -> None:
+    """Hello names each codec once, by a number from 1 to 15."""
+    numbers = [number for number, _ in hello.codecs]
+    assert numbers, "expected a codec, came none"
+    assert len(set(numbers)) == len(numbers), f"expected each codec once, came {hello.codecs}"
+    assert all(1 <= number <= 15 and text for number, text in hello.codecs), f"expected names, came {hello.codecs}"
+
+
+@section("Flashing")
+def test_slots_are_listed(hello: HelloResponse) -> None:
+    """Hello lists at least two slots, each once; at most one is CONFIRMED and at most one on TRIAL."""
+    states = [image.state for image in hello.images]
+    assert len({image.slot for image in hello.images}) == len(states) >= 2, f"expected two slots, came {hello.images}"
+    assert states.count(SlotState.CONFIRMED) <= 1, f"expected at most one CONFIRMED, came {hello.images}"
+    assert states.count(SlotState.TRIAL) <= 1, f"expected at most one TRIAL, came {hello.images}"
+
+
+@section("Session: Version")
+def test_other_major_version_is_refused(probe: Probe) -> None:
+    """Another major version is answered UNSUPPORTED_VERSION, with both versions in the text, and opens no session."""
+    last = probe.sequence
+    asked = (last + 1000) % MAXIMUM_SEQUENCE + 1
+    answer = probe.ask_body(Hello.TYPE, bytes((PROTOCOL_MAJOR + 1, 3)), asked)
+    text = an_error(answer, ErrorCode.UNSUPPORTED_VERSION, f"Hello of version {PROTOCOL_MAJOR + 1}.3").text
+    for version in (f"{PROTOCOL_MAJOR + 1}.3", f"{PROTOCOL_MAJOR}.{probe.description.minor}"):
+        assert version in text, f"expected {version} in the text, came {text!r}"
+    answer = probe.ask_body(StatusRequest.TYPE, b"", last % MAXIMUM_SEQUENCE + 1)
+    assert isinstance(answer, Status), f"expected the session of before to go on, came {told(answer)}"
+
+
+@section("Session: Version")
+@pytest.mark.parametrize("minor", [PROTOCOL_MINOR + 1, 255])
+def test_other_minor_versions_work(probe: Probe, minor: int) -> None:
+    """A host of minor version {minor} is answered like any other."""
+    answer = probe.ask(Hello(minor=minor))
+    assert isinstance(answer, HelloResponse), f"expected HelloResponse, came {told(answer)}"

@@ -1,0 +1,205 @@
+"""Messages: what cannot be read is answered by an Error, what a later version may add is skipped."""
+
+import pytest
+
+from device_protocol.messages import (
+    REQUESTS,
+    CaptureData,
+    CaptureRead,
+    Configure,
+    EndStream,
+    ErrorCode,
+    FlashActivate,
+    FlashBegin,
+    FlashConfirm,
+    FlashData,
+    FlashVerify,
+    Gain,
+    Hello,
+    HelloResponse,
+    Loop,
+    Message,
+    Pause,
+    Resume,
+    Start,
+    State,
+    Status,
+    StatusRequest,
+    Stop,
+    StreamData,
+    Tap,
+    pack,
+)
+from host.conformance.fixtures import section
+from host.conformance.probe import Probe, an_error, in_state, told
+from host.conformance.streams import stream_for
+
+_KNOWN = {request.TYPE for request in REQUESTS}
+_REQUEST_TYPES = range(0x01, 0x40)
+_STREAM_TYPES = range(0x40, 0x80)
+_CONTROLLER_TYPES = range(0x80, 0x100)
+_FLASHING = (FlashBegin, FlashData, FlashVerify, FlashActivate, FlashConfirm)
+# A tag that no version has, with a value.
+_UNKNOWN_TLV = b"\xee\x05\x00later"
+_NO_SLOT = 0xFF
+
+
+@section("Messages")
+def test_unknown_requests_are_answered_so(probe: Probe) -> None:
+    """Every request type that this version does not have is answered UNKNOWN_MESSAGE, with the request's number."""
+    for message_type in _REQUEST_TYPES:
+        if message_type not in _KNOWN:
+            for body in (b"", b"\x01\x02\x03"):
+                answer = probe.ask_body(message_type, body)
+                an_error(answer, ErrorCode.UNKNOWN_MESSAGE, f"type 0x{message_type:02x} with {len(body)} bytes")
+
+
+@section("Messages")
+def test_unknown_stream_data_is_answered_without_a_number(probe: Probe) -> None:
+    """Every type of stream data that this version does not have is answered UNKNOWN_MESSAGE, with the number 0."""
+    for message_type in _STREAM_TYPES:
+        if message_type != StreamData.TYPE:
+            what = f"stream data of type 0x{message_type:02x}"
+            probe.complaint(bytes([message_type, 1, 2, 3]), ErrorCode.UNKNOWN_MESSAGE, what)
+
+
+@section("Messages")
+def test_messages_of_controllers_are_ignored(probe: Probe) -> None:
+    """Every type from 0x80 on is ignored, so that an echo sets nothing off."""
+    for message_type in _CONTROLLER_TYPES:
+        probe.unanswered(bytes([message_type, 1, 0, 2, 3]), f"a message of type 0x{message_type:02x}")
+
+
+@section("Messages")
+@pytest.mark.parametrize("request_type", REQUESTS, ids=lambda request: request.__name__)
+def test_cut_requests_are_malformed(probe: Probe, request_type: type[Message]) -> None:
+    """{request_type} whose fixed part is cut, at any length, is answered MALFORMED and not carried out."""
+    name, whole = request_type.__name__, request_type.FIXED.size
+    if whole == 0:
+        pytest.skip(f"{name} has no fixed part")
+    for length in range(whole):
+        an_error(probe.ask_body(request_type.TYPE, bytes(length)), ErrorCode.MALFORMED, f"{name} of {length} bytes")
+    in_state(probe.status(), State.STOPPED, f"after cut {name} messages")
+
+
+@section("Messages")
+def test_payload_without_room_for_a_number_is_malformed(probe: Probe) -> None:
+    """A request that ends before its number does is answered MALFORMED, with the number 0."""
+    for payload in (b"\x07", b"\x07\x01", b"\x3f"):
+        probe.complaint(payload, ErrorCode.MALFORMED, f"the payload {payload.hex(' ')}")
+
+
+@section("Messages")
+@pytest.mark.parametrize(
+    "request_type", [request for request in REQUESTS if request is not FlashData], ids=lambda request: request.__name__
+)
+def test_lengths_of_tlvs_are_checked(probe: Probe, request_type: type[Message]) -> None:
+    """{request_type} with a TLV that is cut, or longer than the message, is answered MALFORMED and not carried out."""
+    before = probe.configure(stream_for(probe.description)).state
+    body = request_for(request_type, probe).body()
+    for tlv in (b"\xee", b"\xee\x00", b"\xee\x01\x00", b"\xee\xff\xff\x00", _UNKNOWN_TLV[:-1]):
+        answer = probe.ask_body(request_type.TYPE, body + tlv)
+        an_error(answer, ErrorCode.MALFORMED, f"{request_type.__name__} with the TLV {tlv.hex(' ')}")
+    in_state(probe.status(), before, f"after malformed {request_type.__name__} messages")
+
+
+@section("Messages")
+@pytest.mark.parametrize(
+    "request_type",
+    [request for request in REQUESTS if request not in _FLASHING],
+    ids=lambda request: request.__name__,
+)
+def test_unknown_tags_are_skipped(probe: Probe, request_type: type[Message]) -> None:
+    """{request_type} with a tag that this version does not have is carried out as without it."""
+    stream = stream_for(probe.description)
+    number = probe.configure(stream, **({"packets": 0} if request_type is EndStream else {})).stream
+    if request_type in (Pause, Resume):
+        probe.feed(number, stream.packets)
+        probe.expect(Start(), Status)
+        probe.wait_for_state(State.PLAYING)
+    if request_type is Resume:
+        probe.expect(Pause(), Status)
+    answer = probe.ask_body(request_type.TYPE, request_for(request_type, probe).body() + _UNKNOWN_TLV)
+    expected = {Hello: HelloResponse, CaptureRead: CaptureData}.get(request_type, Status)
+    assert isinstance(answer, expected), f"expected {expected.__name__}, came {told(answer)}"
+
+
+@section("Messages")
+def test_unknown_tags_may_come_before_known_ones(probe: Probe) -> None:
+    """A tag that this version does not have may stand before those that it has."""
+    fixed, tlvs = split(probe.configuration(stream_for(probe.description)))
+    answer = probe.ask_body(Configure.TYPE, fixed + _UNKNOWN_TLV + tlvs)
+    assert isinstance(answer, Status), f"Configure with an unknown tag first: expected Status, came {told(answer)}"
+
+
+@section("Messages")
+def test_configure_needs_its_stream_header(probe: Probe) -> None:
+    """Configure without a stream header is answered MALFORMED."""
+    fixed, _ = split(probe.configuration(stream_for(probe.description)))
+    for tlvs in (b"", _UNKNOWN_TLV):
+        an_error(probe.ask_body(Configure.TYPE, fixed + tlvs), ErrorCode.MALFORMED, "Configure without a stream header")
+
+
+@section("Messages")
+def test_flash_begin_needs_its_hardware_id(probe: Probe) -> None:
+    """FlashBegin without a hardware id, or with one that is not UTF-8, is answered MALFORMED."""
+    fixed, _ = split(FlashBegin(_NO_SLOT, 100, bytes(32), ""))
+    for what, tlvs in (("without a hardware id", b""), ("with a hardware id of bytes ff fe", b"\x01\x02\x00\xff\xfe")):
+        an_error(probe.ask_body(FlashBegin.TYPE, fixed + tlvs), ErrorCode.MALFORMED, f"FlashBegin {what}")
+
+
+@section("Messages: From the host")
+@pytest.mark.parametrize(
+    ("what", "body"),
+    [
+        ("without a body", b""),
+        ("without an iteration", b"\x01"),
+        ("with an iteration that is cut", b"\x01\x80"),
+        ("with an iteration of more than 32 bits", b"\x01\xff\xff\xff\xff\x1f"),
+        ("with a packet longer than the frame", b"\x01\x00\x05\x01\x02"),
+        ("with a packet's length that is cut", b"\x01\x00\x01\x01\x80"),
+        ("with a packet's length of more than 32 bits", b"\x01\x00\xff\xff\xff\xff\x7f"),
+    ],
+    ids=["body", "iteration", "cut-iteration", "long-iteration", "packet", "cut-length", "long-length"],
+)
+def test_malformed_stream_data(probe: Probe, what: str, body: bytes) -> None:
+    """StreamData {what} is answered by one Error MALFORMED with the number 0."""
+    probe.complaint(bytes([StreamData.TYPE]) + body, ErrorCode.MALFORMED, f"StreamData {what}")
+
+
+@section("Messages: From the host")
+def test_stream_data_that_can_be_read_is_not_answered(probe: Probe) -> None:
+    """StreamData that can be read is never answered, also where nothing is configured or it holds no packet."""
+    for packets in ((), (b"\x01",), (b"", b"\xff" * 12)):
+        probe.notified.clear()
+        probe.unanswered(pack(StreamData(9, 0, packets)), "StreamData")
+        assert not probe.notified, f"expected nothing, came {told(probe.notified[0])}"
+
+
+def split(message: Message) -> tuple[bytes, bytes]:
+    """Return the fixed part of a message and its TLVs."""
+    body = message.body()
+    return body[: message.FIXED.size], body[message.FIXED.size :]
+
+
+def request_for(request_type: type[Message], probe: Probe) -> Message:
+    """Return a request of a type that would be carried out on the configured stream; no slot is ever changed by it."""
+    stream = probe.status().stream
+    requests: tuple[Message, ...] = (
+        Hello(),
+        StatusRequest(),
+        Configure(stream, stream_for(probe.description).header.pack(), 0, packets=1),
+        Start(),
+        Pause(),
+        Resume(),
+        Stop(),
+        Loop(1),
+        Gain(0.5),
+        EndStream(stream, 1),
+        CaptureRead(Tap.DECODED, 0, 1),
+        FlashBegin(_NO_SLOT, 100, bytes(32), ""),
+        FlashVerify(_NO_SLOT),
+        FlashActivate(_NO_SLOT),
+        FlashConfirm(_NO_SLOT),
+    )
+    return next(request for request in requests if type(request) is request_type)

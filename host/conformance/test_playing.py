@@ -1,0 +1,388 @@
+"""Playing: start, data and credit, what is lost, pause, loops, live streams, stop."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from device_protocol.coded_stream import packet_sequence
+from device_protocol.messages import EndStream, ErrorCode, Gain, Loop, Pause, Resume, Start, State, Status, Tap
+from host.coding import Stream
+from host.conformance.fixtures import long, section
+from host.conformance.probe import ANSWER_S, NotConforming, Probe, in_state, same_samples, told
+from host.conformance.streams import decoded, need_capture, stream_for
+
+# Later than a request takes to come.
+_SOON_US = 400_000
+_LONGEST_WAIT_S = 1.0
+
+
+@pytest.fixture
+def stream(probe: Probe) -> Stream:
+    """A stream that can be played."""
+    return stream_for(probe.description)
+
+
+@pytest.fixture
+def longer(probe: Probe) -> Stream:
+    """A stream long enough for something to happen in the middle."""
+    return stream_for(probe.description, seconds=1.0)
+
+
+def finished(probe: Probe, stream: Stream, iterations: int = 1) -> Status:
+    """Wait for the end of a stream."""
+    return probe.wait_for_state(State.FINISHED, ANSWER_S + 2 * iterations * stream.seconds)
+
+
+def decoded_as(probe: Probe, stream: Stream, expected: np.ndarray, what: str) -> None:
+    """Compare what was decoded, as far as the controller has kept it, with what it must be."""
+    need_capture(probe.description)
+    first, came = probe.captured(Tap.DECODED, stream.header.channels)
+    limit = probe.description.limits.capture_samples
+    if first != max(0, len(expected) - limit):
+        raise NotConforming(f"{what}: expected {len(expected)} samples captured, came {first + len(came)}")
+    same_samples(came, expected[first:], what)
+
+
+def without_loss(status: Status) -> None:
+    """Check that nothing was lost."""
+    assert (status.underruns, status.lost_packets) == (0, 0), f"expected no underrun and no loss, came {told(status)}"
+
+
+@section("Playing: Start")
+def test_start_waits_for_the_device_time(probe: Probe, stream: Stream) -> None:
+    """Start at a device time to come waits in ARMED until then, and plays at it."""
+    number = probe.configure(stream).stream
+    probe.feed(number, stream.packets)
+    start_us = probe.status().device_time_us + _SOON_US
+    probe.expect(Start(start_us), Status)
+    while True:
+        status = probe.status()
+        if status.device_time_us >= start_us:
+            break
+        in_state(status, State.ARMED, f"{start_us - status.device_time_us} us before the start")
+        assert status.position == 0, f"expected the position 0 before the start, came {told(status)}"
+        probe.listen(0.02)
+    probe.wait_for(lambda status: status.state in (State.PLAYING, State.FINISHED), "to play", ANSWER_S)
+    without_loss(finished(probe, stream))
+
+
+@section("Playing: Start")
+def test_start_at_a_time_gone_by_plays_at_once(probe: Probe, stream: Stream) -> None:
+    """Start at 0, or at a device time gone by, plays as soon as the prebuffer is there."""
+    for gone_by_us in (None, 1, 1_000_000):
+        number = probe.configure(stream).stream
+        probe.feed(number, stream.packets)
+        now_us = probe.status().device_time_us
+        probe.expect(Start(0 if gone_by_us is None else max(0, now_us - gone_by_us)), Status)
+        without_loss(finished(probe, stream))
+
+
+@section("Playing: Start")
+def test_start_waits_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
+    """Start waits in ARMED until the prebuffer is there."""
+    packet_samples = stream.decoder().packet_samples
+    number = probe.configure(stream, prebuffer_samples=2 * packet_samples).stream
+    probe.feed(number, stream.packets[:1])
+    probe.expect(Start(), Status)
+    probe.listen(_LONGEST_WAIT_S / 4)
+    in_state(probe.status(), State.ARMED, "with half of the prebuffer")
+    probe.feed(number, stream.packets[1:])
+    without_loss(finished(probe, stream))
+    decoded_as(probe, stream, decoded(stream), "after waiting for the prebuffer")
+
+
+@section("Playing: Start")
+def test_all_data_is_enough_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
+    """A stream that is shorter than the prebuffer plays when all of it is there."""
+    credit = probe.configure(stream).credit_until
+    number = probe.configure(stream, prebuffer_samples=credit).stream
+    probe.feed(number, stream.packets)
+    probe.expect(Start(), Status)
+    without_loss(finished(probe, stream))
+
+
+@long
+@section("Playing: Start")
+def test_start_does_not_wait_for_ever(probe: Probe, stream: Stream) -> None:
+    """When no data has come for a second, what is there is played."""
+    packet_samples = stream.decoder().packet_samples
+    number = probe.configure(stream, prebuffer_samples=2 * packet_samples).stream
+    probe.feed(number, stream.packets[:1])
+    probe.expect(Start(), Status)
+    probe.wait_for_state(State.PLAYING, 2 * _LONGEST_WAIT_S)
+
+
+@section("Playing: Stream data")
+def test_packets_are_sorted(probe: Probe, stream: Stream) -> None:
+    """Packets that come in any order, and twice, are played in their own order, once."""
+    packets = [*stream.packets, *stream.packets]
+    random.Random(3).shuffle(packets)
+    number = probe.configure(stream).stream
+    for packet in packets:
+        probe.feed(number, [packet])
+    status = probe.status()
+    expected = len(stream.packets) * stream.decoder().packet_samples
+    assert status.buffered_samples == expected, f"expected {expected} samples buffered, came {told(status)}"
+    probe.expect(Start(), Status)
+    without_loss(finished(probe, stream))
+    decoded_as(probe, stream, decoded(stream), "packets out of order")
+
+
+@section("Playing: Configure")
+def test_data_of_another_stream_is_dropped(probe: Probe, stream: Stream) -> None:
+    """Data of another stream or of an iteration that there is not, and packets that cannot be read, are dropped."""
+    number = probe.configure(stream).stream
+    probe.feed((number + 1) % 256, stream.packets)
+    probe.feed(number, stream.packets, iteration=1)
+    probe.feed(number, stream.packets, iteration=0xFFFFFFFF)
+    probe.feed(number, [b"", b"\xff" * 8])
+    status = probe.status()
+    assert status.buffered_samples == 0, f"expected nothing buffered, came {told(status)}"
+
+
+@section("Playing: Credit")
+def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None:
+    """A packet that ends beyond the credit is dropped, one that ends at it is taken."""
+    packet_samples = stream.decoder().packet_samples
+    endless = replace(probe.configuration(stream, packets=60_000), header=replace(stream.header, samples=None).pack())
+    status = in_state(probe.expect(endless, Status), State.BUFFERING, "Configure")
+    last = status.credit_until // packet_samples - 1
+    for sequence, buffered_packets in ((last, 1), (last + 1, 1), (59_999, 1), (60_000, 1), (0, 2)):
+        probe.feed(status.stream, [packed_sequence(sequence) + b"\x00"])
+        came = probe.status().buffered_samples
+        expected = buffered_packets * packet_samples
+        assert came == expected, f"after packet {sequence}: expected {expected} samples buffered, came {came}"
+
+
+@section("Playing: Credit")
+def test_credit_grows_as_data_is_played(probe: Probe, stream: Stream) -> None:
+    """Credit grows with the position, never falls, and comes in notifications."""
+    number = probe.configure(stream).stream
+    probe.feed(number, stream.packets)
+    first = probe.status()
+    probe.notified.clear()
+    probe.expect(Start(), Status)
+    last = finished(probe, stream)
+    credits = [status.credit_until for status in probe.notified if isinstance(status, Status)]
+    assert credits == sorted(credits), f"expected credit that never falls, came {credits}"
+    grown = last.credit_until - first.credit_until
+    expected = len(stream.packets) * stream.decoder().packet_samples
+    assert grown == expected, f"expected credit to grow by the {expected} samples played, it grew by {grown}"
+
+
+@section("Playing: Credit")
+def test_notifications_while_armed_and_playing(probe: Probe, stream: Stream) -> None:
+    """Status comes unasked: when the state changes, and at least every 100 ms while armed or playing."""
+    number = probe.configure(stream).stream
+    probe.feed(number, stream.packets)
+    start_us = probe.status().device_time_us + _SOON_US
+    probe.expect(Start(start_us), Status)
+    probe.notified.clear()
+    probe.listen(_SOON_US / 1e6 + stream.seconds + 0.3)
+    came = [message for message in probe.notified if isinstance(message, Status)]
+    states = {status.state for status in came}
+    assert {State.ARMED, State.PLAYING, State.FINISHED} <= states, f"expected each state, came {states or 'none'}"
+    times_us = [status.device_time_us for status in came if status.state in (State.ARMED, State.PLAYING)]
+    # A port may look at the time every few milliseconds only.
+    longest_us = max(np.diff(times_us), default=0)
+    assert longest_us <= 200_000, f"expected a Status every 100 ms, one came after {longest_us / 1000:.0f} ms"
+
+
+@section("Playing: Positions")
+def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> None:
+    """Playing begins at the refresh packet that Configure names: position, capture and decoding."""
+    refreshes = [number for number, packet in enumerate(stream.packets) if number and packet_sequence(packet)[1]]
+    if not refreshes:
+        pytest.skip("the longest stream that the buffer holds has one refresh packet")
+    packet_samples = stream.decoder().packet_samples
+    first = refreshes[0]
+    status = probe.configure(stream, first_packet=first)
+    assert status.position == first * packet_samples, f"expected position {first * packet_samples}, came {told(status)}"
+    probe.feed(status.stream, stream.packets)
+    probe.expect(Start(), Status)
+    status = finished(probe, stream)
+    without_loss(status)
+    expected = len(stream.packets) * packet_samples
+    assert status.position == expected, f"expected position {expected}, came {told(status)}"
+    decoded_as(probe, stream, decoded(stream, first), f"from packet {first} on")
+
+
+@section("Playing: Stream data")
+@pytest.mark.parametrize("gap", [1, 2], ids=["one", "two"])
+def test_lost_packets_are_concealed(probe: Probe, stream: Stream, gap: int) -> None:
+    """{gap} missing packet(s) are concealed as the codec says, counted, and left behind at the next refresh packet."""
+    missing = range(2, 2 + gap)
+    number = probe.configure(stream).stream
+    probe.feed(number, [packet for sequence, packet in enumerate(stream.packets) if sequence not in missing])
+    probe.expect(Start(), Status)
+    status = finished(probe, stream)
+    assert status.lost_packets == gap, f"expected {gap} lost packet(s), came {told(status)}"
+    assert status.underruns == 0, f"expected no underrun, came {told(status)}"
+    decoded_as(probe, stream, decoded(stream, missing=missing), f"with {gap} packet(s) missing")
+
+
+@section("Playing: Stream data")
+def test_underrun_is_counted_once_and_time_goes_on(probe: Probe, stream: Stream) -> None:
+    """When nothing is buffered before the end, one underrun is counted and told at once, and time goes on."""
+    packets = len(stream.packets)
+    half = packets // 2
+    packet_samples = stream.decoder().packet_samples
+    number = probe.configure(stream).stream
+    probe.feed(number, stream.packets[:half])
+    probe.expect(Start(), Status)
+    probe.notified.clear()
+    status = finished(probe, stream)
+    assert status.underruns == 1, f"expected 1 underrun, came {told(status)}"
+    assert status.lost_packets == packets - half, f"expected {packets - half} lost packets, came {told(status)}"
+    assert status.position == packets * packet_samples, f"expected to end at its end, came {told(status)}"
+    told_in = [state.state for state in probe.notified if isinstance(state, Status) and state.underruns]
+    assert State.PLAYING in told_in, "expected a notification of the underrun while it played, came none"
+    decoded_as(probe, stream, decoded(stream, missing=range(half, packets)), "with an underrun")
+
+
+@long
+@section("Playing: Stream data")
+def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
+    """Packets whose time has begun are dropped: what is old is never played."""
+    packets = len(stream.packets)
+    number = probe.configure(stream).stream
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play without data", _LONGEST_WAIT_S + ANSWER_S)
+    probe.feed(number, stream.packets[:1])
+    status = finished(probe, stream)
+    assert status.lost_packets == packets, f"expected {packets} lost packets, came {told(status)}"
+    decoded_as(probe, stream, decoded(stream, missing=range(packets)), "without data in time")
+
+
+@section("Playing")
+def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
+    """Pause holds the position with the output at rest; Resume goes on, and nothing is left out."""
+    number = probe.configure(longer).stream
+    probe.feed(number, longer.packets)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    paused = in_state(probe.expect(Pause(), Status), State.PAUSED, "Pause")
+    probe.listen(0.1)
+    held = in_state(probe.status(), State.PAUSED, "Pause")
+    at_rest = dac_samples(probe, longer)
+    probe.listen(0.1)
+    still = in_state(probe.status(), State.PAUSED, "Pause")
+    assert paused.position == held.position == still.position, f"expected a held position, came {told(still)}"
+    assert dac_samples(probe, longer) == at_rest, "expected an output at rest, came further DAC codes"
+    in_state(probe.expect(Resume(), Status), State.PLAYING, "Resume")
+    without_loss(finished(probe, longer))
+    decoded_as(probe, longer, decoded(longer), "with a pause")
+
+
+@section("Playing")
+def test_gain_may_change_while_playing(probe: Probe, longer: Stream) -> None:
+    """A gain that is changed while playing does not change what is decoded, and the output ends at rest."""
+    number = probe.configure(longer).stream
+    probe.feed(number, longer.packets)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    for gain in (0.0, 2.0, 0.5):
+        probe.expect(Gain(gain), Status)
+    without_loss(finished(probe, longer))
+    decoded_as(probe, longer, decoded(longer), "with another gain")
+    ends_at_rest(probe, longer)
+
+
+@section("Playing")
+def test_loop_sets_the_iterations(probe: Probe, stream: Stream) -> None:
+    """Loop sets all iterations, also of a stream that was to play until stopped."""
+    number = probe.configure(stream, loops=0).stream
+    probe.expect(Loop(2), Status)
+    probe.feed(number, stream.packets)
+    probe.expect(Start(), Status)
+    probe.feed(number, stream.packets, iteration=1)
+    without_loss(finished(probe, stream, iterations=2))
+    decoded_as(probe, stream, np.tile(decoded(stream), (2, 1)), "two iterations")
+
+
+@section("Playing")
+def test_loop_ends_what_would_go_on(probe: Probe, longer: Stream) -> None:
+    """Loop with a number already reached ends the stream after the present iteration."""
+    number = probe.configure(longer, loops=0).stream
+    probe.feed(number, longer.packets)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    probe.expect(Loop(1), Status)
+    without_loss(finished(probe, longer))
+    decoded_as(probe, longer, decoded(longer), "one iteration")
+
+
+@section("Playing: EndStream")
+def test_live_stream_ends_where_end_stream_says(probe: Probe, stream: Stream) -> None:
+    """A live stream plays until the packet that EndStream names; a second EndStream replaces the first."""
+    live = replace(probe.configuration(stream, packets=0), header=replace(stream.header, samples=None).pack())
+    number = in_state(probe.expect(live, Status), State.BUFFERING, "Configure").stream
+    probe.feed(number, stream.packets)
+    probe.expect(EndStream(number, len(stream.packets) + 100), Status)
+    probe.expect(Start(), Status)
+    probe.expect(EndStream(number, len(stream.packets)), Status)
+    without_loss(finished(probe, stream))
+    decoded_as(probe, stream, decoded(stream), "a live stream")
+
+
+@section("Playing: EndStream")
+def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
+    """EndStream with fewer packets than have been decoded ends the stream with those."""
+    live = replace(probe.configuration(longer, packets=0), header=replace(longer.header, samples=None).pack())
+    number = in_state(probe.expect(live, Status), State.BUFFERING, "Configure").stream
+    probe.feed(number, longer.packets)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    probe.expect(EndStream(number, 0), Status)
+    status = probe.wait_for_state(State.FINISHED)
+    samples = status.position
+    decoded_as(probe, longer, decoded(longer)[:samples], "a live stream cut short")
+
+
+@section("Playing: EndStream")
+def test_end_stream_is_for_live_streams(probe: Probe, stream: Stream) -> None:
+    """EndStream for a stream that is not live is answered BAD_VALUE."""
+    number = probe.configure(stream).stream
+    probe.refused(EndStream(number, 1), ErrorCode.BAD_VALUE)
+
+
+@section("Playing: Stop")
+def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
+    """Stop while playing brings the output to rest within 50 ms and drops the stream; the capture stays."""
+    number = probe.configure(longer).stream
+    probe.feed(number, longer.packets)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 2 * longer.decoder().packet_samples, "to play", ANSWER_S)
+    status = probe.stop()
+    assert status.buffered_samples == 0, f"expected nothing buffered, came {told(status)}"
+    ends_at_rest(probe, longer)
+    captured = dac_samples(probe, longer)
+    probe.listen(0.1)
+    assert dac_samples(probe, longer) == captured, "expected an output at rest, came further DAC codes"
+    assert probe.stop().position == status.position, "expected the position to stay"
+
+
+def dac_samples(probe: Probe, stream: Stream) -> int:
+    """Return how many DAC samples have been captured."""
+    return probe.read_capture(Tap.DAC, 0, 0, stream.header.channels).end
+
+
+def ends_at_rest(probe: Probe, stream: Stream) -> None:
+    """Check that the last DAC code of each channel is 0."""
+    need_capture(probe.description)
+    end = dac_samples(probe, stream)
+    answer = probe.read_capture(Tap.DAC, max(0, end - 1), 1, stream.header.channels)
+    last = np.frombuffer(answer.data, "<i2")
+    assert len(last) == stream.header.channels, f"expected the last DAC codes, came {told(answer)}"
+    assert not last.any(), f"expected an output at rest, the last DAC codes are {last.tolist()}"
+
+
+def packed_sequence(sequence: int) -> bytes:
+    """Return the bytes by which a packet of this number begins that is no refresh packet."""
+    value, packed = 2 * sequence, b""
+    while value >= 0x80:
+        packed += bytes([value & 0x7F | 0x80])
+        value >>= 7
+    return packed + bytes([value])

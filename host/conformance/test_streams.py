@@ -1,0 +1,141 @@
+"""Streams: what every codec decodes, and what goes to the DAC, is to the last bit what is computed here."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import codec
+from codec.interface import MAX_CHANNELS
+from device_protocol.coded_stream import UNITS
+from device_protocol.messages import HelloResponse, State
+from host import player
+from host.coding import Stream
+from host.conformance.fixtures import section
+from host.conformance.probe import NotConforming, Probe, same_samples
+from host.conformance.streams import decoded, known_actuator, need_capture, stream_for
+from host.controller import Controller
+from host.flasher import flash
+from simulated_device.output import LimitCounts, render
+
+# Far beyond what any actuator's amplifier gives.
+_TOO_LOUD = 30.0
+
+
+def played(probe: Probe, stream: Stream, **options: int | float | bool) -> player.PlaybackResult:
+    """Play a stream as the host does, read back what it did, and see that nothing of it was lost."""
+    need_capture(probe.description)
+    controller = Controller(probe.line, probe.line.clock, probe.line.sleep)
+    packet_samples = stream.decoder().packet_samples
+    result = player.play(
+        controller,
+        stream.header,
+        stream.packets,
+        packet_samples,
+        capture=True,
+        **options,  # type: ignore[arg-type]
+    )
+    if result.state != State.FINISHED or (result.underruns, result.lost_packets) != (0, 0):
+        raise NotConforming(f"expected to play to the end without loss, came {result.status}")
+    return result
+
+
+def read_back(samples: NDArray[np.int16] | None) -> NDArray[np.int16]:
+    """Return a capture that was asked for."""
+    assert samples is not None, "the capture was asked for"
+    return samples
+
+
+def computed(probe: Probe, stream: Stream, **options: int | float | bool) -> tuple[NDArray[np.int16], LimitCounts]:
+    """Return the DAC codes of a stream, and what the limits changed; skip the test for an actuator not known here."""
+    actuator = known_actuator(probe.description.actuator)
+    delay_samples = stream.decoder().delay_samples
+    return render(stream.header, decoded(stream), delay_samples, actuator, **options)  # type: ignore[arg-type]
+
+
+def all_channels(hello: HelloResponse) -> int:
+    """Return how many channels there are; skip the test where there is one."""
+    if hello.limits.channels == 1:
+        pytest.skip("the controller has one channel")
+    return min(hello.limits.channels, MAX_CHANNELS)
+
+
+@section("Playing: Positions")
+@pytest.mark.parametrize("channels", ["one channel", "all channels"])
+@pytest.mark.parametrize("codec_name", list(codec.CODECS))
+def test_codec_is_decoded_as_offline(
+    probe: Probe, codec_name: str, channels: str, request: pytest.FixtureRequest
+) -> None:
+    """A stream of {codec_name} in {channels} is decoded bit for bit as offline."""
+    hello = probe.description
+    stream = stream_for(hello, codec_name, 1 if channels == "one channel" else all_channels(hello))
+    if stream.image is not None:
+        request.getfixturevalue("slot")
+        flash(Controller(probe.line, probe.line.clock, probe.line.sleep), stream.image)
+    result = played(probe, stream)
+    same_samples(read_back(result.decoded), decoded(stream), f"{codec_name} in {channels}")
+
+
+@section("Playing: Positions")
+def test_loops_are_decoded_one_after_the_other(probe: Probe) -> None:
+    """Of a stream that is played three times, each iteration is decoded from a fresh state."""
+    stream = stream_for(probe.description)
+    result = played(probe, stream, loops=3)
+    same_samples(read_back(result.decoded), np.tile(decoded(stream), (3, 1)), "three iterations")
+
+
+@section("Playing: Capture")
+@pytest.mark.parametrize("unit", UNITS)
+def test_dac_codes_of_each_unit(probe: Probe, unit: str) -> None:
+    """The DAC codes of a stream in the unit {unit}, with compensation, are those computed here, bit for bit."""
+    stream = stream_for(probe.description, unit=unit)
+    expected, _ = computed(probe, stream)
+    same_samples(read_back(played(probe, stream).dac_codes), expected, f"DAC codes of a stream in {unit}")
+
+
+@section("Playing: Capture")
+def test_dac_codes_of_all_channels(probe: Probe) -> None:
+    """The DAC codes of a stream of as many channels as there are, without compensation, are those computed here."""
+    stream = stream_for(probe.description, channels=all_channels(probe.description))
+    expected, _ = computed(probe, stream, compensation=False)
+    result = played(probe, stream, compensation=False)
+    same_samples(read_back(result.dac_codes), expected, "DAC codes of all channels")
+
+
+@section("Playing: Positions")
+def test_dac_codes_of_loops(probe: Probe) -> None:
+    """The DAC codes of a stream that is played three times, with a gain of a half, are those computed here."""
+    stream = stream_for(probe.description)
+    expected, _ = computed(probe, stream, loops=3, gain=0.5)
+    same_samples(
+        read_back(played(probe, stream, loops=3, gain=0.5).dac_codes), expected, "DAC codes of three iterations"
+    )
+
+
+@section("Playing: Limits")
+@pytest.mark.parametrize("compensation", [True, False], ids=["on", "off"])
+def test_limits_act_and_are_counted(probe: Probe, compensation: bool) -> None:
+    """Far too loud, with compensation {compensation}, DAC codes and counts of the limits are those computed here."""
+    stream = stream_for(probe.description, unit="full scale", seconds=1.2)
+    expected, counts = computed(probe, stream, gain=_TOO_LOUD, compensation=compensation)
+    result = played(probe, stream, gain=_TOO_LOUD, compensation=compensation)
+    same_samples(read_back(result.dac_codes), expected, "DAC codes of a stream that is too loud")
+    status = result.status
+    came = LimitCounts(status.compensation_clipped, status.voltage_limited, status.slew_limited, status.power_limited)
+    assert came == counts, f"expected {counts}, came {came}"
+
+
+@section("Playing: Configure")
+def test_gain_of_zero_keeps_the_output_at_rest(probe: Probe) -> None:
+    """With a gain of 0 every DAC code is 0, for as long as the stream lasts."""
+    codes = read_back(played(probe, stream_for(probe.description), gain=0.0).dac_codes)
+    assert len(codes), "expected DAC codes, came none"
+    assert not codes.any(), f"expected nothing but 0, came codes up to {np.abs(codes).max()}"
+
+
+@section("Playing: Limits")
+def test_streams_begin_alike(probe: Probe) -> None:
+    """A stream gives the same DAC codes when it comes right behind one that is far too loud."""
+    stream = stream_for(probe.description, unit="full scale", seconds=1.2)
+    first = read_back(played(probe, stream).dac_codes)
+    played(probe, stream, gain=_TOO_LOUD)
+    same_samples(read_back(played(probe, stream).dac_codes), first, "DAC codes behind a loud stream")

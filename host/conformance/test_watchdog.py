@@ -1,0 +1,63 @@
+"""Watchdog: a host that is silent is noticed, one that sends anything undamaged is not given up."""
+
+import pytest
+
+from device_protocol.messages import ErrorCode, Pause, Resume, Start, State, Status, StreamData, pack
+from host.conformance.fixtures import long, section
+from host.conformance.probe import Probe, in_state, told
+from host.conformance.streams import stream_for
+
+_AN_HOUR_US = 3_600_000_000
+
+
+def armed(probe: Probe) -> Status:
+    """Set up a stream that waits to be started."""
+    probe.configure(stream_for(probe.description))
+    return probe.expect(Start(probe.status().device_time_us + _AN_HOUR_US), Status)
+
+
+@long
+@section("Session: Watchdog")
+@pytest.mark.parametrize("state", [State.ARMED, State.PAUSED], ids=lambda state: state.name)
+def test_silence_is_noticed(probe: Probe, state: State) -> None:
+    """In {state}, a host that is silent for longer than watchdog_ms is given up: WATCHDOG, the stream dropped."""
+    if state == State.ARMED:
+        armed(probe)
+    else:
+        stream = stream_for(probe.description)
+        probe.feed(probe.configure(stream).stream, stream.packets)
+        probe.expect(Start(), Status)
+        probe.wait_for(lambda status: status.position > 0, "to play", 2.0)
+        probe.expect(Pause(), Status)
+    probe.notified.clear()
+    watchdog_s = probe.description.limits.watchdog_ms / 1000
+    probe.line.sleep(1.1 * watchdog_s)
+    status = in_state(probe.status(), State.WATCHDOG, f"after {1.1 * watchdog_s:g} s of silence")
+    assert status.buffered_samples == 0, f"expected nothing buffered, came {told(status)}"
+    states = [message.state for message in probe.notified if isinstance(message, Status)]
+    assert State.WATCHDOG in states, f"expected a notification of it, came {states or 'none'}"
+    for request in (Start(), Resume()):
+        probe.refused(request, ErrorCode.WRONG_STATE)
+
+
+@long
+@section("Session: Watchdog")
+@pytest.mark.parametrize("kind", ["stream data", "stream data that cannot be read"], ids=["data", "malformed"])
+def test_any_frame_is_a_sign_of_life(probe: Probe, kind: str) -> None:
+    """A host that sends nothing but {kind} is not given up."""
+    payload = pack(StreamData(0, 0, ())) if kind == "stream data" else bytes([StreamData.TYPE])
+    watchdog_s = probe.description.limits.watchdog_ms / 1000
+    armed(probe)
+    for _ in range(6):
+        probe.line.sleep(watchdog_s / 4)
+        probe.send(payload)
+    in_state(probe.status(), State.ARMED, f"after {1.5 * watchdog_s:g} s with nothing but {kind}")
+
+
+@long
+@section("Session: Watchdog")
+def test_silence_does_not_matter_before_start(probe: Probe) -> None:
+    """In BUFFERING, a host may be silent for as long as it likes."""
+    probe.configure(stream_for(probe.description))
+    probe.line.sleep(1.5 * probe.description.limits.watchdog_ms / 1000)
+    in_state(probe.status(), State.BUFFERING, "after silence of the host")
