@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import mdct
+from codec import Decoded, mdct
 from device_protocol.messages import CaptureData, CaptureRead, SlotState, Start, State, StreamData, Tap, pack
 from device_protocol.model_image import ModelImage, sha256
 from host.controller import Controller as Host
@@ -15,10 +15,11 @@ from host.controller import ControllerError
 from host.flasher import flash
 from host.player import PlaybackResult, Progress, play
 from simulated_device.actuator import PIEZO_STACK, Codes
-from simulated_device.controller import Settings
+from simulated_device.controller import Controller, Settings
+from simulated_device.firmware import Firmware
 from simulated_device.flash import FlashMemory, PowerCut
 from simulated_device.memory_link import FaultyLine, MemoryLink
-from simulated_device.output import render
+from simulated_device.output import Dac, Drive, recording_end, render
 from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Kind, Stream, stream
 
 REFRESH_S = 0.25
@@ -46,14 +47,14 @@ def play_on(at: Desk, played: Stream, **options: object) -> PlaybackResult:
     return play(at.host, played.header, played.packets, played.packet_samples, capture=True, **options)  # type: ignore[arg-type]
 
 
-def assert_never_garbage(decoded: np.ndarray, played: Stream, lost_packets: int) -> None:
+def assert_never_garbage(decoded: np.ndarray, played: Stream, lost_packets: int, loops: int = 1) -> None:
     """Every packet's time holds the clean samples, or no more than a fade of them up to the next refresh."""
     packets = len(played.packets)
-    assert len(decoded) == len(played.decoded)
+    assert len(decoded) == loops * len(played.decoded)
     clean = played.decoded.reshape(packets, played.packet_samples, -1).astype(int)
-    heard = decoded.reshape(packets, played.packet_samples, -1).astype(int)
-    refreshes = {number for number, packet in enumerate(played.packets) if packet[0] & 1}
-    spoilt = [number for number in range(packets) if not np.array_equal(clean[number], heard[number])]
+    heard = decoded.reshape(loops * packets, played.packet_samples, -1).astype(int)
+    refreshes = {number for number in range(len(heard)) if played.packets[number % packets][0] & 1}
+    spoilt = [number for number in range(len(heard)) if not np.array_equal(clean[number % packets], heard[number])]
     assert len(spoilt) <= lost_packets * (round(REFRESH_S * RATE_HZ / played.packet_samples) + 1)
     # Half of a block, without the overlap of its lost neighbour: w^2 x + w v x' with w^2 + v^2 = 1 is at most
     # (1 + sqrt 2) / 2 of the loudest sample.
@@ -61,7 +62,7 @@ def assert_never_garbage(decoded: np.ndarray, played: Stream, lost_packets: int)
     for number in spoilt:
         assert np.abs(heard[number]).max() <= loudest
         overlap = played.delay_samples
-        if number in refreshes and np.array_equal(clean[number][overlap:], heard[number][overlap:]):
+        if number in refreshes and np.array_equal(clean[number % packets][overlap:], heard[number][overlap:]):
             continue  # sound begins again; only what overlaps with the lost packet is missing
         if number - 1 not in spoilt or number - 1 in refreshes:
             assert np.abs(heard[number][-8:]).max() <= loudest / 4  # the sound before, faded out
@@ -91,6 +92,45 @@ def test_line_with_faults_in_both_directions(kind: Kind, fault: str, seed: int) 
     if fault in ("doubled", "swapped"):
         assert result.lost_packets == 0
         np.testing.assert_array_equal(result.decoded, played.decoded)
+
+
+def longest_hold(codes: Codes) -> int:
+    """Return the most DAC samples for which a channel has stayed where it was, other than at rest."""
+    longest = 0
+    for channel in codes.T:
+        changes = np.flatnonzero(np.diff(channel, prepend=channel[0] - 1, append=channel[-1] - 1))
+        held = channel[changes[:-1]] != 0
+        longest = max(longest, int(np.diff(changes)[held].max(initial=0)))
+    return longest
+
+
+def output_of(decoded: Decoded, played: Stream, loops: int) -> Codes:
+    """Return the codes that the output makes of what was decoded, whatever that was."""
+    drive = Drive(played.header, PIEZO_STACK, True, played.delay_samples)
+    dac = Dac(played.header, PIEZO_STACK, 1.0, True, drive.drive_samples(played.delay_samples))
+    end = recording_end(played.header, played.delay_samples)
+    codes = []
+    for number, heard in enumerate(np.split(decoded, loops)):
+        if number > 0:
+            drive.join()
+        codes.append(dac.play(drive.push(heard[played.delay_samples if number > 0 else 0 : end])))
+    return np.concatenate([*codes, dac.play(drive.finish()), dac.ramp_down()])
+
+
+@pytest.mark.parametrize(("kind", "loops"), [(Controller, 1), (Firmware, 20)], ids=["30 s", "firmware, 10 minutes"])
+def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator(kind: Kind, loops: int) -> None:
+    played = stream(30.0, 4)
+    chances = {"lost": 0.01, "flipped": 0.01, "doubled": 0.05, "swapped": 0.05}
+    at = desk(kind, FaultyLine(1, **chances), FaultyLine(2, **chances))
+    result = play_on(at, played, loops=loops)
+    assert result.state == State.FINISHED
+    assert result.decoded is not None
+    assert 0 < result.lost_packets < 0.1 * loops * len(played.packets)
+    assert_never_garbage(result.decoded, played, result.lost_packets, loops)
+    codes = at.all_codes()
+    np.testing.assert_array_equal(codes, output_of(result.decoded, played, loops))
+    assert_within_limits(codes)
+    assert longest_hold(codes) < 0.005 * PIEZO_STACK.dac_rate_hz
 
 
 @settings(max_examples=10, deadline=None)
