@@ -19,9 +19,6 @@
 /* Bytes of an image's name, and of its version, in a HelloResponse: what its other parts leave of a payload when there
  * are two slots and eight codecs, and build, hardware and actuator have the longest names that they may have. */
 #define VC_HELLO_REST_BYTES 512
-#if VC_MAXIMUM_PAYLOAD_BYTES < VC_HELLO_REST_BYTES + 4 * 16
-#error "VC_MAXIMUM_PAYLOAD_BYTES is too small for a HelloResponse"
-#endif
 #define VC_IMAGE_TEXT_BYTES ((VC_MAXIMUM_PAYLOAD_BYTES - VC_HELLO_REST_BYTES) / 4)
 
 /* cffi: begin */

@@ -30,7 +30,7 @@
 #define VC_CAPTURE_SAMPLES 524288
 #endif
 
-/* Payload of a frame, both ways: 256 to 4096. */
+/* Payload of a frame, both ways: 576, where what hello tells has room, to 4096. */
 #ifndef VC_MAXIMUM_PAYLOAD_BYTES
 #define VC_MAXIMUM_PAYLOAD_BYTES 4096
 #endif
@@ -50,8 +50,8 @@
 #if VC_CHANNELS < 1 || VC_CHANNELS > VC_MAX_CHANNELS
 #error "VC_CHANNELS: 1 to VC_MAX_CHANNELS"
 #endif
-#if VC_MAXIMUM_PAYLOAD_BYTES < 256 || VC_MAXIMUM_PAYLOAD_BYTES > 4096
-#error "VC_MAXIMUM_PAYLOAD_BYTES: 256 to 4096"
+#if VC_MAXIMUM_PAYLOAD_BYTES < 576 || VC_MAXIMUM_PAYLOAD_BYTES > 4096
+#error "VC_MAXIMUM_PAYLOAD_BYTES: 576 to 4096"
 #endif
 #if VC_BUFFER_BYTES < 4 * VC_MAXIMUM_PACKET_BYTES
 #error "VC_BUFFER_BYTES: room for four of the longest packets, or a host is kept waiting"

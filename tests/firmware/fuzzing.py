@@ -17,7 +17,13 @@ TARGETS = ("frames", "messages", "images", "streams", "flash", "controller")
 
 _FOLDERS = [FIRMWARE / "core", FIRMWARE / "controller", FIRMWARE / "fuzz"]
 # A small controller, which is quickly made anew for each input.
-_SIZES = {"VC_CHANNELS": 2, "VC_BUFFER_SAMPLES": 4096, "VC_BUFFER_PACKETS": 32, "VC_CAPTURE_SAMPLES": 1000}
+_SIZES = {
+    "VC_CHANNELS": 2,
+    "VC_MAX_CHANNELS": 4,
+    "VC_BUFFER_SAMPLES": 4096,
+    "VC_BUFFER_PACKETS": 32,
+    "VC_CAPTURE_SAMPLES": 1000,
+}
 _FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all"]
 
 

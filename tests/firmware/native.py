@@ -6,10 +6,16 @@ from cffi import FFI
 
 from firmware.build import build
 
-_library = build("native")
-ffi: Any = FFI()
-ffi.cdef(_library.with_suffix(".cdef").read_text(), override=True)
-native: Any = ffi.dlopen(str(_library))
+
+def load(**sizes: int) -> tuple[Any, Any]:
+    """Return a build with sizes of firmware/controller/sizes.h: its declarations (FFI), and its functions."""
+    library = build("native", sizes)
+    declarations = FFI()
+    declarations.cdef(library.with_suffix(".cdef").read_text(), override=True)
+    return declarations, declarations.dlopen(str(library))
+
+
+ffi, native = load()
 
 
 def piece_bytes(piece: Any) -> bytes:

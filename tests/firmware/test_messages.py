@@ -41,7 +41,7 @@ from device_protocol.messages import (
     Tap,
 )
 from tests.device_protocol.test_messages import MESSAGES, any_message, images, u8, u16
-from tests.firmware.native import ffi, native, piece_bytes, refusal_text
+from tests.firmware.native import ffi, load, native, piece_bytes, refusal_text
 
 FROM_HOST = (*messages.REQUESTS, StreamData)
 EMPTY = (StatusRequest, Pause, Resume, Stop)
@@ -302,3 +302,26 @@ def test_numbers_of_states_taps_and_slot_states_are_those_of_python() -> None:
             assert getattr(native, prefix + member.name) == member
     for code in messages.ErrorCode:
         assert getattr(native, "VC_" + code.name) == code
+
+
+def test_longest_hello_response_fits_the_smallest_payload() -> None:
+    small_ffi, small = load(VC_MAXIMUM_PAYLOAD_BYTES=576)
+    text, name = small_ffi.new("char[]", b"x" * 63), small_ffi.new("uint8_t[]", ("é" * 127).encode())
+    sha256, frame = small_ffi.new("uint8_t[32]"), small_ffi.new("uint8_t[]", 600)
+    codecs = small_ffi.new("vc_codec_description[]", [[number, codec_name] for number in range(8)])
+    slots = small_ffi.new(
+        "vc_image_description[]", [[number, 4, sha256, [name, 254], [name, 254]] for number in range(2)]
+    )
+    response = small_ffi.new("vc_hello_response *", {"build": text, "hardware": text})
+    response.actuator.name = text
+    response.codecs, response.codec_count, response.images, response.image_count = codecs, 8, slots, 2
+    writer = small_ffi.new("vc_frame_writer *")
+    small.vc_frame_begin(writer, frame, 600)
+    small.vc_put_hello_response(writer, 1, response)
+    length = small.vc_frame_end(writer)
+    (payload,) = FrameReader().feed(bytes(frame)[:length])
+    _, read = messages.unpack(payload)
+    assert isinstance(read, HelloResponse)
+    assert (read.build, read.actuator.name, len(read.codecs)) == ("x" * 63, "x" * 63, 8)
+    # Cut between characters, so that it stays a text.
+    assert [image.name for image in read.images] == ["é" * 8] * 2
