@@ -308,6 +308,7 @@ def test_longest_hello_response_fits_the_smallest_payload() -> None:
     small_ffi, small = load(VC_MAXIMUM_PAYLOAD_BYTES=576)
     text, name = small_ffi.new("char[]", b"x" * 63), small_ffi.new("uint8_t[]", ("é" * 127).encode())
     sha256, frame = small_ffi.new("uint8_t[32]"), small_ffi.new("uint8_t[]", 600)
+    codec_name = small_ffi.new("char[]", b"mdct")
     codecs = small_ffi.new("vc_codec_description[]", [[number, codec_name] for number in range(8)])
     slots = small_ffi.new(
         "vc_image_description[]", [[number, 4, sha256, [name, 254], [name, 254]] for number in range(2)]
