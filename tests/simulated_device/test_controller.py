@@ -648,6 +648,28 @@ def test_watchdog_also_stops_what_one_long_step_of_time_skips(kind: Kind) -> Non
     assert len(bench.all_codes()) <= 900 + FADE_CODES + 3
 
 
+@pytest.mark.parametrize("later_us", [2**32, 2**63, 2**64 - 3_000_000])
+@pytest.mark.parametrize("requests", [(), (Start(2**64 - 1),), (Start(),), (Start(), Pause())])
+def test_no_jump_of_the_clock_is_too_long(kind: Kind, requests: tuple[Message, ...], later_us: int) -> None:
+    played = stream(0.3)
+    bench = Bench(kind)
+    bench.configure(stream(2.0), loops=0)
+    bench.send(stream(2.0), range(len(stream(2.0).packets)))
+    for request in requests:
+        bench.ask(request)
+        bench.run(20)
+    bench.now_us += later_us
+    bench.controller.advance(bench.now_us)
+    assert bench.status().state == (State.WATCHDOG if requests else State.BUFFERING)
+    assert bench.status().device_time_us == bench.now_us
+    assert not bench.all_codes()[-1:].any()
+    bench.codes.clear()
+    bench.start_all(played)
+    bench.run(600)
+    assert bench.status().state == State.FINISHED
+    np.testing.assert_array_equal(bench.all_codes(), rendered(played))
+
+
 def test_status_is_notified_while_playing_and_on_changes(kind: Kind) -> None:
     bench = Bench(kind)
     bench.start_all(stream())
