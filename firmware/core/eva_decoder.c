@@ -55,6 +55,8 @@ static int32_t decode_factorised(vc_range_coder *coder, const uint8_t *probabili
 static int16_t dequantised(int32_t level, int32_t step)
 {
     int64_t value = (int64_t)level * step;
+    if (level == 0) /* as most are */
+        return 0;
     value = (value + (value < 0 ? -STEPS_PER_UNIT / 2 : STEPS_PER_UNIT / 2)) / STEPS_PER_UNIT;
     return (int16_t)(value > MAX_LATENT ? MAX_LATENT : value < -MAX_LATENT ? -MAX_LATENT : value);
 }

@@ -35,21 +35,6 @@ static void products_of_four(const int8_t *weights, uint32_t length, const int16
     sums[3 * rows] = d;
 }
 
-/* Square roots, rounded down, digit by digit and side by side; the energies are used up. */
-static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
-{
-    uint32_t digit, i;
-    for (i = 0; i < count; i++)
-        roots[i] = 0;
-    for (digit = 1u << 28; digit != 0; digit >>= 2)
-        for (i = 0; i < count; i++) {
-            uint32_t trial = roots[i] + digit;
-            uint32_t fits = energies[i] >= trial ? UINT32_MAX : 0;
-            energies[i] -= trial & fits;
-            roots[i] = (roots[i] >> 1) + (digit & fits);
-        }
-}
-
 void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, uint32_t stride,
                      uint32_t columns, int32_t *sums)
 {
@@ -62,7 +47,7 @@ void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, cons
     }
 }
 
-unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squares)
+static unsigned column_squares(const int16_t *values, uint32_t channels, int16_t *squares)
 {
     int32_t greatest = 0;
     unsigned doubled = 0;
@@ -78,6 +63,28 @@ unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squar
         squares[i] = (int16_t)((value * value) >> 15);
     }
     return doubled;
+}
+
+void vc_eva_squares(const int16_t *values, uint32_t channels, uint32_t columns, int16_t *squares, unsigned *doubled)
+{
+    uint32_t column;
+    for (column = 0; column < columns; column++)
+        doubled[column] = column_squares(values + column * channels, channels, squares + column * channels);
+}
+
+/* Square roots, rounded down, digit by digit and side by side; the energies are used up. */
+static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
+{
+    uint32_t digit, i;
+    for (i = 0; i < count; i++)
+        roots[i] = 0;
+    for (digit = 1u << 28; digit != 0; digit >>= 2)
+        for (i = 0; i < count; i++) {
+            uint32_t trial = roots[i] + digit;
+            uint32_t fits = energies[i] >= trial ? UINT32_MAX : 0;
+            energies[i] -= trial & fits;
+            roots[i] = (roots[i] >> 1) + (digit & fits);
+        }
 }
 
 /* As many columns as fit MAX_CHANNELS values side by side. */
@@ -116,6 +123,13 @@ void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns
         normalise_some(values + start, channels, some, sums + start, doubled + column, multipliers, constants, shift,
                        normalised + start);
     }
+}
+
+void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled)
+{
+    uint32_t i;
+    for (i = 0; i < count; i++)
+        scaled[i] = (int16_t)vc_eva_scaled(sums[i], multipliers[i], VC_EVA_MAX_ACTIVATION);
 }
 
 #endif

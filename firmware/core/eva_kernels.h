@@ -22,10 +22,9 @@
 void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, uint32_t stride,
                      uint32_t columns, int32_t *sums);
 
-/* Squares of a column, x^2 / 2^15 after all values have been doubled as often as the greatest can be; returns how
- * often.
- */
-unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squares);
+/* Squares of columns, x^2 / 2^15 after all values of a column have been doubled as often as the greatest can be:
+ * `doubled`. */
+void vc_eva_squares(const int16_t *values, uint32_t channels, uint32_t columns, int16_t *squares, unsigned *doubled);
 
 /* Inverse GDN of columns: values * sqrt(constants + sums * multipliers / 2^(24 + 2 doubled)) / 2^shift, where `sums`
  * are the weighted sums of a column's squares, and `doubled` goes with them; `constants`: VC_EVA_MAX_ENERGY at most.
@@ -33,5 +32,17 @@ unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squar
 void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
                       const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants, unsigned shift,
                       int16_t *normalised);
+
+/* value * multiplier / 2^32, to the nearest, half away from zero, within +-limit. */
+static inline int32_t vc_eva_scaled(int32_t value, uint32_t multiplier, uint32_t limit)
+{
+    const uint32_t magnitude = value < 0 ? 0u - (uint32_t)value : (uint32_t)value;
+    const uint32_t scaled = (uint32_t)(((uint64_t)magnitude * multiplier + (1u << 31)) >> 32);
+    const int32_t limited = (int32_t)(scaled < limit ? scaled : limit);
+    return value < 0 ? -limited : limited;
+}
+
+/* The same of each sum, within +-VC_EVA_MAX_ACTIVATION. */
+void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled);
 
 #endif

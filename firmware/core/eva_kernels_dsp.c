@@ -12,6 +12,8 @@
 
 #include "common.h"
 
+#define MAX_CHANNELS 128
+
 /* Two numbers of 16 bits. */
 static uint32_t pair_at(const int16_t *numbers)
 {
@@ -70,14 +72,14 @@ static const int8_t *one_sum(const int8_t *weights, uint32_t length, const int16
 static const int8_t *four_sums(const int8_t *weights, uint32_t length, const int16_t *inputs, uint32_t stride,
                                int32_t *sums, uint32_t rows)
 {
-    const int8_t *const end = weights + length;
+    const int8_t *const end = weights + length, *const end_of_eights = weights + (length & ~7u);
     const int16_t *second_inputs = inputs + stride, *third_inputs = second_inputs + stride;
     const int16_t *fourth_inputs = third_inputs + stride;
     uint32_t lower, upper, first, second;
     int32_t a = 0, b = 0, c = 0, d = 0;
-    while (end - weights >= 8)
+    while (weights != end_of_eights)
         ADD_TO_FOUR_SUMS(NEXT_PRODUCTS NEXT_PRODUCTS);
-    if (end - weights >= 4)
+    if (length & 4u)
         ADD_TO_FOUR_SUMS(NEXT_PRODUCTS);
     while (weights != end) {
         a += *weights * *inputs++;
@@ -108,7 +110,7 @@ void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, cons
     }
 }
 
-unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squares)
+static unsigned column_squares(const int16_t *values, uint32_t channels, int16_t *squares)
 {
     const uint32_t pairs = channels / 2;
     const int16_t last = channels % 2 == 0 ? 0 : values[channels - 1];
@@ -132,24 +134,47 @@ unsigned vc_eva_squares(const int16_t *values, uint32_t channels, int16_t *squar
     return doubled;
 }
 
+void vc_eva_squares(const int16_t *values, uint32_t channels, uint32_t columns, int16_t *squares, unsigned *doubled)
+{
+    uint32_t column;
+    for (column = 0; column < columns; column++)
+        doubled[column] = column_squares(values + column * channels, channels, squares + column * channels);
+}
+
 /* Rounded down, from a table of 8 bits by one step of Newton's method, which never ends below the root and here never
- * more than one above it. */
+ * more than one above it, as trying all energies has shown; of 0 as of 1, to begin with. */
 static uint32_t square_root(uint32_t energy)
 {
-    const uint32_t some = energy | (energy == 0);
-    const unsigned even_shift = (unsigned)__builtin_clz(some) & ~1u;
-    const uint32_t normal = some << even_shift, start = vc_root[(normal >> 24) - 64];
+    const unsigned even_shift = (unsigned)__builtin_clz(energy | 1) & ~1u;
+    const uint32_t normal = (energy | 1) << even_shift, start = vc_root[(normal >> 24) - 64];
     const uint32_t root = ((start << 7) + (normal >> 9) / start) >> even_shift / 2;
     return root - (root * root > energy);
 }
 
-/* product / 2^down, within what a signed number holds. */
-static int32_t shifted(uint64_t product, unsigned down)
+/* Additions saturate at 2^31 - 1, which is above what is left of the energy. */
+static uint32_t energy(uint32_t constant, int32_t added)
 {
-    const uint32_t high = (uint32_t)(product >> 32), low = (uint32_t)product;
-    if (down >= 32) /* `high` has 31 bits */
-        return (int32_t)(high >> (down - 32));
-    return high >> (down - 1) > 0 ? INT32_MAX : (int32_t)(high << (32 - down) | low >> down);
+    return __usat(__qadd(added, (int32_t)constant), 30);
+}
+
+/* Energies of a column: constants + sums * multipliers / 2^down. */
+static void find_energies(const int32_t *sums, const uint32_t *multipliers, const uint32_t *constants,
+                          uint32_t channels, unsigned down, uint32_t *energies)
+{
+    uint32_t i;
+    if (down >= 32) {
+        for (i = 0; i < channels; i++) {
+            const uint64_t product = (uint64_t)(uint32_t)sums[i] * multipliers[i];
+            energies[i] = energy(constants[i], (int32_t)((uint32_t)(product >> 32) >> (down - 32)));
+        }
+    } else {
+        for (i = 0; i < channels; i++) {
+            const uint64_t product = (uint64_t)(uint32_t)sums[i] * multipliers[i];
+            const uint32_t high = (uint32_t)(product >> 32), low = (uint32_t)product;
+            const int32_t added = high >> (down - 1) > 0 ? INT32_MAX : (int32_t)(high << (32 - down) | low >> down);
+            energies[i] = energy(constants[i], added);
+        }
+    }
 }
 
 void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
@@ -157,18 +182,26 @@ void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns
                       int16_t *normalised)
 {
     const int32_t half = (1 << shift) >> 1;
-    uint32_t column, i;
-    for (column = 0; column < columns; column++) {
-        const unsigned down = VC_EVA_ENERGY_SHIFT + 2 * doubled[column];
+    uint32_t energies[MAX_CHANNELS], column, i;
+    for (column = 0; column < columns; column++, sums += channels) {
+        find_energies(sums, multipliers, constants, channels, VC_EVA_ENERGY_SHIFT + 2 * doubled[column], energies);
         for (i = 0; i < channels; i++) {
-            /* Additions saturate at 2^31 - 1, which is above what is left of the energy. */
-            const int32_t added = shifted((uint64_t)(uint32_t)*sums++ * multipliers[i], down);
-            const uint32_t root = square_root(__usat(__qadd(added, (int32_t)constants[i]), 30));
-            const int32_t value = *values++;
+            const int32_t root = (int32_t)square_root(energies[i]), value = *values++;
             const int32_t magnitude = value < 0 ? -value : value;
-            const int32_t limited = (int32_t)__usat((magnitude * (int32_t)root + half) >> shift, 15);
+            const int32_t limited = (int32_t)__usat((magnitude * root + half) >> shift, 15);
             *normalised++ = (int16_t)(value < 0 ? -limited : limited);
         }
+    }
+}
+
+void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled)
+{
+    uint32_t i;
+    for (i = 0; i < count; i++) {
+        const int32_t sum = *sums++, magnitude = sum < 0 ? -sum : sum; /* below 2^31, as explained above */
+        const uint64_t product = (uint64_t)(uint32_t)magnitude * *multipliers++ + (1u << 31);
+        const int32_t limited = (int32_t)__usat((int32_t)(product >> 32), 15);
+        *scaled++ = (int16_t)(sum < 0 ? -limited : limited);
     }
 }
 

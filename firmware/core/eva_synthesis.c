@@ -20,14 +20,13 @@ static void read_numbers(const uint8_t *bytes, uint32_t count, uint32_t greatest
 /* Normalises work->inputs into work->normalised, behind the history. */
 static void normalise(const vc_eva_normalisation *part, uint32_t channels, uint32_t columns, vc_eva_work *work)
 {
-    uint32_t multipliers[VC_EVA_MAX_WIDTH], constants[VC_EVA_MAX_WIDTH], column;
+    uint32_t multipliers[VC_EVA_MAX_WIDTH], constants[VC_EVA_MAX_WIDTH];
     int16_t *normalised = work->normalised + VC_EVA_HISTORY * channels;
     unsigned doubled[4 * VC_EVA_COLUMNS];
     read_numbers(part->multipliers, channels, UINT32_MAX, multipliers);
     read_numbers(part->constants, channels, VC_EVA_MAX_ENERGY, constants);
     /* The squares take the place of what comes out, until their sums are there. */
-    for (column = 0; column < columns; column++)
-        doubled[column] = vc_eva_squares(work->inputs + column * channels, channels, normalised + column * channels);
+    vc_eva_squares(work->inputs, channels, columns, normalised, doubled);
     vc_eva_products(part->weights, channels, channels, normalised, channels, columns, work->sums);
     vc_eva_normalise(work->inputs, channels, columns, work->sums, doubled, multipliers, constants, part->shift,
                      normalised);
@@ -43,30 +42,18 @@ static const int8_t *phase_sums(const int8_t *weights, uint32_t taps, uint32_t i
     return weights + (size_t)outputs * taps * inputs;
 }
 
-/* value * multiplier / 2^32, to the nearest, half away from zero, within +-limit. */
-static int32_t scaled(int32_t value, uint32_t multiplier, uint32_t limit)
-{
-    const uint32_t magnitude = value < 0 ? 0u - (uint32_t)value : (uint32_t)value;
-    const uint32_t quotient = (uint32_t)(((uint64_t)magnitude * multiplier + (1u << 31)) >> 32);
-    const int32_t limited = (int32_t)(quotient < limit ? quotient : limit);
-    return value < 0 ? -limited : limited;
-}
-
 /* Stride 2: each column of work->normalised becomes two of work->inputs. */
 static void convolve(const vc_eva_convolution *part, uint32_t inputs, uint32_t outputs, uint32_t columns,
                      vc_eva_work *work)
 {
-    uint32_t multipliers[VC_EVA_MAX_WIDTH], column, phase, output;
+    uint32_t multipliers[VC_EVA_MAX_WIDTH], column, phase;
     const int8_t *weights = part->weights;
     read_numbers(part->multipliers, outputs, UINT32_MAX, multipliers);
     for (phase = 0; phase < 2; phase++) {
         weights = phase_sums(weights, phase == 0 ? FIRST_TAPS : OTHER_TAPS, inputs, outputs, columns, work);
-        for (column = 0; column < columns; column++) {
-            const int32_t *sums = work->sums + column * outputs;
-            int16_t *activations = work->inputs + (2 * column + phase) * outputs;
-            for (output = 0; output < outputs; output++)
-                activations[output] = (int16_t)scaled(sums[output], multipliers[output], VC_EVA_MAX_ACTIVATION);
-        }
+        for (column = 0; column < columns; column++)
+            vc_eva_scale(work->sums + column * outputs, multipliers, outputs,
+                         work->inputs + (2 * column + phase) * outputs);
     }
 }
 
@@ -80,7 +67,7 @@ static void convolve_to_samples(const vc_eva_convolution *part, uint32_t inputs,
     for (phase = 0; phase < 4; phase++) {
         weights = phase_sums(weights, phase == 0 ? FIRST_TAPS : OTHER_TAPS, inputs, 1, columns, work);
         for (column = 0; column < columns; column++) {
-            const int32_t value = scaled(work->sums[column], multiplier, SAMPLE_LIMIT);
+            const int32_t value = vc_eva_scaled(work->sums[column], multiplier, SAMPLE_LIMIT);
             samples[(4 * column + phase) * stride] = vc_rounded_sample((int64_t)value * level / SAMPLE_UNIT);
         }
     }

@@ -41,6 +41,10 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
         [256 * detection_threshold_db(2 ** (4 + i / 8)) / (20 * math.log10(2)) for i in range(57)],
     ),
     "vc_dct_cosine": ("int32_t", [2**24 * math.cos(2 * math.pi * i / 4096) for i in range(1025)]),
+    "vc_initial": (
+        "uint16_t",
+        [65536 / (1 + math.exp(-(16 * (i if i < 128 else i - 256) + 2) / 256)) for i in range(256)],
+    ),
     # sqrt(x) / 256 at the middles of 192 steps of x from 2^14 to 2^16.
     "vc_root": ("uint8_t", [min(255, math.sqrt(256 * (i + 64.5))) for i in range(192)]),
     "vc_dct_exponential": ("uint32_t", [2 ** (30 + i / 256) for i in range(257)]),

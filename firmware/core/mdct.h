@@ -77,7 +77,7 @@ static inline int32_t vc_step_of(uint32_t code)
 
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels);
 
-/* The payload of a model image: tables, perhaps a network. NULL = the built-in tables. */
+/* The payload of a model image: tables, perhaps a network. For the first two functions NULL = the built-in tables. */
 int vc_model_check_tables(const uint8_t *tables, size_t length);
 const uint8_t *vc_model_network(const uint8_t *tables, size_t length);
 void vc_model_reset(vc_model *model, const uint8_t *tables);
@@ -155,6 +155,7 @@ static inline int32_t vc_reconstruct(int32_t level, int32_t step)
 
 extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
 extern const uint16_t vc_squash[1024]; /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
+extern const uint16_t vc_initial[256]; /* vc_squash at 16 times an int8_t: what a byte of the tables stands for */
 extern const uint16_t vc_cost[2048];   /* -log2((i + 1/2) / 2048) in 1/256 bit */
 extern const uint8_t vc_builtin_tables[];
 

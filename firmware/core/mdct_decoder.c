@@ -48,7 +48,7 @@ int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration,
 {
     int status;
     memset(decoder, 0, sizeof *decoder);
-    decoder->tables = tables;
+    decoder->tables = tables == NULL ? vc_builtin_tables : tables;
     status = vc_model_check_tables(tables, tables_length);
     if (status != VC_OK)
         return status;

@@ -22,7 +22,7 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
 {
     int status;
     memset(encoder, 0, sizeof *encoder);
-    encoder->tables = tables;
+    encoder->tables = tables == NULL ? vc_builtin_tables : tables;
     encoder->refresh_packets = refresh_packets;
     encoder->lambda = lambda;
     status = vc_model_check_tables(tables, tables_length);

@@ -42,13 +42,21 @@ static inline uint16_t vc_adapted(uint16_t probability, int bit)
                           : probability - (probability >> VC_ADAPTATION_SHIFT));
 }
 
+/* Index into vc_squash, (d + 2048) / 4 rounded down, of d = sum / 65536 rounded towards zero; within the table. */
+static inline int32_t vc_squash_index(int64_t sum)
+{
+    const int64_t one = 1 << 18; /* a step of the table; the bits below are cleared, so that a shift is enough */
+    const int32_t index = (int32_t)(((sum + (sum < 0 ? 65535 : 0) + 512 * one) & -one) / one);
+    return index < 0 ? 0 : index > 1023 ? 1023 : index;
+}
+
 /* Probability of 1 for decision `decision` (0: not zero; n: magnitude above n). */
 static inline uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, unsigned decision, unsigned quantiser,
                                   vc_prediction *prediction)
 {
     const unsigned kind = decision < VC_DECISIONS ? decision : VC_DECISIONS - 1;
     int32_t *weight = model->weight[kind][quantiser][contexts->scale];
-    int64_t sum = 0;
+    int64_t sum = (int64_t)weight[VC_INPUTS + 1] * VC_BIAS_INPUT;
     uint32_t probability;
     unsigned i;
     for (i = 0; i < VC_INPUTS; i++) {
@@ -57,9 +65,9 @@ static inline uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, 
     }
     prediction->stretched[VC_INPUTS] = contexts->network[kind];
     prediction->stretched[VC_INPUTS + 1] = VC_BIAS_INPUT;
-    for (i = 0; i < VC_MIXED; i++)
+    for (i = 0; i <= VC_INPUTS; i++)
         sum += (int64_t)weight[i] * prediction->stretched[i];
-    probability = vc_squash[(vc_clamped((int32_t)(sum / 65536), VC_MAX_STRETCHED) + 2048) >> 2];
+    probability = vc_squash[vc_squash_index(sum)];
     prediction->weight = weight;
     prediction->mixed = (int32_t)probability;
     return vc_codable(probability);
@@ -71,7 +79,10 @@ static inline void vc_update(const vc_prediction *prediction, int bit)
     const int32_t error = VC_LEARNING_RATE * ((bit ? 65536 : 0) - prediction->mixed);
     unsigned i;
     for (i = 0; i < VC_MIXED; i++) {
-        const int32_t change = (error * prediction->stretched[i]) / (1 << VC_LEARNING_SHIFT);
+        int32_t change;
+        if (i == VC_INPUTS && prediction->stretched[i] == 0)
+            continue; /* no network: nothing would change */
+        change = (error * prediction->stretched[i]) / (1 << VC_LEARNING_SHIFT);
         prediction->weight[i] = vc_clamped(prediction->weight[i] + change, VC_MAX_WEIGHT);
     }
     for (i = 0; i < VC_INPUTS; i++)

@@ -42,19 +42,18 @@ void vc_model_reset(vc_model *model, const uint8_t *tables)
 {
     uint16_t *cells = &model->probability[0][0][0][0];
     int32_t *weights = &model->weight[0][0][0][0];
-    const uint8_t *source = tables == NULL ? vc_builtin_tables : tables;
     unsigned i;
     for (i = 0; i < CELLS; i++)
-        cells[i] = vc_squash[512 + 4 * (int8_t)*source++]; /* squash() of 16 times as much */
+        cells[i] = vc_initial[*tables++];
     for (i = 0; i < WEIGHTS; i++)
         if (i % VC_MIXED == VC_INPUTS) {
             weights[i] = NETWORK_WEIGHT;
         } else {
-            weights[i] = vc_clamped(16 * (int16_t)(source[0] | source[1] << 8), VC_MAX_WEIGHT);
-            source += 2;
+            weights[i] = vc_clamped(16 * (int16_t)(tables[0] | tables[1] << 8), VC_MAX_WEIGHT);
+            tables += 2;
         }
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
-        model->silence[i] = (uint16_t)(*source++ * 256 + 128);
+        model->silence[i] = (uint16_t)(*tables++ * 256 + 128);
 }
 
 void vc_model_export(const vc_model *model, uint8_t *tables)
