@@ -76,8 +76,10 @@ static int set_slots(vc_image_store *store, const vc_slot *slots)
     store->counter = counter;
     memcpy(store->slots, slots, sizeof store->slots);
     for (i = 0; i < VC_SLOTS; i++)
-        if (slots[i].state == VC_SLOT_EMPTY)
+        if (slots[i].state == VC_SLOT_EMPTY) {
             store->written[i] = 0;
+            store->whole[i] = 0;
+        }
     return 1;
 }
 
@@ -184,7 +186,7 @@ void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_im
     description->slot = (uint8_t)number;
     description->state = store->slots[number].state;
     description->sha256 = store->slots[number].sha256;
-    if (store->whole[number]) {
+    if (description->state > VC_SLOT_WRITING && store->whole[number]) {
         description->name = store->images[number].name;
         description->version = store->images[number].version;
     }
@@ -264,7 +266,6 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
     memcpy(wanted.sha256, begin->sha256, VC_SHA256_BYTES);
     if (slot->state != VC_SLOT_WRITING || slot->size_bytes != wanted.size_bytes ||
         !vc_same_bytes(slot->sha256, wanted.sha256, VC_SHA256_BYTES)) {
-        store->whole[begin->slot] = 0;
         if (!set_slot(store, begin->slot, &empty_slot) ||
             flash->erase(flash->context, flash->slot[begin->slot], flash->slot_bytes) != 0 ||
             !set_slot(store, begin->slot, &wanted))
@@ -311,10 +312,8 @@ int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_repor
     if (refused)
         return refused;
     refused = check_image(store, number, refusal);
-    if (refused) {
-        store->whole[number] = 0;
+    if (refused)
         return set_slot(store, number, &empty_slot) ? refused : flash_failed(refusal);
-    }
     verified = store->slots[number];
     verified.state = VC_SLOT_VERIFIED;
     return set_slot(store, number, &verified) ? tell(store, number, report) : flash_failed(refusal);

@@ -49,7 +49,8 @@ const uint8_t *vc_image_store_running_sha256(const vc_image_store *store);
 void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_image_description *description);
 
 /* The requests. Each returns 0 and fills `report`, which points into the store, or returns the refusal's code. A
- * flash that fails is refused as VC_FLASH_FAILED, and no slot has then changed its state. */
+ * flash that fails is refused as VC_FLASH_FAILED: no slot has then changed its state, but one that was to be
+ * erased may be empty. */
 
 /* Makes a slot ready for an image, or goes on with the one that it is taking. Erases a slot. */
 int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_report *report,

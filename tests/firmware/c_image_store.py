@@ -18,7 +18,7 @@ class CImageStore:
         self._memory = flash
         self._raised: Exception | None = None
         self._check_payload = check_payload
-        self._contents = ffi.from_buffer(flash._data)
+        self._contents = ffi.from_buffer(flash.contents)
         sector_bytes = flash.sector_bytes
         self._slot_bytes = (len(flash) // sector_bytes - 2) // SLOTS * sector_bytes
         self._erase = ffi.callback("int(void *, uint32_t, uint32_t)", self._on_erase)
@@ -34,8 +34,9 @@ class CImageStore:
         self._store, self._refusal = ffi.new("vc_image_store *"), ffi.new("vc_refusal *")
         self._report = ffi.new("vc_flash_report *")
         native.vc_image_store_boot(self._store, self._flash, self._hardware, self._check)
-        if isinstance(self._raised, PowerCut):
-            raise self._raised
+        raised, self._raised = self._raised, None
+        if isinstance(raised, PowerCut):
+            raise raised
 
     @property
     def running(self) -> ModelImage | None:

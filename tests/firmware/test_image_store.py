@@ -2,14 +2,16 @@
 
 from typing import Any
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codec import CodecError
+from device_protocol.messages import ErrorCode
 from device_protocol.model_image import ModelImage, sha256
-from simulated_device.flash import FlashMemory, ImageStore
+from simulated_device.flash import ImageStore
 from simulated_device.refusal import Refusal
 from tests.firmware.c_image_store import CImageStore
+from tests.simulated_device.test_flash import FailingFlash
 
 HARDWARE = "board"
 IMAGES = (
@@ -21,17 +23,23 @@ IMAGES = (
 )
 
 
+BLANK = b"\xff" * (2 * 128 + 2 * 1024)
+UNLIMITED = 1 << 30
+
+
 def check_payload(codec_identifier: int, payload: bytes) -> None:
     if codec_identifier != 1:
         raise CodecError("not for this codec")
 
 
 def answer(store: Any, request: str, arguments: tuple[Any, ...]) -> Any:
-    """Return the answer to a request or, where it is refused, the code of the refusal."""
+    """Return the answer to a request or, where it is refused or the flash fails, the code of that."""
     try:
         return getattr(store, request)(*arguments)
     except Refusal as refusal:
         return refusal.code
+    except OSError:
+        return ErrorCode.FLASH_FAILED
 
 
 slots = st.integers(0, 2)
@@ -40,6 +48,7 @@ requests = st.one_of(
     st.tuples(st.just("write"), st.tuples(slots, st.sampled_from(IMAGES), st.integers(0, 400), st.integers(1, 400))),
     st.tuples(st.just("flash"), st.tuples(slots, st.sampled_from(IMAGES))),
     st.tuples(st.sampled_from(["verify", "activate", "confirm", "boot"]), st.tuples(slots)),
+    st.tuples(st.just("fail"), st.tuples(st.integers(0, 4))),
     st.tuples(st.just("damage"), st.tuples(st.integers(0, 2303), st.integers(0, 255))),
 )
 
@@ -59,16 +68,22 @@ def steps(request: str, arguments: tuple[Any, ...]) -> list[tuple[str, tuple[Any
     return [(request, arguments)]
 
 
+@settings(max_examples=200)
 @given(st.lists(requests, max_size=12))
 def test_any_requests_and_restarts_are_answered_alike(drawn: list[tuple[str, tuple[Any, ...]]]) -> None:
-    flashes = [FlashMemory(2 * 128 + 2 * 1024, sector_bytes=128) for _ in range(2)]
+    flashes = [FailingFlash(BLANK, UNLIMITED) for _ in range(2)]
     kinds: tuple[Any, Any] = (ImageStore, CImageStore)
     stores = [kind(flash, HARDWARE, check_payload) for kind, flash in zip(kinds, flashes, strict=True)]
     for request, arguments in [step for pair in drawn for step in steps(*pair)]:
         if request == "damage":
             address, mask = arguments
             for flash in flashes:
+                flash.changes = UNLIMITED
                 flash.program(address, bytes([mask]))
+        if request == "fail":
+            for flash in flashes:
+                flash.changes = arguments[0]
+            continue
         # What breaks in flash is noticed at a boot.
         if request in ("boot", "damage"):
             stores = [kind(flash, HARDWARE, check_payload) for kind, flash in zip(kinds, flashes, strict=True)]
