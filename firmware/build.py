@@ -92,6 +92,13 @@ _POSITION_INDEPENDENT = () if sys.platform == "win32" else ("-fPIC",)
 _PROCESSOR = os.environ.get("VIBROCAST_CPU", "native")
 # Four channels, and captures of some 20 s, in 4 MiB.
 _EMULATED = {"VC_CHANNELS": 4, "VC_MAX_CHANNELS": 4, "VC_BUFFER_BYTES": 1 << 18, "VC_CAPTURE_SAMPLES": 1 << 16}
+
+def _stm32f405(summary: str, script: str) -> Target:
+    return _cortex_m(
+        summary, "cortex_m4+vfp4d16sp", script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405
+    )
+
+
 # Two channels in 128 KiB; the longest packets are those of files, 128 blocks of 32 samples.
 _STM32F405 = {
     "VC_CHANNELS": 2,
@@ -117,14 +124,8 @@ TARGETS: Mapping[str, Target] = {
     **_mps2("cortex-m4", "cortex_m4+vfp4d16sp", "an386"),
     **_mps2("cortex-m7", "cortex_m7+fp_armv8d16", "an500"),
     **_mps2("cortex-m33", "cortex_m33+fp_armv8d16sp+dsp", "an505", "an505.ld", VC_AN505=1),
-    "stm32f405": _cortex_m(
-        "Adafruit Feather STM32F405 Express",
-        "cortex_m4+vfp4d16sp",
-        "board.ld",
-        ("ports/stm32f405",),
-        VC_HARDWARE="feather-stm32f405",
-        **_STM32F405,
-    ),
+    "stm32f405": _stm32f405("Adafruit Feather STM32F405 Express", "board.ld"),
+    "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
 }
 
 

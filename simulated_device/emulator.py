@@ -15,8 +15,9 @@ SYSTEM_SPACE = 0xE000_E000
 """Where the processor's own registers are: SysTick, interrupt controller, FPU (DDI 0403, B3.2.1)."""
 
 _PAINT = b"\xa5"
-# An odd address to be sure: nothing is ever fetched from there.
-_NOWHERE = 0xFFFF_FFFF
+# Nothing is ever fetched from there.
+_NOWHERE = 0xFFFF_FFFE
+_FRAME_BYTES = 104
 
 
 class EmulationError(Exception):
@@ -27,8 +28,9 @@ class Processor:
     """A Cortex-M with an image in its memory, about to come out of reset.
 
     `processor`: one of unicorn.arm_const.UC_CPU_ARM_CORTEX_M.... `memories`: address and size of each memory, but for
-    `flash`, which is mapped, not copied: what the image writes to it stays there. `count_instructions`: whether
-    `instructions` counts those carried out, which takes several times as long.
+    `flash`, which is mapped, not copied: what the image writes to it stays there. `on_flash_write`: called with offset,
+    size and value before each of these writes. `count_instructions`: whether `instructions` counts those carried out,
+    which takes several times as long.
     """
 
     def __init__(
@@ -38,28 +40,34 @@ class Processor:
         memories: dict[int, int],
         flash: tuple[int, FlashMemory],
         count_instructions: bool = False,
+        on_flash_write: Callable[[int, int, int], None] | None = None,
     ) -> None:
         self.instructions = 0
         self._image = image
-        self._flash = flash[1]  # keeps the mapped bytes alive
+        self._flash_address, self._flash = flash  # which keeps the mapped bytes alive
+        self._on_flash_write = on_flash_write
         self._failure = ""
         self._block_instructions: dict[int, int] = {}
         self.unicorn: Any = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         self.unicorn.ctl_set_cpu_model(processor)
         for address, size_bytes in memories.items():
             self.unicorn.mem_map(address, size_bytes)
-        data = flash[1].contents
-        pointer = ctypes.addressof(ctypes.c_char.from_buffer(data))
-        self.unicorn.mem_map_ptr(flash[0], len(data), unicorn.UC_PROT_ALL, pointer)
+        pointer = ctypes.addressof(ctypes.c_char.from_buffer(self._flash.contents))
+        access = unicorn.UC_PROT_ALL
+        if on_flash_write is not None:
+            access &= ~unicorn.UC_PROT_WRITE
+            self.unicorn.hook_add(unicorn.UC_HOOK_MEM_WRITE_PROT, self._write_flash)
+        self.unicorn.mem_map_ptr(self._flash_address, len(self._flash), access, pointer)
         for segment in image.segments:
             self.unicorn.mem_write(segment.load_address, segment.data)
         self._stack = image.sections[".stack"]
         self.unicorn.mem_write(self._stack.address, _PAINT * self._stack.size_bytes)
         self.unicorn.hook_add(unicorn.UC_HOOK_INTR, self._stop_at_exception)
-        self.unicorn.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._stop_at_no_memory)
+        self.unicorn.hook_add(unicorn.UC_HOOK_MEM_UNMAPPED, self._stop_at_no_memory)
         if count_instructions:
             self.unicorn.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
         vectors = image.segments[0].load_address
+        self._return_address = vectors  # no instruction is there
         stack_top, reset = (int.from_bytes(self.unicorn.mem_read(vectors + 4 * index, 4), "little") for index in (0, 1))
         self.unicorn.reg_write(arm_const.UC_ARM_REG_SP, stack_top)
         self.unicorn.reg_write(arm_const.UC_ARM_REG_PC, reset)
@@ -78,17 +86,18 @@ class Processor:
         )
 
     def run(self) -> None:
-        """Go on until `stop`. Raises EmulationError."""
-        where = self.unicorn.reg_read(arm_const.UC_ARM_REG_PC) | 1
+        """Go on until `stop` or until the image waits for an interrupt. Raises EmulationError."""
+        self._go_on(self.unicorn.reg_read(arm_const.UC_ARM_REG_PC), _NOWHERE)
+
+    def _go_on(self, where: int, until: int) -> None:
         try:
-            self.unicorn.emu_start(where, _NOWHERE)
+            self.unicorn.emu_start(where | 1, until)
         except unicorn.UcError as error:
             self._failure = self._failure or str(error)
         if self._failure:
             where = self.unicorn.reg_read(arm_const.UC_ARM_REG_PC)
-            raise EmulationError(
-                f"the image stopped at 0x{where:08x} ({self._image.function_at(where)}): {self._failure}"
-            )
+            function = self._image.function_at(where)
+            raise EmulationError(f"the image stopped at 0x{where:08x} ({function}): {self._failure}")
 
     def stop(self) -> None:
         """Have `run` return; to be called by a peripheral."""
@@ -98,6 +107,24 @@ class Processor:
         """Return the bytes of stack that have been used so far at most."""
         stack = bytes(self.unicorn.mem_read(self._stack.address, self._stack.size_bytes))
         return len(stack.lstrip(_PAINT))
+
+    def interrupt(self, handler: int) -> None:
+        """Run an interrupt's handler to its end, as if it had come where the image has stopped. Raises EmulationError.
+
+        A frame with the FPU's registers is left free on the stack (DDI 0403, B1.5.6), and all registers come back.
+        """
+        before = self.unicorn.context_save()
+        self.unicorn.reg_write(arm_const.UC_ARM_REG_SP, self.unicorn.reg_read(arm_const.UC_ARM_REG_SP) - _FRAME_BYTES)
+        self.unicorn.reg_write(arm_const.UC_ARM_REG_LR, self._return_address | 1)
+        self._go_on(handler, self._return_address)
+        self.unicorn.context_restore(before)
+
+    def _write_flash(
+        self, emulator: Any, kind: int, address: int, size_bytes: int, value: int, context: object
+    ) -> bool:
+        assert self._on_flash_write is not None
+        self._on_flash_write(address - self._flash_address, size_bytes, value)
+        return True
 
     def _stop_at_exception(self, emulator: Any, number: int, context: object) -> None:
         self._failure = f"exception {number}"

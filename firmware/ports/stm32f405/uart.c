@@ -25,18 +25,26 @@ void vc_uart_start(void)
     vc_enable_interrupt(VC_USART3_LINE, 1);
 }
 
-VC_IN_RAM void USART3_IRQHandler(void)
+/* Sends what the line takes at once, and has the interrupt come for the rest. */
+static inline void send_waiting(void)
 {
     uint8_t byte;
+    while (VC_USART_SR & VC_USART_TXE) {
+        if (!vc_ring_take(&sending, &byte)) {
+            VC_USART_CR1 &= ~(uint32_t)VC_USART_TXEIE;
+            return;
+        }
+        VC_USART_DR = byte;
+    }
+    VC_USART_CR1 |= VC_USART_TXEIE;
+}
+
+VC_IN_RAM void USART3_IRQHandler(void)
+{
     /* An overrun keeps the interrupt up until the data register is read after the status (30.6.1). */
     if (VC_USART_SR & (VC_USART_RXNE | VC_USART_ORE))
         (void)vc_ring_put(&received, (uint8_t)VC_USART_DR); /* what does not fit is lost, and a CRC tells */
-    if (VC_USART_CR1 & VC_USART_TXEIE && VC_USART_SR & VC_USART_TXE) {
-        if (vc_ring_take(&sending, &byte))
-            VC_USART_DR = byte;
-        else
-            VC_USART_CR1 &= ~(uint32_t)VC_USART_TXEIE;
-    }
+    send_waiting();
 }
 
 size_t vc_port_read(uint8_t *data, size_t capacity)
@@ -52,7 +60,8 @@ size_t vc_port_write(const uint8_t *data, size_t length)
     size_t taken = 0;
     while (taken < length && vc_ring_put(&sending, data[taken]))
         taken++;
-    if (taken > 0)
-        VC_USART_CR1 |= VC_USART_TXEIE;
+    __asm volatile("cpsid i" ::: "memory");
+    send_waiting();
+    __asm volatile("cpsie i" ::: "memory");
     return taken;
 }

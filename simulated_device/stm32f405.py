@@ -1,0 +1,210 @@
+"""The firmware of the Feather STM32F405 on an emulated board: the very image that would be flashed, with interrupts."""
+
+from collections import defaultdict
+from collections.abc import Callable
+
+import numpy as np
+from unicorn import arm_const
+
+from firmware.build import build
+from firmware.elf import Elf
+from simulated_device.actuator import Codes
+from simulated_device.emulator import SYSTEM_SPACE, Processor
+from simulated_device.flash import FlashMemory
+
+FLASH_BYTES = 1 << 20
+"""All of the chip's flash: firmware, records and model images."""
+
+_FLASH, _PERIPHERALS = 0x0800_0000, 0x4000_0000
+_PERIPHERALS_BYTES = 0x2_4000
+_MEMORIES = {0x2000_0000: 128 << 10, 0x1000_0000: 64 << 10}
+_SECTOR_STARTS = (*range(0, 0x1_0000, 0x4000), 0x1_0000, *range(0x2_0000, FLASH_BYTES + 1, 0x2_0000))
+_MIDDLE = 2048  # of the DAC's range
+# Time is counted in ticks of the timers' clock, 84 MHz; SysTick's goes twice as fast.
+_TICKS_PER_US = 84
+_TICKS_PER_MS = 1000 * _TICKS_PER_US
+
+# Registers, by their offset from _PERIPHERALS; names and bits as in firmware/ports/stm32f405/registers.h.
+_TIM6_CR1, _TIM6_ARR = 0x1000, 0x102C
+_USART_SR, _USART_DR, _USART_CR1 = 0x4800, 0x4804, 0x480C
+_RXNE, _TXE, _RXNEIE, _TXEIE = 1 << 5, 1 << 7, 1 << 5, 1 << 7
+_DHR12RD = 0x7420
+_RCC_CR, _RCC_CFGR = 0x2_3800, 0x2_3808
+_FLASH_KEYR, _FLASH_SR, _FLASH_CR = 0x2_3C04, 0x2_3C0C, 0x2_3C10
+_KEYS = (0x4567_0123, 0xCDEF_89AB)
+_PG, _SER, _STRT, _LOCK = 1, 1 << 1, 1 << 16, 1 << 31
+_PGPERR, _PGSERR = 1 << 6, 1 << 7
+
+# Of the system space, and numbers of exceptions: an interrupt's line + 16.
+_SYSTICK_VALUE, _ENABLE, _VECTOR_TABLE = 0x18, 0x100, 0xD08
+_SYSTICK, _USART3, _TIM6 = 15, 16 + 39, 16 + 54
+
+# The line carries so many bytes at once: a handler's call each, and then the main loop goes round.
+_BURST_BYTES = 256
+_LINE_BYTES = 65_536
+
+
+class Stm32F405:
+    """A controller (simulated_device.device.Device): the firmware built for `stm32f405` on an emulated board.
+
+    `flash`: of FLASH_BYTES, in which images outlive this object; None = a blank one. A file behind it is not written.
+    `on_dac`: called with each run of what the DAC put out, int16 (n, 2), 0 = the middle of its range. `drift_ppm`,
+    `count_instructions`: as in simulated_device.cortex_m.CortexM.
+
+    Emulated are processor, memory, SysTick, interrupts, USART3, TIM6, the DAC's register, the flash interface, and
+    clocks that are ready at once; interrupts come only where the image waits for one. Everything else of the chip is
+    registers that keep what is written. Raises as CortexM does.
+    """
+
+    def __init__(
+        self,
+        flash: FlashMemory | None = None,
+        on_dac: Callable[[Codes], None] | None = None,
+        drift_ppm: int = 0,
+        count_instructions: bool = False,
+    ) -> None:
+        self._flash = flash or FlashMemory(FLASH_BYTES, sector_bytes=1 << 14)
+        self.processor = Processor(
+            Elf(build("stm32f405")),
+            arm_const.UC_CPU_ARM_CORTEX_M4,
+            _MEMORIES,
+            (_FLASH, self._flash),
+            count_instructions,
+            self._write_flash,
+        )
+        self.processor.add_registers(_PERIPHERALS, self._read, self._write, _PERIPHERALS_BYTES)
+        self.processor.add_registers(SYSTEM_SPACE, self._read_system, self._write_system)
+        self._on_dac = on_dac
+        self._drift_ppm = drift_ppm
+        self._registers = defaultdict(int, {_FLASH_CR: _LOCK})
+        self._system: defaultdict[int, int] = defaultdict(int)
+        self._enabled: set[int] = set()
+        self._keys: tuple[int, ...] = ()
+        self._programmed: list[tuple[int, int]] = []  # offset and byte, of writes that are under way
+        self._origin_us: int | None = None
+        self._now = self._next_conversion = 0
+        self._next_millisecond = _TICKS_PER_MS
+        self._incoming = bytearray()
+        self._outgoing = bytearray()
+        self._codes: list[tuple[int, int]] = []
+        self.processor.run()
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        """Take bytes from the host."""
+        self.advance(now_us)
+        self._incoming += data
+        self._serve()
+
+    def advance(self, now_us: int) -> None:
+        """Let the board's time pass; to be called every few milliseconds."""
+        if self._origin_us is None:
+            self._origin_us = now_us
+        true_us = now_us - self._origin_us
+        end = (true_us + true_us * self._drift_ppm // 1_000_000) * _TICKS_PER_US
+        while (event := min(self._next_millisecond, self._next_conversion)) <= end:
+            self._now = event
+            if event == self._next_conversion:
+                self._next_conversion += self._registers[_TIM6_ARR] + 1
+                self._interrupt(_TIM6)
+            else:
+                self._next_millisecond += _TICKS_PER_MS
+                self._interrupt(_SYSTICK)
+                self._serve()
+        self._now = max(self._now, end)
+        codes, self._codes = self._codes, []
+        if codes and self._on_dac is not None:
+            self._on_dac(np.array(codes, np.int16))
+
+    def transmit(self) -> bytes:
+        """Return the bytes to send to the host, once."""
+        data = bytes(self._outgoing)
+        self._outgoing.clear()
+        return data
+
+    def _serve(self) -> None:
+        """Run the main loop until it waits with nothing on the line in either direction."""
+        while True:
+            self.processor.run()
+            busy = False
+            for _ in range(_BURST_BYTES):
+                if not (self._receives() or self._sends()):
+                    break
+                self._interrupt(_USART3)
+                busy = True
+            if not busy:
+                return
+
+    def _receives(self) -> bool:
+        return bool(self._incoming) and bool(self._registers[_USART_CR1] & _RXNEIE)
+
+    def _sends(self) -> bool:
+        return len(self._outgoing) < _LINE_BYTES and bool(self._registers[_USART_CR1] & _TXEIE)
+
+    def _interrupt(self, exception: int) -> None:
+        if exception == _SYSTICK or exception - 16 in self._enabled:
+            entry = self._system[_VECTOR_TABLE] + 4 * exception
+            self.processor.interrupt(int.from_bytes(self.processor.unicorn.mem_read(entry, 4), "little"))
+
+    def _read(self, offset: int) -> int:
+        if offset == _USART_SR:
+            return (_RXNE if self._incoming else 0) | (_TXE if len(self._outgoing) < _LINE_BYTES else 0)
+        if offset == _USART_DR:
+            return self._incoming.pop(0) if self._incoming else 0
+        if offset == _FLASH_SR:
+            self._finish_programming()
+        value = self._registers[offset]
+        if offset == _RCC_CR:
+            return value | value << 1  # what is on is ready
+        if offset == _RCC_CFGR:
+            return value | (value & 3) << 2  # what is chosen is used
+        return value
+
+    def _write(self, offset: int, value: int) -> None:
+        if offset == _USART_DR:
+            self._outgoing.append(value & 0xFF)
+        elif offset == _FLASH_KEYR:
+            self._keys = (*self._keys, value)[-2:]
+            if self._keys == _KEYS:
+                self._registers[_FLASH_CR] &= ~_LOCK
+        elif offset == _FLASH_SR:
+            self._registers[offset] = self._registers[offset] & ~value
+        elif offset == _FLASH_CR:
+            if self._registers[_FLASH_CR] & _LOCK:
+                return
+            self._registers[offset] = value & ~_STRT
+            if value & _STRT and value & _SER:
+                sector = value >> 3 & 0xF
+                start, end = _SECTOR_STARTS[sector : sector + 2]
+                self._flash.contents[start:end] = b"\xff" * (end - start)
+        else:
+            self._registers[offset] = value
+            if offset == _DHR12RD:
+                self._codes.append(((value & 0xFFF) - _MIDDLE, (value >> 16 & 0xFFF) - _MIDDLE))
+
+    def _write_flash(self, offset: int, size_bytes: int, value: int) -> None:
+        """Note what a write to flash comes to: the processor writes all of it, whatever flash makes of it."""
+        old = bytes(self._flash.contents[offset : offset + size_bytes])
+        control = self._registers[_FLASH_CR]
+        new = old
+        if control & _LOCK or not control & _PG:
+            self._registers[_FLASH_SR] |= _PGSERR
+        elif 1 << (control >> 8 & 3) != size_bytes or offset % size_bytes:
+            self._registers[_FLASH_SR] |= _PGPERR
+        else:
+            new = bytes(a & b for a, b in zip(old, value.to_bytes(size_bytes, "little"), strict=True))
+        self._programmed += enumerate(new, offset)
+
+    def _finish_programming(self) -> None:
+        for offset, byte in self._programmed:
+            self._flash.contents[offset] = byte
+        self._programmed.clear()
+
+    def _read_system(self, offset: int) -> int:
+        if offset == _SYSTICK_VALUE:
+            return 2 * (self._next_millisecond - self._now) - 1
+        return self._system[offset]
+
+    def _write_system(self, offset: int, value: int) -> None:
+        self._system[offset] = value
+        if _ENABLE <= offset < _ENABLE + 32:
+            self._enabled |= {8 * (offset - _ENABLE) + bit for bit in range(32) if value >> bit & 1}
