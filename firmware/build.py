@@ -93,6 +93,7 @@ _PROCESSOR = os.environ.get("VIBROCAST_CPU", "native")
 # Four channels, and captures of some 20 s, in 4 MiB.
 _EMULATED = {"VC_CHANNELS": 4, "VC_MAX_CHANNELS": 4, "VC_BUFFER_BYTES": 1 << 18, "VC_CAPTURE_SAMPLES": 1 << 16}
 
+
 def _stm32f405(summary: str, script: str) -> Target:
     return _cortex_m(
         summary, "cortex_m4+vfp4d16sp", script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405

@@ -183,7 +183,7 @@ device_option = click.option(
     callback=checked_address,
     default="sim",
     show_default=True,
-    help="sim, sim-usb, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
+    help=f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
 )
 
 
@@ -222,6 +222,7 @@ def play(
     from host import end_to_end, picture
 
     refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
+    runtime = devices.decoding_runtime(address, runtime)
     if file.suffix.lower() == ".vct":
         source: coding.Stream | textures.Recording = replace(coded_already(file, choices), runtime=runtime)
     else:

@@ -16,6 +16,7 @@ from device_protocol.transports import (
     VENDOR_INTERFACE_CLASS,
     SerialTransport,
     Transport,
+    TransportError,
     UsbTransport,
     open_transport,
 )
@@ -23,11 +24,22 @@ from host.controller import Controller
 
 if TYPE_CHECKING:
     from simulated_device.actuator import Actuator
+    from simulated_device.device import Device
 
+FIRMWARE = {
+    "host": "the firmware as a process of this machine",
+    "cortex-m4": "the firmware on an emulated Cortex-M4",
+    "cortex-m7": "the firmware on an emulated Cortex-M7",
+    "cortex-m33": "the firmware on an emulated Cortex-M33",
+    "stm32f405": "the firmware of the Feather STM32F405 board, emulated",
+}
+"""Controllers made of the C firmware; they last as long as a session, and have their actuator compiled in."""
 SIMULATED = {
     "sim": "simulated controller behind a pseudo-terminal",
     "sim-usb": "simulated controller behind a simulated USB device",
+    **FIRMWARE,
 }
+"""All that need no hardware."""
 ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
 
 
@@ -42,12 +54,15 @@ def connect(address: str, runtime: str | None = None, actuator: "Actuator | None
 def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Transport]:
     """Open the way to the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
 
-    A simulated controller lives as long as the way is open; `runtime` and `actuator` are those of its settings, None =
-    the default. Raises TransportError.
+    A simulated controller lives as long as the way is open; `runtime` is that by which it decodes, None = the default;
+    `actuator` is that of sim and sim-usb, None = the default. Raises TransportError.
     """
     with contextlib.ExitStack() as stack:
         transport: Transport
-        if address in SIMULATED:
+        if address in FIRMWARE:
+            decoding_runtime(address, runtime)
+            transport = SerialTransport(stack.enter_context(_firmware(address)))
+        elif address in SIMULATED:
             # Takes longer to load than all the rest, and only here is it needed.
             from simulated_device.controller import Controller as SimulatedController
             from simulated_device.controller import Settings
@@ -56,14 +71,50 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
 
             settings = Settings(runtime=runtime)
             settings = settings if actuator is None else replace(settings, actuator=actuator)
-        if address == "sim":
-            transport = SerialTransport(stack.enter_context(PtyPort(SimulatedController(settings))).name)
-        elif address == "sim-usb":
-            port = UsbPort(SimulatedController(settings))
-            transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(port))
+            if address == "sim":
+                transport = SerialTransport(stack.enter_context(PtyPort(SimulatedController(settings))).name)
+            else:
+                port = UsbPort(SimulatedController(settings))
+                transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(port))
         else:
             transport = open_transport(address)
         yield stack.enter_context(transport)
+
+
+def decoding_runtime(address: str, runtime: str | None) -> str | None:
+    """Return by which of codec.RUNTIMES a controller decodes, where `runtime` is wished; None = as an image says.
+
+    Raises TransportError where it cannot.
+    """
+    if address not in FIRMWARE:
+        return runtime
+    if runtime == "onnx":
+        raise TransportError(f"{address} decodes by the integer core alone: leave out --runtime, or play on sim")
+    return "core"
+
+
+@contextlib.contextmanager
+def _firmware(address: str) -> Iterator[str]:
+    """Run one of FIRMWARE and tell its serial port. Raises TransportError."""
+    from firmware.build import BuildError
+    from simulated_device.host_process import HostProcess
+    from simulated_device.pty_port import PtyPort
+
+    try:
+        port = HostProcess() if address == "host" else PtyPort(_emulated(address))
+    except BuildError as error:
+        raise TransportError(str(error)) from error
+    with port:
+        yield port.name
+
+
+def _emulated(address: str) -> "Device":
+    try:
+        from simulated_device.cortex_m import CortexM
+        from simulated_device.stm32f405 import Stm32F405
+    except ModuleNotFoundError as error:
+        raise TransportError('processors are emulated by unicorn: pip install "vibrocast[firmware]"') from error
+    return Stm32F405() if address == "stm32f405" else CortexM(address)
 
 
 def available() -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -163,10 +163,12 @@ def _provide_model(controller: Controller, address: str, stream: Stream) -> None
 def actuator_model(description: ActuatorDescription) -> Actuator:
     """Return the model of the actuator that a controller describes.
 
-    Known by its name, or else built from its band: a low-pass, or a resonance where it does not reach down to rest.
+    Known by its name, with the controller's DAC, or else built from its band: a low-pass, or a resonance where it does
+    not reach down to rest.
     """
     if description.name in ACTUATORS:
-        return ACTUATORS[description.name]
+        known = ACTUATORS[description.name]
+        return replace(known, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
     lower_hz, upper_hz = description.lower_hz, description.upper_hz
     resonance_hz = math.sqrt(lower_hz * upper_hz)
     return Actuator(
