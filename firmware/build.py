@@ -20,7 +20,7 @@ ROOT = Path(__file__).parent
 SHARED = ("core", "controller")
 """Folders whose C sources are in every target."""
 
-_FLAGS = (
+FLAGS = (
     "-std=c99",
     "-O2",
     "-Wall",
@@ -30,7 +30,13 @@ _FLAGS = (
     "-ffunction-sections",
     "-fdata-sections",
 )
-_BARE = ("-ffreestanding", "-fno-builtin", "-fno-unwind-tables", "-g0", "-Wl,--gc-sections")
+# Without a frame pointer inner loops have a register more.
+CORTEX_M_FLAGS = (
+    *("-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-builtin", "-fno-unwind-tables"),
+    *("-fomit-frame-pointer", "-g0", "-Wl,--gc-sections"),
+)
+M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
+"""What the compiler calls processors with an FPU and DSP instructions."""
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
@@ -62,13 +68,13 @@ class Target:
         includes = [f"-I{folder}" for folder in (*SHARED, *self.folders)]
         texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
         defines = [f"-D{name}={value}" for name, value in texts.items()]
-        return [*_FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
+        return [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
 
 
 def _cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...], **defines: int | str) -> Target:
     """Return the target of a Cortex-M with an FPU. `script`: its linker script, in the first of `folders`."""
     layout = ("-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
-    flags = ("-target", "thumb-freestanding-eabihf", f"-mcpu={processor}", *_BARE, *layout)
+    flags = (*CORTEX_M_FLAGS, f"-mcpu={processor}", *layout)
     return Target(summary, ".elf", flags, ("ports", "ports/cortex_m", *folders), defines)
 
 
@@ -96,7 +102,7 @@ _EMULATED = {"VC_CHANNELS": 4, "VC_MAX_CHANNELS": 4, "VC_BUFFER_BYTES": 1 << 18,
 
 def _stm32f405(summary: str, script: str) -> Target:
     return _cortex_m(
-        summary, "cortex_m4+vfp4d16sp", script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405
+        summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405
     )
 
 
@@ -122,9 +128,9 @@ TARGETS: Mapping[str, Target] = {
     "host": Target(
         "program for this machine, behind a pseudo-terminal", "", (f"-mcpu={_PROCESSOR}",), ("ports", "ports/host")
     ),
-    **_mps2("cortex-m4", "cortex_m4+vfp4d16sp", "an386"),
-    **_mps2("cortex-m7", "cortex_m7+fp_armv8d16", "an500"),
-    **_mps2("cortex-m33", "cortex_m33+fp_armv8d16sp+dsp", "an505", "an505.ld", VC_AN505=1),
+    **_mps2("cortex-m4", M4F, "an386"),
+    **_mps2("cortex-m7", M7, "an500"),
+    **_mps2("cortex-m33", M33, "an505", "an505.ld", VC_AN505=1),
     "stm32f405": _stm32f405("Adafruit Feather STM32F405 Express", "board.ld"),
     "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
 }
