@@ -116,7 +116,8 @@ class Actuator:
         """
         if self.quality is None:
             tangent = math.tan(math.pi * self._low_pass_hz / self.dac_rate_hz)
-            growth = tangent / math.expm1(2 * math.pi * self.corner_hz / self.dac_rate_hz)
+            decay = 2 * math.pi * self.corner_hz / self.dac_rate_hz
+            growth = tangent * math.exp(-decay) / -math.expm1(-decay)
             return tangent, math.sqrt(0.5), (0.0, growth, 1.0, growth)
         boost = max(1.0, self.maximum_boost)
         tangent = math.tan(math.pi * self.corner_hz / self.dac_rate_hz)

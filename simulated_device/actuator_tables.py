@@ -5,11 +5,9 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any
 
 from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
-
-Constant: TypeAlias = int | bytes | Sequence[int] | Mapping[str, "Constant"]
 
 TABLES = Path(__file__).parents[1] / "firmware" / "controller" / "actuator_tables.c"
 SHIPPED = {
@@ -23,7 +21,7 @@ _NAME_BYTES = 31
 _MAX_DAC_BITS = 16
 
 
-def constants(actuator: Actuator) -> dict[str, Constant]:
+def constants(actuator: Actuator) -> dict[str, Any]:
     """Return the fields of vc_actuator. Raises ValueError on what they have no room for, and says what that is."""
     name = actuator.name.encode()
     if len(name) > _NAME_BYTES:
@@ -55,13 +53,13 @@ def _float_bits(value: float) -> int:
     return bits
 
 
-def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[str, Constant]:
+def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[str, Any]:
     """Return the fields of vc_section."""
     divisor = 1 + tangent / quality + tangent**2
     # A bound on the sums of magnitudes that vc_section names: all three ring longer the higher the Q.
-    shift = max(0, math.ceil(math.log2((2 + 1.3 * quality) * divisor / 12)))
+    shift = max(0, math.ceil(math.log2((2 + 1.3 * quality) * abs(divisor) / 12)))
     damping, scaled = 1 / quality + tangent, [2.0**shift * weight for weight in weights]
-    if tangent >= 4 or damping >= 32 or sum(map(abs, scaled)) >= 128:
+    if not 0 < tangent < 4 or damping >= 32 or sum(map(abs, scaled)) >= 128:
         raise ValueError(
             f"the compensation, a resonance of Q {quality:.3g} at {math.atan(tangent) / math.pi:.3g} of the DAC's rate "
             f"with gains up to {max(weights):.3g}, is out of range: choose another maximum_boost"
@@ -94,7 +92,7 @@ def source() -> tuple[str, str]:
     )
 
 
-def _initialiser(constant: Constant, indent: str = "    ") -> str:
+def _initialiser(constant: int | bytes | Sequence[int] | Mapping[str, Any], indent: str = "    ") -> str:
     """Return a constant as C."""
     if isinstance(constant, Mapping):
         fields = [f"{indent}.{name} = {_initialiser(value, indent + '    ')},\n" for name, value in constant.items()]

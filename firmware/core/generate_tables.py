@@ -20,7 +20,7 @@ def resampling_kernel(crossings: float) -> float:
     I0-sinh window for spectrum analysis", 1980: beta = 0.1102 (60 - 8.7).
     """
     beta, ends = 0.1102 * (60 - 8.7), 8
-    window = bessel_i0(beta * math.sqrt(max(0.0, 1 - (crossings / ends) ** 2))) / bessel_i0(beta)
+    window = bessel_i0(beta * math.sqrt(1 - (crossings / ends) ** 2)) / bessel_i0(beta)
     phase = 0.9 * math.pi * crossings
     return window * (math.sin(phase) / phase if phase else 1.0)
 
@@ -48,8 +48,8 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
     # sqrt(x) / 256 at the middles of 192 steps of x from 2^14 to 2^16.
     "vc_root": ("uint8_t", [min(255, math.sqrt(256 * (i + 64.5))) for i in range(192)]),
     "vc_dct_exponential": ("uint32_t", [2 ** (30 + i / 256) for i in range(257)]),
-    # 256 steps a crossing up to the window's end, where an interpolation may read one more.
-    "vc_resampling_kernel": ("int32_t", [2**23 * resampling_kernel(min(i, 2048) / 256) for i in range(2050)]),
+    # 256 steps a crossing; 0 at the window's end and one step behind it, so that it falls to 0 without a jump.
+    "vc_resampling_kernel": ("int32_t", [2**23 * resampling_kernel(i / 256) for i in range(2048)] + [0, 0]),
 }
 
 

@@ -92,7 +92,7 @@ struct vc_dac {
     vc_dac_channel channel[VC_MAX_CHANNELS];
 };
 
-/* sinc(0.9 t) times a Kaiser window over |t| <= 8, from t = 0 on, in 1/2^23, 256 steps to 1; the last value twice. */
+/* sinc(0.9 t) times a Kaiser window over |t| < 8, from t = 0 on, in 1/2^23, 256 steps to 1; 0 at 8 and behind it. */
 extern const int32_t vc_resampling_kernel[2050];
 
 /* Samples of a fade of 5 ms: at least 1. */

@@ -1,16 +1,21 @@
 /* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct`,
- * `core dct`, `core slp` or `core eva`.
+ * `core dct`, `core slp`, `core eva` or `core output`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
  * first record is the configuration, its kind the number of channels; of `eva` and `mdct` the model stands before it,
  * empty where `mdct` is to take its own tables. Every packet is decoded, and its bytes are encoded as coefficients,
- * values or samples. */
+ * values or samples.
+ *
+ * Of `output`, the first record is a vc_actuator, its kind the compensation; the second a vc_output_stream. Then follow
+ * records of samples (0), gains (1) and of nothing: a joint (2), the way to rest (3), the end (4). All is done twice,
+ * with little room and with much, and must give the same. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "dct.h"
 #include "eva.h"
+#include "output.h"
 #include "slp.h"
 #include "vibrocast_core.h"
 
@@ -206,11 +211,99 @@ static int run_eva(void)
     return 0;
 }
 
+/* A drive, its DAC and all codes so far. */
+typedef struct {
+    uint32_t room; /* samples of drive at a time */
+    vc_drive *drive;
+    vc_dac *dac;
+    int16_t *codes;
+    size_t count;
+} output;
+
+static uint32_t put_out(output *out, const int32_t *drive, uint32_t samples, unsigned channels)
+{
+    out->codes = realloc(out->codes, (out->count + (size_t)samples * channels) * sizeof *out->codes);
+    if (drive)
+        vc_dac_play(out->dac, drive, samples, out->codes + out->count);
+    else
+        samples = vc_dac_ramp(out->dac, out->codes + out->count, samples);
+    out->count += (size_t)samples * channels;
+    return samples;
+}
+
+static void run_record(output *out, int kind, const uint8_t *bytes, size_t length, unsigned channels)
+{
+    int32_t *drive = malloc((size_t)out->room * channels * sizeof *drive);
+    int16_t *samples = malloc(length);
+    uint32_t left = (uint32_t)(length / 2 / channels), taken = 0, made = out->room, gain;
+    memcpy(samples, bytes, length);
+    if (kind == 0)
+        while (made == out->room) {
+            taken +=
+                vc_drive_push(out->drive, samples + (size_t)taken * channels, left - taken, drive, out->room, &made);
+            put_out(out, drive, made, channels);
+        }
+    else if (kind == 1 && length == sizeof gain) {
+        memcpy(&gain, bytes, sizeof gain);
+        vc_dac_set_gain(out->dac, gain);
+    } else if (kind == 2)
+        vc_drive_join(out->drive);
+    else if (kind == 3)
+        for (vc_dac_begin_ramp(out->dac); put_out(out, NULL, out->room, channels) > 0;)
+            ;
+    else if (kind == 4)
+        while ((made = vc_drive_finish(out->drive, drive, out->room)) > 0)
+            put_out(out, drive, made, channels);
+    free(samples);
+    free(drive);
+}
+
+static int run_output(void)
+{
+    output outputs[2] = {{3, NULL, NULL, NULL, 0}, {5000, NULL, NULL, NULL, 0}};
+    vc_actuator *actuator;
+    vc_output_stream *stream;
+    uint8_t *bytes;
+    size_t length, size;
+    int kind, compensation, i;
+    if (!read_record(&compensation, (uint8_t **)&actuator, &length) || length != sizeof *actuator ||
+        !read_record(&kind, (uint8_t **)&stream, &length) || length != sizeof *stream)
+        return 2;
+    size = vc_drive_size(actuator, stream);
+    for (i = 0; i < 2 && size > 0; i++) {
+        outputs[i].drive = malloc(size);
+        outputs[i].dac = malloc(vc_dac_size());
+        vc_drive_init(outputs[i].drive, actuator, stream, compensation, 5);
+        vc_dac_init(outputs[i].dac, actuator, stream, 0x3F800000, compensation, vc_drive_samples(outputs[i].drive, 5));
+    }
+    while (read_record(&kind, &bytes, &length)) {
+        for (i = 0; i < 2 && size > 0; i++)
+            run_record(&outputs[i], kind, bytes, length, stream->channels);
+        free(bytes);
+    }
+    if (size > 0 && vc_dac_recovery_samples(outputs[0].dac) != vc_dac_recovery_samples(outputs[1].dac))
+        return 3;
+    if (outputs[0].count != outputs[1].count)
+        return 4;
+    if (outputs[0].count > 0 && memcmp(outputs[0].codes, outputs[1].codes, outputs[0].count * sizeof(int16_t)) != 0)
+        return 5;
+    for (i = 0; i < 2; i++) {
+        free(outputs[i].drive);
+        free(outputs[i].dac);
+        free(outputs[i].codes);
+    }
+    free(actuator);
+    free(stream);
+    puts("done");
+    return 0;
+}
+
 int main(int count, char **arguments)
 {
     const char *codec = count == 2 ? arguments[1] : "";
-    return strcmp(codec, "dct") == 0   ? run_dct()
-           : strcmp(codec, "slp") == 0 ? run_slp()
-           : strcmp(codec, "eva") == 0 ? run_eva()
-                                       : run_mdct();
+    return strcmp(codec, "dct") == 0      ? run_dct()
+           : strcmp(codec, "slp") == 0    ? run_slp()
+           : strcmp(codec, "eva") == 0    ? run_eva()
+           : strcmp(codec, "output") == 0 ? run_output()
+                                          : run_mdct();
 }

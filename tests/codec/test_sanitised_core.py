@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,10 @@ import pytest
 
 import models
 from codec import Framing, Setting, dct, encode, eva, mdct, slp
+from codec.core import ffi, library
 from codec.eva_image import PRIOR_KINDS, PriorKind
+from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL
+from simulated_device.actuator_tables import constants
 from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
 
@@ -180,3 +184,41 @@ def test_damaged_models_and_configurations_of_eva(program: Path) -> None:
         records = record(0, bytes(model)) + record(1, configuration) + record(0, b"\x01" + generator.bytes(150))
         done = run(program, records, "eva")
         assert done.returncode == 0, done.stderr.decode()
+
+
+def test_output_of_extreme_signals_scales_and_rates(program: Path) -> None:
+    generator = np.random.default_rng(7)
+    described = [PIEZO_STACK, LRA, VOICE_COIL]
+    described += [replace(LRA, quality=200.0), replace(LRA, quality=30.0, maximum_boost=1.0)]
+    described += [replace(PIEZO_STACK, dac_rate_hz=1_000_000), replace(PIEZO_STACK, dac_bits=2, power_limit=1e-12)]
+    described += [replace(LRA, corner_hz=2000.0, quality=50.0, slew_volts_per_second=1e-9, stroke_um=1e-30)]
+    for trial in range(32):
+        actuator = described[trial % len(described)]
+        channels = int(generator.integers(1, 17))
+        highest_hz = min(200_000, 128 * actuator.dac_rate_hz)
+        lowest_hz = max(100, actuator.dac_rate_hz // 50)
+        rate_hz = int(generator.choice([lowest_hz, 2800, actuator.dac_rate_hz, highest_hz]))
+        rate_hz = min(highest_hz, max(lowest_hz, rate_hz))
+        scales = generator.choice([0x0001, 0x0080, 0x3F80, 0x7F7F], channels)
+        stream = {"rate_hz": rate_hz, "unit": trial % 3, "channels": channels, "gain": scales.tolist()}
+        library()  # declares the structures
+        records = record(trial // 3 % 2, bytes(ffi.buffer(ffi.new("vc_actuator *", constants(actuator)))))
+        records += record(0, bytes(ffi.buffer(ffi.new("vc_output_stream *", stream))))
+        for kind in generator.integers(0, 6, 8):
+            gain = generator.choice(np.array([0, 1, 0x3F000000, 0x7F7FFFFF, 0xFF800000], "<u4"))
+            extremes = np.array([-32768, -1, 0, 1, 32767], "<i2")
+            samples = generator.choice(extremes, (int(generator.integers(60)), channels)).repeat(trial % 4 + 1, axis=0)
+            records += record(int(kind) % 5, gain.tobytes() if kind == 1 else samples.tobytes())
+        done = run(program, records + record(4, b"") + record(3, b""), "output")
+        assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
+
+
+def test_output_of_what_cannot_be_played(program: Path) -> None:
+    generator = np.random.default_rng(8)
+    library()  # declares the structures
+    actuator, stream = ffi.new("vc_actuator *", constants(PIEZO_STACK)), ffi.new("vc_output_stream *")
+    for _ in range(20):
+        damaged = generator.bytes(ffi.sizeof("vc_output_stream"))
+        records = record(1, bytes(ffi.buffer(actuator))) + record(0, damaged) + record(0, generator.bytes(64))
+        assert run(program, records, "output").returncode == 0
+    assert library().vc_drive_size(actuator, stream) == 0

@@ -1,5 +1,6 @@
 """From decoded samples to DAC codes: exact in any pieces, true to the units, and always within the limits."""
 
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from codec.interface import Decoded
 from device_protocol.coded_stream import UNITS, StreamHeader
-from simulated_device.actuator import ACTUATORS, PIEZO_STACK, Actuator, Codes, Samples
+from simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, Actuator, Codes, Samples
 from simulated_device.output import (
     FADE_SECONDS,
     HIGH_PASS_HZ,
@@ -23,6 +24,7 @@ from simulated_device.output import (
     displacement_filter,
     render,
 )
+from tests.simulated_device import float_output
 
 FULL_SCALE_DRIVE = 2**25
 
@@ -112,6 +114,84 @@ def test_pieces_give_the_same_bits_as_the_whole(
     codes = np.concatenate([*(dac.play(piece) for piece in cut(pushed, drive_cuts)), dac.ramp_down()])
     np.testing.assert_array_equal(codes, whole)
     assert dac.counts == counts
+
+
+@pytest.mark.parametrize("compensation", [False, True])
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("rate_hz", [100, 500, 2800, 3000, 8000, 11_025, 44_100, 48_000])
+def test_integers_agree_with_floating_point(rate_hz: int, unit: str, compensation: bool) -> None:
+    decoded = noise(max(200, rate_hz * 2 // 5), 1, rate_hz)
+    head = header(rate_hz, unit, (12.0 if unit == "m/s^2" else 30.0 if unit == "um" else 1.0,), len(decoded) - 32)
+    for actuator in ACTUATORS.values():
+        codes, _ = render(head, decoded, 32, actuator, compensation=compensation, loops=2)
+        exact = float_output.render(head, decoded, 32, actuator, compensation, loops=2)
+        assert len(codes) == len(exact)
+        error = np.abs(codes.astype(int) - exact)
+        assert error.max(initial=0) <= 2
+        assert error.mean() <= 0.25
+
+
+# Bits of a float32: any, and 0, the smallest, about 1e-7, 1, about 65 536, the largest.
+FLOATS = st.one_of(st.integers(0, 0x7F7FFFFF), st.sampled_from([0, 1, 0x33D6BF95, 0x3F800000, 0x477FE000, 0x7F7FFFFF]))
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    rate_hz=st.one_of(st.integers(100, 48_000), st.sampled_from([2800, 3000])),
+    unit=st.sampled_from(UNITS),
+    header_gain=st.integers(1, 0x7F7F),
+    gains=st.tuples(FLOATS, FLOATS),
+    actuator=st.sampled_from([*ACTUATORS.values(), replace(PIEZO_STACK, dac_bits=12), replace(LRA, dac_rate_hz=500)]),
+    compensation=st.booleans(),
+    kind=st.sampled_from(["square", "noise", "constant", "weak"]),
+    decoder_delay=st.integers(0, 200),
+    cuts=st.lists(st.integers(0, 500), max_size=6),
+    seed=st.integers(0, 99),
+)
+def test_limits_hold_for_any_numbers_however_they_are_cut(
+    rate_hz: int,
+    unit: str,
+    header_gain: int,
+    gains: tuple[int, int],
+    actuator: Actuator,
+    compensation: bool,
+    kind: str,
+    decoder_delay: int,
+    cuts: list[int],
+    seed: int,
+) -> None:
+    generator = np.random.default_rng(seed)
+    signals: dict[str, Callable[[], NDArray[Any]]] = {
+        "square": lambda: 32767 * generator.choice([-1, 1], (50, 2)).repeat(10, axis=0),
+        "noise": lambda: generator.integers(-32768, 32768, (500, 2)),
+        "constant": lambda: np.tile(generator.choice([-32768, 32767], (1, 2)), (500, 1)),
+        "weak": lambda: generator.integers(-1, 2, (500, 2)),
+    }
+    decoded: Decoded = signals[kind]().astype(np.int16)
+    head = header(rate_hz, unit, (float_of(header_gain << 16), 1.0))
+
+    def play(pieces: list[Decoded]) -> Codes:
+        drive = Drive(head, actuator, compensation, decoder_delay)
+        dac = Dac(head, actuator, float_of(gains[0]), compensation, drive.drive_samples(decoder_delay))
+        codes = [dac.play(drive.push(piece)) for piece in pieces]
+        dac.set_gain(float_of(gains[1]))
+        drive.join()
+        codes += [dac.play(drive.push(piece)) for piece in pieces]
+        return np.concatenate([*codes, dac.play(drive.finish()), dac.ramp_down()])
+
+    codes = play([decoded])
+    np.testing.assert_array_equal(play(cut(decoded, cuts)), codes)
+    assert codes.max(initial=0) <= actuator.code_limit
+    assert codes.min(initial=0) >= -actuator.code_limit - 1
+    assert largest_step(np.concatenate((codes[:1] * 0, codes))) <= actuator.code_step_limit
+    assert not codes[-1:].any()
+    second = np.zeros((actuator.dac_rate_hz, 2), np.int16)
+    assert highest_second(np.concatenate((second, codes, second)), actuator) <= actuator.power_limit
+
+
+def float_of(bits: int) -> float:
+    value: float = struct.unpack("<f", struct.pack("<I", bits))[0]
+    return value
 
 
 def highest_second(codes: NDArray[Any], actuator: Actuator) -> float:
