@@ -59,6 +59,12 @@ def play(
     """
     header, decoder = stream.header, stream.decoder()
     _provide_model(controller, address, stream)
+    hello = controller.description
+    actuator = actuator_model(hello.actuator)
+    try:
+        drive_s = Drive(header, actuator, compensation=True).delay_seconds + 1 / actuator.dac_rate_hz
+    except ValueError as error:
+        raise ControllerError(f"{actuator.name}: {error}") from error
     offline = stream.decode_integers()
     capture = controller.description.limits.capture_samples > 0 and loops * offline.size <= MAX_COMPARED_SAMPLES
     result = player.play(
@@ -70,15 +76,12 @@ def play(
         capture=capture,
         progress=progress,
     )
-    hello = controller.description
-    actuator = actuator_model(hello.actuator)
     codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=loops if capture else 1)
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0
     played = result.decoded if result.decoded is not None else offline
     played_codes = result.dac_codes if result.dac_codes is not None else codes
     source = "read back from the controller" if result.dac_codes is not None else "computed here"
-    drive_s = Drive(header, actuator, compensation=True).delay_seconds + 1 / actuator.dac_rate_hz
     algorithmic_s = (decoder.packet_samples + decoder.delay_samples) / header.rate_hz
     report = Report(
         version=version("vibrocast"),
@@ -164,12 +167,19 @@ def actuator_model(description: ActuatorDescription) -> Actuator:
     """Return the model of the actuator that a controller describes.
 
     Known by its name, with the controller's DAC, or else built from its band: a low-pass, or a resonance where it does
-    not reach down to rest.
+    not reach down to rest. Raises ControllerError where no actuator can be such.
     """
     if description.name in ACTUATORS:
         known = ACTUATORS[description.name]
         return replace(known, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
     lower_hz, upper_hz = description.lower_hz, description.upper_hz
+    if not (
+        0 < description.stroke_um < math.inf
+        and 0 < description.volts < math.inf
+        and 0 <= description.slew_volts_per_second < math.inf
+        and 0 <= lower_hz < upper_hz < math.inf
+    ):
+        raise ControllerError(f"the controller announces what no actuator can be ({description}): update its firmware")
     resonance_hz = math.sqrt(lower_hz * upper_hz)
     return Actuator(
         name=description.name,

@@ -1,6 +1,8 @@
 """Playing with the comparison of what was read back: over loops, where it differs, and where it would be too long."""
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,19 +10,21 @@ import pytest
 import textures
 from device_protocol.messages import CaptureData, Tap
 from host import coding, end_to_end
-from host.controller import Controller
+from host.controller import Controller, ControllerError
 from host.end_to_end import Outcome
+from simulated_device.actuator import LRA, PIEZO_STACK, Actuator
 from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
 from simulated_device.memory_link import MemoryLink
 
 LOOPS = 3
 SAMPLES = 1000
 
 
-def play() -> Outcome:
+def play(actuator: Actuator = PIEZO_STACK) -> Outcome:
     samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
     encoding = coding.encode(textures.Recording(samples, 2800.0, "um", "sine"), live=True)
-    link = MemoryLink(SimulatedController())
+    link = MemoryLink(SimulatedController(Settings(actuator=actuator)))
     controller = Controller(link, link.clock, link.sleep)
     return end_to_end.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)
 
@@ -58,3 +62,37 @@ def test_what_would_be_too_long_is_played_without_comparison(monkeypatch: pytest
         np.testing.assert_array_equal(trace.values, same.values)
     skin, read_back = outcome.traces[2].values, compared.traces[2].values
     np.testing.assert_array_equal(skin[: len(skin) * 9 // 10], read_back[: len(skin) * 9 // 10])
+
+
+@pytest.mark.parametrize("actuator", [replace(PIEZO_STACK, dac_bits=12), replace(LRA, dac_rate_hz=6000)])
+def test_known_actuator_is_modelled_with_the_dac_that_its_controller_has(actuator: Actuator) -> None:
+    assert play(actuator).report.dac_equals_offline is True
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"stroke_um": 0.0}, "no actuator"),
+        ({"volts": math.nan}, "no actuator"),
+        ({"lower_hz": 300.0, "upper_hz": 300.0}, "no actuator"),
+        ({"slew_volts_per_second": math.inf}, "no actuator"),
+        ({"lower_hz": 200.0, "upper_hz": 200.001}, "compensation"),
+        ({"dac_bits": 0}, "0 bits"),
+        ({"dac_rate_hz": 3}, "resample"),
+        ({"name": "x" * 40}, "name"),
+    ],
+)
+def test_controller_with_an_impossible_actuator_is_refused(
+    changes: dict[str, Any], reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    say_hello = Controller.say_hello
+
+    def say_wrongly(controller: Controller) -> None:
+        say_hello(controller)
+        hello = controller.description
+        described = replace(hello.actuator, **({"name": "unheard of"} | changes))
+        controller.description = replace(hello, actuator=described)
+
+    monkeypatch.setattr(Controller, "say_hello", say_wrongly)
+    with pytest.raises(ControllerError, match=reason):
+        play()
