@@ -40,6 +40,11 @@ FUZZ_SECONDS ?= 60
 fuzz: .venv/installed-for-tests
 	$(BIN)/python -m tests.firmware.fuzzing --seconds $(FUZZ_SECONDS)
 
+# Every program of the controller, into firmware/build, and what the images take; firmware/README.md.
+firmware: .venv/installed-for-tests
+	$(BIN)/python -m firmware.build
+	$(BIN)/python -m firmware.build --sizes
+
 # All but the largest image hold the ONNX graph as well, so that a controller can choose.
 models: .venv/installed-for-tests
 	set -e; for best in $(CHECKPOINTS)/eva-*/best.pt; do \

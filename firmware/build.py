@@ -1,13 +1,14 @@
 """Builds the firmware with ziglang, for this machine and for microcontrollers; `python -m firmware.build` does it."""
 
 import hashlib
+import json
 import os
 import platform
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +16,7 @@ from pathlib import Path
 import click
 
 from firmware.declarations import cffi_declarations
+from firmware.elf import Elf
 
 ROOT = Path(__file__).parent
 SHARED = ("core", "controller")
@@ -33,10 +35,11 @@ FLAGS = (
 # Without a frame pointer inner loops have a register more.
 CORTEX_M_FLAGS = (
     *("-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-builtin", "-fno-unwind-tables"),
-    *("-fomit-frame-pointer", "-g0", "-Wl,--gc-sections"),
+    *("-fomit-frame-pointer", "-g0", "-Wl,--gc-sections", "-Wvla", "-Wframe-larger-than=2560"),
 )
 M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
 """What the compiler calls processors with an FPU and DSP instructions."""
+_IN_RAM = (".stack", ".rings", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
@@ -59,9 +62,10 @@ class Target:
     defines: Mapping[str, int | str] = field(default_factory=dict)
 
     def sources(self) -> list[Path]:
-        """Return its C sources, from ROOT on."""
+        """Return its C sources, from ROOT on; a controller has no use for the core's encoders."""
         folders = [ROOT / folder for folder in (*SHARED, *self.folders)]
-        return [path.relative_to(ROOT) for folder in folders for path in sorted(folder.glob("*.c"))]
+        found = [path.relative_to(ROOT) for folder in folders for path in sorted(folder.glob("*.c"))]
+        return [path for path in found if not path.stem.endswith("_encoder")]
 
     def command(self) -> list[str]:
         """Return the compiler's arguments but for the output; it is to run in ROOT."""
@@ -196,15 +200,42 @@ def _compile(target: Target, output: Path) -> None:
         raise BuildError(f"the firmware cannot be compiled:\n{done.stderr}")
 
 
+@dataclass(frozen=True)
+class Size:
+    """Bytes of an image: `flash` of code and constants, `ram` of all that it sets aside, `stack` being a part of it."""
+
+    flash: int
+    ram: int
+    stack: int
+
+
+def size(name: str) -> Size:
+    """Build an image for a microcontroller and return its size. Raises BuildError."""
+    image = Elf(build(name))
+    held = [image.sections[section].size_bytes for section in _IN_RAM if section in image.sections]
+    return Size(sum(len(part.data) for part in image.segments), sum(held), image.sections[".stack"].size_bytes)
+
+
 @click.command()
 @click.argument("names", metavar="[TARGET]...", nargs=-1, type=click.Choice(list(TARGETS)))
-def main(names: tuple[str, ...]) -> None:
+@click.option("--sizes", "with_sizes", is_flag=True, help="Print the bytes of each image instead.")
+@click.option("--json", "json_path", type=click.Path(dir_okay=False, path_type=Path), help="Write those as JSON.")
+def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None) -> None:
     """Build targets of the firmware, all if none is named, and print the file of each."""
-    for name in names or TARGETS:
-        try:
-            click.echo(f"{name}: {build(name)}")
-        except BuildError as error:
-            raise click.ClickException(str(error)) from error
+    wanted = names or tuple(TARGETS)
+    try:
+        if not with_sizes and json_path is None:
+            for name in wanted:
+                click.echo(f"{name}: {build(name)}")
+            return
+        sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
+    except BuildError as error:
+        raise click.ClickException(str(error)) from error
+    click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
+    for name, of in sizes.items():
+        click.echo(f"{name:<24}{of['flash']:>10}{of['ram']:>10}{of['stack']:>13}")
+    if json_path is not None:
+        json_path.write_text(json.dumps(sizes, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _MAGIC = b"\x7fELF\x01\x01"  # 32 bits, little-endian
-_LOADED, _SYMBOLS = 1, 2
+_LOADED, _SYMBOLS, _FUNCTION = 1, 2, 2
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Section:
 
 
 class Elf:
-    """A linked 32-bit program: `segments` in memory, `sections` and `symbols` by name.
+    """A linked 32-bit program: `segments` in memory, `sections` and `symbols` by name, names of `functions` by address.
 
     Tables as in the System V ABI, chapters 4 and 5. Raises ValueError for any other file.
     """
@@ -53,16 +53,19 @@ class Elf:
             for name, _, _, address, _, size_bytes, *_ in headers
         }
         self.symbols: dict[str, int] = {}
+        self.functions: dict[int, str] = {}
         for _, kind, _, _, offset, size_bytes, link, _, _, entry_bytes in headers:
             if kind == _SYMBOLS:
                 for place in range(offset, offset + size_bytes, entry_bytes):
-                    name, value = struct.unpack_from("<II", data, place)
-                    self.symbols[_text(data, headers[link][4] + name)] = value
+                    name, value, _, information = struct.unpack_from("<IIIB", data, place)
+                    text = _text(data, headers[link][4] + name)
+                    self.symbols[text] = value
+                    if information & 0xF == _FUNCTION:
+                        self.functions[value & ~1] = text
 
     def function_at(self, address: int) -> str:
-        """Return the name of the symbol at or before an address."""
-        before = {value: name for name, value in self.symbols.items() if name[:1] not in ("", "$") and value <= address}
-        return before[max(before)] if before else "?"
+        """Return the name of the last function that begins at an address or before it."""
+        return self.functions.get(max((start for start in self.functions if start <= address), default=-1), "?")
 
 
 def _text(data: bytes, offset: int) -> str:

@@ -1,0 +1,172 @@
+"""The firmware on emulated boards: every codec played as computed, the stack it takes, images kept, faults told."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from unicorn import arm_const
+
+import models
+import textures
+from device_protocol.frames import write_frame
+from device_protocol.messages import Configure, Hello, Start, State, Status, StreamData, pack
+from host import coding, flasher
+from host.coding import Stream
+from host.controller import Controller as Host
+from host.player import play
+from simulated_device import cortex_m, stm32f405
+from simulated_device.actuator import PIEZO_STACK, Codes
+from simulated_device.cortex_m import CORES, CortexM
+from simulated_device.emulator import EmulationError
+from simulated_device.flash import FlashMemory
+from simulated_device.memory_link import MemoryLink
+from simulated_device.output import render
+from simulated_device.stm32f405 import Stm32F405
+
+LEARNED = "eva-16"
+
+
+def coded(codec_name: str, seconds: float = 0.3) -> Stream:
+    """Return a texture on two channels at some 12 dB, with refresh packets."""
+    recording = textures.GENERATORS["rough"](3, seconds)
+    recording = replace(recording, samples=np.tile(recording.samples, (1, 2)))
+    model = models.find(LEARNED) if codec_name == "eva" else None
+    return coding.encode(recording, codec_name=codec_name, snr_db=12, model=model, live=True, runtime="core").stream
+
+
+def board(
+    name: str, flash: FlashMemory | None = None, on_dac: Callable[[Codes], None] | None = None
+) -> CortexM | Stm32F405:
+    return Stm32F405(flash, on_dac) if name == "stm32f405" else CortexM(name, flash, on_dac)
+
+
+def session(device: CortexM | Stm32F405) -> tuple[MemoryLink, Host]:
+    link = MemoryLink(device)
+    return link, Host(link, link.clock, link.sleep)
+
+
+def flash_of(name: str) -> FlashMemory:
+    return FlashMemory(stm32f405.FLASH_BYTES if name == "stm32f405" else cortex_m.FLASH_BYTES)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec_name"),
+    [
+        *(("cortex-m4", codec_name) for codec_name in ("mdct", "dct", "slp", "eva")),
+        *((name, "mdct") for name in ("cortex-m7", "cortex-m33")),
+        *(("stm32f405", codec_name) for codec_name in ("mdct", "dct", "slp", "eva")),
+    ],
+)
+def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: str) -> None:
+    codes: list[Codes] = []
+    device = board(name, on_dac=codes.append)
+    link, host = session(device)
+    if codec_name == "eva":
+        flasher.flash(host, models.find(LEARNED).image)
+    stream = coded(codec_name)
+    decoder, decoded = stream.decoder(), stream.decode_integers()
+    result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
+    link.sleep(0.2)
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+    np.testing.assert_array_equal(result.decoded, decoded)
+    actuator = replace(PIEZO_STACK, dac_bits=host.description.actuator.dac_bits)
+    expected, _ = render(stream.header, decoded, decoder.delay_samples, actuator)
+    np.testing.assert_array_equal(result.dac_codes, expected)
+    np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
+    # Three quarters of the smaller stack: the rest is for what other streams may need.
+    assert 500 < device.processor.stack_bytes() < 6144
+
+
+def between_rests(codes: Codes) -> Codes:
+    """Return what is played, without rest before and after, and without the way up to rest at the boot of a board."""
+    booted = np.flatnonzero(~codes.any(axis=1))[0]
+    sound = booted + np.flatnonzero(codes[booted:].any(axis=1))
+    return codes[sound[0] : sound[-1] + 1]
+
+
+@pytest.mark.parametrize("name", [*CORES, "stm32f405"])
+def test_images_outlive_a_restart(name: str) -> None:
+    flash = flash_of(name)
+    kept = flasher.flash(session(board(name, flash))[1], models.find(LEARNED).image)
+    _, host = session(board(name, flash))
+    running = flasher.running(host)
+    assert running is not None
+    assert (running.slot, running.sha256) == (kept.slot, kept.sha256)
+
+
+def test_the_board_comes_up_slowly_and_rests_in_the_middle() -> None:
+    codes: list[Codes] = []
+    device = Stm32F405(on_dac=codes.append)
+    for now_us in range(0, 200_000, 1000):
+        device.advance(now_us)
+    level = np.concatenate(codes)
+    assert level[0, 0] == -2048
+    assert np.abs(np.diff(level, axis=0)).max() < 4096 // 100
+    assert not level[-1].any()
+
+
+def test_the_board_comes_to_rest_when_its_loop_stands_still() -> None:
+    """Only the DAC's interrupt goes on, in the midst of a stream: what is there is played, then the output let down."""
+    codes: list[Codes] = []
+    device = Stm32F405(on_dac=codes.append)
+    link, host = session(device)
+    stream = coded("mdct", seconds=1.0)
+    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
+    host.send(StreamData(1, 0, stream.packets[:12]))
+    host.request(Start(), Status)
+    link.sleep(0.35)
+    before = len(np.concatenate(codes))
+    for _ in range(1500):
+        device._interrupt(stm32f405._TIM6)
+    device.advance(link.now_us)
+    level = np.concatenate(codes)[before:]
+    assert level[:150].any()
+    assert not level[-900:].any()
+    at_rest = np.flatnonzero(level.any(axis=1))[-1]
+    way_down = np.abs(np.diff(level[at_rest - 3 : at_rest + 2].astype(int), axis=0))
+    assert way_down.max() <= 4096 // 100
+
+
+def test_a_cable_that_carries_garbage_stops_nothing() -> None:
+    device = CortexM("cortex-m4")
+    generator = np.random.default_rng(0)
+    for now_us in range(0, 100_000, 1000):
+        device.receive(generator.bytes(500) + b"\0", now_us)
+    device.transmit()
+    _, host = session(device)
+    assert host.request_status().bad_frames > 0
+
+
+def test_what_a_host_does_not_read_stays_bounded() -> None:
+    device = CortexM("cortex-m4")
+    asked = write_frame(pack(Hello(), 5)) + b"".join(write_frame(pack(Hello(), n)) for n in range(6, 2000))
+    device.receive(asked, 0)
+    assert 0 < len(device.transmit()) < 100_000
+
+
+def test_clock_that_runs_fast_is_seen_by_the_host() -> None:
+    link = MemoryLink(device := CortexM("cortex-m4", drift_ppm=5000))
+    host = Host(link, link.clock, link.sleep)
+    first, from_us = host.request_status().device_time_us, link.now_us
+    link.sleep(2.0)
+    passed_us = host.request_status().device_time_us - first
+    assert passed_us / (link.now_us - from_us) == pytest.approx(1.005, abs=2e-4)
+    assert device.processor.instructions == 0
+
+
+def test_instructions_are_counted() -> None:
+    device = CortexM("cortex-m4", count_instructions=True)
+    booted = device.processor.instructions
+    device.advance(1000)
+    turn = device.processor.instructions - booted
+    device.advance(2000)
+    assert 50 < turn < 2000
+    assert device.processor.instructions - booted == pytest.approx(2 * turn, rel=0.2)
+
+
+def test_image_that_a_processor_would_stop_is_an_error_that_says_where() -> None:
+    device = CortexM("cortex-m4")
+    device.processor.unicorn.reg_write(arm_const.UC_ARM_REG_PC, 0x6000_0000)
+    with pytest.raises(EmulationError, match=r"stopped at 0x6.*: there is nothing at 0x60000000"):
+        device.advance(1000)

@@ -1,0 +1,74 @@
+"""The firmware as a process behind its own pseudo-terminal: plays, keeps images in a file, ends when it should."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import models
+from device_protocol.messages import State
+from device_protocol.transports import SerialTransport, TransportError
+from firmware.build import build
+from host import flasher
+from host.controller import Controller as Host
+from host.player import play
+from simulated_device.actuator import PIEZO_STACK
+from simulated_device.host_process import HostProcess
+from simulated_device.output import render
+from tests.simulated_device.bench import stream
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+
+
+def test_stream_is_played_as_computed_and_goes_to_the_file_of_codes(tmp_path: Path) -> None:
+    played = stream(0.3, channels=2)
+    with HostProcess("--dac", tmp_path / "codes") as process, Host(SerialTransport(process.name)) as host:
+        result = play(host, played.header, played.packets, played.packet_samples, capture=True)
+    expected, _ = render(played.header, played.decoded, played.delay_samples, PIEZO_STACK)
+    assert result.state == State.FINISHED
+    np.testing.assert_array_equal(result.decoded, played.decoded)
+    np.testing.assert_array_equal(result.dac_codes, expected)
+    np.testing.assert_array_equal(np.fromfile(tmp_path / "codes", np.int16).reshape(-1, 2), expected)
+
+
+def test_images_are_kept_in_the_flash_file(tmp_path: Path) -> None:
+    image = models.find("eva-16").image
+    with HostProcess("--flash", tmp_path / "flash") as process, Host(SerialTransport(process.name)) as host:
+        kept = flasher.flash(host, image)
+    with HostProcess("--flash", tmp_path / "flash") as process, Host(SerialTransport(process.name)) as host:
+        running = flasher.running(host)
+    assert running is not None and running.sha256 == kept.sha256
+
+
+def test_link_and_hardware_are_as_asked_and_the_link_goes_with_the_process(tmp_path: Path) -> None:
+    link = tmp_path / "controller"
+    with HostProcess("--link", link, "--hardware", "bench 3"), Host(SerialTransport(str(link))) as host:
+        assert host.description.hardware == "bench 3"
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize("by_signal", [False, True])
+def test_it_ends_with_its_input_and_by_sigterm(by_signal: bool) -> None:
+    with subprocess.Popen([build("host")], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None and process.stdout is not None
+        assert process.stdout.readline()
+        if by_signal:
+            process.terminate()
+        else:
+            process.stdin.close()
+        assert process.wait(10) == 0
+
+
+def test_options_that_cannot_be_are_refused_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "flash").write_bytes(b"too short")
+    for options, reason in (
+        (("--flash", tmp_path / "flash"), "delete it"),
+        (("--flash", tmp_path / "none" / "flash"), "No such file"),
+        (("--dac", tmp_path), "directory"),
+        (("--link", tmp_path), "exists"),
+        (("--drift",), "usage"),
+    ):
+        with pytest.raises(TransportError, match=reason):
+            HostProcess(*options)
