@@ -49,7 +49,7 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
     power = float(np.sqrt(np.sum(np.square(reference)) * np.sum(np.square(part))))
     if not power or abs(correlation[peak]) < _SMALLEST_CORRELATION * power:
         raise AlignmentError("the recording holds nothing of what was played: check the sensor and its sensitivity")
-    fine = scipy.signal.resample_poly(recorded, _OVERSAMPLING, 1)
+    fine = scipy.signal.resample(recorded, _OVERSAMPLING * len(recorded))
     spline = scipy.interpolate.CubicSpline(np.arange(len(fine)) / _OVERSAMPLING, fine)
     slope = spline.derivative()
     numbers = np.arange(len(reference), dtype=np.float64)
@@ -63,9 +63,12 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
         (factor, shift, stretched), *_ = np.linalg.lstsq(terms, reference, rcond=None)
         sample += shift / factor
         stretch += stretched / factor
+    values = spline(np.clip(sample + numbers + stretch * centred, 0, len(recorded) - 1))
+    # Over the power of what was sent, which has no noise.
+    gain = float(np.sum(values * reference) / np.sum(np.square(reference)))
     return Alignment(
         lag_s=(sample - stretch * float(np.mean(numbers))) / rate_hz,
-        gain=1 / factor,
+        gain=gain,
         drift_ppm=1e6 * stretch,
-        aligned=factor * spline(np.clip(sample + numbers + stretch * centred, 0, len(recorded) - 1)),
+        aligned=values / gain,
     )
