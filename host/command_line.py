@@ -27,6 +27,7 @@ from host.controller import ControllerError
 from host.entry import INTERRUPTED
 from host.export_command import export
 from host.input_files import InputFileError
+from host.measure_command import measure
 from host.models_command import list_models
 from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, chosen_model, options, recording_options
 from host.output_files import whole_file
@@ -411,6 +412,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
 
 main.add_command(export)
 main.add_command(list_models)
+main.add_command(measure)
 main.add_command(stability)
 main.add_command(train)
 

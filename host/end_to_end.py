@@ -48,6 +48,8 @@ def play(
     encoding: Encoding | None = None,
     loops: int = 1,
     progress: Callable[[player.Progress], None] | None = None,
+    actuator: Actuator | None = None,
+    skin_model: Actuator | None = None,
 ) -> Outcome:
     """Play a stream to its end and compare what was decoded and what went to the DAC with the same computed here.
 
@@ -55,12 +57,14 @@ def play(
     then nothing is compared, and the skin is computed from one pass. A simulated controller of this session is flashed
     with the stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before. `file_name` and
-    `address` are for the report. Raises CodecError, and whatever `player.play` raises.
+    `address` are for the report. `actuator`: the one that the controller works with, None = as it describes it;
+    `skin_model`: the one that moves the skin, None = the same. Raises CodecError, and whatever `player.play` raises.
     """
     header, decoder = stream.header, stream.decoder()
     _provide_model(controller, address, stream)
     hello = controller.description
-    actuator = actuator_model(hello.actuator)
+    actuator = actuator or actuator_model(hello.actuator)
+    skin_model = skin_model or actuator
     try:
         drive_s = Drive(header, actuator, compensation=True).delay_seconds + 1 / actuator.dac_rate_hz
     except ValueError as error:
@@ -125,7 +129,7 @@ def play(
     delay_s = decoder.delay_samples / header.rate_hz
     decoded = _from_start(played, header.rate_hz, delay_s - missed_s, stream.seconds)
     one_pass = math.ceil((delay_s + drive_s + stream.seconds) * actuator.dac_rate_hz)
-    skin = actuator.displacement_um(played_codes[:one_pass], SKIN_OVERSAMPLING)
+    skin = skin_model.displacement_um(played_codes[:one_pass], SKIN_OVERSAMPLING)
     skin_rate_hz = SKIN_OVERSAMPLING * actuator.dac_rate_hz
     skin = _from_start(skin, skin_rate_hz, delay_s + drive_s - missed_s, stream.seconds)
     signals = {"recording": encoding.recording.samples} if encoding else {}
@@ -142,7 +146,7 @@ def play(
         for name, values in signals.items()
     ]
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
-    caption = f"skin: the DAC's codes, {source}, through the model of the actuator {actuator.name}"
+    caption = f"skin: the DAC's codes, {source}, through the model of the actuator {skin_model.name}"
     return Outcome(report, caption, tuple(traces))
 
 

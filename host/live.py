@@ -88,8 +88,11 @@ class LiveStream:
         self.earlier: list[Status] = []
         self._codec = codec.codec_by_name(codec_name)
         self.setting = self._codec.complete({**live_setting(codec_name, signal_format.rate_hz), **(setting or {})})
-        # Rounded up to whole blocks: by how many samples, an encoder says.
-        self.packet_samples = self._make_encoder(codec.Framing(packet_samples, 1)).packet_samples
+        # Rounded up to whole blocks: to how many samples, an encoder says.
+        encoder = self._make_encoder(codec.Framing(packet_samples, 1))
+        self.packet_samples = encoder.packet_samples
+        # The first block that is ever coded takes longer than others, and would make all of the stream that much later.
+        encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
         self._gain, self._compensation = gain, compensation
         self._configure()
 

@@ -1,11 +1,12 @@
 """The bench file: which controllers, actuators, sensors and textures a bench has, in TOML (docs/harness.md)."""
 
 import contextlib
+import json
 import math
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,9 @@ SENSOR_KINDS = ("accelerometer", "laser")
 SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
 DEFAULT_TEXTURE = "wood"
+
+# Controllers that are made with the bench's actuator.
+_TAKES_ACTUATOR = ("sim", "sim-usb")
 
 
 class BenchFileError(ValueError):
@@ -144,23 +148,29 @@ def chosen(bench: Bench | None, device: str | None) -> Bench:
 
 
 @contextlib.contextmanager
-def connect(bench: Bench, controller: BenchController | None = None) -> Iterator[Controller]:
-    """Open a session with a controller of the bench, the first if not given; a simulated one has the bench's actuator.
+def connect(bench: Bench, controller: BenchController) -> Iterator[Controller]:
+    """Open a session with a controller of the bench; a simulated one has the actuator that the bench has there.
 
     Raises as `host.devices.connect`.
     """
-    controller = controller or bench.first
     with devices.connect(controller.address, actuator=bench.actuator(controller.name)) as session:
         yield session
 
 
-def actuator_of(bench: Bench, description: ActuatorDescription, channel: int = 1) -> Actuator:
-    """Return the model of the actuator on a channel of the first controller: the bench's, or as the controller says.
+def actuator_of(bench: Bench, controller: BenchController, description: ActuatorDescription) -> Actuator:
+    """Return the model of the actuator on a controller's first channel: the bench's, or as the controller says.
 
-    `description`: the controller's, whose DAC it is.
+    `description`: the controller's own, whose DAC it is.
     """
-    model = bench.actuator(bench.first.name, channel) or actuator_model(description)
+    model = bench.actuator(controller.name) or actuator_model(description)
     return replace(model, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+
+
+def driven_actuator(bench: Bench, controller: BenchController, description: ActuatorDescription) -> Actuator:
+    """Return the model that a controller itself works with, whose limits and compensation make its DAC's codes."""
+    if controller.address in _TAKES_ACTUATOR:
+        return actuator_of(bench, controller, description)
+    return actuator_model(description)
 
 
 def _check_address(address: str) -> str:
@@ -334,3 +344,15 @@ def _command(value: Any) -> tuple[str, ...]:
     if "file" not in named or named - set(SENSOR_PLACEHOLDERS):
         raise ValueError(value)
     return tuple(value)
+
+
+def actuator_toml(actuator: Actuator, controller: str) -> str:
+    """Return the table of a bench file that names this actuator behind a controller."""
+    values = {"controller": controller, **asdict(actuator)}
+    lines = [f"{key} = {_toml_value(value)}" for key, value in values.items() if value is not None]
+    return "\n".join(["[[actuators]]", *lines, ""])
+
+
+def _toml_value(value: str | float) -> str:
+    # A text in JSON is one in TOML; seven digits are more than any fit gives.
+    return json.dumps(value) if isinstance(value, (str, int)) else f"{value:.7g}"

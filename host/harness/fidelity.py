@@ -14,6 +14,7 @@ from host.controller import Controller
 from host.harness.alignment import align
 from host.harness.sensors import Recorder
 from host.picture import third_octave_levels
+from simulated_device.actuator import Actuator
 from simulated_device.output import HIGH_PASS_HZ, displacement_filter
 from textures import Recording
 
@@ -62,6 +63,8 @@ def measure(
     address: str,
     texture: Recording,
     *,
+    actuator: Actuator,
+    skin_model: Actuator,
     recorder: Recorder | None = None,
     sensor_name: str = "",
     stream_rate_hz: int = coding.DEFAULT_STREAM_RATE_HZ,
@@ -69,8 +72,8 @@ def measure(
 ) -> Fidelity:
     """Play the first channel of a texture and hold the skin against what was sent.
 
-    `recorder`: the sensor on that channel; None = the DAC's codes through the model of the actuator. Raises
-    SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
+    `actuator`: the one that the controller works with. `recorder`: the sensor on that channel; None = the DAC's codes
+    through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
     encoding = coding.encode(one, stream_rate_hz, live=True)
@@ -84,6 +87,8 @@ def measure(
         encoding.stream,
         encoding,
         progress=progress and (lambda now: progress(now.position_s / (now.duration_s or 1.0))),
+        actuator=actuator,
+        skin_model=skin_model,
     )
     sent, decoded, skin = outcome.traces
     rate_hz = round(sent.rate_hz)

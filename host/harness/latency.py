@@ -30,7 +30,7 @@ PARTS = {
 }
 # A trial of the search is as long as some hundred packets; what it finds is tried once more for longer.
 TRIAL_S = 1.5
-MARGINS_S = (0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
+MARGINS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
 HOPS = ("16", "32")
 
 

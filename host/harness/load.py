@@ -21,6 +21,7 @@ RATES_HZ = (2800, 8000)
 _FRAMES_AT_ONCE = 8
 _LENGTH_BYTES = 5
 _READ_S = 0.01
+_START_S = 0.05  # from the first packet to its playing: time to send the others that fill the buffer
 _SHORTEST_WAIT_S = 1e-6
 _GAP_STEPS = 5
 _AFTER_GAP_S = 0.3
@@ -147,9 +148,9 @@ def longest_gap(
 def _silence(controller: Controller, texture: Recording, buffer_s: float, gap_s: float, rate_hz: int) -> str | None:
     """Send so much ahead, be silent for so long, and send the rest; return what ended the stream before its end."""
     samples = looped(texture, max(buffer_s, gap_s) + 2 * _AFTER_GAP_S, rate_hz)
-    stream = live.LiveStream(controller, _format(texture, samples, rate_hz), margin_s=0.0)
+    stream = live.LiveStream(controller, _format(texture, samples, rate_hz), margin_s=_START_S)
     packets = stream.code(samples)
-    ahead = round(buffer_s * rate_hz / stream.packet_samples)
+    ahead = round((buffer_s - _START_S) * rate_hz / stream.packet_samples)
     stream.send_packets(packets[:ahead])
     _listen(controller, gap_s)
     stream.send_packets(packets[ahead:])

@@ -60,7 +60,7 @@ def controller(bench: "Bench") -> "Iterator[Controller]":
     """A session with the controller under test; its output is brought to rest after the test."""
     from host.harness.bench_file import connect
 
-    with connect(bench) as session:
+    with connect(bench, bench.first) as session:
         yield session
         session.stop()
 
@@ -70,7 +70,7 @@ def actuator(bench: "Bench", controller: "Controller") -> "Actuator":
     """The model of the actuator on the controller's first channel: of the bench file, or as the controller says."""
     from host.harness.bench_file import actuator_of
 
-    return actuator_of(bench, controller.description.actuator)
+    return actuator_of(bench, bench.first, controller.description.actuator)
 
 
 @pytest.fixture(scope="session")

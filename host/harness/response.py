@@ -12,7 +12,6 @@ import textures
 from host import player
 from host.coding import as_stream
 from host.controller import Controller, ControllerError
-from host.end_to_end import SKIN_OVERSAMPLING
 from host.harness.alignment import AlignmentError
 from host.harness.sensors import Recorder
 from simulated_device.actuator import Actuator
@@ -33,6 +32,8 @@ _LARGEST_RATE_HZ = 8000
 # the response is computed, hold that noise too.
 _STEP = 0.02
 _CURVE_POINTS_PER_OCTAVE = 12
+# Of the model's displacement, so that the images above the DAC's rate do not fold into the band.
+_OVERSAMPLING = 16
 _LEAST_EXPLAINED = 0.05  # of the recorded power in the sweep's band
 _CONFIDENCE = 1.96  # standard errors of a 95 % interval
 
@@ -68,11 +69,12 @@ class Fit:
 
 @dataclass(frozen=True)
 class Response:
-    """What a sweep has shown: the curve, the fit, and `source`, by what the displacement is known."""
+    """What a sweep has shown. `source`: how the displacement is known. `actuator`: the model with what was fitted."""
 
     source: str
     curve: Curve
     fit: Fit
+    actuator: Actuator
 
 
 def measure(
@@ -91,7 +93,18 @@ def measure(
     """
     sweep = play_sweep(controller, actuator, False, recorder, seconds, progress)
     fit = fit_actuator(sweep)
-    return Response(sensor_name or "the model itself", curve(sweep, fit.delay_ms, fit.drift_ppm), fit)
+    return Response(
+        sensor_name or "the model itself",
+        curve(sweep, fit.delay_ms, fit.drift_ppm),
+        fit,
+        replace(
+            actuator,
+            name=f"{actuator.name} measured",
+            corner_hz=fit.corner_hz,
+            quality=fit.quality,
+            stroke_um=fit.stroke_um,
+        ),
+    )
 
 
 @dataclass(frozen=True)
@@ -141,8 +154,8 @@ def play_sweep(
     if played.underruns or played.lost_packets or played.dac_codes is None or played.decoded is None:
         raise ControllerError("the sweep was not played whole: use a machine that is less busy, or a shorter cable")
     if finish is None:
-        displacement_um = actuator.displacement_um(played.dac_codes[:, :1], SKIN_OVERSAMPLING)
-        recording = Recording(displacement_um, SKIN_OVERSAMPLING * actuator.dac_rate_hz, "um", "model")
+        displacement_um = actuator.displacement_um(played.dac_codes[:, :1], _OVERSAMPLING)
+        recording = Recording(displacement_um, _OVERSAMPLING * actuator.dac_rate_hz, "um", "model")
     else:
         recording = finish()
     given = played.dac_codes[:, 0] / actuator.full_scale
@@ -192,11 +205,6 @@ def curve(sweep: Sweep, delay_ms: float | None = None, drift_ppm: float = 0.0) -
         phase_degrees=tuple(np.degrees(np.angle(cross)).tolist()),
         coherence=tuple((np.square(np.abs(cross)) / (power * recorded_power)).tolist()),
     )
-
-
-def fitted(actuator: Actuator, fit: Fit, name: str) -> Actuator:
-    """Return the actuator with the parameters that were fitted, under another name."""
-    return replace(actuator, name=name, corner_hz=fit.corner_hz, quality=fit.quality, stroke_um=fit.stroke_um)
 
 
 def transfer(frequencies_hz: Samples, corner_hz: float, quality: float | None) -> Spectrum:

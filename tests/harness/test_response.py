@@ -71,9 +71,9 @@ def test_an_unknown_actuator_is_recovered_from_a_noisy_sensor(believed: Actuator
 def test_compensation_with_the_fitted_actuator_flattens_the_response() -> None:
     real = replace(PIEZO_STACK, corner_hz=150.0, stroke_um=93.0)
     controller, recorder = bench(PIEZO_STACK, real, "um")
-    fit = response.measure(controller, PIEZO_STACK, recorder=recorder, seconds=SWEEP_S).fit
+    fitted = response.measure(controller, PIEZO_STACK, recorder=recorder, seconds=SWEEP_S).actuator
     flatness_db = []
-    for believed in (PIEZO_STACK, response.fitted(PIEZO_STACK, fit, "fitted")):
+    for believed in (PIEZO_STACK, fitted):
         controller, recorder = bench(believed, real, "um")
         sweep = response.play_sweep(controller, believed, True, recorder, SWEEP_S)
         curve = response.curve(sweep)

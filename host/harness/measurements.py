@@ -1,0 +1,189 @@
+"""The measurements by name, in the order of a run: each on the bench's first controller, with what the bench has."""
+
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from host import coding, devices, player
+from host.controller import Controller
+from host.harness import bench_file, fidelity, latency, load, response
+from host.harness.bench_file import Bench
+from host.harness.sensors import Recorder, recorder
+from host.many import on_all
+from simulated_device.actuator import Actuator
+from simulated_device.output import render
+from textures import Recording
+
+Progress = Callable[[float], None]
+# Longer than any watchdog: what ends a silence then is not this buffer.
+_FULL_BUFFER_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a run measures: a session, the first channel's actuator, its sensor if any, and textures.
+
+    `actuator`: the model that the controller works with; `skin_model`: the one that the bench has there.
+    """
+
+    bench: Bench
+    controller: Controller
+    actuator: Actuator
+    skin_model: Actuator
+    recorder: Recorder | None
+    sensor_name: str
+    scene: tuple[Recording, ...]
+
+    @property
+    def address(self) -> str:
+        """The controller's address."""
+        return self.bench.first.address
+
+
+@dataclass(frozen=True)
+class Together:
+    """One of several controllers that played at the same time: whether as computed, or why it failed."""
+
+    name: str
+    as_computed: bool | None
+    underruns: int | None
+    failure: str | None
+
+
+def subject(bench: Bench, controller: Controller) -> Subject:
+    """Return what a run measures on a session with the first controller of the bench. Raises TextureError."""
+    sensors = [each for each in bench.sensors if each.controller == bench.first.name and each.channel == 1]
+    return Subject(
+        bench,
+        controller,
+        bench_file.driven_actuator(bench, bench.first, controller.description.actuator),
+        bench_file.actuator_of(bench, bench.first, controller.description.actuator),
+        recorder(sensors[0]) if sensors else None,
+        sensors[0].name if sensors else "",
+        bench.scene(),
+    )
+
+
+def machine() -> dict[str, str]:
+    """Return what is known of the host, for the report."""
+    return {
+        "vibrocast": version("vibrocast"),
+        "processor": _processor(),
+        "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+    }
+
+
+def _processor() -> str:
+    """Return the name of the processor as Linux gives it, or else as Python does."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def _latency(measured: Subject, progress: Progress) -> Any:
+    return latency.measure(measured.controller, measured.actuator, measured.scene[0], progress=progress)
+
+
+def _smallest(measured: Subject, progress: Progress) -> Any:
+    return latency.smallest(measured.controller, measured.actuator, measured.scene[0], progress=progress)
+
+
+def _throughput(measured: Subject, _: Progress) -> Any:
+    return load.throughput(measured.controller, measured.scene[0])
+
+
+def _load(measured: Subject, progress: Progress) -> Any:
+    return load.underruns(measured.controller, measured.scene[0], progress)
+
+
+def _gap(measured: Subject, progress: Progress) -> Any:
+    return [
+        load.longest_gap(
+            measured.controller,
+            measured.scene[0],
+            buffer_s,
+            progress=lambda part, done=done: progress((done + part) / 2),  # type: ignore[misc]
+        )
+        for done, buffer_s in enumerate((player.BUFFER_S, _FULL_BUFFER_S))
+    ]
+
+
+def _fidelity(measured: Subject, progress: Progress) -> Any:
+    count = len(measured.scene)
+    return [
+        fidelity.measure(
+            measured.controller,
+            measured.address,
+            texture,
+            actuator=measured.actuator,
+            skin_model=measured.skin_model,
+            recorder=measured.recorder,
+            sensor_name=measured.sensor_name,
+            progress=lambda part, number=number: progress((number + part) / count),  # type: ignore[misc]
+        )
+        for number, texture in enumerate(measured.scene)
+    ]
+
+
+def _response(measured: Subject, progress: Progress) -> Any:
+    return response.measure(
+        measured.controller,
+        measured.skin_model,
+        recorder=measured.recorder,
+        sensor_name=measured.sensor_name,
+        progress=progress,
+    )
+
+
+MEASUREMENTS: Mapping[str, Callable[[Subject, Progress], Any]] = {
+    "latency": _latency,
+    "smallest": _smallest,
+    "throughput": _throughput,
+    "load": _load,
+    "gap": _gap,
+    "fidelity": _fidelity,
+    "response": _response,
+}
+
+
+def together(bench: Bench) -> list[Together]:
+    """Play the bench's first texture on all its controllers at once, and hold each one's codes against those computed.
+
+    A controller that fails does so alone. Raises TextureError, CodecError.
+    """
+    stream = coding.encode(bench.scene()[0], live=True).stream
+    offline, decoder = stream.decode_integers(), stream.decoder()
+    controllers = {each.name: each for each in bench.controllers}
+
+    def play(name: str, controller: Controller, check: Callable[[], None]) -> Together:
+        actuator = bench_file.driven_actuator(bench, controllers[name], controller.description.actuator)
+        expected, _ = render(stream.header, offline, decoder.delay_samples, actuator)
+        result = player.play(
+            controller,
+            stream.header,
+            stream.packets,
+            decoder.packet_samples,
+            capture=True,
+            progress=lambda now: check(),
+        )
+        assert result.dac_codes is not None, "asked for"
+        return Together(name, bool(np.array_equal(result.dac_codes, expected)), result.underruns, None)
+
+    sessions = {name: partial(bench_file.connect, bench, each) for name, each in controllers.items()}
+    return [
+        Together(name, None, None, str(result)) if isinstance(result, Exception) else result
+        for name, result in on_all(sessions, play).items()
+    ]
+
+
+def device_facts(bench: Bench, controller: Controller) -> dict[str, Any]:
+    """Return what the report says of the controller: `devices.facts` and its address."""
+    return {"name": bench.first.name, "address": bench.first.address, **devices.facts(controller)}

@@ -1,0 +1,55 @@
+"""Works with many controllers at the same time, each in a thread of its own, so that each waits and fails alone."""
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from typing import TypeVar
+
+from host.controller import Controller
+
+_Result = TypeVar("_Result")
+
+_JOIN_S = 0.1
+
+
+class Interrupted(RuntimeError):
+    """The work with all controllers has been interrupted."""
+
+
+def on_all(
+    sessions: Mapping[str, Callable[[], AbstractContextManager[Controller]]],
+    work: Callable[[str, Controller, Callable[[], None]], _Result],
+) -> dict[str, _Result | Exception]:
+    """Open a session with each controller and do the work with all at once; return by name what it gave or raised.
+
+    `work(name, controller, check)` calls `check` often, such as at each report of a player; it raises Interrupted once
+    this function has been interrupted, which waits until all have stopped their controllers. A player waits for its
+    controller nearly all the time, so threads take turns without one starving another.
+    """
+    results: dict[str, _Result | Exception] = {}
+    interrupted = threading.Event()
+
+    def check() -> None:
+        if interrupted.is_set():
+            raise Interrupted
+
+    def run(name: str) -> None:
+        try:
+            with sessions[name]() as controller:
+                results[name] = work(name, controller, check)
+        except Exception as error:  # of one controller: the others go on
+            results[name] = error
+
+    threads = [threading.Thread(target=run, args=(name,), name=name) for name in sessions]
+    for thread in threads:
+        thread.start()
+    try:
+        for thread in threads:
+            while thread.is_alive():
+                thread.join(_JOIN_S)
+    except BaseException:
+        interrupted.set()
+        for thread in threads:
+            thread.join()
+        raise
+    return {name: results[name] for name in sessions}
