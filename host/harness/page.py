@@ -25,7 +25,8 @@ _STYLE = """
 body { font: 16px/1.45 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #202020 }
 table { border-collapse: collapse; margin: .8rem 0 } td, th { padding: .15rem .8rem .15rem 0; text-align: right }
 td:first-child, th:first-child { text-align: left } th { border-bottom: 1px solid #202020 }
-svg { max-width: 100%; height: auto } .bad { font-weight: bold; text-decoration: underline } pre { background: #f0f0f0; padding: .6rem }
+svg { max-width: 100%; height: auto } pre { background: #f0f0f0; padding: .6rem }
+.bad { font-weight: bold; text-decoration: underline }
 """
 
 
@@ -131,11 +132,12 @@ def _latency(latency: dict[str, Any]) -> str:
     clock = latency["clock"]
     return (
         f"<h2>Latency: {latency['total_ms']:.1f} ms to the DAC</h2>"
-        f"<p>Codec {_text(latency['codec'])} in packets of {latency['packet_samples']} samples at {latency['rate_hz']} Hz, "
-        f"each due {latency['margin_ms']:g} ms after it comes; {latency['blocks']} blocks, {latency['underruns']} underruns, "
-        f"{latency['lost_packets']} lost packets; arrival jitter {latency['jitter_ms']:.2f} ms. "
-        f"Decoded as sent: {_number(latency['as_sent'])}. The controller's clock is {clock['drift_ppm']:+.1f} ppm off the "
-        f"host's (standard error {clock['drift_error_ppm']:.1f}); shortest round trip {clock['round_trip_ms']:.2f} ms.</p>"
+        f"<p>Codec {_text(latency['codec'])} in packets of {latency['packet_samples']} samples at "
+        f"{latency['rate_hz']} Hz, each due {latency['margin_ms']:g} ms after it comes; {latency['blocks']} blocks, "
+        f"{latency['underruns']} underruns, {latency['lost_packets']} lost packets; arrival jitter "
+        f"{latency['jitter_ms']:.2f} ms. Decoded as sent: {_number(latency['as_sent'])}. The controller's clock is "
+        f"{clock['drift_ppm']:+.1f} ppm off the host's (standard error {clock['drift_error_ppm']:.1f}); shortest round "
+        f"trip {clock['round_trip_ms']:.2f} ms.</p>"
         f"{_figure(draw, 1.7)}{_table(('part', 'what', 'median, ms', '95 % below, ms'), rows)}"
     )
 
@@ -144,13 +146,15 @@ def _smallest(smallest: dict[str, Any]) -> str:
     found = smallest["found"]
     verdict = "nothing was stable" if found is None else f"{found['total_ms']:.1f} ms"
     rows = [(trial["hop"], trial["margin_ms"], trial["total_ms"] or "not stable") for trial in smallest["trials"]]
-    return f"<h2>Smallest stable latency: {verdict}</h2>{_table(('samples in a block', 'margin, ms', 'latency, ms'), rows)}"
+    table = _table(("samples in a block", "margin, ms", "latency, ms"), rows)
+    return f"<h2>Smallest stable latency: {verdict}</h2>{table}"
 
 
 def _throughput(throughput: dict[str, Any]) -> str:
     return (
         f"<h2>Throughput</h2><p>{throughput['to_controller_bytes_per_s'] / 1000:.0f} kB/s to the controller, "
-        f"{throughput['to_host_bytes_per_s'] / 1000:.0f} kB/s back; {throughput['bad_frames']} frames arrived damaged.</p>"
+        f"{throughput['to_host_bytes_per_s'] / 1000:.0f} kB/s back; {throughput['bad_frames']} frames arrived "
+        "damaged.</p>"
     )
 
 
@@ -170,8 +174,8 @@ def _fidelity(textures: list[dict[str, Any]]) -> str:
         spectrum = texture["spectrum"]
 
         def plot(axes: Axes) -> None:
-            axes.semilogx(spectrum["frequencies_hz"], spectrum["sent_db"], label="sent", **STYLES[0])  # type: ignore[arg-type]
-            axes.semilogx(spectrum["frequencies_hz"], spectrum["residual_db"], label="residual", **STYLES[1])  # type: ignore[arg-type]
+            axes.semilogx(spectrum["frequencies_hz"], spectrum["sent_db"], label="sent", **STYLES[0])
+            axes.semilogx(spectrum["frequencies_hz"], spectrum["residual_db"], label="residual", **STYLES[1])
             axes.set_xlabel("Hz")
             axes.set_ylabel("third octaves, dB re 1 um")
             axes.set_title(texture["texture"], parse_math=False, fontsize="medium", loc="left")
@@ -180,23 +184,21 @@ def _fidelity(textures: list[dict[str, Any]]) -> str:
 
         return plot
 
-    keys = (
-        "texture",
-        "as_decoded",
-        "as_computed",
-        "coding_snr_db",
-        "snr_db",
-        "playing_snr_db",
-        "st_sim",
-        "gain",
-        "drift_ppm",
-    )
-    header = ("texture", "decoded as sent", "DAC as computed", "SNR of the codec, dB", "SNR at the skin, dB")
-    header += ("of it without the codec, dB", "ST-SIM", "gain", "drift, ppm")
-    rows = [[texture[key] for key in keys] for texture in textures]
+    columns = {
+        "texture": "texture",
+        "as_decoded": "decoded as sent",
+        "as_computed": "DAC as computed",
+        "coding_snr_db": "SNR of the codec, dB",
+        "snr_db": "SNR at the skin, dB",
+        "playing_snr_db": "without the codec, dB",
+        "st_sim": "ST-SIM",
+        "gain": "gain",
+        "drift_ppm": "drift, ppm",
+    }
+    rows = [[texture[key] for key in columns] for texture in textures]
     known_by = _text(textures[0]["source"])
     plots = "".join(_figure(draw(texture)) for texture in textures)
-    return f"<h2>Fidelity</h2><p>The skin is known by: {known_by}.</p>{_table(header, rows)}{plots}"
+    return f"<h2>Fidelity</h2><p>The skin is known by: {known_by}.</p>{_table(list(columns.values()), rows)}{plots}"
 
 
 def _response(measured: dict[str, Any], actuator_table: str) -> str:
@@ -205,21 +207,22 @@ def _response(measured: dict[str, Any], actuator_table: str) -> str:
     def draw(axes: Axes) -> None:
         frequencies_hz = np.array(curve["frequencies_hz"])
         shape = np.abs(response.transfer(frequencies_hz, fit["corner_hz"], fit["quality"])) * fit["stroke_um"] / 2
-        axes.semilogx(frequencies_hz, curve["gain_db"], label="measured", **STYLES[0])  # type: ignore[arg-type]
-        axes.semilogx(frequencies_hz, 20 * np.log10(shape), label="fitted", **STYLES[1])  # type: ignore[arg-type]
+        axes.semilogx(frequencies_hz, curve["gain_db"], label="measured", **STYLES[0])
+        axes.semilogx(frequencies_hz, 20 * np.log10(shape), label="fitted", **STYLES[1])
         axes.set_xlabel("Hz")
         axes.set_ylabel("dB re 1 um at full drive")
         axes.legend(frameon=False)
         axes.grid(alpha=0.3)
 
-    kind = f"resonance at {fit['corner_hz']:.2f} Hz (± {fit['corner_error_hz']:.2f}), Q {fit['quality'] or 0:.2f}"
+    corner = f"at {fit['corner_hz']:.2f} Hz (± {fit['corner_error_hz']:.2f})"
     if fit["quality"] is None:
-        kind = f"first order, -3 dB at {fit['corner_hz']:.2f} Hz (± {fit['corner_error_hz']:.2f})"
+        kind = f"first order, -3 dB {corner}"
     else:
-        kind += f" (± {fit['quality_error']:.2f})"
+        kind = f"resonance {corner}, Q {fit['quality']:.2f} (± {fit['quality_error']:.2f})"
     return (
-        f"<h2>Frequency response</h2><p>Known by: {_text(measured['source'])}. {kind}, stroke {fit['stroke_um']:.2f} um "
-        f"(± {fit['stroke_error_um']:.2f}); {100 * fit['unexplained']:.2g} % of the recorded power is not explained.</p>"
+        f"<h2>Frequency response</h2><p>Known by: {_text(measured['source'])}. {kind}, stroke "
+        f"{fit['stroke_um']:.2f} um (± {fit['stroke_error_um']:.2f}); {100 * fit['unexplained']:.2g} % of the recorded "
+        "power is not explained.</p>"
         f"{_figure(draw)}<p>For the bench file:</p><pre>{_text(actuator_table)}</pre>"
     )
 
