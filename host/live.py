@@ -28,7 +28,6 @@ _LARGEST_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 _END_S = 5.0
 _POLL_S = 0.005
-_SHORTEST_WAIT_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -211,7 +210,8 @@ def play(
     """Stream blocks (n, channels), each as soon as the iterator yields it, to its end; return what happened.
 
     Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken connection is opened anew
-    for `reconnect_s`; what comes from the source meanwhile is dropped. Raises as `LiveStream`.
+    for `reconnect_s`, and the stream begun anew; where the source has kept blocks meanwhile, once more when it has
+    caught up. Raises as `LiveStream`.
     """
     try:
         for block in blocks:
@@ -233,13 +233,12 @@ def play(
 def paced(stream: LiveStream, samples: Signal, block_samples: int) -> Iterator[tuple[float, Signal]]:
     """Yield blocks of samples (n, channels), each when its last sample would have been taken, and with that time.
 
-    Times are in seconds of the controller session's clock. While it waits it takes in what the controller sends.
+    Times are in seconds of the controller session's clock.
     """
     controller, rate_hz = stream.controller, stream.format.rate_hz
     began_s = controller.clock()
     for start in range(0, len(samples), block_samples):
         block = samples[start : start + block_samples]
         due_s = began_s + (start + len(block)) / rate_hz
-        while (left_s := due_s - controller.clock()) >= _SHORTEST_WAIT_S:
-            stream.poll(min(left_s, _POLL_S))
+        controller.sleep(max(0.0, due_s - controller.clock()))
         yield due_s, block

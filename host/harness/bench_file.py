@@ -24,9 +24,6 @@ SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
 DEFAULT_TEXTURE = "wood"
 
-# Controllers that are made with the bench's actuator.
-_TAKES_ACTUATOR = ("sim", "sim-usb")
-
 
 class BenchFileError(ValueError):
     """A bench file that is wrong; the message names file, table and key, and says what to do."""
@@ -168,7 +165,7 @@ def actuator_of(bench: Bench, controller: BenchController, description: Actuator
 
 def driven_actuator(bench: Bench, controller: BenchController, description: ActuatorDescription) -> Actuator:
     """Return the model that a controller itself works with, whose limits and compensation make its DAC's codes."""
-    if controller.address in _TAKES_ACTUATOR:
+    if controller.address in devices.SIMULATED and controller.address not in devices.FIRMWARE:
         return actuator_of(bench, controller, description)
     return actuator_model(description)
 
@@ -349,10 +346,6 @@ def _command(value: Any) -> tuple[str, ...]:
 def actuator_toml(actuator: Actuator, controller: str) -> str:
     """Return the table of a bench file that names this actuator behind a controller."""
     values = {"controller": controller, **asdict(actuator)}
-    lines = [f"{key} = {_toml_value(value)}" for key, value in values.items() if value is not None]
+    # Texts and numbers in JSON are the same in TOML.
+    lines = [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
     return "\n".join(["[[actuators]]", *lines, ""])
-
-
-def _toml_value(value: str | float) -> str:
-    # A text in JSON is one in TOML; seven digits are more than any fit gives.
-    return json.dumps(value) if isinstance(value, (str, int)) else f"{value:.7g}"

@@ -10,6 +10,7 @@ from device_protocol.messages import State, StreamData, Tap, pack
 from host import live
 from host.controller import Controller
 from host.harness.latency import looped
+from host.harness.read_back import oldest
 from host.player import BUFFER_S
 from textures import Recording
 
@@ -84,9 +85,10 @@ def throughput(controller: Controller, texture: Recording, *, rate_hz: int = 280
             controller.send(data)
         after = controller.request_status()
     sent = (controller.bytes_sent - sent_before) / seconds
+    offset = oldest(controller, Tap.DAC)
     began_s, received_before = controller.clock(), controller.bytes_received
     while (seconds := controller.clock() - began_s) < THROUGHPUT_S:
-        controller.read_capture(Tap.DAC, 0, controller.capture_room(1), 1)
+        controller.read_capture(Tap.DAC, offset, controller.capture_room(1), 1)
     received = (controller.bytes_received - received_before) / seconds
     return Throughput(sent, received, after.bad_frames - before.bad_frames)
 

@@ -22,7 +22,9 @@ DRIFT_PPM = 40.0  # of the sensor's clock, whose file does not know it
 NOISE_DB = -20.0  # of the sensor, relative to what it records of the sweep
 
 
-def bench(believed: Actuator, real: Actuator, unit: str, drift_ppm: float = 0.0) -> tuple[Controller, Recorder]:
+def bench(
+    believed: Actuator, real: Actuator, unit: str, drift_ppm: float = 0.0, noise_db: float = NOISE_DB
+) -> tuple[Controller, Recorder]:
     """Return a controller that believes in one actuator and drives another, and a noisy sensor on that."""
     codes: list[Codes] = []
     link = MemoryLink(SimulatedController(Settings(actuator=believed), on_dac=codes.append))
@@ -37,7 +39,7 @@ def bench(believed: Actuator, real: Actuator, unit: str, drift_ppm: float = 0.0)
             if unit == "m/s^2":
                 skin = 1e-6 * np.gradient(np.gradient(skin, 1 / rate_hz), 1 / rate_hz)
             noise = np.random.default_rng(3).standard_normal(len(skin))
-            noise *= 10 ** (NOISE_DB / 20) * np.sqrt(np.mean(np.square(skin)))
+            noise *= 10 ** (noise_db / 20) * np.sqrt(np.mean(np.square(skin)))
             return Recording((skin + noise)[:, None], rate_hz / (1 + drift_ppm / 1e6), unit, "sensor")
 
         return finish

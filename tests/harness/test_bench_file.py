@@ -1,0 +1,101 @@
+"""The bench file: what it may say, and that every mistake in it is named with its place."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from host.harness.bench_file import BenchFileError, actuator_toml, chosen, read_bench
+from simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, Actuator
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "bench.toml"
+CONTROLLER = '[[controllers]]\nname = "left"\naddress = "sim"\n'
+SENSOR = '[[sensors]]\nname = "laser"\nkind = "laser"\ncommand = ["record", "{file}"]\n'
+
+
+def test_the_example_is_a_bench() -> None:
+    bench = read_bench(EXAMPLE)
+    assert [controller.address for controller in bench.controllers] == ["sim", "sim-usb"]
+    model = bench.actuator("left")
+    assert model is not None
+    assert model.corner_hz != PIEZO_STACK.corner_hz
+    assert model.volts == PIEZO_STACK.volts
+    assert bench.actuator("right") == LRA
+    assert {recording.name for recording in bench.scene()} >= {"oak"}
+
+
+@pytest.mark.parametrize("actuator", ACTUATORS.values(), ids=ACTUATORS)
+def test_an_actuator_written_is_the_one_read(actuator: Actuator, tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text(CONTROLLER + actuator_toml(actuator, "left"))
+    assert read_bench(path).actuator("left") == actuator
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "names no controller; add [[controllers]]"),
+        ("controllers = 3", "controllers must be tables: begin each with [[controllers]]"),
+        ("[[controllers", "not a TOML file"),
+        ("\x00", "not a TOML file"),
+        ("[[motors]]\n", "there is no motors; choose from controllers, actuators, sensors, textures"),
+        ('[[controllers]]\nname = "a"\n', "[[controllers]] 1: address is missing"),
+        ('[[controllers]]\nname = "a"\naddress = "com3"\n', "[[controllers]] 1: address must be an address"),
+        (CONTROLLER + CONTROLLER, "two [[controllers]] are named 'left'"),
+        (CONTROLLER + "port = 1\n", "[[controllers]] 1: there is no key port; choose from name, address"),
+        (CONTROLLER + '[[actuators]]\nmodel = "muscle"\n', "[[actuators]] 1: model must be one of piezo-stack, "),
+        (CONTROLLER + '[[actuators]]\nname = "x"\n', "[[actuators]] 1: stroke_um is missing; it must be a positive"),
+        (
+            CONTROLLER + '[[actuators]]\nmodel = "lra"\nquality = "high"\n',
+            "quality must be a positive number, not 'high'",
+        ),
+        (CONTROLLER + '[[actuators]]\nmodel = "lra"\nvolts = nan\n', "volts must be a positive number, not nan"),
+        (CONTROLLER + '[[actuators]]\nmodel = "lra"\nchannel = true\n', "channel must be a whole number from 1 to 16"),
+        (CONTROLLER + '[[actuators]]\nmodel = "lra"\ncontroller = "up"\n', "controller must be one of left, not 'up'"),
+        (CONTROLLER + SENSOR.replace('"laser"\ncom', '"ear"\ncom'), "[[sensors]] 1: kind must be one of accelerometer"),
+        (CONTROLLER + SENSOR.replace("{file}", "x.wav"), "command must be a list of a program and its arguments"),
+        (CONTROLLER + SENSOR + "sensitivity = 0.1\n", "sensitivity needs its unit: add unit, such as 'm/s^2'"),
+        (CONTROLLER + '[[textures]]\nfile = "none.wav"\n', "does not exist"),
+        (CONTROLLER + '[[textures]]\ngenerate = "silk"\n', "generate must be one of grating, "),
+    ],
+)
+def test_a_mistake_is_told_with_its_place(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text(text)
+    with pytest.raises(BenchFileError) as raised:
+        read_bench(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert message in str(raised.value)
+
+
+_VALUES = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(-5, 5), st.text(max_size=3)),
+    lambda inner: st.lists(inner, max_size=2),
+)
+
+
+@given(
+    key=st.sampled_from(("name", "model", "stroke_um", "quality", "dac_bits", "channel", "controller")), value=_VALUES
+)
+def test_no_value_of_a_key_passes_unseen(key: str, value: object, tmp_path_factory: pytest.TempPathFactory) -> None:
+    text = "\n".join(line for line in actuator_toml(LRA, "left").splitlines() if not line.startswith(f"{key} ="))
+    path = tmp_path_factory.mktemp("bench") / "bench.toml"
+    path.write_text(f"{CONTROLLER}{text}\n{key} = {json.dumps(value)}\n")
+    try:
+        bench = read_bench(path)
+    except BenchFileError:
+        return
+    assert isinstance(value, (str, int))
+    assert isinstance(bench.actuators[0].model, Actuator)
+
+
+def test_a_device_is_a_name_an_address_or_an_error() -> None:
+    bench = read_bench(EXAMPLE)
+    assert chosen(bench, "right").first.address == "sim-usb"
+    assert chosen(bench, "sim-usb").first.name == "right"
+    assert chosen(bench, "serial:/dev/ttyACM0").first.address == "serial:/dev/ttyACM0"
+    assert chosen(None, None).first.address == "sim"
+    with pytest.raises(BenchFileError, match="'elsewhere' is no controller"):
+        chosen(bench, "elsewhere")

@@ -1,0 +1,39 @@
+"""Fidelity: the skin held against what was sent, by the model and by a sensor of its own clock and gain."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from host.harness import fidelity
+from simulated_device.actuator import PIEZO_STACK
+from tests.harness.test_response import bench
+from textures import GENERATORS
+
+
+@pytest.mark.parametrize("unit", ["um", "m/s^2"])
+def test_a_sensor_of_its_own_clock_sees_what_the_model_says(unit: str) -> None:
+    texture = GENERATORS["rough"](seconds=2.0)
+    controller, recorder = bench(PIEZO_STACK, PIEZO_STACK, unit, drift_ppm=60.0, noise_db=-60.0)
+    measure = partial(fidelity.measure, controller, "memory", texture, actuator=PIEZO_STACK, skin_model=PIEZO_STACK)
+    modelled, recorded = measure(), measure(recorder=recorder, sensor_name="it")
+    assert modelled.as_decoded is modelled.as_computed is recorded.as_computed is True
+    assert modelled.playing_snr_db is not None and modelled.playing_snr_db > 25
+    assert recorded.playing_snr_db == pytest.approx(modelled.playing_snr_db, abs=2.0)
+    assert recorded.st_sim == pytest.approx(modelled.st_sim, abs=0.02)
+    assert recorded.gain == pytest.approx(modelled.gain, rel=0.02)
+    assert recorded.drift_ppm == pytest.approx(60.0, abs=15.0)
+    assert (modelled.source, recorded.source) == ("the DAC's codes and a model", "it")
+
+
+def test_an_actuator_that_is_not_as_believed_is_seen() -> None:
+    texture = GENERATORS["rough"](seconds=2.0)
+    real = replace(PIEZO_STACK, corner_hz=120.0)
+    controller, recorder = bench(PIEZO_STACK, real, "um", noise_db=-60.0)
+    measured = fidelity.measure(
+        controller, "memory", texture, actuator=PIEZO_STACK, skin_model=PIEZO_STACK, recorder=recorder, sensor_name="it"
+    )
+    assert measured.as_computed is True
+    assert measured.playing_snr_db is not None and measured.playing_snr_db < 20
+    assert np.argmax(measured.spectrum.residual_db) > 0

@@ -1,0 +1,63 @@
+"""Throughput, load and gaps in simulated time, where what a controller bears is known."""
+
+import numpy as np
+import pytest
+
+from host.controller import Controller
+from host.harness import load
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
+from simulated_device.memory_link import MemoryLink
+from textures import Recording
+
+
+class SlowLink(MemoryLink):
+    """A line of so many bytes a second, which takes its time for each write and read."""
+
+    def __init__(self, controller: SimulatedController, bytes_per_s: float) -> None:
+        super().__init__(controller)
+        self._bytes_per_s = bytes_per_s
+
+    def write(self, data: bytes) -> None:
+        self.sleep(len(data) / self._bytes_per_s)
+        super().write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        data = super().read(timeout_s)
+        self.sleep(len(data) / self._bytes_per_s)
+        return data
+
+
+def session(link: MemoryLink) -> Controller:
+    return Controller(link, link.clock, link.sleep)
+
+
+def noise() -> Recording:
+    return Recording(np.random.default_rng(2).standard_normal((2800, 1)), 2800.0, "um", "noise")
+
+
+def test_throughput_is_that_of_the_line() -> None:
+    measured = load.throughput(session(SlowLink(SimulatedController(), 90_000)), noise())
+    assert measured.to_controller_bytes_per_s == pytest.approx(90_000, rel=0.05)
+    assert measured.to_host_bytes_per_s == pytest.approx(90_000, rel=0.05)
+    assert measured.bad_frames == 0
+
+
+def test_load_beyond_the_line_is_seen_as_underruns() -> None:
+    loads = load.underruns(session(SlowLink(SimulatedController(Settings(channels=2)), 14_000)), noise())
+    assert [(each.channels, each.rate_hz) for each in loads] == [(1, 2800), (2, 2800), (1, 8000), (2, 8000)]
+    assert loads[0].held
+    assert not loads[-1].held
+
+
+@pytest.mark.parametrize(
+    ("buffer_s", "watchdog_ms", "survived_ms", "ended_by"),
+    [(0.3, 2000, 300.0, "buffer"), (3600.0, 500, 500.0, "watchdog")],
+)
+def test_the_longest_gap_is_the_buffer_or_the_watchdog(
+    buffer_s: float, watchdog_ms: int, survived_ms: float, ended_by: str
+) -> None:
+    link = MemoryLink(SimulatedController(Settings(watchdog_ms=watchdog_ms)))
+    gap = load.longest_gap(session(link), noise(), buffer_s)
+    assert gap.survived_ms == pytest.approx(survived_ms, rel=0.06)
+    assert gap.ended_by == ended_by

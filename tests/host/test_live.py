@@ -1,0 +1,148 @@
+"""Live streaming in simulated time: what is sent is what is played, clocks that drift, sources that pause, cables."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import codec
+from codec import CodecError, Signal
+from device_protocol.coded_stream import StreamError
+from device_protocol.messages import State, Tap
+from device_protocol.transports import TransportError
+from host import live
+from host.controller import Controller
+from host.harness.read_back import read_capture
+from host.live import LiveStream
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
+from simulated_device.memory_link import FaultyLine, MemoryLink
+
+RATE_HZ = 2800
+FORMAT = live.live_format(RATE_HZ, "um", [10.0])
+
+
+def bench(settings: Settings | None = None, **lines: FaultyLine) -> tuple[MemoryLink, Controller]:
+    link = MemoryLink(SimulatedController(settings), **lines)
+    return link, Controller(link, link.clock, link.sleep)
+
+
+def noise(seconds: float) -> Signal:
+    return 2.0 * np.random.default_rng(7).standard_normal((round(seconds * RATE_HZ), 1))
+
+
+def blocks(stream: LiveStream, samples: Signal) -> Iterator[Signal]:
+    return (block for _, block in live.paced(stream, samples, stream.packet_samples))
+
+
+@pytest.mark.parametrize("name", ["mdct", "dct", "slp"])
+def test_what_is_played_is_what_was_sent(name: str) -> None:
+    _, controller = bench()
+    stream = LiveStream(controller, FORMAT, codec_name=name)
+    packets: list[bytes] = []
+    for block in blocks(stream, noise(0.7)):
+        packets += stream.code(block)
+        stream.send_packets(packets[stream.packets_sent :])
+    result = stream.finish()
+    assert result.status.state == State.FINISHED
+    assert (result.underruns, result.lost_packets, result.streams) == (0, 0, 1)
+    first, decoded = read_capture(controller, Tap.DECODED, 1)
+    assert first == 0
+    decoder = codec.decoder(stream.header.codec_identifier, stream.header.configuration, 1)
+    expected = np.concatenate([decoder.decode(packet) for packet in packets])
+    np.testing.assert_array_equal(decoded[: len(expected)], expected)
+    assert len(decoded) >= round(0.7 * RATE_HZ) + decoder.delay_samples
+
+
+def test_packets_are_as_short_as_the_codec_has_them_and_refresh_four_times_a_second() -> None:
+    _, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+    assert stream.packet_samples == 16
+    packets = stream.code(noise(1.0))
+    refreshes = [number for number, packet in enumerate(packets) if packet[0] & 1]
+    assert refreshes[:3] == [0, 43, 86]
+
+
+def test_a_lost_packet_costs_itself_alone() -> None:
+    _, controller = bench(to_controller=FaultyLine(seed=2, lost=0.02))
+    stream = LiveStream(controller, FORMAT)
+    result = live.play(stream, blocks(stream, noise(3.0)))
+    assert result.streams == 1
+    assert 0 < result.lost_packets < 30
+
+
+@pytest.mark.parametrize("drift_ppm", [-3000, 3000])
+def test_a_clock_that_drifts_begins_the_stream_anew_and_the_delay_stays_bounded(drift_ppm: int) -> None:
+    _, controller = bench(Settings(drift_ppm=drift_ppm))
+    stream = LiveStream(controller, FORMAT)
+    longest_s = 0.0
+    for _, block in live.paced(stream, noise(20.0), stream.packet_samples):
+        stream.send(block)
+        longest_s = max(longest_s, stream.status.buffered_samples / RATE_HZ)
+    assert stream.finish().streams > 1
+    assert longest_s < 0.05
+
+
+def test_a_source_that_pauses_goes_on_with_little_delay() -> None:
+    link, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+    for pause_s in (0.0, 1.0, 3.0):  # the last one is longer than the watchdog waits
+        link.sleep(pause_s)
+        for _, block in live.paced(stream, noise(1.0), stream.packet_samples):
+            stream.send(block)
+        assert stream.status.state == State.PLAYING
+        assert 0 < stream.status.buffered_samples < 0.05 * RATE_HZ
+    assert stream.finish().streams == 3
+
+
+def test_a_pulled_cable_is_opened_anew() -> None:
+    link, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+
+    def pulled() -> Iterator[Signal]:
+        for number, block in enumerate(blocks(stream, noise(2.0))):
+            if number == 100:
+                link.unplug(0.5)
+            yield block
+
+    result = live.play(stream, pulled())
+    # The source kept half a second of blocks, by which the second stream was late.
+    assert result.streams == 3
+    assert result.status.state == State.FINISHED
+
+
+def test_a_cable_that_stays_out_ends_in_an_error() -> None:
+    link, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+    stream.send(noise(0.1))
+    link.unplug(60.0)
+    with pytest.raises(TransportError):
+        live.play(stream, [noise(0.1)], reconnect_s=1.0)
+
+
+def test_an_interrupted_stream_is_stopped() -> None:
+    _, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+
+    def interrupted() -> Iterator[Signal]:
+        yield from blocks(stream, noise(0.2))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        live.play(stream, interrupted())
+    assert controller.request_status().state == State.STOPPED
+
+
+def test_a_source_without_a_sample_plays_nothing() -> None:
+    _, controller = bench()
+    assert live.play(LiveStream(controller, FORMAT), []).underruns == 0
+
+
+def test_what_cannot_be_streamed_is_refused() -> None:
+    _, controller = bench(Settings(channels=1))
+    with pytest.raises(StreamError, match="2 channels, the controller has 1"):
+        LiveStream(controller, live.live_format(RATE_HZ, "um", [1.0, 1.0]))
+    with pytest.raises(CodecError, match="needs a model"):
+        LiveStream(controller, FORMAT, codec_name="eva")
+    with pytest.raises(CodecError, match="NaN"):
+        LiveStream(controller, FORMAT).send(np.full((16, 1), np.nan))

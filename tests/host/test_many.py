@@ -1,0 +1,106 @@
+"""Many controllers at once: each plays bit for bit what was sent, and fails alone."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import partial
+
+import numpy as np
+import pytest
+
+from device_protocol.transports import TransportError, UsbTransport
+from host import coding, player
+from host.controller import ConnectionLost, Controller
+from host.many import on_all
+from simulated_device.actuator import PIEZO_STACK
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.output import render
+from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
+from textures import Recording
+
+CHANNELS = 4
+SECONDS = 1.5
+
+
+def stream() -> coding.Stream:
+    samples = 5.0 * np.random.default_rng(1).standard_normal((round(SECONDS * 2800), CHANNELS))
+    return coding.encode(Recording(samples, 2800.0, "um", "noise"), setting={"step": 0.5}, live=True).stream
+
+
+@contextmanager
+def session(port: UsbPort) -> Iterator[Controller]:
+    with UsbTransport(VENDOR_ID, PRODUCT_ID, port) as transport:
+        yield Controller(transport)
+
+
+def test_of_eight_controllers_six_play_on_while_one_is_unplugged_and_one_stalls() -> None:
+    sent = stream()
+    decoder = sent.decoder()
+    expected, _ = render(sent.header, sent.decode_integers(), decoder.delay_samples, PIEZO_STACK)
+    with ExitStack() as stack:
+        ports = [stack.enter_context(UsbPort(SimulatedController())) for _ in range(8)]
+
+        def fail(name: str, now: player.Progress) -> None:
+            if name == "2" and now.position_s > 0.3:
+                ports[2].unplug()
+            if name == "5" and now.position_s > 0.3:
+                ports[5].keep_busy(60.0)
+
+        def play(name: str, controller: Controller, check: Callable[[], None]) -> player.PlaybackResult:
+            def note(now: player.Progress) -> None:
+                check()
+                fail(name, now)
+
+            return player.play(
+                controller,
+                sent.header,
+                sent.packets,
+                decoder.packet_samples,
+                buffer_s=1.0,  # a computer that is busy with other tests
+                reconnect_s=0.5,
+                capture=True,
+                progress=note,
+            )
+
+        sessions: dict[str, Callable[[], AbstractContextManager[Controller]]] = {
+            str(number): partial(session, port) for number, port in enumerate(ports)
+        }
+        results = on_all(sessions, play)
+    assert list(results) == [str(number) for number in range(8)]
+    assert isinstance(results["2"], TransportError)
+    assert isinstance(results["5"], ConnectionLost | TransportError)
+    for name in set(results) - {"2", "5"}:
+        result = results[name]
+        assert isinstance(result, player.PlaybackResult), result
+        assert result.underruns == result.lost_packets == 0
+        np.testing.assert_array_equal(result.dac_codes, expected)
+
+
+def test_an_interrupt_reaches_every_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped: list[str] = []
+
+    def work(name: str, controller: Controller, check: Callable[[], None]) -> None:
+        try:
+            while True:
+                check()
+                controller.request_status()
+        finally:
+            stopped.append(controller.stop().state.name)
+
+    with UsbPort(SimulatedController()) as one, UsbPort(SimulatedController()) as other:
+        sessions = {"one": partial(session, one), "other": partial(session, other)}
+        joined = 0
+
+        def interrupt(thread: object, timeout: float | None = None) -> None:
+            nonlocal joined
+            joined += 1
+            if joined == 1:
+                raise KeyboardInterrupt
+            original(thread, timeout)  # type: ignore[arg-type]
+
+        import threading
+
+        original = threading.Thread.join
+        monkeypatch.setattr(threading.Thread, "join", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            on_all(sessions, work)
+    assert stopped == ["STOPPED", "STOPPED"]
