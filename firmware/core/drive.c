@@ -7,8 +7,8 @@
 
 enum { FULL_SCALE, ACCELERATION, DISPLACEMENT, UNITS };
 
-/* Fraction bits of a drive sample, and of the acceleration's filters: the highest that they can have, as the sum of
- * the magnitudes of their impulse responses stays below 3.2, wherever it is taken. */
+/* Fraction bits of a drive sample, and of the acceleration's filters: the most that they have room
+ * for, as the sum of the magnitudes of the impulse response is up to 3.7, depending on where it is taken. */
 #define DRIVE_BITS 10
 #define INTEGRATOR_BITS 14
 /* Fraction bits of the numbers in vc_section. */
@@ -252,7 +252,7 @@ size_t vc_drive_size(const vc_actuator *actuator, const vc_output_stream *stream
     const uint32_t rate_hz = stream->rate_hz, dac_rate_hz = actuator->dac_rate_hz;
     uint32_t i;
     if (dac_rate_hz == 0 || dac_rate_hz > MAX_DAC_RATE_HZ || actuator->dac_bits < 2 || actuator->dac_bits > 16 ||
-        rate_hz == 0 || rate_hz > MAX_RATE_HZ || rate_hz / VC_RESAMPLER_MAX_RATIO >= dac_rate_hz ||
+        rate_hz == 0 || rate_hz > MAX_RATE_HZ || rate_hz > VC_RESAMPLER_MAX_RATIO * dac_rate_hz ||
         stream->unit >= UNITS || (stream->unit == ACCELERATION && rate_hz < MIN_ACCELERATION_RATE_HZ) ||
         stream->channels == 0 || stream->channels > VC_MAX_CHANNELS)
         return 0;

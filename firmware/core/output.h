@@ -70,8 +70,8 @@ typedef struct {
 } vc_limit_counts;
 
 /* Bytes of memory, aligned for int64_t, for the drive of a stream; more the higher its rate is above the DAC's. 0 where
- * there can be none: a rate of 0 or above 200 000 Hz, an acceleration below 100 Hz, a unit, a number of channels (1 to
- * VC_MAX_CHANNELS) or a gain that is none, a DAC rate or DAC bits outside vc_actuator's. */
+ * there can be none: a rate of 0, above 200 000 Hz or above 128 times the DAC's, an acceleration below 100 Hz, a unit,
+ * a number of channels (1 to VC_MAX_CHANNELS) or a gain that is none, a DAC rate or DAC bits outside vc_actuator's. */
 size_t vc_drive_size(const vc_actuator *actuator, const vc_output_stream *stream);
 
 /* Prepares a drive at rest. `drive`: vc_drive_size() bytes. `actuator` must stay valid. `compensation`: whether the
