@@ -58,7 +58,7 @@ class MemoryLink:
         self, controller: Device, to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None
     ) -> None:
         self.now_us = 0
-        self._controller = controller
+        self.controller = controller
         self._to_controller = to_controller or FaultyLine()
         self._to_host = to_host or FaultyLine()
         self._cable_out_until_us = 0
@@ -72,19 +72,19 @@ class MemoryLink:
         end_us = self.now_us + round(seconds * 1e6)
         while self.now_us < end_us:
             self.now_us = min(end_us, self.now_us + STEP_US)
-            self._controller.advance(self.now_us)
+            self.controller.advance(self.now_us)
 
     def write(self, data: bytes) -> None:
         """Send bytes to the controller. Raises TransportError while the cable is out."""
         self._need_cable()
-        self._controller.receive(self._to_controller.carry(data), self.now_us)
+        self.controller.receive(self._to_controller.carry(data), self.now_us)
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has come from the controller, letting time pass until something has or `timeout_s` is over."""
         end_us = self.now_us + round(timeout_s * 1e6)
         while True:
             self._need_cable()
-            data = self._to_host.carry(self._controller.transmit())
+            data = self._to_host.carry(self.controller.transmit())
             if data or self.now_us >= end_us:
                 return data
             self.sleep(min(STEP_US, end_us - self.now_us) / 1e6)
@@ -96,7 +96,7 @@ class MemoryLink:
     def reopen(self) -> None:
         """Open the port anew. Raises TransportError while the cable is out."""
         self._need_cable()
-        self._controller.transmit()
+        self.controller.transmit()
 
     def close(self) -> None:
         """Do nothing: there is no port to release."""

@@ -23,6 +23,8 @@ SECONDS = 0.4
 STRENGTH = 0.1
 TONE_HZ = 150.0
 MODEL = "eva-16"
+# docs/protocol.md, "Credit"
+_MOST_PACKETS = 1024
 # Type, number, iteration and length before a packet that has a frame of its own.
 _FRAME_BYTES = 12
 
@@ -123,6 +125,12 @@ def known_actuator(description: ActuatorDescription) -> Actuator:
 
 def _packet_bytes(limits: Limits) -> int:
     return min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - _FRAME_BYTES)
+
+
+def held_samples(hello: HelloResponse, stream: Stream) -> int:
+    """Return how many samples of a stream the buffer holds: whole packets, no more than credit may ever grant."""
+    packet_samples = stream.decoder().packet_samples
+    return min(_MOST_PACKETS, hello.limits.buffer_samples // packet_samples) * packet_samples
 
 
 def need_capture(hello: HelloResponse) -> None:

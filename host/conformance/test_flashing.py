@@ -209,7 +209,7 @@ def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> N
     stream = stream_for(probe.description, seconds=1.0)
     begin(probe, slot, data)
     number = probe.configure(stream).stream
-    probe.feed(number, stream.packets)
+    probe.feed(number, stream)
     probe.expect(Start(), Status)
     write(probe, slot, data)
     status = probe.expect(FlashVerify(slot), FlashStatus)
@@ -266,7 +266,7 @@ def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, imag
     number = in_state(
         probe.expect(replace(probe.configuration(stream), header=named), Status), State.BUFFERING, "Configure"
     ).stream
-    probe.feed(number, stream.packets)
+    probe.feed(number, stream)
     probe.expect(Start(), Status)
     probe.wait_for_state(State.FINISHED, 2.0 + 2 * stream.seconds)
     first, came = probe.captured(Tap.DECODED, 1)

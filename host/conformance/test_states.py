@@ -42,7 +42,7 @@ def bring_to(probe: Probe, state: State, live: bool = False) -> Status:
     number = in_state(probe.expect(configure, Status), State.BUFFERING, "Configure").stream
     if state == State.BUFFERING:
         return probe.status()
-    probe.feed(number, stream.packets)
+    probe.feed(number, stream)
     if state == State.ARMED:
         probe.expect(Start(probe.status().device_time_us + _AN_HOUR_US), Status)
         return in_state(probe.status(), state, "Start in an hour")
@@ -112,7 +112,7 @@ def test_configure_works_in_every_state(probe: Probe, state: State) -> None:
 def test_what_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
     """In {state}, Status keeps the stream's number, position and counts, and stream data is dropped."""
     before = bring_to(probe, state)
-    probe.feed(before.stream, stream_for(probe.description).packets)
+    probe.send_packets(before.stream, stream_for(probe.description).packets)
     after = probe.status()
     kept = replace(after, device_time_us=before.device_time_us)
     assert kept == before, f"expected {told(before)}, came {told(after)}"

@@ -25,7 +25,7 @@ def test_silence_is_noticed(probe: Probe, state: State) -> None:
         armed(probe)
     else:
         stream = stream_for(probe.description)
-        probe.feed(probe.configure(stream).stream, stream.packets)
+        probe.feed(probe.configure(stream).stream, stream)
         probe.expect(Start(), Status)
         probe.wait_for(lambda status: status.position > 0, "to play", 2.0)
         probe.expect(Pause(), Status)

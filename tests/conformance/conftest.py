@@ -8,16 +8,40 @@ import pytest
 from device_protocol.transports import SerialTransport, UsbTransport
 from host.conformance.fixtures import *  # noqa: F403
 from host.conformance.line import Line
-from simulated_device.controller import Controller
+from simulated_device.controller import FLASH_BYTES, Controller, Settings
+from simulated_device.cortex_m import CortexM
+from simulated_device.device import Device
+from simulated_device.firmware import Firmware
+from simulated_device.flash import FlashMemory
 from simulated_device.memory_link import MemoryLink
 from simulated_device.pty_port import PtyPort
 from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
 
-@contextmanager
-def over_memory() -> Iterator[Line]:
-    link = MemoryLink(Controller())
-    yield Line(link, link.clock, link.sleep)
+def in_simulated_time(make: Callable[[FlashMemory], Device]) -> Callable[[], AbstractContextManager[Line]]:
+    """Return what opens a line to a controller in this process; its flash outlives a restart."""
+
+    @contextmanager
+    def over_memory() -> Iterator[Line]:
+        flash = FlashMemory(FLASH_BYTES)
+        link = MemoryLink(make(flash))
+
+        def restart() -> None:
+            link.controller = make(flash)
+
+        yield Line(link, link.clock, link.sleep, restart)
+
+    return over_memory
+
+# A board with little memory.
+SMALL = Settings(channels=2, buffer_samples=2048, capture_samples=2048, watchdog_ms=500)
+SMALL_SIZES = {
+    "VC_MAX_CHANNELS": 2,
+    "VC_BUFFER_PACKETS": 64,
+    "VC_BUFFER_BYTES": 8192,
+    "VC_MAXIMUM_PAYLOAD_BYTES": 640,
+    "VC_RATE_RATIO": 4,
+}
 
 
 @contextmanager
@@ -33,7 +57,11 @@ def over_usb() -> Iterator[Line]:
 
 
 DEVICES: dict[str, Callable[[], AbstractContextManager[Line]]] = {
-    "memory": over_memory,
+    "memory": in_simulated_time(lambda flash: Controller(flash=flash)),
+    "firmware": in_simulated_time(lambda flash: Firmware(flash=flash)),
+    "small-firmware": in_simulated_time(lambda flash: Firmware(SMALL, flash, sizes=SMALL_SIZES)),
+    "cortex-m4": in_simulated_time(lambda flash: CortexM("cortex-m4", flash)),
+    "cortex-m7": in_simulated_time(lambda flash: CortexM("cortex-m7", flash)),
     "pty": over_pty,
     "usb": over_usb,
 }
