@@ -23,13 +23,24 @@ from device_protocol.model_image import ModelImageError
 from device_protocol.transports import TransportError
 from host import coding, devices, flasher, player, progress
 from host.bench_command import bench
+from host.conformance_command import conformance
 from host.controller import ControllerError
 from host.entry import INTERRUPTED
 from host.export_command import export
 from host.input_files import InputFileError
 from host.measure_command import measure
 from host.models_command import list_models
-from host.options import INPUT, POSITIVE, BadInput, Finite, OutputFile, chosen_model, options, recording_options
+from host.options import (
+    INPUT,
+    POSITIVE,
+    BadInput,
+    Finite,
+    OutputFile,
+    chosen_model,
+    device_option,
+    options,
+    recording_options,
+)
 from host.output_files import whole_file
 from host.report import Report
 from host.stability_command import stability
@@ -117,16 +128,6 @@ def refuse_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | N
         used.append(output)
 
 
-def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
-    if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
-        known = ", ".join(devices.SIMULATED)
-        raise click.BadParameter(
-            f"{value!r} is none of {known}, serial:PORT and usb:VID:PID (in hexadecimal digits).", ctx, param
-        )
-    return value
-
-
 def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
     """Return a codec's parameters by name, or raise click.BadParameter."""
     setting: dict[str, str] = {}
@@ -177,14 +178,6 @@ quality_options = options(
         help="Parameter of the codec, instead of searching for it; `vibrocast codecs` lists them.",
     ),
     model_option,
-)
-device_option = click.option(
-    "--device",
-    "address",
-    callback=checked_address,
-    default="sim",
-    show_default=True,
-    help=f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
 )
 
 
@@ -410,6 +403,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
         threading.Event().wait()
 
 
+main.add_command(conformance)
 main.add_command(export)
 main.add_command(list_models)
 main.add_command(measure)

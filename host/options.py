@@ -13,6 +13,7 @@ import click
 import models
 import textures
 from device_protocol.model_image import ModelImageError
+from host import devices
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -64,6 +65,16 @@ def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) 
         raise click.BadParameter(str(error), ctx, param) from error
 
 
+def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
+    if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
+        known = ", ".join(devices.SIMULATED)
+        raise click.BadParameter(
+            f"{value!r} is none of {known}, serial:PORT and usb:VID:PID (in hexadecimal digits).", ctx, param
+        )
+    return value
+
+
 def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """Return one decorator for a group of options."""
 
@@ -77,6 +88,15 @@ def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Co
 
 POSITIVE = Finite(min=0, min_open=True)
 INPUT = click.Path(path_type=Path)
+
+device_option = click.option(
+    "--device",
+    "address",
+    callback=checked_address,
+    default="sim",
+    show_default=True,
+    help=f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
+)
 
 recording_options = options(
     click.option("--rate-hz", type=POSITIVE, help="Sample rate, where the file does not state it."),

@@ -18,7 +18,31 @@ from device_protocol.messages import (
 )
 from device_protocol.transports import TransportError
 from host.conformance.line import Line
-from host.conformance.probe import Gone, NotConforming, Probe
+from host.conformance.probe import ANSWER_S, Gone, NotConforming, Probe
+
+SECTIONS = (
+    "Frames",
+    "Messages",
+    "Messages: From the host",
+    "Messages: From the controller",
+    "Messages: Error codes",
+    "Session: Version",
+    "Session: Sequence numbers",
+    "Session: Watchdog",
+    "Playing",
+    "Playing: Configure",
+    "Playing: Positions",
+    "Playing: Credit",
+    "Playing: Stream data",
+    "Playing: Start",
+    "Playing: EndStream",
+    "Playing: Stop",
+    "Playing: Limits",
+    "Playing: Capture",
+    "Flashing",
+    "Flashing: Model image",
+)
+"""Where requirements stand in docs/protocol.md, in its order: a heading, or the heading and what is below it."""
 
 section = pytest.mark.section
 long = pytest.mark.long
@@ -40,7 +64,7 @@ def probe(line: Line) -> Iterator[Probe]:
     yield opened
     with contextlib.suppress(NotConforming, TransportError, Gone):
         line.heal()
-        opened.open()
+        opened.open(ANSWER_S)
         opened.stop()
 
 
@@ -67,7 +91,7 @@ def slot(probe: Probe) -> Iterator[int]:
 def _run_again(probe: Probe, kept: ImageDescription | None) -> None:
     """End a trial that a test has left, and start the image that was kept before it."""
     probe.line.heal()
-    probe.open()
+    probe.open(ANSWER_S)
     probe.stop()
     states = {image.slot: image.state for image in probe.description.images}
     for number, state in states.items():

@@ -1,12 +1,13 @@
 """The way to the controller under test: it notes which messages pass, and does harm where a test asks for it."""
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
 from device_protocol.frames import FrameReader
-from device_protocol.messages import Error, MessageError, unpack
+from device_protocol.messages import Error, Message, MessageError, unpack
 from device_protocol.transports import Transport, TransportError
 from simulated_device.memory_link import FaultyLine
 
@@ -16,7 +17,8 @@ class Line:
 
     `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
     controller and gives it back; None where nobody can. `may_flash`: whether slots for model images may be written.
-    `message_types`, `error_codes`: of the undamaged frames that passed either way. `to_controller`, `to_host`: faults.
+    `messages`: names of the types of message that passed either way, whole. `error_codes`: those of the controller.
+    `to_controller`, `to_host`: the faults of each direction, None = none.
     """
 
     def __init__(
@@ -31,13 +33,13 @@ class Line:
         self.sleep = sleep
         self.restart = restart
         self.may_flash = may_flash
-        self.message_types: set[int] = set()
+        self.messages: set[str] = set()
         self.error_codes: set[int] = set()
         self.to_controller: FaultyLine | None = None
         self.to_host: FaultyLine | None = None
         self._transport = transport
         self._is_cut = False
-        self._readers = (FrameReader(), FrameReader())
+        self._sent, self._received = FrameReader(), FrameReader()
 
     def cut(self) -> None:
         """Fail, as a pulled cable does, until the transport is opened anew."""
@@ -52,14 +54,18 @@ class Line:
     def write(self, data: bytes) -> None:
         """Send bytes. Raises TransportError."""
         self._need_cable()
-        self._note(0, data)
+        for message in _messages(self._sent, data):
+            self.messages.add(type(message).__name__)
         self._transport.write(data if self.to_controller is None else self.to_controller.carry(data))
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has come, waiting for it at most `timeout_s`. Raises TransportError."""
         self._need_cable()
         data = self._transport.read(timeout_s)
-        self._note(1, data)
+        for message in _messages(self._received, data):
+            self.messages.add(type(message).__name__)
+            if isinstance(message, Error):
+                self.error_codes.add(message.code)
         return data if self.to_host is None else self.to_host.carry(data)
 
     def reopen(self) -> None:
@@ -83,13 +89,9 @@ class Line:
         if self._is_cut:
             raise TransportError("the suite has cut the connection")
 
-    def _note(self, way: int, data: bytes) -> None:
-        for payload in self._readers[way].feed(data):
-            self.message_types.add(payload[0])
-            if payload[0] == Error.TYPE:
-                try:
-                    _, message = unpack(payload)
-                except MessageError:
-                    continue  # the test that reads it says so
-                assert isinstance(message, Error)
-                self.error_codes.add(message.code)
+
+def _messages(reader: FrameReader, data: bytes) -> Iterator[Message]:
+    """Yield the messages in the frames that these bytes complete, as far as they can be read."""
+    for payload in reader.feed(data):
+        with contextlib.suppress(MessageError):
+            yield unpack(payload)[1]

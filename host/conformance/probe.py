@@ -80,9 +80,9 @@ class Probe:
         self._inbox: deque[bytes] = deque()
         self._limit_bytes = 0  # of a payload; 0: not known yet
 
-    def open(self) -> None:
+    def open(self, within_s: float = RESTART_S) -> None:
         """Open a session, or open it anew. Raises Gone, NotConforming."""
-        answer = self.insist(Hello())
+        answer = self.insist(Hello(), within_s)
         if not isinstance(answer, HelloResponse):
             raise NotConforming(f"Hello: expected a HelloResponse, came {told(answer)}")
         self.description = answer
@@ -90,12 +90,12 @@ class Probe:
         self._limit_bytes = answer.limits.maximum_payload_bytes
         self.notified.clear()
 
-    def insist(self, message: Message) -> Message:
+    def insist(self, message: Message, within_s: float = RESTART_S) -> Message:
         """Ask until an answer comes, and overlook all else: also while the controller, or its port, starts anew.
 
-        Raises Gone after RESTART_S.
+        Raises Gone after `within_s`.
         """
-        deadline_s = self.line.clock() + RESTART_S
+        deadline_s = self.line.clock() + within_s
         while True:
             reason = f"it does not answer {type(message).__name__}"
             try:

@@ -104,7 +104,7 @@ def model() -> models.Model:
 
 
 def decoded(stream: Stream, first_packet: int = 0, missing: Collection[int] = ()) -> NDArray[np.int16]:
-    """Return what a controller decodes, int16 (samples, channels), from a packet on, where some do not come."""
+    """Return what a controller decodes, int16 (samples, channels), from a packet on, where some cannot be decoded."""
     header = stream.header
     decoder = codec.decoder(header.codec_identifier, header.configuration, header.channels, stream.tables)
     return np.concatenate(

@@ -34,6 +34,7 @@ from host.conformance.probe import NotConforming, Probe, an_error, in_state, sam
 from host.conformance.streams import decoded, model, need_capture, stream_for
 
 _NO_SLOTS = (0x7F, 0xFF)
+_NAME = 13  # where an image's name begins
 
 
 @pytest.fixture
@@ -176,24 +177,35 @@ def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> N
 
 @section("Flashing")
 @pytest.mark.parametrize(
-    "fault", ["hash", "damage", "crc", "magic", "layout", "codec", "hardware", "length", "payload", "text"]
+    "fault",
+    [
+        "another hash than announced",
+        "a damaged byte",
+        "a wrong CRC-32",
+        "another beginning than VCMI",
+        "another layout version",
+        "an unknown codec",
+        "another hardware id",
+        "a byte missing",
+        "a payload that its codec cannot use",
+        "a name that is not UTF-8",
+    ],
 )
 def test_faulty_image_is_refused(probe: Probe, slot: int, image: ModelImage, fault: str) -> None:
-    """FlashVerify of an image with the wrong {fault} is answered IMAGE_REFUSED, and the slot is EMPTY."""
+    """FlashVerify of an image with {fault} is answered IMAGE_REFUSED, and the slot is EMPTY."""
     data = image.pack()
-    faulty = {
-        "hash": data,
-        "damage": data[:100] + bytes([data[100] ^ 1]) + data[101:],
-        "crc": data[:-1] + bytes([data[-1] ^ 1]),
-        "magic": with_crc(b"VCMX" + data[4:-4]),
-        "layout": with_crc(data[:4] + b"\x7f" + data[5:-4]),
-        "codec": replace(image, codec_identifier=unknown_codec(probe)).pack(),
-        "hardware": replace(image, hardware="other hardware").pack(),
-        "length": with_crc(data[:-5]),
-        "payload": replace(image, payload=image.payload[:-1]).pack(),
-        "text": with_crc(data[:13] + b"\xff" + data[14:-4]),
+    faulty, digest = {
+        "another hash than announced": (data, bytes(32)),
+        "a damaged byte": (data[:100] + bytes([data[100] ^ 1]) + data[101:], sha256(data)),
+        "a wrong CRC-32": (data[:-1] + bytes([data[-1] ^ 1]), None),
+        "another beginning than VCMI": (with_crc(b"VCMX" + data[4:-4]), None),
+        "another layout version": (with_crc(data[:4] + b"\x7f" + data[5:-4]), None),
+        "an unknown codec": (replace(image, codec_identifier=unknown_codec(probe)).pack(), None),
+        "another hardware id": (replace(image, hardware="other hardware").pack(), None),
+        "a byte missing": (with_crc(data[:-5]), None),
+        "a payload that its codec cannot use": (replace(image, payload=image.payload[:-1]).pack(), None),
+        "a name that is not UTF-8": (with_crc(data[:_NAME] + b"\xff" + data[_NAME + 1 : -4]), None),
     }[fault]
-    digest = {"hash": bytes(32), "damage": sha256(data)}.get(fault)
     begin(probe, slot, faulty, digest=digest)
     write(probe, slot, faulty)
     probe.refused(FlashVerify(slot), ErrorCode.IMAGE_REFUSED)
@@ -251,7 +263,7 @@ def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> 
 
 @section("Flashing: Model image")
 def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, image: ModelImage) -> None:
-    """A stream that names the image on trial plays; once another one runs, it is answered UNKNOWN_IMAGE."""
+    """A stream that names a model image is answered UNKNOWN_IMAGE until that image runs, and then plays."""
     if image.codec_identifier != codec.mdct.IDENTIFIER:
         pytest.skip("the controller's codec has no built-in tables to compare with")
     need_capture(probe.description)

@@ -22,7 +22,7 @@ from host.conformance.probe import Probe, an_error, told
 from host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMIT_BYTES, SMALLEST_WATCHDOG_MS
 
 
-@section("Session")
+@section("Session: Version")
 def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
     """Hello is answered with the version, a build and a hardware id."""
     assert hello.major == PROTOCOL_MAJOR, f"expected major version {PROTOCOL_MAJOR}, came {hello.major}"
@@ -30,7 +30,7 @@ def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
     assert hello.hardware, "expected a hardware id, came an empty text"
 
 
-@section("Messages")
+@section("Messages: From the controller")
 def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     """The limits leave room to play: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
     limits = hello.limits
@@ -44,7 +44,7 @@ def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     assert limits.watchdog_ms >= SMALLEST_WATCHDOG_MS, f"expected {SMALLEST_WATCHDOG_MS} ms or more, came {limits}"
 
 
-@section("Messages")
+@section("Messages: From the controller")
 def test_actuator_is_described(hello: HelloResponse) -> None:
     """The actuator is described: a name, and numbers that can be its stroke, voltage, band, slew and DAC."""
     actuator = hello.actuator
@@ -59,7 +59,7 @@ def test_actuator_is_described(hello: HelloResponse) -> None:
     assert 1 <= actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ, f"expected up to {LARGEST_DAC_RATE_HZ} Hz, came {actuator}"
 
 
-@section("Messages")
+@section("Messages: From the controller")
 def test_codecs_are_named(hello: HelloResponse) -> None:
     """Hello names each codec once, by a number from 1 to 15."""
     numbers = [number for number, _ in hello.codecs]

@@ -21,7 +21,7 @@ _CHANCES = {
     "damaged": {"flipped": 0.05},
     "doubled": {"doubled": 0.3},
     "reordered": {"swapped": 0.3},
-    "all": {"lost": 0.02, "flipped": 0.02, "doubled": 0.1, "swapped": 0.1},
+    "lost, damaged, doubled and reordered": {"lost": 0.02, "flipped": 0.02, "doubled": 0.1, "swapped": 0.1},
 }
 _DRIFT_SECONDS = 3.0
 _PPM = 1e6
@@ -73,7 +73,7 @@ def test_faults_on_the_line(probe: Probe, fault: str) -> None:
     same_samples(result.decoded, decoded(stream, missing=missing), f"with frames {fault}")
 
 
-@section("Session")
+@section("Session: Sequence numbers")
 def test_connection_that_breaks(probe: Probe) -> None:
     """A connection that breaks while playing, and is opened anew with a Hello, leaves the stream whole."""
     need_capture(probe.description)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import codec
 from device_protocol.coded_stream import packet_sequence
 from device_protocol.messages import EndStream, ErrorCode, Gain, Loop, Pause, Resume, Start, State, Status, Tap
 from host.coding import Stream
@@ -227,6 +228,21 @@ def test_lost_packets_are_concealed(probe: Probe, stream: Stream, gap: int) -> N
     assert status.lost_packets == gap, f"expected {gap} lost packet(s), came {told(status)}"
     assert status.underruns == 0, f"expected no underrun, came {told(status)}"
     decoded_as(probe, stream, decoded(stream, missing=missing), f"with {gap} packet(s) missing")
+
+
+@section("Playing: Stream data")
+def test_packet_that_cannot_be_decoded_is_concealed(probe: Probe) -> None:
+    """A packet that the codec cannot decode counts as missing, and is concealed."""
+    stream = stream_for(probe.description, codec.dct.NAME, seconds=1.0)  # it finds a packet without any content damaged
+    broken = 1
+    packets = list(stream.packets)
+    packets[broken] = packed_sequence(broken)
+    status = probe.configure(stream)
+    probe.feed(status.stream, stream, packets)
+    probe.expect(Start(), Status)
+    status = finished(probe, stream)
+    assert status.lost_packets == 1, f"expected 1 lost packet, came {told(status)}"
+    decoded_as(probe, stream, decoded(stream, missing=[broken]), "with a packet that cannot be decoded")
 
 
 @section("Playing: Stream data")

@@ -1,0 +1,105 @@
+"""The report on a controller that its maker can publish: a page, conformance.md, and conformance.json for machines."""
+
+import html
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
+from host.conformance.fixtures import SECTIONS
+from host.conformance.judge import Finding, Outcome
+from host.output_files import whole_file
+
+PAGE = "conformance.md"
+JSON = "conformance.json"
+_VERDICTS = {True: "conforming", False: "not conforming"}
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found of a controller. `left_out`: what was not to be tried. `date`: None = not said."""
+
+    hello: HelloResponse
+    findings: tuple[Finding, ...]
+    left_out: tuple[str, ...] = ()
+    date: str | None = None
+
+    @property
+    def conforming(self) -> bool:
+        """Whether every requirement that was tried is met, and all that apply were tried."""
+        return not any(finding.outcome in (Outcome.FAILED, Outcome.NOT_TRIED) for finding in self.findings)
+
+    @property
+    def summary(self) -> str:
+        """The verdict, and how many requirements had which outcome, in one line."""
+        counts = Counter(finding.outcome for finding in self.findings)
+        parts = [f"{counts[outcome]} {outcome.value}" for outcome in Outcome if counts[outcome]]
+        left_out = f"; left out: {' and '.join(self.left_out)}" if self.left_out else ""
+        return f"{_VERDICTS[self.conforming]}: {', '.join(parts)}{left_out}"
+
+    def sections(self) -> list[tuple[str, list[Finding]]]:
+        """Return the findings by section, in the order of the protocol's page."""
+        by_section = sorted(self.findings, key=lambda finding: SECTIONS.index(finding.requirement.section))
+        return [(name, list(found)) for name, found in groupby(by_section, lambda each: each.requirement.section)]
+
+    def facts(self) -> dict[str, Any]:
+        """Return the report ready for JSON."""
+        hello = self.hello
+        return {
+            "protocol": f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}",
+            "suite": f"vibrocast {version('vibrocast')}",
+            **({"date": self.date} if self.date else {}),
+            "conforming": self.conforming,
+            "left_out": list(self.left_out),
+            "controller": {
+                "build": hello.build,
+                "hardware": hello.hardware,
+                "protocol": f"{hello.major}.{hello.minor}",
+                "codecs": [name for _, name in hello.codecs],
+                "actuator": asdict(hello.actuator),
+                "limits": asdict(hello.limits),
+            },
+            "requirements": [
+                {**asdict(finding.requirement), "outcome": finding.outcome.value}
+                | {name: text for name, text in (("reason", finding.reason), ("measured", finding.measured)) if text}
+                for finding in self.findings
+            ],
+        }
+
+    def page(self) -> str:
+        """Return the page."""
+        facts = self.facts()
+        controller = facts["controller"]
+        told = {name: controller[name] for name in ("build", "hardware", "protocol")}
+        told["codecs"] = ", ".join(controller["codecs"])
+        lines = [
+            f"# {self.hello.hardware}: {_VERDICTS[self.conforming]} with the vibrocast protocol {facts['protocol']}"
+        ]
+        lines += ["", f"{self.summary[0].upper()}{self.summary[1:]}.", "", "| controller | |", "|---|---|"]
+        for name, value in {**told, **controller["actuator"], **controller["limits"]}.items():
+            lines.append(f"| {name.replace('_', ' ')} | {_cell(str(value))} |")
+        lines += ["", "What is not offered is not held against a controller; the reason says what it lacks."]
+        for section, findings in self.sections():
+            lines += ["", f"## {section}", "", "| requirement | | |", "|---|---|---|"]
+            for finding in findings:
+                remark = finding.reason or finding.measured
+                lines.append(f"| {_cell(finding.requirement.text)} | {finding.outcome.value} | {_cell(remark)} |")
+        made = f"Made by {facts['suite']}, `vibrocast conformance`" + (f", on {self.date}" if self.date else "")
+        lines += ["", f"{made}. Headings are those of its docs/protocol.md."]
+        return "\n".join(lines) + "\n"
+
+    def write(self, folder: Path) -> None:
+        """Write page and JSON into a folder, which is made where it is not there. Raises OSError."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in ((PAGE, self.page()), (JSON, json.dumps(self.facts(), indent=2) + "\n")):
+            with whole_file(folder / name) as partial:
+                partial.write_text(text, encoding="utf-8")
+
+
+def _cell(text: str) -> str:
+    """Return text, which may be a controller's, as the cell of a Markdown table."""
+    return " ".join(html.escape(text, quote=False).replace("|", "\\|").split())

@@ -1,0 +1,201 @@
+"""The suite as a judge: faulty controllers fail it, nothing of the protocol is left out, and the report says it all."""
+
+import ast
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from device_protocol import messages
+from device_protocol.frames import write_frame
+from device_protocol.messages import CaptureData, CaptureRead, ErrorCode, Status, Tap
+from device_protocol.transports import Transport
+from host import conformance, devices
+from host.command_line import main
+from host.conformance import line as line_module
+from host.conformance import page
+from host.conformance.fixtures import SECTIONS
+from host.conformance.judge import Outcome, judge, requirements
+from host.conformance.line import Line
+from simulated_device.controller import Controller, Settings
+from simulated_device.memory_link import MemoryLink
+
+MODULES = sorted(Path(conformance.__file__).parent.glob("test_*.py"))
+PROTOCOL = page.PAGE.with_name("protocol.md")
+# Needs broken hardware.
+NOT_PROVOKED = {ErrorCode.FLASH_FAILED}
+
+
+def line_to(controller: Controller) -> Line:
+    link = MemoryLink(controller)
+    return Line(link, link.clock, link.sleep)
+
+
+def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
+    line = line_to(Controller())
+    hello, findings = judge(line)
+    assert hello.build
+    assert {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED} == {
+        "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
+    }
+    assert line.messages == {message.__name__ for message in messages.ALL}
+    assert line.error_codes == set(ErrorCode) - NOT_PROVOKED
+
+
+class Faulty(Controller):
+    """Counts no bad frames, carries copies out, gives no host up, flashes while playing, decodes a sample wrong."""
+
+    def _status(self) -> Status:
+        return replace(super()._status(), bad_frames=0)
+
+    def _is_new(self, sequence: int) -> bool:
+        return True
+
+    def advance(self, now_us: int) -> None:
+        self._heard_us = self._time_us
+        super().advance(now_us)
+
+    def _refuse_while_active(self) -> None:
+        pass
+
+    def _capture(self, read: CaptureRead) -> CaptureData:
+        captured = super()._capture(read)
+        if read.tap == Tap.DECODED and captured.offset <= 100 < captured.offset + len(captured.data) // 2:
+            wrong = bytearray(captured.data)
+            wrong[2 * (100 - captured.offset)] ^= 1
+            return replace(captured, data=bytes(wrong))
+        return captured
+
+
+def test_faults_are_found_and_told() -> None:
+    _, findings = judge(line_to(Faulty()))
+    failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
+    expected = {
+        "test_frame_with_a_wrong_crc_is_dropped": "expected 16 more bad frame(s), came 0",
+        "test_copy_of_a_request_is_answered_alike_and_not_carried_out_again": "a copy of Start: expected 81",
+        "test_silence_is_noticed[ARMED]": "expected the state WATCHDOG, came Status",
+        "test_flashing_needs_an_idle_output[PLAYING]": "FlashBegin: expected Error WRONG_STATE, came FlashStatus",
+        "test_codec_is_decoded_as_offline[mdct-one channel]": "the first in channel 0 at sample 100: expected",
+    }
+    for test, reason in expected.items():
+        assert reason in failed[test]
+    assert "test_frame_is_found_after_noise" not in failed
+    assert not any("please report" in reason for reason in failed.values())
+
+
+class Dying(Controller):
+    """Falls silent for good at the first request of a type that it does not know."""
+
+    dead = False
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        if write_frame(b"\x0c")[1:2] == data[1:2] and len(data) > 4:
+            self.dead = True
+        if not self.dead:
+            super().receive(data, now_us)
+
+
+def test_controller_that_dies_does_not_conform_and_is_not_tried_any_more() -> None:
+    _, findings = judge(line_to(Dying()), quick=True)
+    outcomes = {finding.requirement.test: finding.outcome for finding in findings}
+    assert outcomes["test_unknown_requests_are_answered_so"] == Outcome.FAILED
+    assert outcomes["test_frame_is_found_after_noise"] == Outcome.PASSED
+    assert outcomes["test_gain_of_zero_keeps_the_output_at_rest"] == Outcome.NOT_TRIED
+    assert list(outcomes.values()).count(Outcome.FAILED) == 1
+
+
+@pytest.fixture
+def reached(monkeypatch: pytest.MonkeyPatch) -> list[Controller]:
+    """Has the command reach, in simulated time, the controller that the test puts here."""
+    controllers: list[Controller] = []
+    links: list[MemoryLink] = []
+
+    @contextmanager
+    def reach(address: str) -> Iterator[Transport]:
+        links.append(MemoryLink(controllers[0]))
+        yield links[0]
+
+    def line(transport: MemoryLink, may_flash: bool) -> Line:
+        return Line(transport, transport.clock, transport.sleep, may_flash=may_flash)
+
+    monkeypatch.setattr(devices, "reach", reach)
+    monkeypatch.setattr(line_module, "Line", line)
+    return controllers
+
+
+def test_command_writes_a_report_without_a_date(reached: list[Controller], tmp_path: Path) -> None:
+    reached.append(Controller(Settings(hardware="board <b>|</b>")))
+    ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path / "out"), "--quick", "--no-flash"])
+    assert ran.exit_code == 0, ran.output
+    report = json.loads((tmp_path / "out" / "conformance.json").read_text())
+    assert report["conforming"] is True
+    assert report["left_out"] == ["what takes more than a second", "what writes a slot for model images"]
+    assert report["controller"]["limits"]["channels"] == Settings().channels
+    assert "date" not in report
+    outcomes = {entry["test"]: entry["outcome"] for entry in report["requirements"]}
+    assert outcomes["test_image_is_tried_and_kept"] == "not offered"
+    text = (tmp_path / "out" / "conformance.md").read_text()
+    assert "board &lt;b&gt;\\|&lt;/b&gt; |" in text
+    assert "conforming" in ran.output.splitlines()[-2]
+    assert all(entry["text"] in text for entry in report["requirements"])
+
+
+def test_command_tells_what_failed(reached: list[Controller]) -> None:
+    reached.append(Faulty())
+    ran = CliRunner().invoke(main, ["conformance", "--quick", "--no-flash"])
+    assert ran.exit_code == 1
+    assert "FAIL  A frame whose CRC differs" in ran.output
+    assert "not conforming" in ran.output.splitlines()[-1]
+
+
+def test_command_cannot_try_what_is_not_there(tmp_path: Path) -> None:
+    ran = CliRunner().invoke(main, ["conformance", "--device", f"serial:{tmp_path / 'port'}"])
+    assert ran.exit_code == 2
+    (line,) = ran.output.splitlines()
+    assert line.startswith("error: cannot open serial port")
+
+
+def test_every_requirement_says_what_it_asks_and_where_that_stands() -> None:
+    protocol = PROTOCOL.read_text()
+    positions = []
+    for section in SECTIONS:
+        heading, _, below = section.partition(": ")
+        start = protocol.index(f"\n## {heading}\n")
+        found = re.search(rf"\n### {below}\n|\n\*\*{below}\b", protocol[start:]) if below else re.match("", "")
+        assert found, f"{section} is not in the protocol's page"
+        positions.append(start + found.start())
+    assert {requirement.section for requirement in requirements()} == set(SECTIONS)
+    texts = [requirement.text for requirement in requirements()]
+    assert len(set(texts)) == len(texts)
+
+
+def test_every_assertion_of_the_suite_says_what_was_expected() -> None:
+    silent = [
+        f"{module.name}:{node.lineno}"
+        for module in MODULES
+        for node in ast.walk(ast.parse(module.read_text()))
+        if isinstance(node, ast.Assert) and node.msg is None
+    ]
+    assert silent == []
+
+
+def test_no_test_of_the_suite_hides_another() -> None:
+    names = [
+        node.name
+        for module in MODULES
+        for node in ast.parse(module.read_text()).body
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    ]
+    assert len(set(names)) == len(names)
+    imported = Path(__file__).with_name("test_suite.py").read_text()
+    assert [module.stem for module in MODULES if f"host.conformance.{module.stem} " not in imported] == []
+
+
+def test_list_of_requirements_is_up_to_date() -> None:
+    written = page.PAGE.read_text()
+    assert written == page.with_requirements(written), "run `python -m host.conformance.page`"
