@@ -105,9 +105,7 @@ _EMULATED = {"VC_CHANNELS": 4, "VC_MAX_CHANNELS": 4, "VC_BUFFER_BYTES": 1 << 18,
 
 
 def _stm32f405(summary: str, script: str) -> Target:
-    return _cortex_m(
-        summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405
-    )
+    return _cortex_m(summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405)
 
 
 # Two channels in 128 KiB; the longest packets are those of files, 128 blocks of 32 samples.
