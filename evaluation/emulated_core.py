@@ -1,0 +1,227 @@
+"""The core's decoders as a Cortex-M runs them: compiled for it, called in an emulator, their instructions counted."""
+
+import struct
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import capstone
+import numpy as np
+import unicorn
+from capstone import arm_const as arm
+from unicorn import arm_const as emulated
+
+import codec
+from codec import CodedSignal, Decoded
+from firmware.build import CORTEX_M_FLAGS, FLAGS, M4F, M7, M33, ROOT, BuildError
+from firmware.elf import Elf
+
+_FLASH, _RAM, _DATA = 0x0800_0000, 0x2000_0000, 0x6000_0000
+_MEMORY_BYTES = 1 << 20
+_STACK_BYTES = 1 << 15
+_TOP = _RAM + _MEMORY_BYTES
+_RETURN = _DATA + _MEMORY_BYTES - 2
+_PAINT = b"\xa5"
+_CONFIGURATION, _TABLES, _PACKET, _SAMPLES = (_DATA + offset for offset in (0, 0x100, 0x80000, 0x90000))
+_ARGUMENTS = [getattr(emulated, f"UC_ARM_REG_R{number}") for number in range(4)]
+
+_REFILL_CYCLES = 2
+_DIVISION_CYCLES = 12
+_LOADS = {arm.ARM_INS_LDR, arm.ARM_INS_LDRB, arm.ARM_INS_LDRH, arm.ARM_INS_LDRSB, arm.ARM_INS_LDRSH}
+_SINGLE = _LOADS | {arm.ARM_INS_STR, arm.ARM_INS_STRB, arm.ARM_INS_STRH}
+_PAIRS = {arm.ARM_INS_LDRD, arm.ARM_INS_STRD}
+_STACKED = {arm.ARM_INS_PUSH, arm.ARM_INS_POP}
+_MULTIPLE = {arm.ARM_INS_LDM, arm.ARM_INS_LDMDB, arm.ARM_INS_STM, arm.ARM_INS_STMDB}
+_DIVISIONS = {arm.ARM_INS_UDIV, arm.ARM_INS_SDIV}
+_TWO_CYCLES = {arm.ARM_INS_MLS, arm.ARM_INS_TBB, arm.ARM_INS_TBH}
+
+
+@dataclass(frozen=True)
+class Core:
+    """A processor: what the page, the compiler and the emulator call it, and the clock that its load is given for."""
+
+    title: str
+    clock_hz: float
+    compiled_for: str
+    emulated_as: int
+
+
+CORES = {
+    "M4F": Core("Cortex-M4F", 168e6, M4F, emulated.UC_CPU_ARM_CORTEX_M4),
+    "M7": Core("Cortex-M7", 480e6, M7, emulated.UC_CPU_ARM_CORTEX_M7),
+    "M33": Core("Cortex-M33", 150e6, M33, emulated.UC_CPU_ARM_CORTEX_M33),
+}
+"""With the clocks of an STM32F405, an STM32H743 and an RP2350."""
+
+
+def compile_core(output: Path, core: Core, functions: Sequence[str], **defines: int) -> Path:
+    """Link these functions of the core, all that they need and nothing else; return the program, `output`.
+
+    Raises BuildError.
+    """
+    if find_spec("ziglang") is None:
+        raise BuildError('the core is compiled by ziglang: pip install "vibrocast[firmware]"')
+    script = output.with_suffix(".ld")
+    script.write_text(f"SECTIONS {{ . = {_FLASH}; .text : {{ *(.text*) *(.rodata*) }} }}\n", encoding="utf-8")
+    roots = [f"-Wl,-u,{name}" for name in functions]
+    defined = [f"-D{name}={value}" for name, value in defines.items()]
+    sources = sorted(map(str, (ROOT / "core").glob("*.c")))
+    options = [*FLAGS, *CORTEX_M_FLAGS, f"-mcpu={core.compiled_for}", "-Wl,--entry=0", "-T", str(script)]
+    command = [sys.executable, "-m", "ziglang", "cc", *options, *roots, *defined, *sources, "-o", str(output)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise BuildError(f"the core cannot be compiled for {core.title}:\n{done.stderr}")
+    return output
+
+
+class EmulatedCore:
+    """Functions of the core on an emulated processor; `stack_bytes` is the most that a call has used."""
+
+    def __init__(self, program: Path, core: Core) -> None:
+        """Load a program of compile_core."""
+        image = Elf(program)
+        self.flash_bytes = sum(segment.size_bytes for segment in image.segments)
+        self._functions = image.symbols
+        self._machine: Any = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        self._machine.ctl_set_cpu_model(core.emulated_as)
+        for start in (_FLASH, _RAM, _DATA):
+            self._machine.mem_map(start, _MEMORY_BYTES)
+        for segment in image.segments:
+            self.write(segment.address, segment.data)
+        self._machine.hook_add(unicorn.UC_HOOK_BLOCK, self._enter)
+        self._disassembler = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
+        self._disassembler.detail = True
+        self._blocks: dict[tuple[int, int], tuple[int, int]] = {}
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin to count anew."""
+        self.stack_bytes = 0
+        self._entered: Counter[tuple[int, int, int]] = Counter()
+        self._last = (0, 0)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Put bytes into memory."""
+        self._machine.mem_write(address, data)
+
+    def read(self, address: int, size_bytes: int) -> bytes:
+        """Return bytes of memory."""
+        return bytes(self._machine.mem_read(address, size_bytes))
+
+    def call(self, function: str, *arguments: int) -> int:
+        """Call a function with integers and addresses, as the AAPCS has it; return what it returns."""
+        stacked = struct.pack(f"<{max(0, len(arguments) - 4)}I", *arguments[4:])
+        stack = _TOP - (len(stacked) + 7) // 8 * 8
+        self.write(_TOP - _STACK_BYTES, _PAINT * _STACK_BYTES)
+        self.write(stack, stacked)
+        for register, value in zip(_ARGUMENTS, arguments, strict=False):
+            self._machine.reg_write(register, value)
+        self._machine.reg_write(emulated.UC_ARM_REG_SP, stack)
+        self._machine.reg_write(emulated.UC_ARM_REG_LR, _RETURN | 1)
+        self._machine.emu_start(self._functions[function] | 1, _RETURN)
+        self._enter(self._machine, 0, 0, None)
+        used = self.read(_TOP - _STACK_BYTES, _STACK_BYTES).lstrip(_PAINT)
+        self.stack_bytes = max(self.stack_bytes, len(used))
+        return int(np.int32(np.uint32(self._machine.reg_read(emulated.UC_ARM_REG_R0))))
+
+    @property
+    def instructions(self) -> int:
+        """Instructions carried out since the last `clear`."""
+        return sum(self._timing(*place)[0] * times for place, times in self._visits())
+
+    @property
+    def cycles(self) -> int:
+        """Cycles that a Cortex-M4 would have needed since the last `clear`, by docs/firmware.md's model."""
+        jumps = sum(times for (start, size, to), times in self._entered.items() if size and to != start + size)
+        return sum(self._timing(*place)[1] * times for place, times in self._visits()) + _REFILL_CYCLES * jumps
+
+    def _visits(self) -> list[tuple[tuple[int, int], int]]:
+        return [((start, size), times) for (start, size, _), times in self._entered.items() if size]
+
+    def _enter(self, machine: Any, address: int, size_bytes: int, context: object) -> None:
+        self._entered[(*self._last, address)] += 1
+        self._last = (address, size_bytes)
+
+    def _timing(self, address: int, size_bytes: int) -> tuple[int, int]:
+        """Return the instructions of a block, and their cycles where it is not left by a jump."""
+        place = (address, size_bytes)
+        if place not in self._blocks:
+            block = list(self._disassembler.disasm(self.read(address, size_bytes), address))
+            behind = sum(_cycles(before, instruction) for before, instruction in pairwise([None, *block]))
+            self._blocks[place] = (len(block), behind)
+        return self._blocks[place]
+
+
+def _cycles(before: Any, instruction: Any) -> int:
+    """Return the cycles of an instruction behind another on a Cortex-M4, the refill of taken branches not included.
+
+    ARM DDI 0439 (Cortex-M4 Technical Reference Manual), 3.3.1 and 3.3.3.
+    """
+    kind = instruction.id
+    if kind in _SINGLE:
+        memory = next(operand.mem for operand in instruction.operands if operand.type == capstone.CS_OP_MEM)
+        address = {memory.base, memory.index} - {0}
+        written = set(before.regs_access()[1]) if before is not None else set()
+        pipelined = before is not None and before.id in _LOADS and before.operands[0].reg not in address
+        stalled = before is not None and before.id not in _SINGLE and bool(written & address)
+        alone = 2 if kind in _LOADS or memory.index else 1
+        return max(1, alone - pipelined) + stalled
+    registers: int = sum(operand.type == capstone.CS_OP_REG for operand in instruction.operands)
+    if kind in _PAIRS:
+        return 3
+    if kind in _STACKED:
+        return 1 + registers
+    if kind in _MULTIPLE:
+        return registers  # one of them is the base
+    if kind in _DIVISIONS:
+        return _DIVISION_CYCLES
+    return 2 if kind in _TWO_CYCLES else 1
+
+
+@dataclass(frozen=True)
+class Run:
+    """What decoding a stream takes: instructions, and cycles of a Cortex-M4, per sample; most bytes of stack."""
+
+    decoded: Decoded
+    instructions: float
+    cycles: float
+    stack_bytes: int
+
+
+def decode(program: Path, core: Core, coded: CodedSignal, tables: bytes | None = None) -> Run:
+    """Decode a stream on an emulated processor. Raises ValueError where the decoder does not take it."""
+    emulated_core = EmulatedCore(program, core)
+    name = coded.codec
+    arguments = [_RAM, _CONFIGURATION, len(coded.configuration), coded.channels]
+    if codec.CODECS[name].takes_model:
+        arguments += [_TABLES, len(tables)] if tables else [0, 0]
+    emulated_core.write(_CONFIGURATION, coded.configuration)
+    emulated_core.write(_TABLES, tables or b"")
+    if emulated_core.call(f"vc_{name}_decoder_init", *arguments) != 0:
+        raise ValueError(f"{name}: the decoder does not take the configuration or the model")
+    packet_samples = emulated_core.call(f"vc_{name}_decoder_packet_samples", _RAM)
+    samples = packet_samples * len(coded.packets)
+    emulated_core.clear()
+    decoded = b""
+    for packet in coded.packets:
+        emulated_core.write(_PACKET, packet)
+        if emulated_core.call(f"vc_{name}_decode", _RAM, _PACKET, len(packet), _SAMPLES) != 0:
+            raise ValueError(f"{name}: the decoder does not take a packet")
+        decoded += emulated_core.read(_SAMPLES, 2 * packet_samples * coded.channels)
+    return Run(
+        np.frombuffer(decoded, "<i2").astype(np.int16).reshape(samples, coded.channels),
+        emulated_core.instructions / samples,
+        emulated_core.cycles / samples,
+        emulated_core.stack_bytes,
+    )
+
+
+def state_bytes(emulated_core: EmulatedCore, name: str) -> int:
+    """Return the bytes of a decoder's state."""
+    return emulated_core.call(f"vc_{name}_decoder_size")

@@ -1,0 +1,408 @@
+"""What decoding costs a microcontroller, counted in emulation: `python -m evaluation.firmware --out docs`."""
+
+import json
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import click
+import numpy as np
+
+import codec
+import models
+from codec import CodedSignal, Signal
+from device_protocol.coded_stream import StreamHeader
+from evaluation import trained
+from evaluation.page_parts import code, number, paragraphs, table
+from evaluation.points import write_rows
+from firmware.build import BuildError
+from host.controller import Controller
+from host.output_files import whole_file
+from host.player import play
+from models import Model
+from simulated_device.memory_link import MemoryLink
+from textures.generate import GENERATORS
+
+try:
+    from evaluation.emulated_core import CORES, Core, EmulatedCore, compile_core, decode, state_bytes
+    from simulated_device.cortex_m import CortexM
+except ModuleNotFoundError as error:
+    raise SystemExit(f'{error.name} is not installed: pip install "vibrocast[firmware]"') from error
+
+RATE_HZ = 2800
+SECONDS = 0.5
+TARGET_DB = 10.0
+DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128")
+"""Codecs, and models that ship."""
+LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
+"""Wanted: less than this load of a Cortex-M4F."""
+CHANNELS = (1, 2, 4)
+"""For how many a decoder is compiled."""
+_PORTABLE = {"DSP instructions": {}, "portable C": {"VC_PORTABLE": 1}}
+_FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
+
+
+@dataclass(frozen=True)
+class Load:
+    """What decoding one texture takes, per sample. `cycles`: of a Cortex-M4 by the page's model, None for others."""
+
+    decoder: str
+    texture: str
+    snr_db: float
+    bits_per_sample: float
+    core: str
+    kernels: str
+    instructions: float
+    cycles: float | None
+    stack_bytes: int
+
+
+@dataclass(frozen=True)
+class Size:
+    """Bytes of a decoder for a Cortex-M4F: code with its constants, model image, and state for so many channels."""
+
+    decoder: str
+    kernels: str
+    code_bytes: int
+    image_bytes: int
+    state_1_bytes: int
+    state_2_bytes: int
+    state_4_bytes: int
+
+
+@dataclass(frozen=True)
+class ControllerLoad:
+    """Instructions of a whole controller on a Cortex-M4F in a second of a stream of `mdct`: all, and decoding alone."""
+
+    channels: int
+    instructions: float
+    decoding: float
+
+
+def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
+    """Return a generated texture (n, 1) with a peak of 1."""
+    samples = GENERATORS[kind](seed=seed, seconds=seconds, rate_hz=RATE_HZ).samples
+    peak: float = np.abs(samples).max()
+    return samples / peak
+
+
+@cache
+def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
+    """Return a texture as it is streamed, near TARGET_DB or the next better quality there is, and its SNR in dB."""
+    model = _model(decoder)
+    signal = texture(kind, seconds)
+    for_encoder = trained.for_encoder(model) if model else None
+    stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, codec=_codec_name(decoder), live=True, model=for_encoder)
+    snr_db = codec.snr_db(signal, codec.decode(stream, _tables(decoder)))
+    assert snr_db is not None, "textures are not silent"
+    return stream, snr_db
+
+
+def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Load]:
+    """Yield what decoding takes on each core with each kernels; programs are built in `folder`.
+
+    Raises BuildError, and AssertionError where an emulated decoder gives other samples than codec.decode_integers.
+    """
+    for core_name, core in CORES.items():
+        for kernels in _PORTABLE:
+            program = _program(folder, core, kernels, {_codec_name(decoder) for decoder in decoders})
+            for decoder in decoders:
+                for kind in kinds:
+                    stream, snr_db = coded(decoder, kind, seconds)
+                    run = decode(program, core, stream, _tables(decoder))
+                    expected = codec.decode_integers(stream, _tables(decoder))
+                    assert np.array_equal(run.decoded, expected), f"{decoder} decodes {kind} differently on {core_name}"
+                    yield Load(
+                        decoder,
+                        kind,
+                        round(snr_db, 2),
+                        round(8 * sum(map(len, stream.packets)) / len(run.decoded), 4),
+                        core_name,
+                        kernels,
+                        round(run.instructions, 1),
+                        round(run.cycles, 1) if core_name == "M4F" else None,
+                        run.stack_bytes,
+                    )
+
+
+def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
+    """Yield the bytes of each decoder with each kernels. Raises BuildError."""
+    core = CORES["M4F"]
+    for decoder in decoders:
+        name, model = _codec_name(decoder), _model(decoder)
+        for kernels in _PORTABLE:
+            built = [EmulatedCore(_program(folder, core, kernels, {name}, channels), core) for channels in CHANNELS]
+            states = [state_bytes(emulated_core, name) for emulated_core in built]
+            image = trained.flash_bytes(model) if model else 0
+            yield Size(decoder, kernels, built[0].flash_bytes, image, *states)
+
+
+def measure_controller(folder: Path, seconds: float) -> Iterator[ControllerLoad]:
+    """Yield what a whole controller takes to play streams of `mdct`. Raises BuildError."""
+    core = CORES["M4F"]
+    program = _program(folder, core, "DSP instructions", {"mdct"}, max(CHANNELS))
+    for channels in CHANNELS:
+        kinds = list(GENERATORS)[:channels]
+        signal = np.concatenate([texture(kind, seconds) for kind in kinds], axis=1)
+        stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, live=True)
+        header = StreamHeader(1, RATE_HZ, len(signal), "full scale", stream.gains, stream.configuration)
+        device = CortexM("cortex-m4", count_instructions=True)
+        link = MemoryLink(device)
+        with Controller(link, link.clock, link.sleep) as controller:
+            before, started_us = device.processor.instructions, link.now_us
+            packet_samples = codec.decoder(1, stream.configuration, channels).packet_samples
+            play(controller, header, stream.packets, packet_samples)
+            played_s = (link.now_us - started_us) / 1e6
+            instructions = (device.processor.instructions - before) / played_s
+        decoding = decode(program, core, stream).instructions * RATE_HZ
+        yield ControllerLoad(channels, round(instructions), round(decoding))
+
+
+def _program(folder: Path, core: Core, kernels: str, codecs: set[str], channels: int = 1) -> Path:
+    functions = [f"vc_{name}_{function}" for name in sorted(codecs) for function in _FUNCTIONS]
+    name = "-".join((*sorted(codecs), core.title, kernels.split()[0], str(channels)))
+    return compile_core(folder / f"{name}.elf", core, functions, VC_MAX_CHANNELS=channels, **_PORTABLE[kernels])
+
+
+def _codec_name(decoder: str) -> str:
+    return decoder if decoder in codec.CODECS else trained.codec_name(models.find(decoder))
+
+
+def _model(decoder: str) -> Model | None:
+    return None if decoder in codec.CODECS else models.find(decoder)
+
+
+def _tables(decoder: str) -> bytes | None:
+    model = _model(decoder)
+    return model.tables if model else None
+
+
+def write_page(out: Path, loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> None:
+    """Write OUT/firmware.md, and its figures as CSV and JSON in OUT/results. Raises OSError."""
+    results = out / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    for stem, rows, kind in (
+        ("firmware_loads", loads, Load),
+        ("firmware_sizes", sizes, Size),
+        ("firmware_controller", controller, ControllerLoad),
+    ):
+        with whole_file(results / f"{stem}.csv") as path:
+            write_rows(path, rows, kind)
+    figures: dict[str, Sequence[Any]] = {"loads": loads, "sizes": sizes, "controller": controller}
+    with whole_file(results / "firmware.json") as path:
+        listed = {name: [asdict(row) for row in rows] for name, rows in figures.items()}
+        path.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
+    with whole_file(out / "firmware.md") as path:
+        path.write_text(_page(loads, sizes, controller) + "\n", encoding="utf-8")
+
+
+def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> str:
+    return paragraphs(
+        "# Decoding on a microcontroller",
+        "What each decoder costs: instructions, load of the processor, flash, RAM, stack. Made by the command "
+        'below, on a computer with what `pip install "vibrocast[firmware]"` brings; nothing here has been timed '
+        "on a board.",
+        "    python -m evaluation.firmware --out docs",
+        _method(loads),
+        _m4_section(loads),
+        _cores_section(loads),
+        _memory_section(loads, sizes),
+        _controller_section(controller),
+        "Rows: [firmware_loads.csv](results/firmware_loads.csv), [firmware_sizes.csv](results/firmware_sizes.csv), "
+        "[firmware_controller.csv](results/firmware_controller.csv), all as [JSON](results/firmware.json).",
+    )
+
+
+def _method(loads: Sequence[Load]) -> str:
+    kinds = list(dict.fromkeys(load.texture for load in loads))
+    return paragraphs(
+        f"The signals are {len(kinds)} generated textures ({', '.join(kinds)}) of one channel at {RATE_HZ} Hz, "
+        f"coded as they are streamed (packets of 128 samples, a refresh every 0.25 s) at {TARGET_DB:g} dB of SNR "
+        "or, where no setting comes near, the next better. Each stream is decoded by the core as compiled for the "
+        "processor (`firmware/core` by ziglang, `-O2`), executed in Unicorn; the samples are those of the decoder "
+        "on the host, to the last bit, with DSP kernels and without, or the command fails. Given are means over "
+        "the textures, refreshes included.",
+        "A *load* is the part of the processor that one channel takes: instructions (or cycles) a sample times "
+        f"{RATE_HZ} Hz, divided by the clock. Instructions are counted exactly, but take a cycle at least, and "
+        "memory and branches more. So cycles of the Cortex-M4 are estimated too, by the timings of its Technical "
+        "Reference Manual (ARM DDI 0439, 3.3), from memory without wait states: a load takes 2 cycles, or 1 "
+        "behind another whose result it does not address by; a store 1, or 2 where its address is a sum of "
+        "registers; either one more where its address is the result of the instruction before; LDM, STM, PUSH "
+        "and POP 1 + N; LDRD and STRD 3; UDIV and SDIV, which take 2 to 12, 12; MLS, TBB and TBH 2; all else 1; "
+        "and a branch that is taken 2 more. Words across word bounds, 1 or 2 cycles more, are not counted: of "
+        "EVA's loads one in nine, where a model's weights lie so. On an STM32F405 the flash accelerator hides "
+        "most, not all, of the wait states at 168 MHz. An M7 can carry out two instructions at once, and an M33 "
+        "some; their loads, by instructions, say no more than that.",
+    )
+
+
+def _m4_section(loads: Sequence[Load]) -> str:
+    clock_hz = CORES["M4F"].clock_hz
+    rows = []
+    for decoder in dict.fromkeys(load.decoder for load in loads):
+        dsp, portable = (
+            [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, "M4F", kernels)]
+            for kernels in _PORTABLE
+        )
+        limit = LIMITS_PERCENT.get(decoder)
+        by_instructions = _mean_load(dsp, lambda load: load.instructions, clock_hz)
+        by_cycles = _mean_load(dsp, _cycles, clock_hz)
+        rows.append(
+            (
+                code(decoder),
+                number(fmean(load.bits_per_sample for load in dsp)),
+                *_columns(portable, clock_hz),
+                *_columns(dsp, clock_hz),
+                _percent(max(100 * load.instructions * RATE_HZ / clock_hz for load in dsp)),
+                "" if limit is None else f"< {limit:g} %",
+                "" if limit is None else _verdict(by_instructions < limit, by_cycles < limit),
+            )
+        )
+    return paragraphs(
+        "## Cortex-M4F at 168 MHz",
+        "Portable C, and the kernels with DSP instructions (SMLAD and its kin, in "
+        "`firmware/core/eva_kernels_dsp.c`) that `eva` and the network of `mdct` use; the other codecs have none. "
+        "*Greatest*: the texture that takes most, by instructions with DSP kernels.",
+        table(
+            (
+                "decoder",
+                "bit/sample",
+                "portable: instructions/sample",
+                "load",
+                "load by cycles",
+                "DSP: instructions/sample",
+                "load",
+                "load by cycles",
+                "greatest",
+                "wanted",
+                "by instructions, by cycles",
+            ),
+            rows,
+        ),
+    )
+
+
+def _columns(loads: Sequence[Load], clock_hz: float) -> tuple[str, str, str]:
+    return (
+        f"{fmean(load.instructions for load in loads):.0f}",
+        _percent(_mean_load(loads, lambda load: load.instructions, clock_hz)),
+        _percent(_mean_load(loads, _cycles, clock_hz)),
+    )
+
+
+def _cycles(load: Load) -> float:
+    assert load.cycles is not None, "cycles are estimated for the M4"
+    return load.cycles
+
+
+def _mean_load(loads: Sequence[Load], cost: Callable[[Load], float], clock_hz: float) -> float:
+    """Return the mean load in percent."""
+    return 100 * fmean(map(cost, loads)) * RATE_HZ / clock_hz
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2f} %"
+
+
+def _verdict(*met: bool) -> str:
+    return ", ".join("met" if one else "**missed**" for one in met)
+
+
+def _cores_section(loads: Sequence[Load]) -> str:
+    names = [name for name in CORES if name != "M4F"]
+    rows = []
+    for decoder in dict.fromkeys(load.decoder for load in loads):
+        cells = [code(decoder)]
+        for name in names:
+            for kernels in reversed(_PORTABLE):
+                of = [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, name, kernels)]
+                mean = fmean(load.instructions for load in of)
+                cells += [f"{mean:.0f}", _percent(100 * mean * RATE_HZ / CORES[name].clock_hz)]
+        rows.append(cells)
+    header = ["decoder"]
+    for name in names:
+        for kernels in ("portable", "DSP"):
+            header += [f"{name}, {kernels}: instructions/sample", f"load at {CORES[name].clock_hz / 1e6:g} MHz"]
+    return paragraphs("## Cortex-M7 and Cortex-M33", "By instructions.", table(header, rows))
+
+
+def _memory_section(loads: Sequence[Load], sizes: Sequence[Size]) -> str:
+    rows = []
+    for decoder in dict.fromkeys(size.decoder for size in sizes):
+        dsp, portable = (
+            next(size for size in sizes if (size.decoder, size.kernels) == (decoder, kernels)) for kernels in _PORTABLE
+        )
+        stack = [
+            max(
+                load.stack_bytes
+                for load in loads
+                if (load.decoder, load.core, load.kernels) == (decoder, "M4F", kernels)
+            )
+            for kernels in reversed(_PORTABLE)
+        ]
+        cells = (
+            *(portable.code_bytes, dsp.code_bytes, dsp.image_bytes),
+            *(dsp.state_1_bytes, dsp.state_2_bytes, dsp.state_4_bytes, *stack),
+        )
+        rows.append((code(decoder), *(f"{cell:,}" for cell in cells)))
+    return paragraphs(
+        "## Memory",
+        "Bytes on a Cortex-M4F. Code is all that one codec's decoder links, constants and the compiler's "
+        "arithmetic included; codecs in one controller share the context model's part of it. The image is what is "
+        "flashed of the model, without an ONNX graph. State is a decoder compiled for 1, 2 and 4 channels "
+        "(`VC_MAX_CHANNELS`). The stack is the most that was used while the textures were decoded.",
+        table(
+            (
+                *("decoder", "code, portable", "code, DSP", "image", "state, 1 channel", "2 channels", "4 channels"),
+                *("stack, portable", "stack, DSP"),
+            ),
+            rows,
+        ),
+    )
+
+
+def _controller_section(controller: Sequence[ControllerLoad]) -> str:
+    clock_hz = CORES["M4F"].clock_hz
+    rows = [
+        (
+            str(load.channels),
+            f"{load.instructions / 1e6:.2f}",
+            _percent(100 * load.instructions / clock_hz),
+            f"{load.decoding / 1e6:.2f}",
+            f"{(load.instructions - load.decoding) / 1e6 / load.channels:.2f}",
+        )
+        for load in controller
+    ]
+    return paragraphs(
+        "## The whole controller",
+        "A stream of `mdct` played on the firmware (`cortex-m4`) by the host's player: messages, buffer, "
+        "decoding, and the output stage at the actuator's DAC rate, in millions of instructions a second; its "
+        "main loop is run every millisecond. *The rest*: all but decoding, for each channel.",
+        table(("channels", "all", "load at 168 MHz", "decoding", "the rest per channel"), rows),
+    )
+
+
+@click.command()
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for firmware.md.")
+def main(out: Path) -> None:
+    """Count what decoding costs a Cortex-M and write the page OUT/firmware.md, its figures in OUT/results."""
+    try:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            loads = list(measure_loads(folder, DECODERS, list(GENERATORS), SECONDS))
+            sizes = list(measure_sizes(folder, DECODERS))
+            controller = list(measure_controller(folder, 2.0))
+        write_page(out, loads, sizes, controller)
+    except BuildError as error:
+        raise click.ClickException(str(error)) from error
+    except OSError as error:
+        raise click.ClickException(f"{error.filename}: {error.strerror}") from error
+    click.echo(f"{out / 'firmware.md'}: {len(DECODERS)} decoders")
+
+
+if __name__ == "__main__":
+    main()
