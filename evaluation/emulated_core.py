@@ -61,7 +61,7 @@ CORES = {
 
 
 def compile_core(output: Path, core: Core, functions: Sequence[str], **defines: int) -> Path:
-    """Link these functions of the core, all that they need and nothing else; return the program, `output`.
+    """Link functions of the core's decoders, all that they need and nothing else; return the program, `output`.
 
     Raises BuildError.
     """
@@ -71,7 +71,7 @@ def compile_core(output: Path, core: Core, functions: Sequence[str], **defines: 
     script.write_text(f"SECTIONS {{ . = {_FLASH}; .text : {{ *(.text*) *(.rodata*) }} }}\n", encoding="utf-8")
     roots = [f"-Wl,-u,{name}" for name in functions]
     defined = [f"-D{name}={value}" for name, value in defines.items()]
-    sources = sorted(map(str, (ROOT / "core").glob("*.c")))
+    sources = [str(path) for path in sorted((ROOT / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
     options = [*FLAGS, *CORTEX_M_FLAGS, f"-mcpu={core.compiled_for}", "-Wl,--entry=0", "-T", str(script)]
     command = [sys.executable, "-m", "ziglang", "cc", *options, *roots, *defined, *sources, "-o", str(output)]
     done = subprocess.run(command, capture_output=True, text=True)
