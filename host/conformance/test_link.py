@@ -8,13 +8,14 @@ import pytest
 from device_protocol.frames import FrameReader
 from device_protocol.messages import State, Status, StreamData, unpack
 from host import player
+from host.coding import Stream
 from host.conformance.fixtures import long, section
 from host.conformance.probe import Probe, in_state, same_samples, told
 from host.conformance.streams import decoded, need_capture, stream_for
 from host.controller import Controller
 from simulated_device.memory_link import FaultyLine
 
-_SEED = 7
+_FAULTY_SECONDS = 1.0
 # Of each frame, in both directions.
 _CHANCES = {
     "lost": {"lost": 0.05},
@@ -52,18 +53,28 @@ def host(probe: Probe) -> Controller:
 def test_faults_on_the_line(probe: Probe, fault: str) -> None:
     """On a line with frames {fault} in both directions, what arrives is played, and only what does not is concealed."""
     need_capture(probe.description)
-    stream = stream_for(probe.description, seconds=1.0)
+    stream = stream_for(probe.description, seconds=_FAULTY_SECONDS)
+    # All of it must have room before it plays, whatever is missing: then nothing comes late.
+    granted = probe.configure(stream).credit_until / stream.header.rate_hz
+    stream = stream_for(probe.description, seconds=min(_FAULTY_SECONDS, 0.9 * granted))
+    for seed in range(round(_FAULTY_SECONDS / stream.seconds)):
+        play_with_faults(probe, stream, seed, fault)
+
+
+def play_with_faults(probe: Probe, stream: Stream, seed: int, fault: str) -> None:
+    """Play a stream on a faulty line, and compare what was decoded with what arrived."""
     controller = host(probe)
-    there = probe.line.to_controller = NotedLine(_SEED, _CHANCES[fault])
-    probe.line.to_host = FaultyLine(_SEED + 1, **_CHANCES[fault])
+    there = probe.line.to_controller = NotedLine(2 * seed, _CHANCES[fault])
+    probe.line.to_host = FaultyLine(2 * seed + 1, **_CHANCES[fault])
     result = player.play(
         controller,
         stream.header,
         stream.packets,
         stream.decoder().packet_samples,
-        buffer_s=stream.seconds,  # all of it is there before it plays: none comes late
+        buffer_s=2 * stream.seconds,
         capture=True,
     )
+    probe.line.heal()
     in_state(result.status, State.FINISHED, "the end of the stream")
     messages = [unpack(payload)[1] for payload in there.arrived if payload[0] == StreamData.TYPE]
     arrived = {packet for message in messages if isinstance(message, StreamData) for packet in message.packets}
