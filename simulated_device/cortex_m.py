@@ -1,5 +1,6 @@
 """The controller's firmware on an emulated MPS2 board with a Cortex-M4, M7 or M33: the image that a board would run."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -78,7 +79,7 @@ class CortexM:
         self._clock_mhz = board.clock_mhz
         self._origin_us: int | None = None
         self._board_us = 0
-        self._incoming = bytearray()
+        self._incoming: deque[int] = deque()
         self._outgoing = bytearray()
         self._codes: list[Codes] = []
         self._output = [0, 0]
@@ -87,7 +88,7 @@ class CortexM:
 
     def receive(self, data: bytes, now_us: int) -> None:
         """Take bytes from the host."""
-        self._incoming += data
+        self._incoming.extend(data)
         self.advance(now_us)
 
     def advance(self, now_us: int) -> None:
@@ -116,7 +117,7 @@ class CortexM:
     def _read_uart(self, offset: int) -> int:
         if offset == _UART_DATA:
             self._carried = True
-            return self._incoming.pop(0) if self._incoming else 0
+            return self._incoming.popleft() if self._incoming else 0
         if offset != _UART_STATE:
             return 0
         return (_RECEIVE_FULL if self._incoming else 0) | (_SEND_FULL if len(self._outgoing) >= _LINE_BYTES else 0)

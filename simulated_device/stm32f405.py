@@ -1,6 +1,6 @@
 """The firmware of the Feather STM32F405 on an emulated board: the very image that would be flashed, with interrupts."""
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable
 
 import numpy as np
@@ -84,7 +84,7 @@ class Stm32F405:
         self._origin_us: int | None = None
         self._now = self._next_conversion = 0
         self._next_millisecond = _TICKS_PER_MS
-        self._incoming = bytearray()
+        self._incoming: deque[int] = deque()
         self._outgoing = bytearray()
         self._codes: list[tuple[int, int]] = []
         self.processor.run()
@@ -92,7 +92,7 @@ class Stm32F405:
     def receive(self, data: bytes, now_us: int) -> None:
         """Take bytes from the host."""
         self.advance(now_us)
-        self._incoming += data
+        self._incoming.extend(data)
         self._serve()
 
     def advance(self, now_us: int) -> None:
@@ -149,7 +149,7 @@ class Stm32F405:
         if offset == _USART_SR:
             return (_RXNE if self._incoming else 0) | (_TXE if len(self._outgoing) < _LINE_BYTES else 0)
         if offset == _USART_DR:
-            return self._incoming.pop(0) if self._incoming else 0
+            return self._incoming.popleft() if self._incoming else 0
         if offset == _FLASH_SR:
             self._finish_programming()
         value = self._registers[offset]

@@ -19,8 +19,8 @@
 /* Runs the processor at VC_PROCESSOR_HZ, from the crystal or, if it does not start, from the internal oscillator. */
 void vc_clocks_start(void);
 
-/* Starts the watchdog, which resets the board where it is not fed for about a second (0.7 s at least, as its
- * oscillator varies: 17 to 47 kHz). */
+/* Starts the watchdog, which resets the board where it is not fed for some 4 s (2.7 s at least, as its oscillator
+ * varies: 17 to 47 kHz): longer than the largest model takes for the longest packet. */
 void vc_watchdog_start(void);
 static inline void vc_watchdog_feed(void)
 {

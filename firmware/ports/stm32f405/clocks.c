@@ -36,6 +36,6 @@ void vc_watchdog_start(void)
     VC_IWDG_KR = VC_IWDG_START;
     VC_IWDG_KR = VC_IWDG_UNLOCK;
     VC_IWDG_PR = 3; /* 32 kHz / 32 */
-    VC_IWDG_RLR = 1000;
+    VC_IWDG_RLR = 4000;
     vc_watchdog_feed();
 }
