@@ -54,9 +54,12 @@ def test_faults_on_the_line(probe: Probe, fault: str) -> None:
     """On a line with frames {fault} in both directions, what arrives is played, and only what does not is concealed."""
     need_capture(probe.description)
     stream = stream_for(probe.description, seconds=_FAULTY_SECONDS)
-    # All of it must have room before it plays, whatever is missing: then nothing comes late.
-    granted = probe.configure(stream).credit_until / stream.header.rate_hz
-    stream = stream_for(probe.description, seconds=min(_FAULTY_SECONDS, 0.9 * granted))
+    # All of it must have room before it plays, whatever is missing, so that nothing comes late; and its captures must
+    # last until their end, for reading them back takes long here.
+    granted_s = probe.configure(stream).credit_until / stream.header.rate_hz
+    highest_rate_hz = max(stream.header.rate_hz, probe.description.actuator.dac_rate_hz)
+    captured_s = probe.description.limits.capture_samples / highest_rate_hz
+    stream = stream_for(probe.description, seconds=min(_FAULTY_SECONDS, 0.8 * granted_s, 0.8 * captured_s))
     for seed in range(round(_FAULTY_SECONDS / stream.seconds)):
         play_with_faults(probe, stream, seed, fault)
 

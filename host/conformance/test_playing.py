@@ -221,6 +221,8 @@ def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> Non
 def test_lost_packets_are_concealed(probe: Probe, stream: Stream, gap: int) -> None:
     """{gap} missing packet(s) are concealed as the codec says, counted, and left behind at the next refresh packet."""
     missing = range(2, 2 + gap)
+    if len(stream.packets) < missing.stop + 2:
+        pytest.skip("the longest stream that the buffer holds has too few packets")
     number = probe.configure(stream).stream
     probe.feed(number, stream, [packet for sequence, packet in enumerate(stream.packets) if sequence not in missing])
     probe.expect(Start(), Status)

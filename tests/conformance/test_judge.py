@@ -22,6 +22,7 @@ from host.conformance import page
 from host.conformance.fixtures import SECTIONS
 from host.conformance.judge import Outcome, judge, requirements
 from host.conformance.line import Line
+from simulated_device.actuator import PIEZO_STACK
 from simulated_device.controller import Controller, Settings
 from simulated_device.memory_link import MemoryLink
 
@@ -107,6 +108,21 @@ def test_controller_that_dies_does_not_conform_and_is_not_tried_any_more() -> No
     assert outcomes["test_frame_is_found_after_noise"] == Outcome.PASSED
     assert outcomes["test_gain_of_zero_keeps_the_output_at_rest"] == Outcome.NOT_TRIED
     assert list(outcomes.values()).count(Outcome.FAILED) == 1
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(channels=1, buffer_samples=600, capture_samples=0, watchdog_ms=50),
+        Settings(buffer_samples=1024, capture_samples=700),
+        Settings(actuator=replace(PIEZO_STACK, name="another")),
+    ],
+    ids=["tiny", "short-capture", "another-actuator"],
+)
+def test_what_a_controller_lacks_is_not_held_against_it(settings: Settings) -> None:
+    _, findings = judge(line_to(Controller(settings)))
+    assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.NOT_OFFERED}
+    assert all(finding.reason for finding in findings if finding.outcome == Outcome.NOT_OFFERED)
 
 
 @pytest.fixture
