@@ -45,13 +45,9 @@ SECTIONS = (
 """Where requirements stand in docs/protocol.md, in its order: a heading, or the heading and what is below it."""
 
 section = pytest.mark.section
+"""Marks a test with one of SECTIONS."""
 long = pytest.mark.long
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Make the marks known."""
-    config.addinivalue_line("markers", "section(heading): of docs/protocol.md, where the requirement stands")
-    config.addinivalue_line("markers", "long: takes more than a second of the controller's time")
+"""Marks a test that takes more than a second of the controller's time."""
 
 
 @pytest.fixture

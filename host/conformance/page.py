@@ -13,7 +13,7 @@ _HEADING = "## Requirements\n"
 
 def with_requirements(page: str) -> str:
     """Return the page with the requirements of the suite as it is."""
-    lines = [page[: page.index(_HEADING)] + _HEADING]
+    lines = [page[: page.index(_HEADING)] + _HEADING.rstrip()]
     ordered = sorted(requirements(), key=lambda requirement: SECTIONS.index(requirement.section))
     for section, found in groupby(ordered, lambda requirement: requirement.section):
         lines.append(f"\n### {section}\n")
