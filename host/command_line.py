@@ -28,6 +28,7 @@ from host.controller import ControllerError
 from host.entry import INTERRUPTED
 from host.export_command import export
 from host.input_files import InputFileError
+from host.live_command import live
 from host.measure_command import measure
 from host.models_command import list_models
 from host.options import (
@@ -406,6 +407,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
 main.add_command(conformance)
 main.add_command(export)
 main.add_command(list_models)
+main.add_command(live)
 main.add_command(measure)
 main.add_command(stability)
 main.add_command(train)

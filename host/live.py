@@ -27,7 +27,14 @@ EXPECTED_RMS = 0.2
 _LARGEST_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 _END_S = 5.0
+# After a pause a live source may give what it kept, at once; one that goes on faster than its rate is none.
+_FLOOD_FACTOR = 1.5
+_FLOOD_S = 1.0
 _POLL_S = 0.005
+
+
+class LiveError(ValueError):
+    """A source that is not live; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ class LiveStream:
     `margin_s`: how long packets lie on the controller before they are needed. `packet_samples`: samples per channel in
     a packet, at least those asked for and the codec's shortest block. `header`, `stream`, `packets_sent`, `status`:
     of the stream under way. `begun`: streams so far; `earlier`: the last status of each of those before this one.
-    Raises CodecError, StreamError for what the controller does not take, ControllerError and TransportError.
+    Raises CodecError, LiveError, StreamError for what the controller does not take, ControllerError, TransportError.
     """
 
     def __init__(
@@ -125,6 +132,7 @@ class LiveStream:
         )
         self.status = self.controller.request(configure, Status)
         self.packets_sent = 0
+        self._began_s = self.controller.clock()
         self._out_of_step_since_s: float | None = None
 
     def code(self, samples: Signal) -> list[bytes]:
@@ -147,8 +155,19 @@ class LiveStream:
         self.poll(0)
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
+        if out_of_step:
+            self._refuse_flood()
         if out_of_step or self.status.state == State.WATCHDOG:
             self.begin_anew()
+
+    def _refuse_flood(self) -> None:
+        """Raise LiveError for a source that does not keep its own rate: what is ahead of time would be lost."""
+        sent_s = self.packets_sent * self.packet_samples / self.format.rate_hz
+        if sent_s > _FLOOD_FACTOR * (self.controller.clock() - self._began_s) + _FLOOD_S:
+            raise LiveError(
+                f"the source gave {sent_s:.1f} s in {self.controller.clock() - self._began_s:.1f} s: a live one keeps "
+                "its rate; play a recording from its file"
+            )
 
     def poll(self, timeout_s: float) -> None:
         """Take in what the controller sends, waiting for it at most `timeout_s`."""

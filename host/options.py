@@ -108,3 +108,12 @@ recording_options = options(
     click.option("--key", help="Which array of an NPZ file."),
     click.option("--hand-speed-mm-s", type=POSITIVE, help="Speed of the hand over a height profile."),
 )
+
+device_option = click.option(
+    "--device",
+    "address",
+    callback=checked_address,
+    default="sim",
+    show_default=True,
+    help=f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
+)

@@ -9,7 +9,8 @@ from typing import Self
 from device_protocol.transports import TransportError
 from simulated_device.device import Device
 
-PERIOD_S = 0.005
+# What goes to the DAC in between is made at its end, so by this much a packet may come too late and still be played.
+PERIOD_S = 0.002
 # A computer under load may keep the thread waiting, which no controller's own processor does: of a longer wait, the
 # controller's clock counts only so much.
 LONGEST_STEP_US = 50_000

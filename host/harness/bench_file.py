@@ -16,6 +16,7 @@ from host import devices
 from host.controller import Controller
 from host.end_to_end import actuator_model
 from simulated_device.actuator import ACTUATORS, Actuator
+from simulated_device.actuator_tables import constants
 from textures import Recording
 
 MAX_BYTES = 1 << 20
@@ -257,6 +258,10 @@ def _actuator(table: _Table) -> BenchActuator:
     given["dac_rate_hz"] = table.whole("dac_rate_hz", 100, 1_000_000, rate_hz)
     entry = BenchActuator(Actuator(**given), table.controller(), table.whole("channel", 1, 16, None))
     table.end()
+    try:
+        constants(entry.model)
+    except (ValueError, OverflowError) as error:
+        raise table.refuse(f"no controller can drive this actuator: {error}; correct its numbers") from error
     return entry
 
 

@@ -52,6 +52,8 @@ def test_an_actuator_written_is_the_one_read(actuator: Actuator, tmp_path: Path)
             "quality must be a positive number, not 'high'",
         ),
         (CONTROLLER + '[[actuators]]\nmodel = "lra"\nvolts = nan\n', "volts must be a positive number, not nan"),
+        (CONTROLLER + '[[actuators]]\nmodel = "lra"\nquality = 1e9\n', "no controller can drive this actuator: "),
+        (CONTROLLER + '[[actuators]]\nmodel = "lra"\nvolts = 1e300\n', "no controller can drive this actuator: "),
         (CONTROLLER + '[[actuators]]\nmodel = "lra"\nchannel = true\n', "channel must be a whole number from 1 to 16"),
         (CONTROLLER + '[[actuators]]\nmodel = "lra"\ncontroller = "up"\n', "controller must be one of left, not 'up'"),
         (CONTROLLER + SENSOR.replace('"laser"\ncom', '"ear"\ncom'), "[[sensors]] 1: kind must be one of accelerometer"),

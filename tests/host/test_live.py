@@ -138,6 +138,21 @@ def test_a_source_without_a_sample_plays_nothing() -> None:
     assert live.play(LiveStream(controller, FORMAT), []).underruns == 0
 
 
+def test_a_source_that_does_not_keep_its_rate_is_refused() -> None:
+    link, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+
+    def flood() -> Iterator[Signal]:
+        for start in range(0, 60 * RATE_HZ, 16):
+            if start % RATE_HZ == 0:
+                link.sleep(0.05)
+            yield np.zeros((16, 1))
+
+    with pytest.raises(live.LiveError, match="a live one keeps its rate"):
+        live.play(stream, flood())
+    assert controller.request_status().state == State.STOPPED
+
+
 def test_what_cannot_be_streamed_is_refused() -> None:
     _, controller = bench(Settings(channels=1))
     with pytest.raises(StreamError, match="2 channels, the controller has 1"):

@@ -1,0 +1,43 @@
+"""`vibrocast live`: a generated texture, and raw samples from standard input."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from host.command_line import main
+
+
+def run(*arguments: str, data: bytes = b"") -> Result:
+    return CliRunner().invoke(main, ["live", *arguments], input=data)
+
+
+def test_a_generated_texture_is_streamed() -> None:
+    result = run("rough", "--seconds", "0.3", "--margin-ms", "300")
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
+
+
+@pytest.mark.parametrize(("name", "kind"), [("int16", "<i2"), ("float32", "<f4")])
+def test_raw_samples_are_streamed_to_their_end(name: str, kind: str) -> None:
+    samples = (0.2 * np.random.default_rng(1).standard_normal((800, 2)) * (32768 if name == "int16" else 1)).astype(
+        kind
+    )
+    data = samples.tobytes() + b"\0"  # half a sample at the end is no sample
+    result = run("-", "--format", name, "--channels", "2", "--unit", "um", "--full-scale", "20", data=data)
+    assert result.exit_code == 0, result.output
+
+
+def test_no_sample_is_no_error() -> None:
+    assert run("-").exit_code == 0
+
+
+def test_a_recording_that_is_piped_in_is_refused() -> None:
+    result = run("-", data=bytes(2 * 2800 * 120))
+    assert result.exit_code == 2
+    assert "a live one keeps its rate" in result.output
+
+
+def test_samples_that_are_no_numbers_are_refused() -> None:
+    result = run("-", "--format", "float32", data=np.full(800, np.nan, "<f4").tobytes())
+    assert result.exit_code == 2
+    assert "NaN" in result.output
