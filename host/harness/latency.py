@@ -185,7 +185,7 @@ def smallest(
     rate_hz: int = 2800,
     progress: Callable[[float], None] | None = None,
 ) -> SmallestDelay:
-    """Search the least delay that is stable: for each length of a block, the margin down until packets twice come too late.
+    """Search the least delay that is stable: for each length of a block, the margin down until it fails twice.
 
     The best is tried again for `seconds`, and given up for the next where it does not hold. Raises as `measure`.
     """
