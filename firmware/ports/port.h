@@ -26,7 +26,9 @@ size_t vc_port_write(const uint8_t *data, size_t length);
 /* A clock in microseconds that never goes back, from any start. The DAC and it must go by the same oscillator. */
 uint64_t vc_port_now_us(void);
 
-/* The controller's DAC sink; `context` is NULL. */
+/* The controller's DAC sink; `context` is NULL. Called within vc_loop_turn, with all codes that were due when the turn
+ * began, in pieces; after what was decoded for them, which is when they come late. A stop's way to rest comes at once,
+ * some 5 ms ahead of time. */
 void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigned channels);
 
 #endif

@@ -5,12 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import unicorn
 from unicorn import arm_const
 
 import models
 import textures
 from device_protocol.frames import write_frame
-from device_protocol.messages import Configure, Hello, Start, State, Status, StreamData, pack
+from device_protocol.messages import Configure, Hello, Start, State, Status, Stop, StreamData, pack
+from firmware.build import build
+from firmware.elf import Elf
 from host import coding, flasher
 from host.coding import Stream
 from host.controller import Controller as Host
@@ -25,6 +28,7 @@ from simulated_device.output import render
 from simulated_device.stm32f405 import Stm32F405
 
 LEARNED = "eva-16"
+START_US, BOARD_DAC_HZ = 300_000, 3000
 
 
 def coded(codec_name: str, seconds: float = 0.3) -> Stream:
@@ -104,6 +108,69 @@ def test_the_board_comes_up_slowly_and_rests_in_the_middle() -> None:
     assert level[0, 0] == -2048
     assert np.abs(np.diff(level, axis=0)).max() < 4096 // 100
     assert not level[-1].any()
+
+
+def slow_down(device: Stm32F405, function: str, milliseconds: list[int]) -> None:
+    """Have each call of a function take so long, the last one's time all that follow: interrupts come in its midst."""
+    address = Elf(build("stm32f405")).symbols[function] & ~1
+    left: list[int] = []
+
+    def pass_time(emulator: object, where: int, size_bytes: int, context: object) -> None:
+        if not left:
+            left.append(milliseconds.pop(0) if len(milliseconds) > 1 else milliseconds[0])
+        if left[0] == 0:
+            left.clear()
+        else:
+            left[0] -= 1
+            device.processor.stop()  # SysTick, a millisecond later, lets it go on here
+
+    device.processor.unicorn.hook_add(unicorn.UC_HOOK_CODE, pass_time, None, address, address)
+
+
+def played_by_board(decoding_ms: list[int], stop_at_us: int | None = None) -> tuple[Codes, Codes]:
+    """Play a stream from 0.3 s on; `decoding_ms`: of each packet. Return its codes, and the DAC's from that time on."""
+    codes: list[Codes] = []
+    device = Stm32F405(on_dac=codes.append)
+    slow_down(device, "vc_mdct_decode", decoding_ms)
+    link, host = session(device)
+    stream = coded("mdct", seconds=0.6)
+    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
+    host.send(StreamData(1, 0, stream.packets[:12]))
+    host.request(Start(START_US), Status)
+    link.sleep((START_US - link.now_us) / 1e6 + 0.2)
+    if stop_at_us is not None:
+        link.sleep((stop_at_us - link.now_us) / 1e6)
+        host.request(Stop(), Status)
+    host.send(StreamData(1, 0, stream.packets[12:]))
+    link.sleep(1.0)
+    actuator = replace(PIEZO_STACK, dac_bits=12)
+    expected, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator)
+    return expected, np.concatenate(codes)[1 + START_US * BOARD_DAC_HZ // 1_000_000 :]
+
+
+@pytest.mark.parametrize(("decoding_ms", "least_ms", "most_ms"), [(0, 3, 6), (1, 5, 8), (20, 43, 46), (30, 63, 66)])
+def test_the_board_lags_by_what_decoding_needs(decoding_ms: int, least_ms: int, most_ms: int) -> None:
+    expected, played = played_by_board([decoding_ms])
+    lag = np.flatnonzero(played.any(axis=1))[0] - np.flatnonzero(expected.any(axis=1))[0]
+    assert least_ms <= lag * 1000 / BOARD_DAC_HZ <= most_ms
+    np.testing.assert_array_equal(played[lag : lag + len(expected)], expected)
+    assert not played[lag + len(expected) :].any()
+
+
+def test_the_board_fades_out_and_in_where_decoding_takes_far_longer_than_at_first() -> None:
+    expected, played = played_by_board([1, 1, 1, 120, 1])
+    end = np.flatnonzero(played.any(axis=1))[-1] + 1
+    assert len(expected) < end < len(expected) + 0.3 * BOARD_DAC_HZ
+    np.testing.assert_array_equal(played[end - 600 : end], between_rests(expected)[-600:])
+    step = np.abs(np.diff(expected.astype(int), axis=0)).max()
+    assert np.abs(np.diff(played.astype(int), axis=0)).max() <= step + 4096 // 100
+
+
+def test_the_board_rests_soon_after_a_stop() -> None:
+    stopped_us = 300_000
+    _, played = played_by_board([1], stop_at_us=START_US + stopped_us)
+    rests_us = np.flatnonzero(played.any(axis=1))[-1] * 1_000_000 // BOARD_DAC_HZ
+    assert stopped_us < rests_us < stopped_us + 15_000
 
 
 def test_the_board_comes_to_rest_when_its_loop_stands_still() -> None:

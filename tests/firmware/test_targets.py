@@ -69,6 +69,14 @@ def test_no_function_comes_back_to_itself() -> None:
     assert {image.functions[function] for function in calls} == set()
 
 
+def test_what_runs_while_flash_is_erased_calls_nothing_in_flash() -> None:
+    image = Elf(build("stm32f405"))
+    in_ram = {start for start in image.functions if start >> 28 == 2}
+    names = {image.functions[start] for start in in_ram}
+    assert {"TIM6_DAC_IRQHandler", "USART3_IRQHandler", "SysTick_Handler", "erase_sector", "program_all"} <= names
+    assert {callee for caller, callee in branches(image) if caller in in_ram} <= in_ram
+
+
 def test_sizes_are_those_of_the_page() -> None:
     """To a fiftieth, as compilers differ."""
     page = (building.ROOT / "README.md").read_text(encoding="utf-8")

@@ -27,9 +27,13 @@ static inline void vc_watchdog_feed(void)
     VC_IWDG_KR = VC_IWDG_FEED;
 }
 
-/* Brings both outputs from 0 V to rest, slowly, and then plays what vc_port_play() gets. `dac_bits`: of the codes. */
+/* Brings both outputs from 0 V to rest, slowly, and returns when they are there; then plays what vc_port_play() gets.
+ * `dac_bits`: of the codes. */
 void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits);
 void TIM6_DAC_IRQHandler(void);
+
+/* States that a turn of the loop begins: what has passed when it hands on codes, decoding took. */
+void vc_dac_output_turn(void);
 
 /* For a fault: brings both outputs to rest, without interrupts. Does not return: the watchdog resets the board. */
 void vc_dac_output_rest(void);

@@ -1,35 +1,53 @@
-/* The DAC, one sample of both channels at each interrupt of TIM6. RM0090: 14.3 (DAC), 20.3 (timer), 8.3 (pins). */
+/* The DAC, one sample of both channels at each interrupt of TIM6. RM0090: 14.3 (DAC), 20.3 (timer), 8.3 (pins).
+ *
+ * Its samples wait in a ring, for while a packet is being decoded the loop hands on none. So the output lags the
+ * controller's clock: by LEAST_LAG_MS, and twice the time that the packet took with which a stream begins, as far as
+ * the ring goes. What takes longer runs it dry: the output goes to rest, from there back into the stream, and lags
+ * twice as much from then on.
+ */
 #include "board.h"
 #include "common.h"
 #include "port.h"
 
 #define CHANNELS 2
 #define REST 2048
-/* The output lags the controller's clock by so much, for as long as which decoding a packet may keep the loop. */
-#define LEAD_MS 100
-#define CAPACITY 2048u /* samples; a power of two */
-#define SLOW_MS 50     /* from the end of the range to rest, at boot and when the ring ran dry */
+#define LEAST_LAG_MS 4
+#define CAPACITY 4096u /* samples; a power of two */
+#define SPARE 64u      /* samples beyond the lag: those of the way to rest come at once, of a piece */
+#define FADE_MS 50     /* to rest at boot; where samples are missing, to rest and back */
 
-/* Written by the loop, but for `taken`, which the interrupt writes. */
+/* Written by the loop. */
 static int16_t ring[CAPACITY][CHANNELS] VC_RING_MEMORY;
-static volatile uint32_t put, taken;
+static volatile uint32_t put;
+static uint64_t turn_us; /* when the loop's turn began */
+static uint32_t rate_hz, lag_samples;
 static unsigned shift;
-static uint32_t lead_samples;
+
+/* Written by the interrupt; by the loop as well where the ring is empty, or with interrupts off. */
+static volatile uint32_t taken;
+static volatile uint32_t waiting; /* samples for which nothing is taken yet */
+static volatile int broken;       /* what is taken next does not follow what the output has had last */
 
 /* Of the interrupt. */
-static int32_t level[CHANNELS]; /* code at the output, 12 bits, 0 = rest */
-static int32_t slow_step;
-static int slow;
+static int playing;                                   /* the last sample came from the ring */
+static int32_t level[CHANNELS], faded_from[CHANNELS]; /* codes of 12 bits, 0 = rest; `level`: at the output */
+static int32_t fade_samples;
+static volatile int32_t fade_left;
+
+static uint32_t samples_in(uint64_t us)
+{
+    return (uint32_t)(us * rate_hz / 1000000);
+}
 
 void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits)
 {
     unsigned channel;
     shift = dac_bits - 12;
-    lead_samples = dac_rate_hz * LEAD_MS / 1000;
-    slow_step = (int32_t)(REST * 1000 / (dac_rate_hz * SLOW_MS)) + 1;
+    rate_hz = dac_rate_hz;
+    lag_samples = samples_in(LEAST_LAG_MS * 1000);
+    fade_samples = fade_left = (int32_t)samples_in(FADE_MS * 1000) + 1;
     for (channel = 0; channel < CHANNELS; channel++)
-        level[channel] = -REST;
-    slow = 1;
+        level[channel] = faded_from[channel] = -REST;
     VC_RCC_AHB1ENR |= VC_RCC_GPIOA;
     VC_RCC_APB1ENR |= VC_RCC_DAC | VC_RCC_TIM6;
     (void)VC_RCC_APB1ENR;                 /* as in uart.c */
@@ -40,6 +58,13 @@ void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits)
     VC_TIM6_DIER = 1;
     VC_TIM6_CR1 = 1;
     vc_enable_interrupt(VC_TIM6_LINE, 0);
+    while (fade_left > 0)
+        vc_wait_for_interrupt();
+}
+
+void vc_dac_output_turn(void)
+{
+    turn_us = vc_port_now_us();
 }
 
 static inline void write_levels(void)
@@ -50,40 +75,69 @@ static inline void write_levels(void)
 VC_IN_RAM void TIM6_DAC_IRQHandler(void)
 {
     int32_t target[CHANNELS] = {0};
-    unsigned channel, there = 0;
     const uint32_t next = taken;
+    const int taking = next != put && waiting == 0;
+    const int stopping = playing && !taking && (level[0] != 0 || level[1] != 0);
+    int32_t fade = fade_left;
+    unsigned channel;
     VC_TIM6_SR = 0;
-    if (next != put) {
+    if (stopping || (taking && broken)) {
+        for (channel = 0; channel < CHANNELS; channel++)
+            faded_from[channel] = level[channel];
+        fade = fade_samples;
+        broken = stopping;
+    }
+    if (taking) {
         for (channel = 0; channel < CHANNELS; channel++)
             target[channel] = ring[next & (CAPACITY - 1)][channel];
         taken = next + 1;
-    } else if (level[0] != 0 || level[1] != 0) {
-        slow = 1; /* the ring ran dry in the midst of a stream: to rest, and from there back into it */
+    } else if (waiting > 0) {
+        waiting--;
     }
-    for (channel = 0; channel < CHANNELS; channel++) {
-        int32_t step = target[channel] - level[channel];
-        if (slow && step > slow_step)
-            step = slow_step;
-        if (slow && step < -slow_step)
-            step = -slow_step;
-        level[channel] += step;
-        there += level[channel] == target[channel];
-    }
-    if (there == CHANNELS)
-        slow = 0;
+    playing = taking;
+    if (fade > 0)
+        fade--;
+    fade_left = fade;
+    for (channel = 0; channel < CHANNELS; channel++)
+        level[channel] = target[channel] + (faded_from[channel] - target[channel]) * fade / fade_samples;
     write_levels();
 }
 
-/* What the ring has no room for is dropped: the loop was kept far longer than LEAD_MS. */
 static void put_sample(const int16_t *codes, unsigned channels)
 {
     unsigned channel;
-    if (put - taken == CAPACITY)
-        return;
     for (channel = 0; channel < CHANNELS; channel++)
         ring[put & (CAPACITY - 1)][channel] = channel < channels ? (int16_t)(codes[channel] >> shift) : 0;
     __asm volatile("" ::: "memory"); /* the sample is there before the count says so */
     put++;
+}
+
+/* The ring was empty: sets the lag, and has its samples wait for as much of it as has not passed yet. */
+static void begin_lag(void)
+{
+    const uint32_t kept = samples_in(vc_port_now_us() - turn_us), twice = 2 * lag_samples;
+    if (kept > 0) /* else nothing was decoded now, as after a pause */
+        lag_samples = samples_in(LEAST_LAG_MS * 1000) + 2 * kept;
+    if (broken && lag_samples < twice)
+        lag_samples = twice;
+    if (lag_samples > CAPACITY - 2 * SPARE)
+        lag_samples = CAPACITY - 2 * SPARE;
+    waiting = lag_samples > kept ? lag_samples - kept : 0;
+}
+
+/* Has nothing lag more than is set: where the loop was kept for longer, the oldest samples are left out. */
+static void keep_lag(void)
+{
+    uint32_t held;
+    __asm volatile("cpsid i" ::: "memory");
+    held = put - taken;
+    if (waiting + held > lag_samples)
+        waiting = held < lag_samples ? lag_samples - held : 0;
+    if (held > lag_samples + SPARE) {
+        taken = put - lag_samples;
+        broken = 1;
+    }
+    __asm volatile("cpsie i" ::: "memory");
 }
 
 void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigned channels)
@@ -91,10 +145,10 @@ void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigne
     uint32_t sample;
     (void)context;
     if (put == taken)
-        for (sample = 0; sample < lead_samples; sample++)
-            put_sample(NULL, 0);
+        begin_lag();
     for (sample = 0; sample < samples; sample++)
         put_sample(codes + sample * channels, channels);
+    keep_lag();
 }
 
 void vc_dac_output_rest(void)

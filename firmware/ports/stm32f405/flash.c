@@ -19,6 +19,7 @@ static const uint32_t sector_start[SECTORS + 1] = {0x00000, 0x04000, 0x08000, 0x
 static inline int finish(void)
 {
     uint32_t turns = 0;
+    __asm volatile("dsb" ::: "memory"); /* what was written to flash has arrived there */
     while (VC_FLASH_SR & VC_FLASH_BUSY && turns++ < LONGEST_WAIT)
         vc_watchdog_feed();
     return (VC_FLASH_SR & (VC_FLASH_BUSY | VC_FLASH_ERRORS)) != 0;

@@ -35,6 +35,7 @@ int main(void)
     vc_loop_start(&settings, &vc_board_flash);
     for (;;) {
         vc_watchdog_feed();
+        vc_dac_output_turn();
         if (!vc_loop_turn())
             vc_wait_for_interrupt();
     }
