@@ -126,7 +126,9 @@ def _latency(latency: dict[str, Any]) -> str:
         axes.set_xlim(0, max(32.0, start_ms * 1.05))
         axes.set_yticks([])
         axes.set_xlabel("ms from a block's last sample at the host (dotted: 30 ms)")
-        axes.legend(ncols=len(parts), fontsize="small", loc="upper center", bbox_to_anchor=(0.5, 1.45), frameon=False)
+        figure = axes.get_figure()
+        assert figure is not None, "it has been drawn on"
+        figure.legend(ncols=len(parts), fontsize="small", loc="outside upper center", frameon=False)
 
     rows = [(name, PARTS[name], part["median_ms"], part["high_ms"]) for name, part in parts.items()]
     clock = latency["clock"]
