@@ -3,9 +3,12 @@
 import json
 import re
 import struct
-from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
+import capstone
 import pytest
 from click.testing import CliRunner
 
@@ -38,30 +41,45 @@ def test_image_needs_nothing_but_its_sources_and_division(name: str) -> None:
     assert {name for name in foreign if not COMPILERS_OWN.fullmatch(name)} == set()
 
 
-def branches(image: Elf) -> Iterator[tuple[int, int]]:
-    """Yield from where to where functions branch: BL and B.W, encodings T1 and T4 (DDI 0403, A7.7.18 and A7.7.12)."""
-    starts = sorted(image.functions)
-    for segment in image.segments:
-        offset = 0
-        while offset + 4 <= len(segment.data):
-            first, second = struct.unpack_from("<HH", segment.data, offset)
-            if first >> 11 == 0b11110 and second >> 14 in (0b10, 0b11) and second & 0x1000:
-                sign = first >> 10 & 1
-                i1, i2 = (1 - (second >> bit & 1 ^ sign) for bit in (13, 11))
-                high = -sign << 24 | i1 << 23 | i2 << 22 | (first & 0x3FF) << 12
-                here = segment.address + offset
-                caller = max((start for start in starts if start <= here), default=0)
-                yield caller, here + 4 + (high | (second & 0x7FF) << 1)
-            offset += 4 if first >> 11 in (0b11101, 0b11110, 0b11111) else 2
+@dataclass
+class Function:
+    """What a function's instructions show: stack that it takes at most, what it calls, whether also by pointer."""
+
+    frame_bytes: int = 0
+    callees: set[int] = field(default_factory=set)
+    calls_by_pointer: bool = False
+
+
+def functions(image: Elf) -> dict[int, Function]:
+    """Return the functions of an image, by address."""
+    disassembler = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
+    disassembler.skipdata = True
+    found = {start: Function() for start in image.functions}
+    starts = sorted(found)
+    for start, end in pairwise([*starts, starts[-1] + 1024]):
+        function = found[start]
+        code = next(
+            s.data[start - s.address : end - s.address] for s in image.segments if 0 <= start - s.address < s.size_bytes
+        )
+        for instruction in disassembler.disasm(code, start):
+            name, operands = instruction.mnemonic.removesuffix(".w"), instruction.op_str
+            if name in ("push", "vpush"):
+                function.frame_bytes += (4 if name == "push" else 8) * (operands.count(",") + 1)
+            elif down := re.search(r"^(?:sub|subw) (?:sp, )?sp, #(\w+)$|\[sp, #-(\w+)\]!", f"{name} {operands}"):
+                function.frame_bytes += int(down[1] or down[2], 0)
+            elif name[0] == "b" and operands.startswith("#"):
+                callee = int(operands[1:], 0)
+                if callee in found and callee != start:
+                    function.callees.add(callee)
+            elif name == "blx" or (name == "bx" and operands != "lr"):
+                function.calls_by_pointer = True
+    return found
 
 
 def test_no_function_comes_back_to_itself() -> None:
     """Calls by pointer aside: those are the port's functions, the check of tables and the sink, which call nothing."""
     image = Elf(build("cortex-m4"))
-    calls: dict[int, set[int]] = {start: set() for start in image.functions}
-    for caller, callee in branches(image):
-        if callee in calls and callee != caller:
-            calls[caller].add(callee)
+    calls = {start: function.callees for start, function in functions(image).items()}
     names = {image.functions[callee] for callees in calls.values() for callee in callees}
     assert {"vc_controller_receive", "vc_mdct_decode", "vc_eva_decode", "vc_dac_play"} <= names
     while leaves := {function for function, callees in calls.items() if not callees}:
@@ -69,12 +87,35 @@ def test_no_function_comes_back_to_itself() -> None:
     assert {image.functions[function] for function in calls} == set()
 
 
+CALLED_BY_POINTER = {"vc_port_play", "vc_tables_check", "erase", "program", "erase_sector", "program_all"}
+INTERRUPTS = {"SysTick_Handler", "TIM6_DAC_IRQHandler", "USART3_IRQHandler", "take_received", "go_on_sending"}
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_deepest_calls_with_interrupts_on_top_fit_the_stack(name: str) -> None:
+    image = Elf(build(name))
+    found = functions(image)
+
+    @cache
+    def deepest(start: int, without_pointers: bool = False) -> int:
+        function = found[start]
+        below = [deepest(callee, without_pointers) for callee in function.callees]
+        if function.calls_by_pointer and not without_pointers:
+            below += [deepest(start, True) for start, name in image.functions.items() if name in CALLED_BY_POINTER]
+        return function.frame_bytes + max(below, default=0)
+
+    depth = {name: deepest(start) for start, name in image.functions.items() if name in {"main", *INTERRUPTS}}
+    # At two priorities, with the FPU's registers and 8 bytes of alignment each (DDI 0403, B1.5.6 and B1.5.7).
+    interrupts = 2 * (104 + 8) + sum(sorted(depth[name] for name in INTERRUPTS & set(depth))[-2:])
+    assert 3000 < depth["main"] + interrupts <= image.sections[".stack"].size_bytes
+
+
 def test_what_runs_while_flash_is_erased_calls_nothing_in_flash() -> None:
     image = Elf(build("stm32f405"))
-    in_ram = {start for start in image.functions if start >> 28 == 2}
+    in_ram = {start: function for start, function in functions(image).items() if start >> 28 == 2}
     names = {image.functions[start] for start in in_ram}
     assert {"TIM6_DAC_IRQHandler", "USART3_IRQHandler", "SysTick_Handler", "erase_sector", "program_all"} <= names
-    assert {callee for caller, callee in branches(image) if caller in in_ram} <= in_ram
+    assert not any(function.calls_by_pointer or function.callees - set(in_ram) for function in in_ram.values())
 
 
 def test_sizes_are_those_of_the_page() -> None:
