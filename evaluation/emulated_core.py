@@ -39,7 +39,7 @@ _PAIRS = {arm.ARM_INS_LDRD, arm.ARM_INS_STRD}
 _STACKED = {arm.ARM_INS_PUSH, arm.ARM_INS_POP}
 _MULTIPLE = {arm.ARM_INS_LDM, arm.ARM_INS_LDMDB, arm.ARM_INS_STM, arm.ARM_INS_STMDB}
 _DIVISIONS = {arm.ARM_INS_UDIV, arm.ARM_INS_SDIV}
-_TWO_CYCLES = {arm.ARM_INS_MLS, arm.ARM_INS_TBB, arm.ARM_INS_TBH}
+_TABLE_BRANCHES = {arm.ARM_INS_TBB, arm.ARM_INS_TBH}
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def _cycles(before: Any, instruction: Any) -> int:
         return registers  # one of them is the base
     if kind in _DIVISIONS:
         return _DIVISION_CYCLES
-    return 2 if kind in _TWO_CYCLES else 1
+    return 2 if kind in _TABLE_BRANCHES else 1
 
 
 @dataclass(frozen=True)

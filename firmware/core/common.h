@@ -35,7 +35,8 @@ void vc_golomb_encode(vc_range_coder *coder, uint32_t value);
 uint32_t vc_golomb_decode(vc_range_coder *coder);
 
 extern const int32_t vc_cosine[1024]; /* cos(2 pi i / 1024) in 1/2^24 */
-extern const uint8_t vc_root[192];    /* sqrt(256 (i + 64.5)), 255 at most */
+/* sqrt(x) + 1.5 at x = 2^25 i, in 1/8, above 12 bits of what it rises by to the next, in 1/8; 0 below 2^30. */
+extern const uint32_t vc_root[128];
 
 /* Largest signal value, in 1/256 of a sample's least significant bit; only hostile streams come near. */
 #define VC_MAX_VALUE (1 << 30)

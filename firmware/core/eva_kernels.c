@@ -2,8 +2,6 @@
  * are some; see eva_kernels.h. */
 #include "eva_kernels.h"
 
-#ifndef VC_DSP
-
 #define MAX_CHANNELS 128
 #define COLUMNS_AT_ONCE 4u
 
@@ -35,15 +33,31 @@ static void products_of_four(const int8_t *weights, uint32_t length, const int16
     sums[3 * rows] = d;
 }
 
-void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, uint32_t stride,
+#ifndef VC_DSP
+void vc_dot_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, int32_t *sums)
+{
+    uint32_t row;
+    for (row = 0; row < rows; row++)
+        sums[row] = product(weights + row * length, length, inputs);
+}
+#endif
+
+void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t taps, const int16_t *inputs, uint32_t channels,
                      uint32_t columns, int32_t *sums)
 {
+    const uint32_t length = taps * channels;
     uint32_t row, column;
+#ifdef VC_DSP
+    if (channels % 16 == 0) {
+        vc_eva_products_dsp(weights, rows, taps, inputs, channels, columns, sums);
+        return;
+    }
+#endif
     for (row = 0; row < rows; row++, weights += length) {
         for (column = 0; column + COLUMNS_AT_ONCE <= columns; column += COLUMNS_AT_ONCE)
-            products_of_four(weights, length, inputs + column * stride, stride, sums + column * rows + row, rows);
+            products_of_four(weights, length, inputs + column * channels, channels, sums + column * rows + row, rows);
         for (; column < columns; column++)
-            sums[column * rows + row] = product(weights, length, inputs + column * stride);
+            sums[column * rows + row] = product(weights, length, inputs + column * channels);
     }
 }
 
@@ -68,6 +82,12 @@ static unsigned column_squares(const int16_t *values, uint32_t channels, int16_t
 void vc_eva_squares(const int16_t *values, uint32_t channels, uint32_t columns, int16_t *squares, unsigned *doubled)
 {
     uint32_t column;
+#ifdef VC_DSP
+    if (channels % 16 == 0) {
+        vc_eva_squares_dsp(values, channels, columns, squares, doubled);
+        return;
+    }
+#endif
     for (column = 0; column < columns; column++)
         doubled[column] = column_squares(values + column * channels, channels, squares + column * channels);
 }
@@ -117,6 +137,12 @@ void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns
 {
     const uint32_t most = MAX_CHANNELS / channels;
     uint32_t column, some;
+#ifdef VC_DSP
+    if (channels % 16 == 0) {
+        vc_eva_normalise_dsp(values, channels, columns, sums, doubled, multipliers, constants, shift, normalised);
+        return;
+    }
+#endif
     for (column = 0; column < columns; column += some) {
         const size_t start = (size_t)column * channels;
         some = columns - column < most ? columns - column : most;
@@ -125,11 +151,17 @@ void vc_eva_normalise(const int16_t *values, uint32_t channels, uint32_t columns
     }
 }
 
-void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled)
+void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t rows, uint32_t columns, int16_t *scaled,
+                  uint32_t stride)
 {
-    uint32_t i;
-    for (i = 0; i < count; i++)
-        scaled[i] = (int16_t)vc_eva_scaled(sums[i], multipliers[i], VC_EVA_MAX_ACTIVATION);
-}
-
+    uint32_t column, i;
+#ifdef VC_DSP
+    if (rows % 16 == 0) {
+        vc_eva_scale_dsp(sums, multipliers, rows, columns, scaled, stride);
+        return;
+    }
 #endif
+    for (column = 0; column < columns; column++, sums += rows, scaled += stride)
+        for (i = 0; i < rows; i++)
+            scaled[i] = (int16_t)vc_eva_scaled(sums[i], multipliers[i], VC_EVA_MAX_ACTIVATION);
+}

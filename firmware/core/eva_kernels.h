@@ -1,5 +1,5 @@
 /* The inner loops of EVA's synthesis: in portable C (eva_kernels.c), and with the DSP instructions of a Cortex-M4, M7
- * or M33 (eva_kernels_dsp.c), of which a build has one. Both give the same integers.
+ * or M33 (eva_kernels_dsp.c) where columns have a multiple of 16 channels. Both give the same integers.
  *
  * Activations are 16-bit integers within +-32767; no sum here can overflow for layers of at most 128 channels. */
 #ifndef VIBROCAST_EVA_KERNELS_H
@@ -17,9 +17,13 @@
 #define VC_EVA_MAX_ENERGY ((1u << 30) - 1)
 #define VC_EVA_ENERGY_SHIFT 24
 
-/* sums[column * rows + row] = sum over i < length of weights[row * length + i] * inputs[column * stride + i];
- * length <= 384. */
-void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, uint32_t stride,
+/* sums[row] = sum over i < length of weights[row * length + i] * inputs[i]; length <= 384. */
+void vc_dot_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, int32_t *sums);
+
+/* sums[column * rows + row] = sum over i < length of weights[row * length + i] * inputs[column * channels + i], where
+ * length = taps * channels <= 384. Squares and normalised activations lie in the order in which this takes inputs;
+ * which one that is, within the channels of a column, is the kernels' own affair. */
+void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t taps, const int16_t *inputs, uint32_t channels,
                      uint32_t columns, int32_t *sums);
 
 /* Squares of columns, x^2 / 2^15 after all values of a column have been doubled as often as the greatest can be:
@@ -42,7 +46,19 @@ static inline int32_t vc_eva_scaled(int32_t value, uint32_t multiplier, uint32_t
     return value < 0 ? -limited : limited;
 }
 
-/* The same of each sum, within +-VC_EVA_MAX_ACTIVATION. */
-void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t count, int16_t *scaled);
+/* The same of each sum of columns, within +-VC_EVA_MAX_ACTIVATION, to columns that are `stride` apart. */
+void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t rows, uint32_t columns, int16_t *scaled,
+                  uint32_t stride);
+
+/* What the four do where there are DSP instructions, and channels, or rows of sums, are a multiple of 16. */
+void vc_eva_products_dsp(const int8_t *weights, uint32_t rows, uint32_t taps, const int16_t *inputs, uint32_t channels,
+                         uint32_t columns, int32_t *sums);
+void vc_eva_squares_dsp(const int16_t *values, uint32_t channels, uint32_t columns, int16_t *squares,
+                        unsigned *doubled);
+void vc_eva_normalise_dsp(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
+                          const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants,
+                          unsigned shift, int16_t *normalised);
+void vc_eva_scale_dsp(const int32_t *sums, const uint32_t *multipliers, uint32_t rows, uint32_t columns,
+                      int16_t *scaled, uint32_t stride);
 
 #endif

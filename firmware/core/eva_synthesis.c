@@ -27,7 +27,7 @@ static void normalise(const vc_eva_normalisation *part, uint32_t channels, uint3
     read_numbers(part->constants, channels, VC_EVA_MAX_ENERGY, constants);
     /* The squares take the place of what comes out, until their sums are there. */
     vc_eva_squares(work->inputs, channels, columns, normalised, doubled);
-    vc_eva_products(part->weights, channels, channels, normalised, channels, columns, work->sums);
+    vc_eva_products(part->weights, channels, 1, normalised, channels, columns, work->sums);
     vc_eva_normalise(work->inputs, channels, columns, work->sums, doubled, multipliers, constants, part->shift,
                      normalised);
 }
@@ -38,7 +38,7 @@ static const int8_t *phase_sums(const int8_t *weights, uint32_t taps, uint32_t i
                                 uint32_t columns, vc_eva_work *work)
 {
     const int16_t *first = work->normalised + (FIRST_TAPS - taps) * inputs;
-    vc_eva_products(weights, outputs, taps * inputs, first, inputs, columns, work->sums);
+    vc_eva_products(weights, outputs, taps, first, inputs, columns, work->sums);
     return weights + (size_t)outputs * taps * inputs;
 }
 
@@ -46,30 +46,28 @@ static const int8_t *phase_sums(const int8_t *weights, uint32_t taps, uint32_t i
 static void convolve(const vc_eva_convolution *part, uint32_t inputs, uint32_t outputs, uint32_t columns,
                      vc_eva_work *work)
 {
-    uint32_t multipliers[VC_EVA_MAX_WIDTH], column, phase;
+    uint32_t multipliers[VC_EVA_MAX_WIDTH], phase;
     const int8_t *weights = part->weights;
     read_numbers(part->multipliers, outputs, UINT32_MAX, multipliers);
     for (phase = 0; phase < 2; phase++) {
         weights = phase_sums(weights, phase == 0 ? FIRST_TAPS : OTHER_TAPS, inputs, outputs, columns, work);
-        for (column = 0; column < columns; column++)
-            vc_eva_scale(work->sums + column * outputs, multipliers, outputs,
-                         work->inputs + (2 * column + phase) * outputs);
+        vc_eva_scale(work->sums, multipliers, outputs, columns, work->inputs + phase * outputs, 2 * outputs);
     }
 }
 
-/* Stride 4, one output: each column of work->normalised becomes four samples. */
+/* Stride 4, one output: each column of work->normalised becomes four samples. Behind the first tap of the first phase
+ * come two taps of each phase, all of the same columns. */
 static void convolve_to_samples(const vc_eva_convolution *part, uint32_t inputs, uint32_t columns, vc_eva_work *work,
                                 int32_t level, int16_t *samples, unsigned stride)
 {
-    uint32_t multiplier, column, phase;
-    const int8_t *weights = part->weights;
+    int32_t *const first_taps = work->sums + 4 * columns;
+    uint32_t multiplier, i;
     read_numbers(part->multipliers, 1, UINT32_MAX, &multiplier);
-    for (phase = 0; phase < 4; phase++) {
-        weights = phase_sums(weights, phase == 0 ? FIRST_TAPS : OTHER_TAPS, inputs, 1, columns, work);
-        for (column = 0; column < columns; column++) {
-            const int32_t value = vc_eva_scaled(work->sums[column], multiplier, SAMPLE_LIMIT);
-            samples[(4 * column + phase) * stride] = vc_rounded_sample((int64_t)value * level / SAMPLE_UNIT);
-        }
+    vc_eva_products(part->weights + inputs, 4, OTHER_TAPS, work->normalised + inputs, inputs, columns, work->sums);
+    vc_eva_products(part->weights, 1, 1, work->normalised, inputs, columns, first_taps);
+    for (i = 0; i < 4 * columns; i++, samples += stride) {
+        const int32_t sum = work->sums[i] + (i % 4 == 0 ? first_taps[i / 4] : 0);
+        *samples = vc_rounded_sample((int64_t)vc_eva_scaled(sum, multiplier, SAMPLE_LIMIT) * level / SAMPLE_UNIT);
     }
 }
 

@@ -45,8 +45,15 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
         "uint16_t",
         [65536 / (1 + math.exp(-(16 * (i if i < 128 else i - 256) + 2) / 256)) for i in range(256)],
     ),
-    # sqrt(x) / 256 at the middles of 192 steps of x from 2^14 to 2^16.
-    "vc_root": ("uint8_t", [min(255, math.sqrt(256 * (i + 64.5))) for i in range(192)]),
+    # sqrt(x) + 1.5 in 1/8 at steps of 2^25 of x, times 2^12, and its rise over the step in 1/8; from x = 2^30 on.
+    "vc_root": (
+        "uint32_t",
+        [0] * 32
+        + [
+            (math.floor(8 * math.sqrt(i << 25) + 12) << 12) + round(8 * (math.sqrt((i + 1) << 25) - math.sqrt(i << 25)))
+            for i in range(32, 128)
+        ],
+    ),
     "vc_dct_exponential": ("uint32_t", [2 ** (30 + i / 256) for i in range(257)]),
     # 256 steps a crossing; 0 at the window's end and one step behind it, so that it falls to 0 without a jump.
     "vc_resampling_kernel": ("int32_t", [2**23 * resampling_kernel(i / 256) for i in range(2048)] + [0, 0]),

@@ -43,8 +43,14 @@ void vc_model_reset(vc_model *model, const uint8_t *tables)
     uint16_t *cells = &model->probability[0][0][0][0];
     int32_t *weights = &model->weight[0][0][0][0];
     unsigned i;
-    for (i = 0; i < CELLS; i++)
-        cells[i] = vc_initial[*tables++];
+    for (i = 0; i < CELLS; i += 4, cells += 4, tables += 4) { /* reads first: they may not be moved across writes */
+        const uint16_t first = vc_initial[tables[0]], second = vc_initial[tables[1]];
+        const uint16_t third = vc_initial[tables[2]], fourth = vc_initial[tables[3]];
+        cells[0] = first;
+        cells[1] = second;
+        cells[2] = third;
+        cells[3] = fourth;
+    }
     for (i = 0; i < WEIGHTS; i++)
         if (i % VC_MIXED == VC_INPUTS) {
             weights[i] = NETWORK_WEIGHT;
@@ -81,20 +87,22 @@ void vc_history_reset(vc_history *history)
 
 void vc_history_next_block(vc_history *history, uint32_t hop)
 {
-    uint32_t k, row;
+    uint8_t (*const rows)[sizeof history->rows[0]] = history->rows;
+    uint32_t k;
     history->block_sum = history->mean_sum = 0;
     history->blocks += history->blocks < MEAN_BLOCKS;
     for (k = 0; k < hop; k++) {
-        uint32_t magnitude = history->rows[0][k + VC_PADDING];
-        uint16_t *average = history->average + k + VC_PADDING, *mean = history->mean + k + VC_PADDING;
+        const uint32_t bin = k + VC_PADDING, magnitude = rows[0][bin];
+        uint16_t *average = history->average + bin, *mean = history->mean + bin;
+        rows[3][bin] = rows[2][bin];
+        rows[2][bin] = rows[1][bin];
+        rows[1][bin] = (uint8_t)magnitude;
+        rows[0][bin] = 0;
         history->block_sum += magnitude;
         *average = (uint16_t)(*average - (*average >> 3) + magnitude * 32);
         *mean = (uint16_t)((*mean * (history->blocks - 1) + 512 * magnitude + history->blocks / 2) / history->blocks);
         history->mean_sum += *mean;
     }
-    for (row = 3; row > 0; row--)
-        memcpy(history->rows[row], history->rows[row - 1], sizeof history->rows[0]);
-    memset(history->rows[0], 0, sizeof history->rows[0]);
 }
 
 unsigned vc_fine_class(uint32_t x)

@@ -54,7 +54,7 @@ static const uint8_t *layer(const uint8_t *bytes, uint32_t outputs, uint32_t inp
     const uint8_t *biases = bytes + outputs * inputs;
     int32_t sums[VC_NETWORK_FIRST];
     uint32_t i;
-    vc_eva_products((const int8_t *)bytes, outputs, inputs, from, 0, 1, sums);
+    vc_dot_products((const int8_t *)bytes, outputs, inputs, from, sums);
     for (i = 0; i < outputs; i++, biases += 2) {
         int32_t value = sums[i] / divisor + (int16_t)(biases[0] | biases[1] << 8);
         to[i] = (int16_t)(value < least ? least : value > MAX_ACTIVATION ? MAX_ACTIVATION : value);

@@ -32,7 +32,7 @@ FUNCTIONS = [
     for name in ("mdct", "dct", "slp", "eva")
     for function in ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
 ]
-KERNELS = [f"vc_eva_{name}" for name in ("products", "squares", "normalise", "scale")]
+KERNELS = ["vc_dot_products", *(f"vc_eva_{name}" for name in ("products", "squares", "normalise", "scale"))]
 AREA = 0x6000_0000
 
 
@@ -78,7 +78,9 @@ def test_golden_streams_decode_to_the_hosts_samples(
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=str)
-@pytest.mark.parametrize(("width", "latents", "seed"), [(5, 3, 0), (7, 9, 1), (12, 16, 2), (24, 8, 3)])
+@pytest.mark.parametrize(
+    ("width", "latents", "seed"), [(5, 3, 0), (7, 9, 1), (12, 16, 2), (24, 8, 3), (15, 32, 4), (16, 16, 5), (48, 5, 6)]
+)
 @pytest.mark.parametrize("extreme", [False, True])
 def test_models_of_any_width_decode_to_the_hosts_samples(
     width: int, latents: int, seed: int, extreme: bool, build: tuple[str, int], programs: dict[tuple[str, int], Path]
@@ -97,66 +99,85 @@ def int16s(values: NDArray[np.int64]) -> bytes:
     return values.astype("<i2").tobytes()
 
 
+def in_kernel_order(values: NDArray[np.int64], channels: int, portable: int) -> NDArray[np.int64]:
+    """Columns of activations as the kernels keep them between squares, norms and products, or back from that order."""
+    if portable or channels % 16 != 0:
+        return values
+    return values.reshape(-1, 2, 2).transpose(0, 2, 1).ravel()
+
+
 ACTIVATIONS = st.sampled_from([-32767, -32766, -16384, -1, 0, 1, 2, 16384, 32766, 32767]) | st.integers(-32767, 32767)
 WEIGHTS = st.sampled_from([-128, -127, -1, 0, 1, 127]) | st.integers(-128, 127)
+WIDTHS = st.sampled_from([16, 32, 48, 128]) | st.integers(1, 40)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_sums_of_products_are_exact(data: st.DataObject, programs: dict[tuple[str, int], Path]) -> None:
-    rows, columns = data.draw(st.integers(1, 5)), data.draw(st.integers(1, 9))
-    length, odd = data.draw(st.integers(1, 40) | st.just(384)), data.draw(st.integers(0, 1))
-    stride = data.draw(st.integers(0, 40))
+    rows, columns, odd = data.draw(st.integers(1, 5)), data.draw(st.integers(1, 9)), data.draw(st.integers(0, 1))
+    channels, taps = data.draw(WIDTHS), data.draw(st.integers(1, 3))
+    length = taps * channels
     weights = np.resize(data.draw(st.lists(WEIGHTS, min_size=1, max_size=60)), rows * length)
-    inputs = np.resize(data.draw(st.lists(ACTIVATIONS, min_size=1, max_size=60)), stride * (columns - 1) + length)
+    inputs = np.resize(data.draw(st.lists(ACTIVATIONS, min_size=1, max_size=60)), channels * (columns + taps - 1))
     expected = [
-        weights.reshape(rows, length).astype(np.int64) @ inputs[stride * column :][:length] for column in range(columns)
+        weights.reshape(rows, length).astype(np.int64) @ inputs[channels * column :][:length]
+        for column in range(columns)
     ]
+    at_weights, at_inputs, at_sums = AREA + odd, AREA + 0x8002, AREA + 0x10000  # weights lie at any address
     for portable in (0, 1):
         core = EmulatedCore(programs["M4F", portable], M4F)
-        core.write(AREA + odd, weights.astype(np.int8).tobytes())  # weights lie at any address
-        core.write(AREA + 0x8002, int16s(inputs))
-        core.call("vc_eva_products", AREA + odd, rows, length, AREA + 0x8002, stride, columns, AREA + 0x10000)
-        sums = np.frombuffer(core.read(AREA + 0x10000, 4 * rows * columns), "<i4")
+        core.write(at_weights, weights.astype(np.int8).tobytes())
+        core.write(at_inputs, int16s(in_kernel_order(inputs, channels, portable)))
+        core.call("vc_eva_products", at_weights, rows, taps, at_inputs, channels, columns, at_sums)
+        sums = np.frombuffer(core.read(at_sums, 4 * rows * columns), "<i4")
         np.testing.assert_array_equal(sums, np.concatenate(expected))
+        core.write(at_inputs, int16s(inputs))
+        core.call("vc_dot_products", at_weights, rows, length, at_inputs, at_sums)
+        np.testing.assert_array_equal(np.frombuffer(core.read(at_sums, 4 * rows), "<i4"), expected[0])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_squares_and_normalisation_are_alike_with_dsp_instructions_and_without(
     data: st.DataObject, programs: dict[tuple[str, int], Path]
 ) -> None:
-    channels, columns = data.draw(st.integers(1, 9)), data.draw(st.integers(1, 3))
+    channels, columns = data.draw(WIDTHS), data.draw(st.integers(1, 3))
     count = channels * columns
     values = np.resize(data.draw(st.lists(ACTIVATIONS, min_size=1, max_size=count)), count)
     most = 127 * 32767 * 128
-    sums = np.resize(data.draw(st.lists(st.integers(0, most) | st.just(most), min_size=1, max_size=count)), count)
+    numbers = st.integers(0, most) | st.just(most)
+    sums = np.resize(data.draw(st.lists(numbers, min_size=1, max_size=count)), count)
+    signs = np.resize(data.draw(st.lists(st.sampled_from([-1, 1]), min_size=1, max_size=count)), count)
     wide = st.sampled_from([0, 1, 2**31, 2**32 - 1]) | st.integers(0, 2**32 - 1)
-    multipliers = np.array(data.draw(st.lists(wide, min_size=channels, max_size=channels)))
+    multipliers = np.resize(data.draw(st.lists(wide, min_size=1, max_size=channels)), channels)
     limit = 2**30 - 1
     energies = st.integers(0, 40) | st.integers(1, 32767).map(lambda root: root**2 - 1) | st.integers(0, limit)
-    constants = np.array(data.draw(st.lists(energies, min_size=channels, max_size=channels)))
+    constants = np.resize(data.draw(st.lists(energies, min_size=1, max_size=channels)), channels)
     shift = data.draw(st.integers(0, 30))
     results = []
     for portable in (0, 1):
         core = EmulatedCore(programs["M4F", portable], M4F)
-        addresses = [AREA + 0x1000 * number for number in range(8)]
-        at_values, at_sums, at_multipliers, at_constants, at_squares, at_doubled, at_normalised, at_scaled = addresses
+        addresses = [AREA + 0x1000 * number for number in range(9)]
+        at_values, at_sums, at_multipliers, at_constants, at_squares, at_doubled, at_normalised = addresses[:7]
+        at_signed, at_scaled = addresses[7:]
         core.write(at_values, int16s(values))
-        for address, numbers in ((at_sums, sums), (at_multipliers, multipliers), (at_constants, constants)):
-            core.write(address, numbers.astype("<u4").tobytes())
+        for address, written in (
+            (at_sums, sums),
+            (at_multipliers, multipliers),
+            (at_constants, constants),
+            (at_signed, signs * sums),
+        ):
+            core.write(address, (written & 0xFFFF_FFFF).astype("<u4").tobytes())
         core.call("vc_eva_squares", at_values, channels, columns, at_squares, at_doubled)
         at_all = (at_values, channels, columns, at_sums, at_doubled, at_multipliers, at_constants, shift, at_normalised)
         core.call("vc_eva_normalise", *at_all)
-        core.call("vc_eva_scale", at_sums, at_multipliers, channels, at_scaled)
-        read = [
-            (at_squares, 2 * count),
-            (at_doubled, 4 * columns),
-            (at_normalised, 2 * count),
-            (at_scaled, 2 * channels),
-        ]
-        results.append([core.read(*where) for where in read])
-    assert results[0] == results[1]
+        stride = channels + 2
+        core.call("vc_eva_scale", at_signed, at_multipliers, channels, columns, at_scaled, stride)
+        for address in (at_squares, at_normalised):
+            written = np.frombuffer(core.read(address, 2 * count), "<i2").astype(np.int64)
+            results.append(int16s(in_kernel_order(written, channels, portable)))
+        results += [core.read(at_doubled, 4 * columns), core.read(at_scaled, 2 * stride * columns)]
+    assert results[: len(results) // 2] == results[len(results) // 2 :]
 
 
 @pytest.mark.parametrize(
@@ -171,6 +192,7 @@ def test_squares_and_normalisation_are_alike_with_dsp_instructions_and_without(
         ("1ec9", 5),  # ldm r1!, {r1, r2, r3, r4}
         ("b0fbf1f0", 12),  # udiv r0, r0, r1
         ("20fb0100", 1),  # smlad r0, r0, r1, r0
+        ("00fb1100", 1),  # mls r0, r0, r1, r0
     ],
 )
 def test_cycles_are_those_of_the_reference_manual(instructions: str, cycles: int) -> None:
@@ -191,7 +213,7 @@ def test_the_shipped_figures_are_what_is_counted(programs: dict[tuple[str, int],
     assert float(shipped["instructions"]) == pytest.approx(run.instructions, rel=0.05), "run evaluation.firmware"
     for decoder, percent in firmware.LIMITS_PERCENT.items():
         counts = [float(row["instructions"]) for row in rows if row["decoder"] == decoder]
-        assert 100 * np.mean(counts) * firmware.RATE_HZ / M4F.clock_hz < percent
+        assert 100 * max(counts) * firmware.RATE_HZ / M4F.clock_hz < percent
 
 
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
