@@ -4,7 +4,7 @@
  * A sum of products is exact in 32 bits: of at most 384 products of at most 2^7 * 2^15 it stays below 2^31, and so does
  * each part of it. So the order of additions does not matter, and the results are those of the portable loops. Memory
  * is read and written by words at any address, which these processors do for single loads and stores, not for LDRD and
- * LDM.
+ * LDM, unless UNALIGN_TRP of the Configuration and Control Register is set; it is not after reset.
  *
  * Squares and normalised activations lie in groups of four in the order 0, 2, 1, 3: that in which SXTB16, which widens
  * every other byte, gives weights. */
@@ -95,7 +95,8 @@ void vc_dot_products(const int8_t *weights, uint32_t rows, uint32_t length, cons
     "smlad %[b], %[next_row], %[column], %[b]\n\t"                                                                     \
     "smlad %[d], %[next_row], %[next_column], %[d]\n\t"
 
-/* Sums of an even number of rows and two columns. */
+/* Sums of an even number of rows and two columns. Every operand is written before others are read for the last time, so
+ * none may share a register; memory is read through pointers that the compiler does not follow. */
 static void products_of_two(const int8_t *weights, uint32_t even_rows, uint32_t length, const int16_t *inputs,
                             uint32_t to_next_column, int32_t *sums, uint32_t to_next_sums)
 {
