@@ -231,8 +231,8 @@ class _Stretch:
         # What is played and the next one, however long packets are, where the controller has room for it; and one more
         # where the packet at the end of an iteration may be cut to almost nothing.
         least_packets = 3 if source.packet_s < source.packet_samples / source.header.rate_hz else 2
-        wanted_packets = max(least_packets, int(settings.buffer_s / source.packet_s))
-        self._buffer_packets = min(wanted_packets, limits.buffer_samples // source.packet_samples)
+        self._ahead_packets = max(least_packets, int(settings.buffer_s / source.packet_s))
+        self._buffer_packets = min(self._ahead_packets, limits.buffer_samples // source.packet_samples)
         # Waiting for a full frame must not empty the buffer.
         self._frame_packets = max(1, min(_LARGEST_FRAME_PACKETS, self._buffer_packets // 4))
         # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
@@ -334,7 +334,7 @@ class _Stretch:
         if source.end is not None and self._next >= source.end:
             return None
         sent = self._next - self._base
-        granted = min(self._credit // source.packet_samples, self._playing() + self._buffer_packets) - sent
+        granted = min(self._credit // source.packet_samples, self._playing() + self._ahead_packets) - sent
         if self.status.state == State.PLAYING and granted < min(self._frame_packets, len(source.packets) - number):
             return None  # wait for a full frame
         room_bytes = self._controller.description.limits.maximum_payload_bytes

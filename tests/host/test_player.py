@@ -28,9 +28,11 @@ from device_protocol.transports import TransportError, UsbTransport
 from host.controller import ConnectionLost, Controller, ControllerError
 from host.player import Progress, play
 from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
 from simulated_device.memory_link import MemoryLink
 from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
+from tests.simulated_device.bench import stream
 
 HEADER = StreamHeader(codec_identifier=1, rate_hz=RATE_HZ, samples=None, unit="um", gains=(1.0,), configuration=b"")
 REFRESH_PACKETS = 10
@@ -78,6 +80,13 @@ def test_holds_no_more_than_asked_without_underrun(buffer_s: float) -> None:
     assert result.state == State.FINISHED
     assert result.buffered_s <= buffer_s + PACKET_SAMPLES / RATE_HZ
     assert result.underruns == 0
+
+
+def test_controller_that_holds_one_packet_gets_the_next_while_it_plays() -> None:
+    played = stream(0.5)
+    link = MemoryLink(SimulatedController(Settings(buffer_samples=played.packet_samples)))
+    result = play(Controller(link, link.clock, link.sleep), played.header, played.packets, played.packet_samples)
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
 
 
 def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None:
