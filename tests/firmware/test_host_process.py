@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from device_protocol.messages import State
 from device_protocol.transports import SerialTransport, TransportError
 from firmware.build import build
 from host import flasher
+from host.controller import ConnectionLost
 from host.controller import Controller as Host
 from host.player import play
 from simulated_device.actuator import PIEZO_STACK
@@ -61,14 +63,34 @@ def test_it_ends_with_its_input_and_by_sigterm(by_signal: bool) -> None:
         assert process.wait(10) == 0
 
 
+def test_a_file_of_images_is_of_one_process(tmp_path: Path) -> None:
+    with HostProcess("--flash", tmp_path / "flash"), pytest.raises(TransportError, match="another process"):
+        HostProcess("--flash", tmp_path / "flash")
+    HostProcess("--flash", tmp_path / "flash").close()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_full_disk_is_an_error_and_leaves_no_link(tmp_path: Path) -> None:
+    played, link = stream(0.3), tmp_path / "link"
+    process = HostProcess("--dac", "/dev/full", "--link", link)
+    with Host(SerialTransport(process.name)) as host, suppress(TransportError, ConnectionLost):
+        play(host, played.header, played.packets, played.packet_samples, reconnect_s=0)
+    with pytest.raises(TransportError, match="DAC codes: No space"):
+        process.close()
+    assert not link.is_symlink()
+
+
 def test_options_that_cannot_be_are_refused_with_the_reason(tmp_path: Path) -> None:
     (tmp_path / "flash").write_bytes(b"too short")
     for options, reason in (
         (("--flash", tmp_path / "flash"), "delete it"),
         (("--flash", tmp_path / "none" / "flash"), "No such file"),
         (("--dac", tmp_path), "directory"),
-        (("--link", tmp_path), "exists"),
+        (("--link", tmp_path), "exists.*delete it"),
         (("--drift",), "usage"),
+        (("--drift-ppm", "fast"), "usage"),
+        (("--drift-ppm", "100001"), "usage"),
+        (("--hardware", 64 * "x"), "usage"),
     ):
         with pytest.raises(TransportError, match=reason):
             HostProcess(*options)

@@ -2,10 +2,10 @@
  *
  *     host [--link PATH] [--flash FILE] [--dac FILE] [--hardware NAME] [--drift-ppm N]
  *
- * The first line of its output is the name that a host program opens. It ends by SIGTERM or SIGINT, or when its input
- * ends. --link: another name for that, made and removed. --flash: keeps model images in a file. --dac: writes the
- * codes there, int16 of this machine, channels interleaved. --drift-ppm: how much faster than the system's its clock
- * runs.
+ * The first line of its output is the name that a host program opens. It ends by SIGTERM, SIGINT or SIGHUP, or when
+ * its input ends. --link: another name for that, made and removed. --flash: keeps model images in a file, of one
+ * process at a time. --dac: writes the codes there, int16 of this machine, channels interleaved. --drift-ppm: how much
+ * faster than the system's its clock runs, within 100 000.
  */
 #define _DEFAULT_SOURCE
 #define _XOPEN_SOURCE 700
@@ -16,6 +16,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <termios.h>
@@ -29,6 +30,7 @@
 #define SLOT_BYTES (1u << 20)
 #define FLASH_BYTES (2 * RECORD_BYTES + 2 * SLOT_BYTES)
 #define WAIT_MS 2
+#define MOST_DRIFT_PPM 100000
 /* A loaded system may keep the process waiting, which no controller's own processor does: of a longer wait, its clock
  * counts only so much. */
 #define LONGEST_STEP_US 50000
@@ -36,7 +38,9 @@
 static volatile sig_atomic_t ended;
 static int terminal = -1;
 static FILE *dac_file;
+static const char dac_failure[] = "the file for DAC codes";
 static int64_t drift_ppm;
+static const char *link_path;
 
 static void end(int signal_number)
 {
@@ -48,6 +52,11 @@ static void fail(const char *what)
 {
     fprintf(stderr, "host: %s: %s\n", what, strerror(errno));
     exit(1);
+}
+
+static void remove_link(void)
+{
+    unlink(link_path);
 }
 
 size_t vc_port_read(uint8_t *data, size_t capacity)
@@ -79,7 +88,7 @@ void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigne
 {
     (void)context;
     if (dac_file != NULL && fwrite(codes, sizeof *codes * channels, samples, dac_file) != samples)
-        fail("the file for DAC codes");
+        fail(dac_failure);
 }
 
 static int erase(void *context, uint32_t offset, uint32_t length)
@@ -106,6 +115,10 @@ static uint8_t *open_flash(const char *path)
         file = open(path, O_RDWR | O_CREAT, 0666);
         if (file < 0 || fstat(file, &status) != 0)
             fail(path);
+        if (flock(file, LOCK_EX | LOCK_NB) != 0) {
+            fprintf(stderr, "host: %s: another process keeps its images there\n", path);
+            exit(1);
+        }
         fresh = status.st_size == 0;
         if (!fresh && status.st_size != FLASH_BYTES) {
             fprintf(stderr, "host: %s does not have the %u bytes of this flash: delete it\n", path, FLASH_BYTES);
@@ -143,6 +156,16 @@ static const char *open_terminal(void)
     return name;
 }
 
+static void make_link(const char *name)
+{
+    if (symlink(name, link_path) != 0) {
+        fprintf(stderr, "host: %s: %s%s\n", link_path, strerror(errno),
+                errno == EEXIST ? ": delete it if it is of a process that was killed" : "");
+        exit(1);
+    }
+    atexit(remove_link);
+}
+
 int main(int count, char **arguments)
 {
     vc_controller_settings settings = {
@@ -153,20 +176,23 @@ int main(int count, char **arguments)
                       .slot_bytes = SLOT_BYTES,
                       .erase = erase,
                       .program = program};
-    const char *link_path = NULL, *flash_path = NULL, *name;
+    const char *flash_path = NULL, *name;
     struct sigaction on_end = {.sa_handler = end};
     int index;
     for (index = 1; index + 1 < count; index += 2) {
         const char *option = arguments[index], *value = arguments[index + 1];
+        char *rest;
         if (strcmp(option, "--link") == 0)
             link_path = value;
         else if (strcmp(option, "--flash") == 0)
             flash_path = value;
         else if (strcmp(option, "--hardware") == 0 && strlen(value) < 64)
             settings.hardware = value;
-        else if (strcmp(option, "--drift-ppm") == 0)
-            drift_ppm = strtol(value, NULL, 10);
-        else if (strcmp(option, "--dac") != 0)
+        else if (strcmp(option, "--drift-ppm") == 0) {
+            drift_ppm = strtol(value, &rest, 10);
+            if (*value == '\0' || *rest != '\0' || drift_ppm > MOST_DRIFT_PPM || drift_ppm < -MOST_DRIFT_PPM)
+                break;
+        } else if (strcmp(option, "--dac") != 0)
             break;
         else if ((dac_file = fopen(value, "wb")) == NULL)
             fail(value);
@@ -177,11 +203,12 @@ int main(int count, char **arguments)
     }
     sigaction(SIGTERM, &on_end, NULL);
     sigaction(SIGINT, &on_end, NULL);
+    sigaction(SIGHUP, &on_end, NULL);
     flash.context = open_flash(flash_path);
     flash.base = flash.context;
     name = open_terminal();
-    if (link_path != NULL && symlink(name, link_path) != 0)
-        fail(link_path);
+    if (link_path != NULL)
+        make_link(name);
     printf("%s\n", name);
     fflush(stdout);
     vc_loop_start(&settings, &flash);
@@ -193,7 +220,7 @@ int main(int count, char **arguments)
         if (wanted[1].revents != 0 && read(STDIN_FILENO, ignored, sizeof ignored) <= 0)
             break;
     }
-    if (link_path != NULL)
-        unlink(link_path);
-    return dac_file != NULL && fclose(dac_file) != 0;
+    if (dac_file != NULL && fclose(dac_file) != 0)
+        fail(dac_failure);
+    return 0;
 }
