@@ -9,7 +9,7 @@ C_SOURCES := $(filter-out %_tables.c,$(wildcard firmware/*/*.[ch] firmware/*/*/*
 CHECKPOINTS ?= trained
 DATA ?= recordings
 
-.PHONY: install play test lint fuzz models
+.PHONY: install play test lint fuzz firmware models
 
 install: .venv/installed
 
