@@ -11,7 +11,21 @@ from unicorn import arm_const
 import models
 import textures
 from device_protocol.frames import write_frame
-from device_protocol.messages import Configure, Hello, Start, State, Status, Stop, StreamData, pack
+from device_protocol.messages import (
+    CaptureData,
+    CaptureRead,
+    Configure,
+    Hello,
+    Pause,
+    Resume,
+    Start,
+    State,
+    Status,
+    Stop,
+    StreamData,
+    Tap,
+    pack,
+)
 from firmware.build import build
 from firmware.elf import Elf
 from host import coding, flasher
@@ -127,30 +141,61 @@ def slow_down(device: Stm32F405, function: str, milliseconds: list[int]) -> None
     device.processor.unicorn.hook_add(unicorn.UC_HOOK_CODE, pass_time, None, address, address)
 
 
-def played_by_board(decoding_ms: list[int], stop_at_us: int | None = None) -> tuple[Codes, Codes]:
-    """Play a stream from 0.3 s on; `decoding_ms`: of each packet. Return its codes, and the DAC's from that time on."""
+def played_by_board(
+    decoding_ms: list[int],
+    meanwhile: Callable[[Host, MemoryLink], None] = lambda host, link: None,
+    stall_ms: list[int] | None = None,
+) -> tuple[Codes, Codes, Codes]:
+    """Play a stream from 0.3 s on; return its codes, the DAC's from that time on, and those captured.
+
+    `decoding_ms`: of each packet; `meanwhile`: what a host does 0.1 s later; `stall_ms`: by each message then.
+    """
     codes: list[Codes] = []
     device = Stm32F405(on_dac=codes.append)
+    stalls = [0]
     slow_down(device, "vc_mdct_decode", decoding_ms)
+    slow_down(device, "vc_message_read", stalls)
     link, host = session(device)
     stream = coded("mdct", seconds=0.6)
     host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
     host.send(StreamData(1, 0, stream.packets[:12]))
     host.request(Start(START_US), Status)
-    link.sleep((START_US - link.now_us) / 1e6 + 0.2)
-    if stop_at_us is not None:
-        link.sleep((stop_at_us - link.now_us) / 1e6)
-        host.request(Stop(), Status)
+    link.sleep((START_US - link.now_us) / 1e6 + 0.1)
     host.send(StreamData(1, 0, stream.packets[12:]))
+    stalls[:] = [*(stall_ms or []), 0]
+    meanwhile(host, link)
     link.sleep(1.0)
     actuator = replace(PIEZO_STACK, dac_bits=12)
     expected, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator)
-    return expected, np.concatenate(codes)[1 + START_US * BOARD_DAC_HZ // 1_000_000 :]
+    pieces, end = [b""], 1
+    while (offset := sum(map(len, pieces)) // 4) < end:
+        captured = host.request(CaptureRead(Tap.DAC, offset, 500), CaptureData)
+        pieces, end = [*pieces, captured.data], captured.end
+    played = np.concatenate(codes)[1 + START_US * BOARD_DAC_HZ // 1_000_000 :]
+    return expected, played, np.frombuffer(b"".join(pieces), "<i2").reshape(-1, 2)
+
+
+def ask_often(host: Host, link: MemoryLink) -> None:
+    for _ in range(4):
+        host.request_status()
+        link.sleep(0.1)
+
+
+def check_that_it_faded(expected: Codes, played: Codes, last_samples: int, most_lag_ms: float) -> None:
+    """Check that the last samples are those of the stream, so late, and that nothing jumped before."""
+    end = np.flatnonzero(played.any(axis=1))[-1] + 1
+    assert len(expected) < end <= len(expected) + most_lag_ms * BOARD_DAC_HZ / 1000
+    np.testing.assert_array_equal(played[end - last_samples : end], between_rests(expected)[-last_samples:])
+    step = np.abs(np.diff(expected.astype(int), axis=0)).max()
+    assert np.abs(np.diff(played.astype(int), axis=0)).max() <= step + 4096 // 100
+    moving = np.flatnonzero(played.any(axis=1))
+    begins = moving[1:][np.diff(moving) > 20]
+    assert np.abs(played[begins]).max(initial=0) < 4096 // 100
 
 
 @pytest.mark.parametrize(("decoding_ms", "least_ms", "most_ms"), [(0, 3, 6), (1, 5, 8), (20, 43, 46), (30, 63, 66)])
 def test_the_board_lags_by_what_decoding_needs(decoding_ms: int, least_ms: int, most_ms: int) -> None:
-    expected, played = played_by_board([decoding_ms])
+    expected, played, _ = played_by_board([decoding_ms])
     lag = np.flatnonzero(played.any(axis=1))[0] - np.flatnonzero(expected.any(axis=1))[0]
     assert least_ms <= lag * 1000 / BOARD_DAC_HZ <= most_ms
     np.testing.assert_array_equal(played[lag : lag + len(expected)], expected)
@@ -158,19 +203,40 @@ def test_the_board_lags_by_what_decoding_needs(decoding_ms: int, least_ms: int, 
 
 
 def test_the_board_fades_out_and_in_where_decoding_takes_far_longer_than_at_first() -> None:
-    expected, played = played_by_board([1, 1, 1, 120, 1])
-    end = np.flatnonzero(played.any(axis=1))[-1] + 1
-    assert len(expected) < end < len(expected) + 0.3 * BOARD_DAC_HZ
-    np.testing.assert_array_equal(played[end - 600 : end], between_rests(expected)[-600:])
-    step = np.abs(np.diff(expected.astype(int), axis=0)).max()
-    assert np.abs(np.diff(played.astype(int), axis=0)).max() <= step + 4096 // 100
+    check_that_it_faded(*played_by_board([1, 1, 1, 120, 1])[:2], 600, most_lag_ms=250)
+
+
+def test_the_board_leaves_out_what_it_missed_while_its_loop_stood_still() -> None:
+    """As when a sector of flash is erased."""
+    check_that_it_faded(*played_by_board([1], ask_often, [300])[:2], 300, most_lag_ms=13)
+
+
+def test_the_board_gets_used_to_short_stalls() -> None:
+    """As when a message with an image's bytes is written while playing: only the first one is felt."""
+    check_that_it_faded(*played_by_board([0], ask_often, [6, 6, 6, 6])[:2], 1200, most_lag_ms=9)
+
+
+def test_the_board_goes_on_after_a_pause_with_the_lag_that_it_needs() -> None:
+    def pause(host: Host, link: MemoryLink) -> None:
+        host.request(Pause(), Status)
+        link.sleep(0.2)
+        host.request(Resume(), Status)
+
+    _, played, captured = played_by_board([20], pause)
+    np.testing.assert_array_equal(played[played.any(axis=1)], captured[captured.any(axis=1)])
 
 
 def test_the_board_rests_soon_after_a_stop() -> None:
-    stopped_us = 300_000
-    _, played = played_by_board([1], stop_at_us=START_US + stopped_us)
+    stopped_us = []
+
+    def stop(host: Host, link: MemoryLink) -> None:
+        stopped_us.append(link.now_us - START_US)
+        host.request(Stop(), Status)
+
+    _, played, captured = played_by_board([1], stop)
     rests_us = np.flatnonzero(played.any(axis=1))[-1] * 1_000_000 // BOARD_DAC_HZ
-    assert stopped_us < rests_us < stopped_us + 15_000
+    assert stopped_us[0] < rests_us < stopped_us[0] + 15_000
+    np.testing.assert_array_equal(played[played.any(axis=1)], captured[captured.any(axis=1)])
 
 
 def test_the_board_comes_to_rest_when_its_loop_stands_still() -> None:

@@ -2,8 +2,8 @@
  *
  * Its samples wait in a ring, for while a packet is being decoded the loop hands on none. So the output lags the
  * controller's clock: by LEAST_LAG_MS, and twice the time that the packet took with which a stream begins, as far as
- * the ring goes. What takes longer runs it dry: the output goes to rest, from there back into the stream, and lags
- * twice as much from then on.
+ * the ring goes. What takes longer runs it dry: the output goes to rest, from there back into the stream, and the lag
+ * is set anew.
  */
 #include "board.h"
 #include "common.h"
@@ -31,8 +31,7 @@ static volatile int broken;       /* what is taken next does not follow what the
 /* Of the interrupt. */
 static int playing;                                   /* the last sample came from the ring */
 static int32_t level[CHANNELS], faded_from[CHANNELS]; /* codes of 12 bits, 0 = rest; `level`: at the output */
-static int32_t fade_samples;
-static volatile int32_t fade_left;
+static int32_t fade_samples, fade_left;
 
 static uint32_t samples_in(uint64_t us)
 {
@@ -58,7 +57,8 @@ void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits)
     VC_TIM6_DIER = 1;
     VC_TIM6_CR1 = 1;
     vc_enable_interrupt(VC_TIM6_LINE, 0);
-    while (fade_left > 0)
+    turn_us = vc_port_now_us();
+    while (vc_port_now_us() - turn_us < (FADE_MS + 2) * 1000)
         vc_wait_for_interrupt();
 }
 
@@ -78,13 +78,12 @@ VC_IN_RAM void TIM6_DAC_IRQHandler(void)
     const uint32_t next = taken;
     const int taking = next != put && waiting == 0;
     const int stopping = playing && !taking && (level[0] != 0 || level[1] != 0);
-    int32_t fade = fade_left;
     unsigned channel;
     VC_TIM6_SR = 0;
     if (stopping || (taking && broken)) {
         for (channel = 0; channel < CHANNELS; channel++)
             faded_from[channel] = level[channel];
-        fade = fade_samples;
+        fade_left = fade_samples;
         broken = stopping;
     }
     if (taking) {
@@ -95,11 +94,10 @@ VC_IN_RAM void TIM6_DAC_IRQHandler(void)
         waiting--;
     }
     playing = taking;
-    if (fade > 0)
-        fade--;
-    fade_left = fade;
+    if (fade_left > 0)
+        fade_left--;
     for (channel = 0; channel < CHANNELS; channel++)
-        level[channel] = target[channel] + (faded_from[channel] - target[channel]) * fade / fade_samples;
+        level[channel] = target[channel] + (faded_from[channel] - target[channel]) * fade_left / fade_samples;
     write_levels();
 }
 
@@ -112,20 +110,19 @@ static void put_sample(const int16_t *codes, unsigned channels)
     put++;
 }
 
-/* The ring was empty: sets the lag, and has its samples wait for as much of it as has not passed yet. */
+/* The ring was empty: sets the lag, for which its samples wait. */
 static void begin_lag(void)
 {
-    const uint32_t kept = samples_in(vc_port_now_us() - turn_us), twice = 2 * lag_samples;
+    const uint32_t kept = samples_in(vc_port_now_us() - turn_us);
     if (kept > 0) /* else nothing was decoded now, as after a pause */
         lag_samples = samples_in(LEAST_LAG_MS * 1000) + 2 * kept;
-    if (broken && lag_samples < twice)
-        lag_samples = twice;
     if (lag_samples > CAPACITY - 2 * SPARE)
         lag_samples = CAPACITY - 2 * SPARE;
-    waiting = lag_samples > kept ? lag_samples - kept : 0;
+    waiting = lag_samples;
 }
 
-/* Has nothing lag more than is set: where the loop was kept for longer, the oldest samples are left out. */
+/* Has nothing wait longer than the lag, of which a part has passed already where many samples come at once. Of what is
+ * far too late, for something else kept the loop, the oldest samples are left out. */
 static void keep_lag(void)
 {
     uint32_t held;
