@@ -2,6 +2,7 @@
 #ifndef VIBROCAST_RING_H
 #define VIBROCAST_RING_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 /* `capacity`: a power of two. The counts run on for ever; each is written on one side only. */
@@ -33,6 +34,24 @@ static inline int vc_ring_take(vc_ring *ring, uint8_t *byte)
     __asm volatile("" ::: "memory"); /* the byte is read before its place is free */
     ring->taken = taken + 1;
     return 1;
+}
+
+/* Takes up to `capacity` bytes; returns how many there were. */
+static inline size_t vc_ring_read(vc_ring *ring, uint8_t *data, size_t capacity)
+{
+    size_t length = 0;
+    while (length < capacity && vc_ring_take(ring, data + length))
+        length++;
+    return length;
+}
+
+/* Puts in up to `length` bytes; returns how many there was room for. */
+static inline size_t vc_ring_write(vc_ring *ring, const uint8_t *data, size_t length)
+{
+    size_t taken = 0;
+    while (taken < length && vc_ring_put(ring, data[taken]))
+        taken++;
+    return taken;
 }
 
 #endif

@@ -49,17 +49,12 @@ VC_IN_RAM void USART3_IRQHandler(void)
 
 size_t vc_port_read(uint8_t *data, size_t capacity)
 {
-    size_t length = 0;
-    while (length < capacity && vc_ring_take(&received, data + length))
-        length++;
-    return length;
+    return vc_ring_read(&received, data, capacity);
 }
 
 size_t vc_port_write(const uint8_t *data, size_t length)
 {
-    size_t taken = 0;
-    while (taken < length && vc_ring_put(&sending, data[taken]))
-        taken++;
+    const size_t taken = vc_ring_write(&sending, data, length);
     __asm volatile("cpsid i" ::: "memory");
     send_waiting();
     __asm volatile("cpsie i" ::: "memory");

@@ -30,10 +30,7 @@ uint64_t vc_port_now_us(void)
 
 size_t vc_port_read(uint8_t *data, size_t capacity)
 {
-    size_t length = 0;
-    while (length < capacity && vc_ring_take(&received, data + length))
-        length++;
-    return length;
+    return vc_ring_read(&received, data, capacity);
 }
 
 /* Sends the next byte, if the UART has room; called by the interrupt, and with interrupts off. */
@@ -46,9 +43,7 @@ static void send_next(void)
 
 size_t vc_port_write(const uint8_t *data, size_t length)
 {
-    size_t taken = 0;
-    while (taken < length && vc_ring_put(&sending, data[taken]))
-        taken++;
+    const size_t taken = vc_ring_write(&sending, data, length);
     /* The interrupt comes when a byte has left: the first one is sent from here. */
     __asm volatile("cpsid i" ::: "memory");
     send_next();
