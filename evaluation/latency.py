@@ -91,8 +91,8 @@ def page(
             "- The controllers here are simulated or emulated, on the computer that is the host: the wire is a "
             "pseudo-terminal or a call. USB adds its polling, up to 1 ms each way at full speed.\n"
             "- What a controller makes ahead of its DAC lies behind its clock, where no Status shows it: up to 2 ms on "
-            "simulated and emulated ones, and on a board the ring in front of its DAC, `LEAD_MS` in "
-            "`firmware/ports/stm32f405/dac.c`.\n"
+            "simulated and emulated ones; on the STM32F405 board 4 ms and twice what the first packet takes to decode "
+            "(`firmware/ports/stm32f405/dac.c`).\n"
             "- An actuator's own response is what the compensation makes up for, and is not counted again.",
         )
         + "\n"
