@@ -43,6 +43,7 @@ from host.options import (
     recording_options,
 )
 from host.output_files import whole_file
+from host.plain import plain
 from host.report import Report
 from host.stability_command import stability
 from host.train_command import train
@@ -113,8 +114,8 @@ def explained(error: Exception) -> click.ClickException:
 
 
 def fail(message: str, exit_code: int) -> NoReturn:
-    """Print one line on stderr, whatever names with newlines it quotes, and exit."""
-    click.echo(f"error: {' '.join(message.split())}", err=True)
+    """Print one line on stderr, whatever it quotes, and exit."""
+    click.echo(f"error: {plain(' '.join(message.split()))}", err=True)
     sys.exit(exit_code)
 
 
@@ -491,4 +492,4 @@ def show(facts: Mapping[str, object], as_json: bool = False) -> None:
             value = [f"{key.replace('_', ' ')}: {item}" for key, item in value.items()]
         lines = value if isinstance(value, list) else [value]
         for index, line in enumerate(lines or ["none"]):
-            click.echo(f"{name.replace('_', ' ') if index == 0 else '':{width}}  {line}")
+            click.echo(f"{name.replace('_', ' ') if index == 0 else '':{width}}  {plain(str(line))}")

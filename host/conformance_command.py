@@ -12,6 +12,7 @@ from rich.table import Table
 from device_protocol.transports import TransportError
 from host import devices, progress
 from host.options import BadInput, device_option
+from host.plain import plain
 
 if TYPE_CHECKING:
     from host.conformance.report import Report
@@ -43,10 +44,9 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, dat
     left_out = ["what takes more than a second"] * quick + ["what writes a slot for model images"] * no_flash
     date = datetime.date.today().isoformat() if dated else None
     report = Report(hello, tuple(findings), tuple(left_out), date)
-    if out is not None:
-        report.write(out)
     show(report)
     if out is not None:
+        report.write(out)
         click.echo(f"report: {out / PAGE}")
     if not report.conforming:
         raise click.exceptions.Exit(1)
@@ -66,4 +66,4 @@ def show(report: "Report") -> None:
             click.echo(f"FAIL  {finding.requirement.text}\n      {finding.reason}")
     for reason in {finding.reason for finding in report.findings if finding.outcome == Outcome.NOT_TRIED}:
         click.echo(f"{Outcome.NOT_TRIED.value}: {reason}")
-    click.echo(f"{report.hello.hardware}, {report.hello.build}: {report.summary}")
+    click.echo(f"{plain(report.hello.hardware)}, {plain(report.hello.build)}: {report.summary}")

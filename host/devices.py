@@ -1,6 +1,7 @@
 """Controllers by the address that a person gives: opens them, lists them, and tells what they are."""
 
 import contextlib
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -144,14 +145,25 @@ def model_images(hello: HelloResponse) -> list[str]:
 
 def facts(controller: Controller) -> dict[str, Any]:
     """Return what a controller is and what it is doing, ready for JSON. Raises as `Controller.request_status`."""
-    hello, status = controller.description, controller.request_status()
+    status = controller.request_status()
+    return {
+        **described(controller.description),
+        "status": {**asdict(status), "state": status.state.name.lower()},
+    }
+
+
+def described(hello: HelloResponse) -> dict[str, Any]:
+    """Return what a controller says of itself, ready for JSON, where a number that is none stands in words."""
+    actuator = {
+        name: str(value) if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in asdict(hello.actuator).items()
+    }
     return {
         "build": hello.build,
         "hardware": hello.hardware,
         "protocol": f"{hello.major}.{hello.minor}",
         "codecs": [name for _, name in hello.codecs],
         "model_images": model_images(hello),
-        "actuator": asdict(hello.actuator),
+        "actuator": actuator,
         "limits": asdict(hello.limits),
-        "status": {**asdict(status), "state": status.state.name.lower()},
     }

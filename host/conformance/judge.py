@@ -14,6 +14,7 @@ from host.conformance import fixtures
 from host.conformance.line import Line
 from host.conformance.probe import Gone, NotConforming, Probe
 from host.controller import ControllerError
+from host.plain import plain
 
 _FOLDER = Path(__file__).parent
 # Nothing of the user's or of the environment's pytest takes part.
@@ -70,7 +71,9 @@ def judge(
     try:
         probe.open()
     except (Gone, NotConforming) as reason:
-        raise NotJudged(f"{reason}: check that a controller of protocol {PROTOCOL_MAJOR} is there") from reason
+        raise NotJudged(
+            f"no controller of protocol {PROTOCOL_MAJOR} can be tried here (check power and address): {reason}"
+        ) from reason
     judging = _Judging(line, progress)
     _run(judging, "-m", "not long" if quick else "")
     return probe.description, judging.all_findings()
@@ -92,12 +95,15 @@ class _Judging:
         self.interrupted = False
         self._line = line
         self._progress = progress
-        self._gone = ""
+        self._not_tried = ""
 
     @pytest.fixture
     def line(self) -> Line:
         assert self._line is not None, "there is a controller to try"
         return self._line
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items.sort(key=lambda item: item.get_closest_marker("vital") is None)
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         for item in session.items:
@@ -114,12 +120,15 @@ class _Judging:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
         if call.excinfo is not None and isinstance(call.excinfo.value, Gone) and call.when == "setup":
-            self._gone = f"the controller could not be reached any more ({call.excinfo.value})"
-            item.session.shouldstop = self._gone
+            self._not_tried = f"the controller could not be reached any more ({call.excinfo.value})"
+            item.session.shouldstop = self._not_tried
         elif call.excinfo is not None or call.when == "call":
             measured = dict(item.user_properties).get("measured", "")
             outcome, reason = _outcome(call.excinfo)
             self.findings[item.nodeid] = Finding(self.requirements[item.nodeid], outcome, reason, str(measured))
+            if outcome == Outcome.FAILED and item.get_closest_marker("vital") is not None:
+                self._not_tried = f"what must be right first is not: {self.requirements[item.nodeid].text}"
+                item.session.shouldstop = self._not_tried
         return report
 
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
@@ -129,7 +138,7 @@ class _Judging:
     def all_findings(self) -> list[Finding]:
         """Return a finding for each requirement."""
         return [
-            self.findings.get(name, Finding(requirement, Outcome.NOT_TRIED, self._gone))
+            self.findings.get(name, Finding(requirement, Outcome.NOT_TRIED, self._not_tried))
             for name, requirement in self.requirements.items()
         ]
 
@@ -166,7 +175,7 @@ def _outcome(failure: pytest.ExceptionInfo[BaseException] | None) -> tuple[Outco
     """Return what the end of a test says of the controller, and why."""
     if failure is None:
         return Outcome.PASSED, ""
-    text = " ".join(str(failure.value).split())
+    text = plain(" ".join(str(failure.value).split()))
     if failure.errisinstance(pytest.skip.Exception):
         return Outcome.NOT_OFFERED, text
     if failure.errisinstance((AssertionError, ControllerError, TransportError, MessageError, Gone)):

@@ -1,6 +1,5 @@
 """Speaks to a controller message by message and, where it answers otherwise than it must, says what was expected."""
 
-import contextlib
 import random
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -39,6 +38,7 @@ from device_protocol.messages import (
 from device_protocol.transports import TransportError
 from host.coding import Stream
 from host.conformance.line import Line
+from host.controller import SMALLEST_PAYLOAD_LIMIT_BYTES
 
 # docs/protocol.md, "Sequence numbers" and "Flashing": so long a controller may take to answer, and to restart.
 ANSWER_S = 2.0
@@ -87,7 +87,8 @@ class Probe:
             raise NotConforming(f"Hello: expected a HelloResponse, came {told(answer)}")
         self.description = answer
         self.opened_by = self.sequence
-        self._limit_bytes = answer.limits.maximum_payload_bytes
+        # What is less than the protocol allows is a fault of its own, and hides no other.
+        self._limit_bytes = max(answer.limits.maximum_payload_bytes, SMALLEST_PAYLOAD_LIMIT_BYTES)
         self.notified.clear()
 
     def insist(self, message: Message, within_s: float = RESTART_S) -> Message:
@@ -97,7 +98,7 @@ class Probe:
         """
         deadline_s = self.line.clock() + within_s
         while True:
-            reason = f"it does not answer {type(message).__name__}"
+            reason = f"nothing answers {name(message)}"
             try:
                 self.line.write(DELIMITER)  # ends whatever the line has picked up
                 # A number that means nothing to the controller yet.
@@ -105,15 +106,20 @@ class Probe:
                 self.send(pack(message, self.sequence))
                 answer_until_s = self.line.clock() + _RETRY_ANSWER_S
                 while (payload := self._next(answer_until_s)) is not None:
-                    with contextlib.suppress(MessageError):
+                    try:
                         sequence, answer = unpack(payload)
-                        if sequence == self.sequence:
-                            self.last_answer = payload
-                            return answer
+                    except MessageError as error:
+                        reason = f"what comes after {name(message)} cannot be read ({error})"
+                        continue
+                    if sequence == self.sequence:
+                        self.last_answer = payload
+                        return answer
             except TransportError as error:
                 reason = str(error)
-                with contextlib.suppress(TransportError):
+                try:
                     self.line.reopen()
+                except TransportError as failure:
+                    reason = str(failure)
                 self._reader = FrameReader()
             if self.line.clock() >= deadline_s:
                 raise Gone(reason)
@@ -143,6 +149,7 @@ class Probe:
     def answer(self, sequence: int, within_s: float = ANSWER_S) -> Message:
         """Wait for the answer to this number and return it. Raises NotConforming, TransportError."""
         self.sequence = sequence
+        bad_frames = self._reader.bad_frames
         deadline_s = self.line.clock() + within_s
         while (payload := self._next(deadline_s)) is not None:
             answered, message = self._read(payload)
@@ -150,8 +157,12 @@ class Probe:
                 self.last_answer = payload
                 return message
             if answered != NOTIFICATION:
-                raise NotConforming(f"expected nothing but an answer to request {sequence}, came {told(message)}")
-        raise NotConforming(f"expected an answer within {within_s:g} s, came none")
+                raise NotConforming(
+                    f"expected nothing but an answer to request {sequence}, came one to {answered}: {told(message)}"
+                )
+        damaged = self._reader.bad_frames - bad_frames
+        came = f"nothing but {damaged} damaged frame(s)" if damaged else "none"
+        raise NotConforming(f"expected an answer within {within_s:g} s, came {came}")
 
     def expect(self, message: Message, answer_type: type[_Answer]) -> _Answer:
         """Send a request that must be carried out; return its answer. Raises NotConforming, TransportError."""
@@ -274,7 +285,11 @@ class Probe:
         Raises NotConforming, TransportError.
         """
         pieces = [np.zeros((0, channels), np.int16)]
-        first = offset = self.read_capture(tap, 0, 0xFFFF, channels).offset
+        begin = self.read_capture(tap, 0, 0xFFFF, channels)
+        first = offset = begin.offset
+        limit = self.description.limits.capture_samples
+        if begin.end - first > limit:
+            raise NotConforming(f"expected a capture of at most {limit} samples, came {told(begin)}")
         while True:
             answer = self.read_capture(tap, offset, 0xFFFF, channels)
             samples = np.frombuffer(answer.data, "<i2").astype(np.int16).reshape(-1, channels)
@@ -282,7 +297,7 @@ class Probe:
             offset += len(samples)
             if offset >= answer.end:
                 return first, np.concatenate(pieces)
-            if answer.offset + len(samples) != offset or not len(samples):
+            if (answer.offset + len(samples), answer.end) != (offset, begin.end) or not len(samples):
                 raise NotConforming(f"CaptureRead of a stream at rest from sample {offset}: came {told(answer)}")
 
     def read_capture(self, tap: Tap, offset: int, count: int, channels: int) -> CaptureData:

@@ -2,6 +2,7 @@
 
 import html
 import json
+import re
 from collections import Counter
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -10,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
+from host import devices
 from host.conformance.fixtures import SECTIONS
 from host.conformance.judge import Finding, Outcome
 from host.output_files import whole_file
+from host.plain import plain
 
 PAGE = "conformance.md"
 JSON = "conformance.json"
-_VERDICTS = {True: "conforming", False: "not conforming"}
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,19 @@ class Report:
         return not any(finding.outcome in (Outcome.FAILED, Outcome.NOT_TRIED) for finding in self.findings)
 
     @property
+    def verdict(self) -> str:
+        """What the findings come to."""
+        if not self.conforming:
+            return "not conforming"
+        return "conforming, as far as it was tried," if self.left_out else "conforming"
+
+    @property
     def summary(self) -> str:
         """The verdict, and how many requirements had which outcome, in one line."""
         counts = Counter(finding.outcome for finding in self.findings)
         parts = [f"{counts[outcome]} {outcome.value}" for outcome in Outcome if counts[outcome]]
         left_out = f"; left out: {' and '.join(self.left_out)}" if self.left_out else ""
-        return f"{_VERDICTS[self.conforming]}: {', '.join(parts)}{left_out}"
+        return f"{self.verdict.rstrip(',')}: {', '.join(parts)}{left_out}"
 
     def sections(self) -> list[tuple[str, list[Finding]]]:
         """Return the findings by section, in the order of the protocol's page."""
@@ -48,21 +57,13 @@ class Report:
 
     def facts(self) -> dict[str, Any]:
         """Return the report ready for JSON."""
-        hello = self.hello
         return {
             "protocol": f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}",
             "suite": f"vibrocast {version('vibrocast')}",
             **({"date": self.date} if self.date else {}),
             "conforming": self.conforming,
             "left_out": list(self.left_out),
-            "controller": {
-                "build": hello.build,
-                "hardware": hello.hardware,
-                "protocol": f"{hello.major}.{hello.minor}",
-                "codecs": [name for _, name in hello.codecs],
-                "actuator": asdict(hello.actuator),
-                "limits": asdict(hello.limits),
-            },
+            "controller": devices.described(self.hello),
             "requirements": [
                 {**asdict(finding.requirement), "outcome": finding.outcome.value}
                 | {name: text for name, text in (("reason", finding.reason), ("measured", finding.measured)) if text}
@@ -76,9 +77,8 @@ class Report:
         controller = facts["controller"]
         told = {name: controller[name] for name in ("build", "hardware", "protocol")}
         told["codecs"] = ", ".join(controller["codecs"])
-        lines = [
-            f"# {self.hello.hardware}: {_VERDICTS[self.conforming]} with the vibrocast protocol {facts['protocol']}"
-        ]
+        told["actuator"] = controller["actuator"].pop("name")
+        lines = [f"# {_cell(self.hello.hardware)}: {self.verdict} to the vibrocast protocol {facts['protocol']}"]
         lines += ["", f"{self.summary[0].upper()}{self.summary[1:]}.", "", "| controller | |", "|---|---|"]
         for name, value in {**told, **controller["actuator"], **controller["limits"]}.items():
             lines.append(f"| {name.replace('_', ' ')} | {_cell(str(value))} |")
@@ -101,5 +101,5 @@ class Report:
 
 
 def _cell(text: str) -> str:
-    """Return text, which may be a controller's, as the cell of a Markdown table."""
-    return " ".join(html.escape(text, quote=False).replace("|", "\\|").split())
+    """Return text, which may be a controller's, as a cell of a Markdown table in which it is nothing but text."""
+    return re.sub(r"[\\`\[\]|]", r"\\\g<0>", html.escape(plain(" ".join(text.split())), quote=False))

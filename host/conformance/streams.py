@@ -1,6 +1,6 @@
 """Streams to play on the controller under test, within its limits, and what they decode to."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cache
 
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 import codec
 import models
 import textures
-from device_protocol.messages import ActuatorDescription, HelloResponse, Limits
+from device_protocol.messages import ActuatorDescription, HelloResponse, Limits, Tap
 from device_protocol.model_image import ModelImage
 from host import coding
 from host.coding import Stream
+from host.conformance.probe import NotConforming, Probe, same_samples
 from simulated_device.actuator import ACTUATORS, Actuator
 
 RATE_HZ = 2800
@@ -23,6 +24,10 @@ SECONDS = 0.4
 STRENGTH = 0.1
 TONE_HZ = 150.0
 MODEL = "eva-16"
+# What needs no model image; the first that the controller has is played where a test needs no other.
+PLAIN_CODECS = (codec.mdct.NAME, codec.dct.NAME, codec.slp.NAME)
+Made = Callable[[int, int, str, float, float], textures.Recording]
+"""Makes a signal of a rate in hertz, of so many channels, in a unit, with a peak value, for so many seconds."""
 # docs/protocol.md, "Credit"
 _MOST_PACKETS = 1024
 # Type, number, iteration and length before a packet that has a frame of its own.
@@ -31,25 +36,30 @@ _FRAME_BYTES = 12
 
 def stream_for(
     hello: HelloResponse,
-    codec_name: str = codec.mdct.NAME,
+    codec_name: str | None = None,
     channels: int = 1,
     unit: str = "um",
     seconds: float = SECONDS,
     buffered: bool = True,
+    made_by: Made | None = None,
 ) -> Stream:
-    """Return a coded texture that the controller can take, with refresh packets; skip the test where there is none.
+    """Return a coded signal that the controller can take, with refresh packets; skip the test where there is none.
 
-    `buffered`: no longer than the controller's buffer.
+    `codec_name`: None = one of PLAIN_CODECS. `buffered`: no longer than the controller's buffer. `made_by`: what makes
+    the signal, None = texture.
     """
     limits = hello.limits
-    if (codec.codec_by_name(codec_name).identifier, codec_name) not in hello.codecs:
-        pytest.skip(f"the controller has no codec {codec_name}")
+    wanted = PLAIN_CODECS if codec_name is None else (codec_name,)
+    codec_name = next((name for name in wanted if (codec.codec_by_name(name).identifier, name) in hello.codecs), None)
+    if codec_name is None:
+        pytest.skip(f"the controller has no codec {' or '.join(wanted)}")
     if channels > limits.channels:
         pytest.skip(f"the controller has {limits.channels} channels")
     rate_hz = min(max(RATE_HZ, limits.minimum_rate_hz), limits.maximum_rate_hz)
     if buffered:
         seconds = min(seconds, 0.8 * limits.buffer_samples / rate_hz)
-    stream = coded(codec_name, rate_hz, channels, unit, amplitude(hello.actuator, unit), seconds, _packet_bytes(limits))
+    peak = amplitude(hello.actuator, unit)
+    stream = coded(made_by or texture, codec_name, rate_hz, channels, unit, peak, seconds, _packet_bytes(limits))
     if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
         pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
     return stream
@@ -57,14 +67,21 @@ def stream_for(
 
 @cache
 def coded(
-    codec_name: str, rate_hz: int, channels: int, unit: str, peak: float, seconds: float, packet_bytes: int
+    made_by: Made,
+    codec_name: str,
+    rate_hz: int,
+    channels: int,
+    unit: str,
+    peak: float,
+    seconds: float,
+    packet_bytes: int,
 ) -> Stream | None:
-    """Return a texture coded by a middle setting, or the next coarser one whose packets are small enough, if any is."""
+    """Return a signal coded by a middle setting, or the next coarser one whose packets are small enough, if any is."""
     chosen = codec.codec_by_name(codec_name)
     ladder = next(iter(chosen.ladders.values()))
     for setting in reversed(ladder[: len(ladder) // 2 + 1]):
         encoding = coding.encode(
-            texture(rate_hz, channels, unit, peak, seconds),
+            made_by(rate_hz, channels, unit, peak, seconds),
             rate_hz,
             codec_name,
             setting=setting,
@@ -82,6 +99,12 @@ def texture(rate_hz: int, channels: int, unit: str, peak: float, seconds: float)
     phase = 2 * np.pi * TONE_HZ * np.arange(samples)[:, None] / rate_hz + np.arange(channels)
     noise = np.random.default_rng(5).standard_normal((samples, channels))
     return textures.Recording(peak * (0.6 * np.sin(phase) + 0.1 * noise), float(rate_hz), unit, "conformance")
+
+
+def constant(rate_hz: int, channels: int, unit: str, peak: float, seconds: float) -> textures.Recording:
+    """Return one value for so long."""
+    samples = np.full((round(seconds * rate_hz), channels), peak)
+    return textures.Recording(samples, float(rate_hz), unit, "conformance")
 
 
 def amplitude(actuator: ActuatorDescription, unit: str) -> float:
@@ -113,6 +136,18 @@ def decoded(stream: Stream, first_packet: int = 0, missing: Collection[int] = ()
             for number in range(first_packet, len(stream.packets))
         ]
     )
+
+
+def decoded_as(probe: Probe, expected: NDArray[np.int16], what: str) -> None:
+    """Compare what was decoded, as far as the controller has kept it, with what it must be, (samples, channels).
+
+    Skips the test where it keeps nothing. Raises NotConforming, TransportError.
+    """
+    need_capture(probe.description)
+    first, came = probe.captured(Tap.DECODED, expected.shape[1])
+    if first != max(0, len(expected) - probe.description.limits.capture_samples):
+        raise NotConforming(f"{what}: expected {len(expected)} samples captured, came {first + len(came)}")
+    same_samples(came, expected[first:], what)
 
 
 def known_actuator(description: ActuatorDescription) -> Actuator:

@@ -267,7 +267,7 @@ def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, imag
     if image.codec_identifier != codec.mdct.IDENTIFIER:
         pytest.skip("the controller's codec has no built-in tables to compare with")
     need_capture(probe.description)
-    stream = stream_for(probe.description)
+    stream = stream_for(probe.description, codec.mdct.NAME)
     data = new_image(probe, image)
     named = replace(stream.header, image_hash=image_hash(data)).pack()
     answer = probe.ask(replace(probe.configuration(stream), header=named))

@@ -17,11 +17,16 @@ from device_protocol.messages import (
     Status,
     StatusRequest,
 )
-from host.conformance.fixtures import section
-from host.conformance.probe import Probe, an_error, told
+from host.conformance.fixtures import section, vital
+from host.conformance.probe import NotConforming, Probe, an_error, told
+from host.conformance.streams import stream_for
 from host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMIT_BYTES, SMALLEST_WATCHDOG_MS
 
+# A metre: a number beyond it was never set.
+_LARGEST_STROKE_UM = 1e6
 
+
+@vital
 @section("Session: Version")
 def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
     """Hello is answered with the version, a build and a hardware id."""
@@ -30,6 +35,7 @@ def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
     assert hello.hardware, "expected a hardware id, came an empty text"
 
 
+@vital
 @section("Messages: From the controller")
 def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     """The limits leave room to play: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
@@ -44,6 +50,7 @@ def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     assert limits.watchdog_ms >= SMALLEST_WATCHDOG_MS, f"expected {SMALLEST_WATCHDOG_MS} ms or more, came {limits}"
 
 
+@vital
 @section("Messages: From the controller")
 def test_actuator_is_described(hello: HelloResponse) -> None:
     """The actuator is described: a name, and numbers that can be its stroke, voltage, band, slew and DAC."""
@@ -51,12 +58,22 @@ def test_actuator_is_described(hello: HelloResponse) -> None:
     values = (actuator.stroke_um, actuator.volts, actuator.lower_hz, actuator.upper_hz, actuator.slew_volts_per_second)
     assert actuator.name, "expected a name, came an empty text"
     assert all(map(math.isfinite, values)), f"expected numbers, came {actuator}"
-    assert actuator.stroke_um > 0, f"expected a stroke above 0, came {actuator}"
+    assert 0 < actuator.stroke_um <= _LARGEST_STROKE_UM, f"expected a stroke of up to a metre, came {actuator}"
     assert actuator.volts > 0, f"expected a voltage above 0, came {actuator}"
     assert 0 <= actuator.lower_hz < actuator.upper_hz, f"expected a band, came {actuator}"
     assert actuator.slew_volts_per_second >= 0, f"expected a slew of 0 or more, came {actuator}"
-    assert 1 <= actuator.dac_bits <= 16, f"expected codes of 1 to 16 bits, came {actuator}"
+    assert 2 <= actuator.dac_bits <= 16, f"expected codes of 2 to 16 bits, came {actuator}"
     assert 1 <= actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ, f"expected up to {LARGEST_DAC_RATE_HZ} Hz, came {actuator}"
+
+
+@vital
+@section("Messages: From the controller")
+def test_stream_can_be_played(hello: HelloResponse) -> None:
+    """The controller has mdct, dct or slp, and frames and buffer have room for its packets."""
+    try:
+        stream_for(hello)
+    except pytest.skip.Exception as reason:
+        raise NotConforming(f"expected a stream that can be played, but {reason}") from None
 
 
 @section("Messages: From the controller")

@@ -11,18 +11,20 @@ from host import player
 from host.coding import Stream
 from host.conformance.fixtures import long, section
 from host.conformance.probe import Probe, in_state, same_samples, told
-from host.conformance.streams import decoded, need_capture, stream_for
+from host.conformance.streams import decoded, decoded_as, need_capture, stream_for
 from host.controller import Controller
 from simulated_device.memory_link import FaultyLine
 
 _FAULTY_SECONDS = 1.0
+_SEEDS = (5, 15, 25)
+_PACKETS_READY = 4
 # Of each frame, in both directions.
 _CHANCES = {
-    "lost": {"lost": 0.05},
-    "damaged": {"flipped": 0.05},
+    "lost": {"lost": 0.1},
+    "damaged": {"flipped": 0.1},
     "doubled": {"doubled": 0.3},
     "reordered": {"swapped": 0.3},
-    "lost, damaged, doubled and reordered": {"lost": 0.02, "flipped": 0.02, "doubled": 0.1, "swapped": 0.1},
+    "lost, damaged, doubled and reordered": {"lost": 0.05, "flipped": 0.05, "doubled": 0.1, "swapped": 0.1},
 }
 _DRIFT_SECONDS = 3.0
 _PPM = 1e6
@@ -50,41 +52,36 @@ def host(probe: Probe) -> Controller:
 
 @section("Playing: Stream data")
 @pytest.mark.parametrize("fault", _CHANCES)
-def test_faults_on_the_line(probe: Probe, fault: str) -> None:
+def test_faults_on_the_line(probe: Probe, fault: str, record_property: Callable[[str, object], None]) -> None:
     """On a line with frames {fault} in both directions, what arrives is played, and only what does not is concealed."""
     need_capture(probe.description)
-    stream = stream_for(probe.description, seconds=_FAULTY_SECONDS)
-    # All of it must have room before it plays, whatever is missing, so that nothing comes late; and its captures must
-    # last until their end, for reading them back takes long here.
-    granted_s = probe.configure(stream).credit_until / stream.header.rate_hz
-    highest_rate_hz = max(stream.header.rate_hz, probe.description.actuator.dac_rate_hz)
-    captured_s = probe.description.limits.capture_samples / highest_rate_hz
-    stream = stream_for(probe.description, seconds=min(_FAULTY_SECONDS, 0.8 * granted_s, 0.8 * captured_s))
-    for seed in range(round(_FAULTY_SECONDS / stream.seconds)):
-        play_with_faults(probe, stream, seed, fault)
-
-
-def play_with_faults(probe: Probe, stream: Stream, seed: int, fault: str) -> None:
-    """Play a stream on a faulty line, and compare what was decoded with what arrived."""
-    controller = host(probe)
-    there = probe.line.to_controller = NotedLine(2 * seed, _CHANCES[fault])
-    probe.line.to_host = FaultyLine(2 * seed + 1, **_CHANCES[fault])
-    result = player.play(
-        controller,
-        stream.header,
-        stream.packets,
-        stream.decoder().packet_samples,
-        buffer_s=2 * stream.seconds,
-        capture=True,
-    )
-    probe.line.heal()
+    stream = stream_for(probe.description, seconds=_FAULTY_SECONDS, buffered=False)
+    for seed in _SEEDS:
+        result, missing = play_with_faults(probe, stream, _CHANCES[fault], seed)
+        if not result.underruns:
+            break  # otherwise this computer may have paused for too long
+    record_property("measured", f"{len(missing)} of {len(stream.packets)} packets did not arrive")
     in_state(result.status, State.FINISHED, "the end of the stream")
+    assert result.lost_packets == len(missing), f"expected {len(missing)} lost packets, came {told(result.status)}"
+    decoded_as(probe, decoded(stream, missing=missing), f"with frames {fault}")
+
+
+def play_with_faults(
+    probe: Probe, stream: Stream, chances: dict[str, float], seed: int
+) -> tuple[player.PlaybackResult, list[int]]:
+    """Play a stream on a faulty line; return what happened, and the packets that did not arrive."""
+    packet_samples = stream.decoder().packet_samples
+    controller = host(probe)
+    there = probe.line.to_controller = NotedLine(seed, chances)
+    probe.line.to_host = FaultyLine(seed + 1, **chances)
+    # Captures are read afterwards, and some packets lie ready, so that the host is not late with its data.
+    buffer_s = max(player.BUFFER_S, _PACKETS_READY * packet_samples / stream.header.rate_hz)
+    result = player.play(controller, stream.header, stream.packets, packet_samples, buffer_s=buffer_s)
+    probe.line.heal()
+    probe.open()
     messages = [unpack(payload)[1] for payload in there.arrived if payload[0] == StreamData.TYPE]
     arrived = {packet for message in messages if isinstance(message, StreamData) for packet in message.packets}
-    missing = [number for number, packet in enumerate(stream.packets) if packet not in arrived]
-    assert result.lost_packets == len(missing), f"expected {len(missing)} lost packets, came {told(result.status)}"
-    assert result.decoded is not None, "the capture was asked for"
-    same_samples(result.decoded, decoded(stream, missing=missing), f"with frames {fault}")
+    return result, [number for number, packet in enumerate(stream.packets) if packet not in arrived]
 
 
 @section("Session: Sequence numbers")

@@ -11,13 +11,15 @@ from device_protocol.coded_stream import packet_sequence
 from device_protocol.messages import EndStream, ErrorCode, Gain, Loop, Pause, Resume, Start, State, Status, Tap
 from host.coding import Stream
 from host.conformance.fixtures import long, section
-from host.conformance.probe import ANSWER_S, NotConforming, Probe, in_state, same_samples, told
-from host.conformance.streams import decoded, held_samples, need_capture, stream_for
+from host.conformance.probe import ANSWER_S, Probe, in_state, told
+from host.conformance.streams import constant, decoded, decoded_as, held_samples, need_capture, stream_for
 
 # Later than a request takes to come.
 _SOON_US = 400_000
 _LONGEST_WAIT_S = 1.0
 _ENDLESS_PACKETS = 60_000
+# Of a DAC code, to tell a ramp from a jump.
+_LEAST_LEVEL = 8
 
 
 @pytest.fixture
@@ -37,16 +39,6 @@ def finished(probe: Probe, stream: Stream, iterations: int = 1) -> Status:
     return probe.wait_for_state(State.FINISHED, ANSWER_S + 2 * iterations * stream.seconds)
 
 
-def decoded_as(probe: Probe, stream: Stream, expected: np.ndarray, what: str) -> None:
-    """Compare what was decoded, as far as the controller has kept it, with what it must be."""
-    need_capture(probe.description)
-    first, came = probe.captured(Tap.DECODED, stream.header.channels)
-    limit = probe.description.limits.capture_samples
-    if first != max(0, len(expected) - limit):
-        raise NotConforming(f"{what}: expected {len(expected)} samples captured, came {first + len(came)}")
-    same_samples(came, expected[first:], what)
-
-
 def without_loss(status: Status) -> None:
     """Check that nothing was lost."""
     assert (status.underruns, status.lost_packets) == (0, 0), f"expected no underrun and no loss, came {told(status)}"
@@ -59,10 +51,9 @@ def test_start_waits_for_the_device_time(probe: Probe, stream: Stream) -> None:
     probe.feed(number, stream)
     start_us = probe.status().device_time_us + _SOON_US
     probe.expect(Start(start_us), Status)
-    while True:
-        status = probe.status()
-        if status.device_time_us >= start_us:
-            break
+    latest_s = probe.line.clock() + ANSWER_S
+    while (status := probe.status()).device_time_us < start_us:
+        assert probe.line.clock() < latest_s, f"expected the device time {start_us} to come, came {told(status)}"
         in_state(status, State.ARMED, f"{start_us - status.device_time_us} us before the start")
         assert status.position == 0, f"expected the position 0 before the start, came {told(status)}"
         probe.listen(0.02)
@@ -92,7 +83,7 @@ def test_start_waits_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
     in_state(probe.status(), State.ARMED, "with half of the prebuffer")
     probe.feed(number, stream, stream.packets[1:])
     without_loss(finished(probe, stream))
-    decoded_as(probe, stream, decoded(stream), "after waiting for the prebuffer")
+    decoded_as(probe, decoded(stream), "after waiting for the prebuffer")
 
 
 @section("Playing: Start")
@@ -130,7 +121,7 @@ def test_packets_are_sorted(probe: Probe, stream: Stream) -> None:
     probe.feed(status.stream, stream, stream.packets[len(granted) :])
     probe.expect(Start(), Status)
     without_loss(finished(probe, stream))
-    decoded_as(probe, stream, decoded(stream), "packets out of order")
+    decoded_as(probe, decoded(stream), "packets out of order")
 
 
 @section("Playing: Configure")
@@ -213,7 +204,7 @@ def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> Non
     without_loss(status)
     expected = len(stream.packets) * packet_samples
     assert status.position == expected, f"expected position {expected}, came {told(status)}"
-    decoded_as(probe, stream, decoded(stream, first), f"from packet {first} on")
+    decoded_as(probe, decoded(stream, first), f"from packet {first} on")
 
 
 @section("Playing: Stream data")
@@ -229,7 +220,7 @@ def test_lost_packets_are_concealed(probe: Probe, stream: Stream, gap: int) -> N
     status = finished(probe, stream)
     assert status.lost_packets == gap, f"expected {gap} lost packet(s), came {told(status)}"
     assert status.underruns == 0, f"expected no underrun, came {told(status)}"
-    decoded_as(probe, stream, decoded(stream, missing=missing), f"with {gap} packet(s) missing")
+    decoded_as(probe, decoded(stream, missing=missing), f"with {gap} packet(s) missing")
 
 
 @section("Playing: Stream data")
@@ -244,7 +235,7 @@ def test_packet_that_cannot_be_decoded_is_concealed(probe: Probe) -> None:
     probe.expect(Start(), Status)
     status = finished(probe, stream)
     assert status.lost_packets == 1, f"expected 1 lost packet, came {told(status)}"
-    decoded_as(probe, stream, decoded(stream, missing=[broken]), "with a packet that cannot be decoded")
+    decoded_as(probe, decoded(stream, missing=[broken]), "with a packet that cannot be decoded")
 
 
 @section("Playing: Stream data")
@@ -263,7 +254,7 @@ def test_underrun_is_counted_once_and_time_goes_on(probe: Probe, stream: Stream)
     assert status.position == packets * packet_samples, f"expected to end at its end, came {told(status)}"
     told_in = [state.state for state in probe.notified if isinstance(state, Status) and state.underruns]
     assert State.PLAYING in told_in, "expected a notification of the underrun while it played, came none"
-    decoded_as(probe, stream, decoded(stream, missing=range(half, packets)), "with an underrun")
+    decoded_as(probe, decoded(stream, missing=range(half, packets)), "with an underrun")
 
 
 @long
@@ -277,7 +268,7 @@ def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
     probe.feed(number, stream, stream.packets[:1])
     status = finished(probe, stream)
     assert status.lost_packets == packets, f"expected {packets} lost packets, came {told(status)}"
-    decoded_as(probe, stream, decoded(stream, missing=range(packets)), "without data in time")
+    decoded_as(probe, decoded(stream, missing=range(packets)), "without data in time")
 
 
 @section("Playing")
@@ -297,7 +288,7 @@ def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
     assert dac_samples(probe, longer) == at_rest, "expected an output at rest, came further DAC codes"
     in_state(probe.expect(Resume(), Status), State.PLAYING, "Resume")
     without_loss(finished(probe, longer))
-    decoded_as(probe, longer, decoded(longer), "with a pause")
+    decoded_as(probe, decoded(longer), "with a pause")
 
 
 @section("Playing")
@@ -310,7 +301,7 @@ def test_gain_may_change_while_playing(probe: Probe, longer: Stream) -> None:
     for gain in (0.0, 2.0, 0.5):
         probe.expect(Gain(gain), Status)
     without_loss(finished(probe, longer))
-    decoded_as(probe, longer, decoded(longer), "with another gain")
+    decoded_as(probe, decoded(longer), "with another gain")
     ends_at_rest(probe, longer)
 
 
@@ -323,7 +314,7 @@ def test_loop_sets_the_iterations(probe: Probe, stream: Stream) -> None:
     probe.expect(Start(), Status)
     probe.feed(number, stream, iteration=1)
     without_loss(finished(probe, stream, iterations=2))
-    decoded_as(probe, stream, np.tile(decoded(stream), (2, 1)), "two iterations")
+    decoded_as(probe, np.tile(decoded(stream), (2, 1)), "two iterations")
 
 
 @section("Playing")
@@ -335,7 +326,7 @@ def test_loop_ends_what_would_go_on(probe: Probe, longer: Stream) -> None:
     probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
     probe.expect(Loop(1), Status)
     without_loss(finished(probe, longer))
-    decoded_as(probe, longer, decoded(longer), "one iteration")
+    decoded_as(probe, decoded(longer), "one iteration")
 
 
 @section("Playing: EndStream")
@@ -348,7 +339,7 @@ def test_live_stream_ends_where_end_stream_says(probe: Probe, stream: Stream) ->
     probe.expect(Start(), Status)
     probe.expect(EndStream(number, len(stream.packets)), Status)
     without_loss(finished(probe, stream))
-    decoded_as(probe, stream, decoded(stream), "a live stream")
+    decoded_as(probe, decoded(stream), "a live stream")
 
 
 @section("Playing: EndStream")
@@ -362,7 +353,7 @@ def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
     probe.expect(EndStream(number, 0), Status)
     status = probe.wait_for_state(State.FINISHED)
     samples = status.position
-    decoded_as(probe, longer, decoded(longer)[:samples], "a live stream cut short")
+    decoded_as(probe, decoded(longer)[:samples], "a live stream cut short")
 
 
 @section("Playing: EndStream")
@@ -386,6 +377,29 @@ def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
     probe.listen(0.1)
     assert dac_samples(probe, longer) == captured, "expected an output at rest, came further DAC codes"
     assert probe.stop().position == status.position, "expected the position to stay"
+
+
+@section("Playing")
+def test_output_never_jumps(probe: Probe) -> None:
+    """The output fades in at a start and a resume, and out at a pause and a stop, over more than one DAC code."""
+    need_capture(probe.description)
+    stream = stream_for(probe.description, unit="full scale", seconds=1.0, made_by=constant)
+    number = probe.configure(stream, compensation=False).stream
+    probe.feed(number, stream)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    in_state(probe.expect(Pause(), Status), State.PAUSED, "Pause")
+    probe.listen(0.05)
+    in_state(probe.expect(Resume(), Status), State.PLAYING, "Resume")
+    probe.listen(0.05)
+    probe.stop()
+    probe.listen(0.05)
+    _, codes = probe.captured(Tap.DAC, 1)
+    level = np.abs(codes.astype(int)).max(initial=0)
+    if level < _LEAST_LEVEL:
+        pytest.skip("a constant drive gives no DAC codes that could jump")
+    largest_step = np.abs(np.diff(codes[:, 0].astype(int))).max()
+    assert largest_step <= level / 2, f"expected a ramp to and from DAC code {level}, came a step of {largest_step}"
 
 
 def dac_samples(probe: Probe, stream: Stream) -> int:

@@ -133,6 +133,19 @@ def test_gain_of_zero_keeps_the_output_at_rest(probe: Probe) -> None:
 
 
 @section("Playing: Limits")
+def test_dac_codes_stay_within_the_dac(probe: Probe) -> None:
+    """However loud a stream is, its DAC codes are among those that the DAC has."""
+    stream = stream_for(probe.description, unit="full scale")
+    codes = read_back(played(probe, stream, gain=_TOO_LOUD).dac_codes)
+    beyond = 1 << probe.description.actuator.dac_bits - 1
+    assert codes.any(), "expected DAC codes, came none but 0"
+    lowest, highest = int(codes.min()), int(codes.max())
+    assert -beyond <= lowest <= highest < beyond, (
+        f"expected codes from {-beyond} to {beyond - 1}, came {lowest} to {highest}"
+    )
+
+
+@section("Playing: Limits")
 def test_streams_begin_alike(probe: Probe) -> None:
     """A stream gives the same DAC codes when it comes right behind one that is far too loud."""
     stream = stream_for(probe.description, unit="full scale", seconds=1.2)

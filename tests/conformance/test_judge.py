@@ -1,6 +1,7 @@
 """The suite as a judge: faulty controllers fail it, nothing of the protocol is left out, and the report says it all."""
 
 import ast
+import errno
 import json
 import re
 from collections.abc import Iterator
@@ -8,20 +9,32 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from device_protocol import messages
-from device_protocol.frames import write_frame
-from device_protocol.messages import CaptureData, CaptureRead, ErrorCode, Status, Tap
+from device_protocol.frames import FrameReader, write_frame
+from device_protocol.messages import (
+    CaptureData,
+    CaptureRead,
+    ErrorCode,
+    HelloResponse,
+    Message,
+    Status,
+    Tap,
+    pack,
+    unpack,
+)
 from device_protocol.transports import Transport
 from host import conformance, devices
 from host.command_line import main
 from host.conformance import line as line_module
 from host.conformance import page
 from host.conformance.fixtures import SECTIONS
-from host.conformance.judge import Outcome, judge, requirements
+from host.conformance.judge import NotJudged, Outcome, judge, requirements
 from host.conformance.line import Line
+from host.conformance.report import Report
 from simulated_device.actuator import PIEZO_STACK
 from simulated_device.controller import Controller, Settings
 from simulated_device.memory_link import MemoryLink
@@ -87,6 +100,173 @@ def test_faults_are_found_and_told() -> None:
         assert reason in failed[test]
     assert "test_frame_is_found_after_noise" not in failed
     assert not any("please report" in reason for reason in failed.values())
+
+
+class Altered(Controller):
+    """Alters the messages that it sends."""
+
+    def alter(self, message: Message) -> Message:
+        return message
+
+    def transmit(self) -> bytes:
+        payloads = FrameReader().feed(super().transmit())
+        messages = [(sequence, self.alter(message)) for sequence, message in map(unpack, payloads)]
+        return b"".join(write_frame(pack(message, sequence)) for sequence, message in messages)
+
+
+class Backwards(Altered):
+    """Its clock runs backwards."""
+
+    def alter(self, message: Message) -> Message:
+        if not isinstance(message, Status):
+            return message
+        return replace(message, device_time_us=10**12 - message.device_time_us)
+
+
+class Clicking(Altered):
+    """Its output jumps to rest, and goes beyond the codes of its DAC; the actuator is none that is known here."""
+
+    def __init__(self) -> None:
+        super().__init__(Settings(actuator=replace(PIEZO_STACK, name="another", dac_bits=12)))
+
+    def alter(self, message: Message) -> Message:
+        if not isinstance(message, CaptureData) or message.tap != Tap.DAC:
+            return message
+        codes = np.frombuffer(message.data, "<i2")
+        jumping = np.where(np.abs(codes) < 200, 0, 2 * codes).astype("<i2")
+        return replace(message, data=jumping.tobytes())
+
+
+class OneSlot(Altered):
+    """Has one slot only."""
+
+    def alter(self, message: Message) -> Message:
+        return replace(message, images=message.images[:1]) if isinstance(message, HelloResponse) else message
+
+
+@pytest.mark.parametrize(
+    ("faulty", "reasons"),
+    [
+        (
+            Backwards,
+            {
+                "test_clocks": "a clock that never goes back",
+                "test_start_waits_for_the_device_time": "expected the device time",
+            },
+        ),
+        (
+            Clicking,
+            {
+                "test_output_never_jumps": "expected a ramp to and from",
+                "test_dac_codes_stay_within_the_dac": "expected codes from -2048 to 2047, came -",
+            },
+        ),
+        (OneSlot, {"test_slots_are_listed": "expected two slots"}),
+    ],
+)
+def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Controller], reasons: dict[str, str]) -> None:
+    _, findings = judge(line_to(faulty()))
+    failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
+    for test, reason in reasons.items():
+        assert reason in failed[test]
+    assert not any("please report" in reason for reason in failed.values())
+
+
+@pytest.mark.parametrize(
+    ("limits", "actuator", "test"),
+    [
+        ({"maximum_payload_bytes": 0}, {}, "test_limits_can_be_kept_to"),
+        ({"maximum_payload_bytes": 0xFFFF}, {}, "test_limits_can_be_kept_to"),
+        ({"maximum_packet_bytes": 1}, {}, "test_stream_can_be_played"),
+        ({"buffer_samples": 0}, {}, "test_limits_can_be_kept_to"),
+        ({"channels": 0}, {}, "test_limits_can_be_kept_to"),
+        ({"minimum_rate_hz": 0, "maximum_rate_hz": 0}, {}, "test_limits_can_be_kept_to"),
+        ({"watchdog_ms": 0}, {}, "test_limits_can_be_kept_to"),
+        ({}, {"stroke_um": float("nan")}, "test_actuator_is_described"),
+        ({}, {"stroke_um": 1e38}, "test_actuator_is_described"),
+        ({}, {"dac_bits": 0, "dac_rate_hz": 0}, "test_actuator_is_described"),
+    ],
+)
+def test_nothing_else_is_tried_where_hello_makes_no_sense(
+    limits: dict[str, int], actuator: dict[str, float], test: str, tmp_path: Path
+) -> None:
+    class Absurd(Altered):
+        def alter(self, message: Message) -> Message:
+            if not isinstance(message, HelloResponse):
+                return message
+            return replace(
+                message,
+                limits=replace(message.limits, **limits),
+                actuator=replace(message.actuator, **actuator),  # type: ignore[arg-type]
+            )
+
+    hello, findings = judge(line_to(Absurd()))
+    failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
+    assert list(failed) == [test]
+    assert "please report" not in failed[test]
+    assert sum(finding.outcome == Outcome.NOT_TRIED for finding in findings) > 200
+    Report(hello, tuple(findings)).write(tmp_path)
+    assert "NaN" not in (tmp_path / "conformance.json").read_text()
+
+
+def test_controller_of_another_plain_codec_is_judged() -> None:
+    class DctOnly(Altered):
+        def alter(self, message: Message) -> Message:
+            if not isinstance(message, HelloResponse):
+                return message
+            return replace(message, codecs=tuple(named for named in message.codecs if named[1] == "dct"))
+
+    _, findings = judge(line_to(DctOnly()))
+    outcomes = [finding.outcome for finding in findings]
+    assert set(outcomes) == {Outcome.PASSED, Outcome.NOT_OFFERED}
+    assert outcomes.count(Outcome.PASSED) > 180
+
+
+def test_texts_of_a_controller_do_nothing_on_the_terminal_or_the_page(
+    reached: list[Controller], tmp_path: Path
+) -> None:
+    class Hostile(Altered):
+        def alter(self, message: Message) -> Message:
+            return replace(message, build=hostile, hardware=hostile) if isinstance(message, HelloResponse) else message
+
+    hostile = "\x1b[2J\u202e\n# <b>![x](http://y)|`"
+    reached.append(Hostile())
+    ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path), "--quick", "--no-flash"], color=True)
+    page = (tmp_path / "conformance.md").read_text()
+    for text in (ran.output, page):
+        assert "\x1b" not in text
+        assert "\u202e" not in text
+    assert page.splitlines()[0].startswith("# \\\\x1b\\[2J")
+    assert "<b>" not in page
+    assert "![x]" not in page
+
+
+def test_result_is_told_where_the_report_cannot_be_written(
+    reached: list[Controller], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "conformance.md"))
+
+    reached.append(Controller())
+    monkeypatch.setattr(Path, "write_text", full)
+    ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path), "--quick", "--no-flash"])
+    assert ran.exit_code == 2
+    assert "conforming" in ran.output
+    assert ran.output.splitlines()[-1].endswith("make room, or write elsewhere")
+    assert list(tmp_path.iterdir()) == []
+
+
+class Mute(Controller):
+    """Says hello in letters that are none."""
+
+    def transmit(self) -> bytes:
+        payloads = FrameReader().feed(super().transmit())
+        return b"".join(write_frame(payload.replace(b"simulated", b"simul\xff\xfed")) for payload in payloads)
+
+
+def test_hello_that_cannot_be_read_is_told() -> None:
+    with pytest.raises(NotJudged, match="what comes after Hello cannot be read"):
+        judge(line_to(Mute()))
 
 
 class Dying(Controller):
