@@ -1,5 +1,6 @@
 """Measures how near what is played comes to what was sent: DAC codes bit by bit, and the skin, recorded or modelled."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -39,8 +40,10 @@ class Fidelity:
 
     `as_decoded`, `as_computed`: whether the samples that the controller decoded, and the codes that went to the DAC,
     are bit for bit what the host computes; None where the controller has no read-back. `coding_snr_db`: of the decoded
-    signal. The rest is of the displacement at the skin above 20 Hz, `source` says by what it is known: `snr_db` and
-    `st_sim` hold it against the texture, `playing_snr_db` against the decoded signal, which leaves the codec out.
+    signal, in the texture's unit; `decoded_snr_db`: of the same as displacement above 20 Hz, for which acceleration is
+    integrated twice: the codec's noise at low frequencies weighs most then. The rest is of that displacement at the
+    skin, `source` says by what it is known: `snr_db` and `st_sim` hold it against the texture, `playing_snr_db` against
+    the decoded signal, which leaves the codec out.
     `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock.
     """
 
@@ -49,6 +52,7 @@ class Fidelity:
     as_decoded: bool | None
     as_computed: bool | None
     coding_snr_db: float | None
+    decoded_snr_db: float | None
     snr_db: float | None
     st_sim: float | None
     playing_snr_db: float | None
@@ -77,31 +81,32 @@ def measure(
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
     encoding = coding.encode(one, stream_rate_hz, live=True)
-    finish = None if recorder is None else recorder(one.seconds + 2 * _AROUND_S)
-    if finish is not None:
-        controller.sleep(_AROUND_S)
-    outcome = end_to_end.play(
-        controller,
-        address,
-        texture.name,
-        encoding.stream,
-        encoding,
-        progress=progress and (lambda now: progress(now.position_s / (now.duration_s or 1.0))),
-        actuator=actuator,
-        skin_model=skin_model,
-    )
-    sent, decoded, skin = outcome.traces
+    with contextlib.nullcontext() if recorder is None else recorder(one.seconds + 2 * _AROUND_S) as finish:
+        if finish is not None:
+            controller.sleep(_AROUND_S)
+        outcome = end_to_end.play(
+            controller,
+            address,
+            texture.name,
+            encoding.stream,
+            encoding,
+            progress=progress and (lambda now: progress(now.position_s / (now.duration_s or 1.0))),
+            actuator=actuator,
+            skin_model=skin_model,
+        )
+        sent, decoded, skin = outcome.traces
+        if finish is None:
+            recorded, source = Recording(skin.values, skin.rate_hz, "um", "skin"), "the DAC's codes and a model"
+        else:
+            recorded, source = finish(), sensor_name
     rate_hz = round(sent.rate_hz)
-    if finish is None:
-        recorded, source = Recording(skin.values, skin.rate_hz, "um", "skin"), "the DAC's codes and a model"
-    else:
-        recorded, source = finish(), sensor_name
     recorded_um = displacement_above_20_hz(recorded, rate_hz)
     sent_um, decoded_um = (_high_passed(trace.displacement_um[:, 0], rate_hz) for trace in (sent, decoded))
     margin = np.zeros(rate_hz // 10)  # the model's skin has no time before and after
     laid = align(sent_um, np.concatenate((margin, recorded_um, margin)), rate_hz)
     laid_on_decoded = align(decoded_um, np.concatenate((margin, recorded_um, margin)), rate_hz)
     against_sent = metrics.measure(sent_um[:, None], laid.aligned[:, None], rate_hz)
+    as_displacement = metrics.measure(sent_um[:, None], decoded_um[:, None], rate_hz)
     against_decoded = metrics.measure(decoded_um[:, None], laid_on_decoded.aligned[:, None], rate_hz)
     frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
     _, residual_db = third_octave_levels(sent_um - laid.aligned, rate_hz)
@@ -111,6 +116,7 @@ def measure(
         as_decoded=outcome.report.decoded_equals_offline,
         as_computed=outcome.report.dac_equals_offline,
         coding_snr_db=encoding.snr_db,
+        decoded_snr_db=as_displacement.snr_db,
         snr_db=against_sent.snr_db,
         st_sim=against_sent.st_sim_2800,
         playing_snr_db=against_decoded.snr_db,

@@ -21,6 +21,11 @@ from host.picture import STYLES
 _SHADES = ("#20123a", "#2a7fb8", "#7fb8d8", "#f0a030", "#d0d0d0", "#707070", "#f7d9a8", "#ffffff")
 _HATCHES = ("", "//", "", "..", "", "xx", "\\\\", "")
 
+_COMPARED = (
+    "It is compared as displacement above 20 Hz. A texture in m/s^2 is coded as acceleration; integrated twice, the "
+    "codec's noise at low frequencies weighs most, so the second SNR of the codec is less than the first. It is the "
+    "most that the skin can have; the last SNR leaves the codec out."
+)
 _STYLE = """
 body { font: 16px/1.45 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #202020 }
 table { border-collapse: collapse; margin: .8rem 0 } td, th { padding: .15rem .8rem .15rem 0; text-align: right }
@@ -191,6 +196,7 @@ def _fidelity(textures: list[dict[str, Any]]) -> str:
         "as_decoded": "decoded as sent",
         "as_computed": "DAC as computed",
         "coding_snr_db": "SNR of the codec, dB",
+        "decoded_snr_db": "as displacement, dB",
         "snr_db": "SNR at the skin, dB",
         "playing_snr_db": "without the codec, dB",
         "st_sim": "ST-SIM",
@@ -200,7 +206,8 @@ def _fidelity(textures: list[dict[str, Any]]) -> str:
     rows = [[texture[key] for key in columns] for texture in textures]
     known_by = _text(textures[0]["source"])
     plots = "".join(_figure(draw(texture)) for texture in textures)
-    return f"<h2>Fidelity</h2><p>The skin is known by: {known_by}.</p>{_table(list(columns.values()), rows)}{plots}"
+    figures = _table(list(columns.values()), rows)
+    return f"<h2>Fidelity</h2><p>The skin is known by: {known_by}. {_COMPARED}</p>{figures}{plots}"
 
 
 def _response(measured: dict[str, Any], actuator_table: str) -> str:

@@ -1,5 +1,6 @@
 """Measures the frequency response from drive to displacement by a sweep, and fits the actuator's parameters to it."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -139,25 +140,25 @@ def play_sweep(
     chirp = AMPLITUDE * np.sin(phase * (np.exp(time_s / seconds * np.log(highest_hz / LOWEST_HZ)) - 1))
     chirp *= np.clip(np.minimum(time_s, seconds - time_s) / _FADE_S, 0.0, 1.0)
     stream = as_stream(codec.encode(chirp[:, None], rate_hz, {"step": _STEP}, live=True), "full scale")
-    finish = None if recorder is None else recorder(seconds + 2 * _AROUND_S)
-    if finish is not None:
-        controller.sleep(_AROUND_S)
-    played = player.play(
-        controller,
-        stream.header,
-        stream.packets,
-        stream.decoder().packet_samples,
-        compensation=compensation,
-        capture=True,
-        progress=progress and (lambda now: progress(now.position_s / seconds)),
-    )
-    if played.underruns or played.lost_packets or played.dac_codes is None or played.decoded is None:
-        raise ControllerError("the sweep was not played whole: use a machine that is less busy, or a shorter cable")
-    if finish is None:
-        displacement_um = actuator.displacement_um(played.dac_codes[:, :1], _OVERSAMPLING)
-        recording = Recording(displacement_um, _OVERSAMPLING * actuator.dac_rate_hz, "um", "model")
-    else:
-        recording = finish()
+    with contextlib.nullcontext() if recorder is None else recorder(seconds + 2 * _AROUND_S) as finish:
+        if finish is not None:
+            controller.sleep(_AROUND_S)
+        played = player.play(
+            controller,
+            stream.header,
+            stream.packets,
+            stream.decoder().packet_samples,
+            compensation=compensation,
+            capture=True,
+            progress=progress and (lambda now: progress(now.position_s / seconds)),
+        )
+        if played.underruns or played.lost_packets or played.dac_codes is None or played.decoded is None:
+            raise ControllerError("the sweep was not played whole: use a machine that is less busy, or a shorter cable")
+        if finish is None:
+            displacement_um = actuator.displacement_um(played.dac_codes[:, :1], _OVERSAMPLING)
+            recording = Recording(displacement_um, _OVERSAMPLING * actuator.dac_rate_hz, "um", "model")
+        else:
+            recording = finish()
     given = played.dac_codes[:, 0] / actuator.full_scale
     if compensation:
         given = played.decoded[:, 0] / 32768 * stream.header.gains[0]

@@ -1,21 +1,27 @@
 """Records an actuator by a sensor of the bench: runs its program, and reads the file that it wrote."""
 
+import contextlib
+import os
+import signal
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import BinaryIO, TypeAlias
 
 import textures
 from host.harness.bench_file import Sensor
 from textures import Recording
 
-Recorder: TypeAlias = Callable[[float], Callable[[], Recording]]
-"""Starts to record for so many seconds; what it returns waits for the end and gives the recording, m/s^2 or um."""
+Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]
+"""Records for so many seconds; what it yields waits for the end and gives the recording, m/s^2 or um."""
 
 # A program may take so long to start, and to end after its time.
 _STARTS_WITHIN_S = 1.0
 _ENDS_WITHIN_S = 15.0
+_LONGEST_COMPLAINT_BYTES = 500
 
 
 class SensorError(RuntimeError):
@@ -26,42 +32,54 @@ def recorder(sensor: Sensor) -> Recorder:
     """Return what records by a sensor's program. Raises SensorError, when it starts and when it gives its recording.
 
     It is started so long before what is played that the beginning is in the recording, as the harness waits for it.
+    What it has started has ended when the block is left, however that is.
     """
 
-    def start(seconds: float) -> Callable[[], Recording]:
-        folder = tempfile.TemporaryDirectory(prefix="vibrocast-")
-        file = Path(folder.name) / f"recording{sensor.suffix}"
-        values = {"{file}": str(file), "{seconds}": f"{seconds + _STARTS_WITHIN_S:g}"}
-        command = [_filled(part, values) for part in sensor.command]
-        try:
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-            )
-        except OSError as error:
-            folder.cleanup()
-            raise SensorError(
-                f"sensor {sensor.name}: {command[0]} cannot be run ({error.strerror}); correct its command in the "
-                "bench file"
-            ) from error
+    @contextlib.contextmanager
+    def record(seconds: float) -> Iterator[Callable[[], Recording]]:
+        with tempfile.TemporaryDirectory(prefix="vibrocast-", ignore_cleanup_errors=True) as folder:
+            file, complaints = Path(folder) / f"recording{sensor.suffix}", Path(folder) / "complaints"
+            values = {"{file}": str(file), "{seconds}": f"{seconds + _STARTS_WITHIN_S:g}"}
+            command = [_filled(part, values) for part in sensor.command]
+            with complaints.open("wb") as stderr:  # a pipe would be held open by what the program has started
+                process = _start(sensor, command, stderr)
+            try:
+                yield partial(_finish, sensor, process, file, complaints, seconds + _STARTS_WITHIN_S + _ENDS_WITHIN_S)
+            finally:
+                # In a session of its own: with a shell goes what it has started.
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
-        def finish() -> Recording:
-            with folder:
-                try:
-                    _, complaint = process.communicate(timeout=seconds + _STARTS_WITHIN_S + _ENDS_WITHIN_S)
-                except BaseException as error:
-                    process.kill()
-                    process.communicate()
-                    if isinstance(error, subprocess.TimeoutExpired):
-                        raise SensorError(f"sensor {sensor.name}: {command[0]} does not end by itself") from error
-                    raise
-                if process.returncode or not file.exists():
-                    lines = complaint.strip().splitlines() or [f"exit code {process.returncode}"]
-                    raise SensorError(f"sensor {sensor.name}: {command[0]} has recorded nothing: {lines[-1]}")
-                return read_recording(sensor, file)
+    return record
 
-        return finish
 
-    return start
+def _start(sensor: Sensor, command: list[str], stderr: BinaryIO) -> "subprocess.Popen[bytes]":
+    try:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True
+        )
+    except OSError as error:
+        raise SensorError(
+            f"sensor {sensor.name}: {command[0]} cannot be run ({error.strerror}); correct its command in the bench "
+            "file"
+        ) from error
+
+
+def _finish(
+    sensor: Sensor, process: "subprocess.Popen[bytes]", file: Path, complaints: Path, within_s: float
+) -> Recording:
+    """Wait for a sensor's program and return what it has recorded. Raises SensorError."""
+    try:
+        process.wait(within_s)
+    except subprocess.TimeoutExpired as error:
+        raise SensorError(f"sensor {sensor.name}: {sensor.command[0]} does not end by itself") from error
+    if process.returncode or not file.exists():
+        with complaints.open("rb") as said:
+            said.seek(max(0, complaints.stat().st_size - _LONGEST_COMPLAINT_BYTES))
+            lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
+        raise SensorError(f"sensor {sensor.name}: {sensor.command[0]} has recorded nothing: {lines[-1]}")
+    return read_recording(sensor, file)
 
 
 def read_recording(sensor: Sensor, file: Path) -> Recording:

@@ -1,6 +1,7 @@
 """The frequency response by a sweep: an unknown actuator's parameters from a noisy sensor, and what they do."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +31,8 @@ def bench(
     link = MemoryLink(SimulatedController(Settings(actuator=believed), on_dac=codes.append))
     rate_hz = OVERSAMPLING * real.dac_rate_hz
 
-    def start(seconds: float) -> Callable[[], Recording]:
+    @contextmanager
+    def record(seconds: float) -> Iterator[Callable[[], Recording]]:
         codes.clear()
 
         def finish() -> Recording:
@@ -42,9 +44,9 @@ def bench(
             noise *= 10 ** (noise_db / 20) * np.sqrt(np.mean(np.square(skin)))
             return Recording((skin + noise)[:, None], rate_hz / (1 + drift_ppm / 1e6), unit, "sensor")
 
-        return finish
+        yield finish
 
-    return Controller(link, link.clock, link.sleep), start
+    return Controller(link, link.clock, link.sleep), record
 
 
 @pytest.mark.parametrize(
@@ -88,9 +90,10 @@ def test_compensation_with_the_fitted_actuator_flattens_the_response() -> None:
 def test_a_sensor_that_is_not_there_is_told() -> None:
     controller, _ = bench(PIEZO_STACK, PIEZO_STACK, "um")
 
-    def silent(seconds: float) -> Callable[[], Recording]:
+    @contextmanager
+    def silent(seconds: float) -> Iterator[Callable[[], Recording]]:
         noise = np.random.default_rng(4).standard_normal((round(seconds * 8000), 1))
-        return lambda: Recording(noise, 8000.0, "um", "sensor")
+        yield lambda: Recording(noise, 8000.0, "um", "sensor")
 
     with pytest.raises(AlignmentError, match="check the sensor"):
         response.measure(controller, PIEZO_STACK, recorder=silent, seconds=SWEEP_S)

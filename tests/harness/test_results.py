@@ -23,6 +23,7 @@ RUN = results.Results(
                 "as_decoded": True,
                 "as_computed": True,
                 "coding_snr_db": 15.0,
+                "decoded_snr_db": 15.0,
                 "snr_db": float("inf"),
                 "st_sim": 0.9,
                 "playing_snr_db": 30.0,
