@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from device_protocol.messages import ActuatorDescription
 from host import devices
 from host.controller import Controller
 from host.end_to_end import actuator_model
+from host.input_files import InputFileError
 from simulated_device.actuator import ACTUATORS, Actuator
 from simulated_device.actuator_tables import constants
 from textures import Recording
@@ -26,7 +28,7 @@ SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
 DEFAULT_TEXTURE = "wood"
 
 
-class BenchFileError(ValueError):
+class BenchFileError(InputFileError):
     """A bench file that is wrong; the message names file, table and key, and says what to do."""
 
 
@@ -84,13 +86,11 @@ class Bench:
 
     def actuator(self, controller: str, channel: int = 1) -> Actuator | None:
         """Return the model of the actuator on a channel; None where the bench file says nothing of it."""
-        for each in self.actuators:
-            if each.controller == controller and each.channel in (None, channel):
-                return each.model
-        return None
+        models = {each.channel: each.model for each in self.actuators if each.controller == controller}
+        return models.get(channel, models.get(None))
 
     def scene(self) -> tuple[Recording, ...]:
-        """Return the textures, loaded or made; a generated one where the bench names none. Raises TextureError."""
+        """Return the textures, loaded or made; a generated one where the bench names none. Raises BenchFileError."""
         if not self.textures:
             return (textures.GENERATORS[DEFAULT_TEXTURE](),)
         return tuple(load() for load in self.textures)
@@ -104,7 +104,7 @@ def read_bench(path: Path) -> Bench:
         raise BenchFileError(f"{path}: longer than any bench file; give another")
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BenchFileError(f"{path}: not a TOML file: {error}") from error
     readers = {"controllers": _controller, "actuators": _actuator, "sensors": _sensor, "textures": _texture}
     if unknown := sorted(set(document) - set(readers)):
@@ -124,6 +124,15 @@ def read_bench(path: Path) -> Bench:
         names = [entry.name for entry in read[kind]]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise BenchFileError(f"{path}: two [[{kind}]] are named {twice[0]!r}; give each its own name")
+    for kind in ("actuators", "sensors"):
+        places: set[tuple[str, int | None]] = set()
+        for number, entry in enumerate(read[kind], 1):
+            place = (entry.controller, entry.channel)
+            if place in places:
+                raise BenchFileError(
+                    f"{path}: [[{kind}]] {number}: there is another one on that channel; leave one out"
+                )
+            places.add(place)
     return Bench(**{kind: tuple(entries) for kind, entries in read.items()})
 
 
@@ -285,7 +294,7 @@ def _sensor(table: _Table) -> Sensor:
 
 
 def _texture(table: _Table) -> Callable[[], Recording]:
-    """Return what loads or makes a texture: that raises TextureError, a wrong table BenchFileError."""
+    """Return what loads or makes a texture: that, and a wrong table, raises BenchFileError."""
     file = table.text("file", None)
     if file is None:
         make = textures.GENERATORS[table.word("generate", sorted(textures.GENERATORS))]
@@ -295,7 +304,9 @@ def _texture(table: _Table) -> Callable[[], Recording]:
             "seed": table.whole("seed", 0, 2**32 - 1, None),
         }
         table.end()
-        return lambda: make(**{key: value for key, value in options.items() if value is not None})
+        return lambda: _loaded(
+            table, partial(make, **{key: value for key, value in options.items() if value is not None})
+        )
     path = table.path.parent / file
     if not path.exists():
         raise table.refuse(f"file {path} does not exist")
@@ -308,7 +319,14 @@ def _texture(table: _Table) -> Callable[[], Recording]:
         "hand_speed_mm_s": table.number("hand_speed_mm_s", None),
     }
     table.end()
-    return lambda: textures.load(path, **options)
+    return lambda: _loaded(table, partial(textures.load, path, **options))
+
+
+def _loaded(table: _Table, load: Callable[[], Recording]) -> Recording:
+    try:
+        return load()
+    except textures.TextureError as error:
+        raise table.refuse(str(error)) from error
 
 
 def _text(value: Any) -> str:
@@ -342,6 +360,8 @@ def _address(value: Any) -> str:
 def _command(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or not value or not all(isinstance(part, str) and part for part in value):
         raise TypeError(value)
+    if "\0" in "".join(value):
+        raise ValueError(value)
     named = {found for part in value for found in re.findall(r"\{(\w*)\}", part)}
     if "file" not in named or named - set(SENSOR_PLACEHOLDERS):
         raise ValueError(value)

@@ -33,6 +33,13 @@ def test_an_actuator_written_is_the_one_read(actuator: Actuator, tmp_path: Path)
     assert read_bench(path).actuator("left") == actuator
 
 
+def test_a_texture_that_cannot_be_made_is_told_with_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text(CONTROLLER + '[[textures]]\ngenerate = "rough"\nseconds = 1e9\n')
+    with pytest.raises(BenchFileError, match=r"\[\[textures\]\] 1: 1000000000.0 s at"):
+        read_bench(path).scene()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -59,6 +66,10 @@ def test_an_actuator_written_is_the_one_read(actuator: Actuator, tmp_path: Path)
         (CONTROLLER + SENSOR.replace('"laser"\ncom', '"ear"\ncom'), "[[sensors]] 1: kind must be one of accelerometer"),
         (CONTROLLER + SENSOR.replace("{file}", "x.wav"), "command must be a list of a program and its arguments"),
         (CONTROLLER + SENSOR + "sensitivity = 0.1\n", "sensitivity needs its unit: add unit, such as 'm/s^2'"),
+        (CONTROLLER + SENSOR.replace("record", "\\u0000"), "command must be a list of a program and its arguments"),
+        (CONTROLLER + SENSOR + SENSOR.replace('name = "laser"', 'name = "b"'), "[[sensors]] 2: there is another one"),
+        (CONTROLLER + 2 * '[[actuators]]\nmodel = "lra"\n', "[[actuators]] 2: there is another one on that channel"),
+        ("a = " + 9999 * "[", "not a TOML file"),
         (CONTROLLER + '[[textures]]\nfile = "none.wav"\n', "does not exist"),
         (CONTROLLER + '[[textures]]\ngenerate = "silk"\n', "generate must be one of grating, "),
     ],
