@@ -166,8 +166,8 @@ class Controller:
         """Ask for the status without waiting for it; `poll` brings it. Raises TransportError."""
         self._write(self._next_request(StatusRequest()))
 
-    def poll(self, timeout_s: float) -> None:
-        """Take in what the controller sends, waiting for it at most `timeout_s`.
+    def poll(self, timeout_s: float) -> Message | None:
+        """Take in what the controller sends, waiting for it at most `timeout_s`; return the answer to what was asked.
 
         Raises TransportError, and ControllerError if the controller refuses or complains.
         """
@@ -177,6 +177,7 @@ class Controller:
         if self._complaint is not None:
             complaint, self._complaint = self._complaint, None
             raise _refusal(complaint)
+        return answer
 
     def request_status(self) -> Status:
         """Ask for the status and return it. Raises as `request`."""

@@ -27,9 +27,9 @@ EXPECTED_RMS = 0.2
 _LARGEST_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 _END_S = 5.0
-# After a pause a live source may give what it kept, at once; one that goes on faster than its rate is none.
+# What a live source kept before it was heard may come at once; what floods so many streams in a row is none.
 _FLOOD_FACTOR = 1.5
-_FLOOD_S = 1.0
+_MOST_FLOODS = 4
 _POLL_S = 0.005
 
 
@@ -100,6 +100,7 @@ class LiveStream:
         # The first block that is ever coded takes longer than others, and would make all of the stream that much later.
         encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
         self._gain, self._compensation = gain, compensation
+        self._floods = 0  # streams in a row
         self._configure()
 
     @property
@@ -156,17 +157,19 @@ class LiveStream:
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
         if out_of_step:
-            self._refuse_flood()
+            self._refuse_floods()
         if out_of_step or self.status.state == State.WATCHDOG:
             self.begin_anew()
 
-    def _refuse_flood(self) -> None:
+    def _refuse_floods(self) -> None:
         """Raise LiveError for a source that does not keep its own rate: what is ahead of time would be lost."""
         sent_s = self.packets_sent * self.packet_samples / self.format.rate_hz
-        if sent_s > _FLOOD_FACTOR * (self.controller.clock() - self._began_s) + _FLOOD_S:
+        took_s = self.controller.clock() - self._began_s
+        self._floods = self._floods + 1 if sent_s > _FLOOD_FACTOR * took_s else 0
+        if self._floods == _MOST_FLOODS:
             raise LiveError(
-                f"the source gave {sent_s:.1f} s in {self.controller.clock() - self._began_s:.1f} s: a live one keeps "
-                "its rate; play a recording from its file"
+                f"the source gave {sent_s:.1f} s in {took_s:.1f} s, again and again: a live one keeps its rate; play a "
+                "recording from its file"
             )
 
     def poll(self, timeout_s: float) -> None:
@@ -249,15 +252,18 @@ def play(
         raise
 
 
-def paced(stream: LiveStream, samples: Signal, block_samples: int) -> Iterator[tuple[float, Signal]]:
+def paced(
+    stream: LiveStream, samples: Signal, block_samples: int, sleep: Callable[[float], None] | None = None
+) -> Iterator[tuple[float, Signal]]:
     """Yield blocks of samples (n, channels), each when its last sample would have been taken, and with that time.
 
-    Times are in seconds of the controller session's clock.
+    Times are in seconds of the controller session's clock; `sleep` waits in between, None = the session's.
     """
+    sleep = sleep or stream.controller.sleep
     controller, rate_hz = stream.controller, stream.format.rate_hz
     began_s = controller.clock()
     for start in range(0, len(samples), block_samples):
         block = samples[start : start + block_samples]
         due_s = began_s + (start + len(block)) / rate_hz
-        controller.sleep(max(0.0, due_s - controller.clock()))
+        sleep(max(0.0, due_s - controller.clock()))
         yield due_s, block

@@ -57,6 +57,8 @@ def live(
         texture = textures.GENERATORS[source](seconds=seconds, rate_hz=rate_hz)
         peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
         signal_format = streaming.live_format(rate_hz, texture.unit, peaks.tolist(), rms.tolist())
+    elif sys.stdin is None:
+        raise BadInput("standard input is closed: pipe samples into it, or name a texture")
     else:
         signal_format = streaming.live_format(rate_hz, unit, [full_scale] * channels)
     with devices.connect(address) as controller, progress.shown("streaming") as update:

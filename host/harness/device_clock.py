@@ -5,11 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from device_protocol.messages import Status
-from host.controller import Controller
+from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller
 
 # Round trips kept: those that no queue on the way has held up.
 _KEPT_PART = 0.25
 _FEWEST_KEPT = 8
+# A read is given up so long before its time, for it may take longer than asked: USB counts in whole milliseconds.
+_READ_EARLY_S = 0.001
+_SHORTEST_READ_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -32,25 +35,46 @@ class ClockFit:
 
 
 class DeviceClock:
-    """Collects Status round trips with a controller: when each was sent and answered, and the device's time between."""
+    """Collects Status round trips with a controller, none of which is waited for: a slow link holds nothing up.
+
+    `trips`: of each, by the number it was asked under, when it was asked and answered, and the answer.
+    """
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
-        self._trips: list[tuple[float, float, float]] = []
+        self._asked: tuple[int, float] | None = None
+        self.trips: dict[int, tuple[float, float, Status]] = {}
 
-    def probe(self) -> Status:
-        """Make a round trip and return its status. Raises as `Controller.request_status`."""
-        sent_s = self._controller.clock()
-        status = self._controller.request_status()
-        self._trips.append((sent_s, self._controller.clock(), status.device_time_us / 1e6))
-        return status
+    def ask(self, number: int) -> None:
+        """Ask, unless an answer is still awaited. Raises TransportError."""
+        now_s = self._controller.clock()
+        if self._asked is None or now_s - self._asked[1] > ANSWER_TIMEOUT_S:
+            self._asked = number, now_s
+            self._controller.ask_status()
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass and take in what is answered. Raises as `Controller.poll`."""
+        until_s = self._controller.clock() + seconds
+        read_until_s = until_s - _READ_EARLY_S
+        while self._asked is not None and (left_s := read_until_s - self._controller.clock()) >= _SHORTEST_READ_S:
+            answer = self._controller.poll(left_s)
+            if isinstance(answer, Status):
+                number, asked_s = self._asked
+                self.trips[number] = asked_s, self._controller.clock(), answer
+                self._asked = None
+        self._controller.sleep(max(0.0, until_s - self._controller.clock()))
 
     def fit(self) -> ClockFit:
         """Return the line through the shortest round trips, each taken to be as long there as back.
 
+        Raises ControllerError where nothing was answered in time.
         Least squares, as in the clock filter of NTP (RFC 5905, section 10), which trusts the shortest of recent trips.
         """
-        sent_s, answered_s, device_s = np.array(self._trips).T
+        if not self.trips:
+            raise ConnectionLost("the controller does not answer in time. Check the cable and what else uses it.")
+        sent_s, answered_s, device_s = np.array(
+            [(sent_s, answered_s, status.device_time_us / 1e6) for sent_s, answered_s, status in self.trips.values()]
+        ).T
         round_trips_s = answered_s - sent_s
         kept = np.argsort(round_trips_s, kind="stable")[: max(_FEWEST_KEPT, round(_KEPT_PART * len(round_trips_s)))]
         middle_s = (sent_s[kept] + answered_s[kept]) / 2

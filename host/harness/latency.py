@@ -11,7 +11,7 @@ import codec
 import textures
 from device_protocol.messages import State, Tap
 from host import live
-from host.controller import Controller
+from host.controller import Controller, ControllerError
 from host.harness.device_clock import ClockFit, DeviceClock
 from host.harness.read_back import read_capture
 from simulated_device.actuator import Actuator
@@ -103,8 +103,8 @@ def measure(
 ) -> Latency:
     """Stream a texture live, as long as `seconds`, and measure where the time goes; `actuator`: the controller's.
 
-    Everything is by the session's clock and the device's, whose offset and drift come from a Status round trip after
-    each packet; its answer also tells when the packet was there. Raises as `live.LiveStream`.
+    Everything is by the session's clock and the device's, whose offset and drift come from Status round trips behind
+    packets, one at a time; the answers also tell when those packets were there. Raises as `live.LiveStream`.
     """
     samples = looped(texture, seconds, rate_hz)
     rms = np.sqrt(np.mean(np.square(samples), axis=0))
@@ -113,22 +113,16 @@ def measure(
     clock = DeviceClock(controller)
     packets: list[bytes] = []
     times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent
-    arrived_device_s: list[float] = []
-    began_device_s: list[float] = []
     try:
-        for due_s, block in live.paced(stream, samples, stream.packet_samples):
+        for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             awake_s = controller.clock()
             coded = stream.code(block)
             coded_s = controller.clock()
             stream.send_packets(coded)
             sent_s = controller.clock()
-            status = clock.probe()
-            if status.state == State.PLAYING and status.position:
-                # Positions are whole samples that have been played: the earliest estimate is the best.
-                began_device_s.append(status.device_time_us / 1e6 - status.position / rate_hz)
+            clock.ask(len(times_s))
             packets += coded
             times_s.append((due_s, awake_s, coded_s, sent_s))
-            arrived_device_s.append(status.device_time_us / 1e6)
             if progress is not None:
                 progress(len(times_s) * stream.packet_samples / len(samples))
         result = stream.finish()
@@ -141,10 +135,17 @@ def measure(
     first, decoded = read_capture(controller, Tap.DECODED, stream.header.channels)
     expected = np.concatenate([decoder.decode(packet) for packet in packets])
     # The first packet is left out: it waited for the start of the stream.
-    numbers = np.arange(1, len(times_s))
+    numbers = np.array([number for number in clock.trips if number], np.int64)
     due_s_, awake_s_, coded_s_, sent_s_ = np.array(times_s)[numbers].T
-    arrived_s = np.array([fit.host_time_s(device_s) for device_s in arrived_device_s])[numbers]
-    began_s = fit.host_time_s(min(began_device_s, default=arrived_device_s[0]))
+    statuses = [clock.trips[number][2] for number in numbers]
+    arrived_s = np.array([fit.host_time_s(status.device_time_us / 1e6) for status in statuses])
+    # Positions are whole samples that have been played: the earliest estimate is the best.
+    playing = [at for at, status in enumerate(statuses) if status.state == State.PLAYING and status.position]
+    if not playing:
+        raise ControllerError(
+            "the stream never played: no packet came in time. Check the link, or what else it carries"
+        )
+    began_s = min(arrived_s[at] - statuses[at].position / rate_hz for at in playing)
     needed_s = began_s + numbers * stream.packet_samples / rate_hz
     drive_s = Drive(stream.header, actuator, compensation=True).delay_seconds
     codec_s = (stream.packet_samples - 1 + decoder.delay_samples) / rate_hz

@@ -153,6 +153,16 @@ def test_a_source_that_does_not_keep_its_rate_is_refused() -> None:
     assert controller.request_status().state == State.STOPPED
 
 
+def test_what_a_source_kept_before_it_was_heard_is_passed_over() -> None:
+    _, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+    for start in range(0, 5 * RATE_HZ, 16):
+        stream.send(noise(5.0)[start : start + 16])
+    result = live.play(stream, blocks(stream, noise(2.0)))
+    assert result.streams == 2
+    assert result.underruns == 0
+
+
 def test_what_cannot_be_streamed_is_refused() -> None:
     _, controller = bench(Settings(channels=1))
     with pytest.raises(StreamError, match="2 channels, the controller has 1"):
