@@ -47,6 +47,33 @@ def test_a_run_is_written_and_compared_with_itself_and_a_better_one(tmp_path: Pa
     assert f"error: worse than in {earlier}: rough: SNR without the codec, dB" in worse.output
 
 
+def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken = iter([1000.0, 100.0, 1000.0, 100.0, 100.0, 100.0])
+    monkeypatch.setattr(
+        measurements,
+        "MEASUREMENTS",
+        {
+            "throughput": lambda *_: {
+                "to_controller_bytes_per_s": next(taken),
+                "to_host_bytes_per_s": 1.0,
+                "bad_frames": 0,
+            }
+        },
+    )
+    earlier = str(tmp_path / "earlier" / "measured.json")
+    arguments = ("--only", "throughput", "--out")
+    assert run(*arguments, str(tmp_path / "earlier")).exit_code == 0
+    once = run(*arguments, str(tmp_path / "once"), "--compare", earlier)
+    assert once.exit_code == 0
+    assert "worse, measured again: throughput" in once.output
+    lasting = run(*arguments, str(tmp_path / "lasting"), "--compare", earlier)
+    assert lasting.exit_code == 1
+    assert "bytes/s to the controller" in lasting.output
+    assert next(taken, None) is None
+
+
 def test_what_was_measured_before_the_cable_was_pulled_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def pulled(*_: object) -> None:
         raise TransportError("the cable is out")
@@ -67,6 +94,12 @@ def test_a_sensor_that_fails_leaves_the_other_measurements(tmp_path: Path) -> No
     assert result.exit_code == 1
     assert "not measured: fidelity: sensor laser: " in result.output and "no microphone" in result.output
     assert "bytes/s to the host" in result.output
+
+
+def test_a_sensor_that_complains_in_no_known_letters_is_told(tmp_path: Path) -> None:
+    bench = str(bench_file(tmp_path, "import os; os.write(2, bytes([255])); raise SystemExit(1)"))
+    result = run("--bench", bench, "--only", "fidelity", "--out", str(tmp_path / "out"))
+    assert "not measured: fidelity: sensor laser: " in result.output
 
 
 @pytest.mark.parametrize(
