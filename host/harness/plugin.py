@@ -4,14 +4,15 @@ It is loaded with every pytest of the environment, so it imports what it needs o
 loaded by its module's name as well, `-p no:vibrocast -p host.harness.plugin` keeps the two from colliding.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from host.controller import Controller
+    from host.end_to_end import Outcome
     from host.harness.bench_file import Bench
     from simulated_device.actuator import Actuator
     from textures import Recording
@@ -71,6 +72,29 @@ def actuator(bench: "Bench", controller: "Controller") -> "Actuator":
     from host.harness.bench_file import actuator_of
 
     return actuator_of(bench, bench.first, controller.description.actuator)
+
+
+@pytest.fixture
+def play(bench: "Bench", controller: "Controller", actuator: "Actuator") -> "Callable[..., Outcome]":
+    """Codes a texture, with what options `host.coding.encode` takes, plays it, and compares: `host.end_to_end.play`."""
+    from host import coding, end_to_end
+    from host.harness.bench_file import driven_actuator
+
+    driven = driven_actuator(bench, bench.first, controller.description.actuator)
+
+    def play_texture(texture: "Recording", **options: Any) -> "Outcome":
+        encoding = coding.encode(texture, live=True, **options)
+        return end_to_end.play(
+            controller,
+            bench.first.address,
+            texture.name,
+            encoding.stream,
+            encoding,
+            actuator=driven,
+            skin_model=actuator,
+        )
+
+    return play_texture
 
 
 @pytest.fixture(scope="session")

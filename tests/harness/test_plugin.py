@@ -8,12 +8,8 @@ import pytest
 pytest_plugins = "pytester"
 
 USERS_TEST = """
-from host import coding
-from host.end_to_end import play
-
-def test_what_is_played_is_what_was_sent(controller, actuator, scene, request):
-    encoding = coding.encode(scene[0], live=True)
-    report = play(controller, "bench", scene[0].name, encoding.stream, encoding).report
+def test_what_is_played_is_what_was_sent(play, actuator, scene, request):
+    report = play(scene[0]).report
     assert report.dac_equals_offline
     assert report.actuator.name == actuator.name == request.config.getoption("expected_actuator", "piezo-stack")
 """
@@ -29,6 +25,12 @@ address = "sim"
 [[controllers]]
 name = "right"
 address = "sim-usb"
+
+[[actuators]]
+controller = "left"
+name = "stack 3"
+model = "piezo-stack"
+corner_hz = 241.5
 
 [[actuators]]
 controller = "right"
@@ -47,7 +49,7 @@ LOADED = ("-p", "no:vibrocast", "-p", "host.harness.plugin", "-p", "no:cacheprov
     [
         ([], "piezo-stack"),
         (["--device", "sim-usb"], "piezo-stack"),
-        (["--bench", "bench.toml"], "piezo-stack"),
+        (["--bench", "bench.toml"], "stack 3"),
         (["--bench", "bench.toml", "--device", "right"], "voice-coil"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else value,
