@@ -15,6 +15,7 @@ from codec.coding import (
 )
 from codec.interface import (
     RUNTIMES,
+    Choice,
     Codec,
     CodecError,
     CodedSignal,
@@ -28,6 +29,8 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    Steering,
+    Trial,
 )
 from codec.rate_control import RATE_TOLERANCE, SNR_TOLERANCE_DB, channel_snrs_db, encode_to_rate, encode_to_snr, snr_db
 
@@ -36,6 +39,7 @@ __all__ = [
     "RATE_TOLERANCE",
     "RUNTIMES",
     "SNR_TOLERANCE_DB",
+    "Choice",
     "Codec",
     "CodecError",
     "CodedSignal",
@@ -49,6 +53,8 @@ __all__ = [
     "Setting",
     "Signal",
     "SignalFormat",
+    "Steering",
+    "Trial",
     "channel_snrs_db",
     "check_tables",
     "codec_by_identifier",

@@ -220,7 +220,7 @@ class Source:
         framing = self._framing
         tried_samples = 0
         while True:
-            encoder = self.codec.make_encoder(setting, self.format, framing, self._model)
+            encoder = self.codec.make_encoder(setting, self.format, framing, self._model, None)
             packets = self._packets(encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
             if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or as_short_as_can_be:
@@ -238,7 +238,7 @@ class Source:
     def takes(self, setting: Setting) -> bool:
         """Return whether the codec has this setting with this model."""
         try:
-            self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self._model)
+            self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self._model, None)
         except CodecError:
             return False
         return True

@@ -24,7 +24,9 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    Steering,
     number,
+    refuse_steering,
     varint,
     word,
 )
@@ -201,8 +203,15 @@ def _huffman_code(values: NDArray[np.int64], zeros: bool) -> bytes:
     return pack_bits(np.concatenate([words, codes]), np.concatenate([sizes, np.array(lengths)[symbols] + low_bits]))
 
 
-def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> DctEncoder:
+def make_encoder(
+    setting: Setting,
+    signal_format: SignalFormat,
+    framing: Framing,
+    model: Model | None,
+    steering: Steering | None = None,
+) -> DctEncoder:
     """Make an encoder. Raises CodecError as `DctEncoder`."""
+    refuse_steering(NAME, steering)
     assert model is None, "takes_model is not set"
     return DctEncoder(setting, signal_format, framing)
 

@@ -19,10 +19,12 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    Steering,
     check_channels,
     checked_parts,
     number,
     numbers,
+    refuse_steering,
     varint,
 )
 from codec.mdct import LAMBDA, step_code
@@ -259,8 +261,15 @@ def run(graph: Transform, values: NDArray[np.float32], shape: tuple[int, ...]) -
     return result
 
 
-def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> EvaEncoder:
+def make_encoder(
+    setting: Setting,
+    signal_format: SignalFormat,
+    framing: Framing,
+    model: Model | None,
+    steering: Steering | None = None,
+) -> EvaEncoder:
     """Make an encoder whose levels are relative to the RMS values. Raises CodecError as `EvaEncoder`."""
+    refuse_steering(NAME, steering)
     if model is None:
         raise CodecError("the codec eva needs a model; give one of its model images")
     channels = signal_format.channels

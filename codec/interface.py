@@ -177,6 +177,37 @@ class Framing:
     refresh_packets: int
 
 
+class Trial(Protocol):
+    """A packet whose quality is still to be chosen: all of its input is there, and nothing beyond it.
+
+    `samples`: what its decoded samples stand for, float64 (packet_samples, channels), full scale = 1: the input, as
+    late as the codec's delay. `coarsenesses`: what may be chosen, the finest first; 0 is the stream's own setting, and
+    more is coarser, on the whole in fewer bytes. `previous`: that of the packet before, which costs least to say again.
+    """
+
+    @property
+    def samples(self) -> Signal: ...
+    @property
+    def coarsenesses(self) -> range: ...
+    @property
+    def previous(self) -> int: ...
+
+    def packet(self, coarseness: int) -> bytes:
+        """Return the packet at one of the coarsenesses, each time from the same state. Raises CodecError."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is chosen for a packet: its coarseness, and to how many bytes it is padded where it is shorter."""
+
+    coarseness: int
+    least_bytes: int = 0
+
+
+Steering: TypeAlias = Callable[[Trial], Choice]
+"""Chooses the quality of each packet of one stream, packet after packet."""
+
+
 class Encoder(Protocol):
     """Turns normalised samples into packets of equal duration; keeps the state of one stream."""
 
@@ -235,13 +266,16 @@ class Codec:
     `ladders`: named curves of settings ("rungs"), the coarsest first, for benchmarks; what a rung leaves out has its
     default. A search for an SNR or a rate tries rungs of the first, and between them where what varies is a fraction;
     with `searches_steps` (`mdct`), and nothing of the setting given, it searches the parameters `step`, relative to
-    each channel's RMS value, and `thrift`. `physical_ladders`: those that need a signal in a physical unit.
+    each channel's RMS value, and `thrift`. `steers`: packets may each be of another quality. `physical_ladders`: those
+    that need a signal in a physical unit.
     `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
     CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
     `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, or raises
     CodecError; None where there is no choice.
-    `make_encoder(setting, format, framing, model)`: the setting complete and checked. `settle(samples, format)`: what a
-    parameter at AUTO is for a file, whose whole signal is known, in its physical unit; None where none can be at AUTO.
+    `make_encoder(setting, format, framing, model, steering)`: the setting complete and checked; `steering` chooses the
+    quality of each packet, None = all are of the setting's; a codec that does not steer refuses it.
+    `settle(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
+    unit; None where none can be at AUTO.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
 
@@ -250,7 +284,7 @@ class Codec:
     summary: str
     parameters: Mapping[str, Parameter]
     ladders: Mapping[str, tuple[Setting, ...]]
-    make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None], Encoder]
+    make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None, Steering | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
     settle: Callable[[Signal, SignalFormat], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
@@ -259,6 +293,7 @@ class Codec:
     takes_model: bool = False
     needs_model: bool = False
     searches_steps: bool = False
+    steers: bool = False
 
     def checked(self, setting: Setting) -> Setting:
         """Return what is given of a setting, numbers in text read. Raises CodecError for unknown names and values."""
@@ -275,6 +310,14 @@ class Codec:
         """Return the setting, checked, with the defaults of what it leaves out. Raises CodecError as `checked`."""
         defaults = {name: parameter.default for name, parameter in self.parameters.items()}
         return {**defaults, **self.checked(setting)}
+
+
+def refuse_steering(name: str, steering: Steering | None) -> None:
+    """Raise CodecError where a codec whose packets are all of one quality is asked to steer."""
+    if steering is not None:
+        raise CodecError(
+            f"all packets of {name} are of one quality; choose a codec that `vibrocast codecs` says steers"
+        )
 
 
 @dataclass(frozen=True)

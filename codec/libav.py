@@ -17,9 +17,11 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    Steering,
     check_channels,
     checked_parts,
     number,
+    refuse_steering,
     varint,
     word,
 )
@@ -360,8 +362,13 @@ def _codec(
     ladder: tuple[Setting, ...],
 ) -> Codec:
     def make_encoder(
-        setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None
+        setting: Setting,
+        signal_format: SignalFormat,
+        framing: Framing,
+        model: Model | None,
+        steering: Steering | None = None,
     ) -> LibavEncoder:
+        refuse_steering(name, steering)
         return LibavEncoder(library, library.plan(setting, framing.packet_samples), framing, signal_format.channels)
 
     def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> LibavDecoder:

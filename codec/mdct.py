@@ -19,10 +19,12 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    Steering,
     check_channels,
     checked_parts,
     number,
     numbers,
+    refuse_steering,
     varint,
     word,
 )
@@ -262,8 +264,15 @@ def settle(samples: Signal, signal_format: SignalFormat) -> Setting:
     return {"hop": str(min(HOPS, key=cost))}
 
 
-def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> MdctEncoder:
+def make_encoder(
+    setting: Setting,
+    signal_format: SignalFormat,
+    framing: Framing,
+    model: Model | None,
+    steering: Steering | None = None,
+) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
+    refuse_steering(NAME, steering)
     relative_steps = numbers(setting, "step", signal_format.channels)
     steps = [
         min(max(step * rms, SMALLEST_STEP), LARGEST_STEP)

@@ -20,7 +20,9 @@ from codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    Steering,
     number,
+    refuse_steering,
 )
 from codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
 from codec.packetwise import PacketwiseEncoder
@@ -121,8 +123,15 @@ class SlpEncoder(PacketwiseEncoder):
         return bytes(ffi.buffer(self._packet, length))
 
 
-def make_encoder(setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None) -> SlpEncoder:
+def make_encoder(
+    setting: Setting,
+    signal_format: SignalFormat,
+    framing: Framing,
+    model: Model | None,
+    steering: Steering | None = None,
+) -> SlpEncoder:
     """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError as `SlpEncoder`."""
+    refuse_steering(NAME, steering)
     return SlpEncoder(
         relative_step(number(setting, "quality")),
         int(str(setting["frame"])),

@@ -124,7 +124,7 @@ def delay_ms(
     signal_format = SignalFormat(rate_hz, unit, gains=(1.0,) * channels, rms=(1.0,) * channels)
     plug_in = codec.codec_by_name(codec_name)
     encoder = plug_in.make_encoder(
-        plug_in.complete(setting), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None
+        plug_in.complete(setting), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None, None
     )
     return 1e3 * (encoder.packet_samples + encoder.delay_samples) / rate_hz
 

@@ -53,7 +53,7 @@ def ladder(model: Model) -> list[Setting]:
     different: dict[bytes, Setting] = {}
     for setting in every:
         with suppress(CodecError):
-            encoder = known.make_encoder(known.complete(setting), _FORMAT, Framing(64, 0), for_encoder(model))
+            encoder = known.make_encoder(known.complete(setting), _FORMAT, Framing(64, 0), for_encoder(model), None)
             different.setdefault(encoder.configuration, setting)
     return list(different.values()) or [every[0]]
 

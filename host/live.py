@@ -114,7 +114,7 @@ class LiveStream:
         self._configure()
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
-        return self._codec.make_encoder(self.setting, self.format, framing, None)
+        return self._codec.make_encoder(self.setting, self.format, framing, None, None)
 
     def _configure(self) -> None:
         refresh_packets = max(1, math.floor(REFRESH_S * self.format.rate_hz / self.packet_samples))

@@ -60,7 +60,7 @@ def test_packets_do_not_depend_on_how_samples_arrive(name: str, setting: Setting
     known = CODECS[name]
     signal_format = codec.SignalFormat(RATE_HZ, "um", (1.0, 1.0), (0.3, 0.3))
     encoders = [
-        known.make_encoder(known.complete(setting), signal_format, codec.Framing(500, 1), None) for _ in range(2)
+        known.make_encoder(known.complete(setting), signal_format, codec.Framing(500, 1), None, None) for _ in range(2)
     ]
     whole = encoders[0].encode(signal) + encoders[0].finish()
     parts = [packet for part in np.array_split(signal, 37) for packet in encoders[1].encode(part)]
@@ -201,7 +201,7 @@ def test_limits_of_an_encoder() -> None:
     for channels, packet_samples in ((0, 100), (17, 100), (1, 70_000), (1, 0)):
         signal_format = codec.SignalFormat(RATE_HZ, "um", (1.0,) * channels, (1.0,) * channels)
         with pytest.raises(CodecError):
-            known.make_encoder(known.complete({}), signal_format, codec.Framing(packet_samples, 0), None)
+            known.make_encoder(known.complete({}), signal_format, codec.Framing(packet_samples, 0), None, None)
 
 
 def test_av_is_loaded_at_first_need_and_missed_by_name(monkeypatch: pytest.MonkeyPatch) -> None:

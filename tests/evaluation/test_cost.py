@@ -81,7 +81,7 @@ def test_delay_is_the_longest_that_a_sample_waits(name: str) -> None:
     model = tiny_model() if plug_in.needs_model else None
     signal_format = SignalFormat(rate_hz, "full scale", (1.0,), (0.3,))
     encoder = plug_in.make_encoder(
-        plug_in.complete({}), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None
+        plug_in.complete({}), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None, None
     )
     packets = longest = 0
     for fed, value in enumerate(np.random.default_rng(0).normal(0, 0.3, 6 * encoder.packet_samples), 1):
