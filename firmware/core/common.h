@@ -1,5 +1,5 @@
 /* What all codecs of the core share: libc's two functions, packet heads, adaptive decisions, codes of whole numbers,
- * rounding. */
+ * rounding, random signs. */
 #ifndef VIBROCAST_COMMON_H
 #define VIBROCAST_COMMON_H
 
@@ -72,6 +72,13 @@ static inline int16_t vc_rounded_sample(int64_t value)
     const int32_t limited = vc_limited(value); /* far beyond what a sample holds */
     const int32_t sample = (limited + (limited < 0 ? -128 : 128)) / 256;
     return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
+}
+
+/* Pseudo-random sign, 1 or -1, from a linear congruential generator (Numerical Recipes' constants) and its state. */
+static inline int32_t vc_random_sign(uint32_t *state)
+{
+    *state = *state * 1664525u + 1013904223u;
+    return *state >> 31 ? -1 : 1;
 }
 
 /* Floor of the logarithm to base 2; value > 0. */

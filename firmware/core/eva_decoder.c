@@ -78,13 +78,6 @@ static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsign
     }
 }
 
-/* Pseudo-random sign from a linear congruential generator (Numerical Recipes' constants). */
-static int32_t random_sign(vc_eva_decoder *decoder)
-{
-    decoder->random = decoder->random * 1664525u + 1013904223u;
-    return decoder->random >> 31 ? -1 : 1;
-}
-
 /* Turns the last latents of a channel into those of a missing column: the same with random signs, scaled so that they
  * ramp to zero. */
 static void fade_column(vc_eva_decoder *decoder, unsigned channel, uint32_t column)
@@ -94,10 +87,9 @@ static void fade_column(vc_eva_decoder *decoder, unsigned channel, uint32_t colu
     int16_t *latents = decoder->channels[channel].latents;
     uint32_t k;
     for (k = 0; k < decoder->model.latents; k++)
-        latents[k] =
-            column < fade
-                ? (int16_t)(latents[k] * (int32_t)(fade - column - 1) / (int32_t)(fade - column) * random_sign(decoder))
-                : 0;
+        latents[k] = column < fade ? (int16_t)(latents[k] * (int32_t)(fade - column - 1) / (int32_t)(fade - column) *
+                                               vc_random_sign(&decoder->random))
+                                   : 0;
 }
 
 /* Puts out a packet: columns from the range decoder, or faded ones without it. */

@@ -1,0 +1,15 @@
+/* Inverse MDCT in fixed point, of the codecs whose decoders end with it. */
+#ifndef VIBROCAST_MDCT_SYNTHESIS_H
+#define VIBROCAST_MDCT_SYNTHESIS_H
+
+#include <stdint.h>
+
+/* Writes the next hop samples of a channel, `stride` apart: inverse MDCT of its spectrum,
+ * sqrt(2 / N) sum_k X[k] cos(pi / N (n + 1/2 + N/2) (k + 1/2)), windowed and overlap-added (Princen, Johnson and
+ * Bradley 1987). `hop`: N, 16, 32, 64 or 128. `spectrum`: hop coefficients in 1/256 of a sample's least significant
+ * bit, within +-VC_MAX_VALUE of common.h. `overlap`: hop values in the same unit, which the caller keeps from block to
+ * block: the windowed second half of the block before, 0 at the start; what is added to them is added to the samples.
+ */
+void vc_mdct_synthesise(const int32_t *spectrum, int32_t *overlap, uint32_t hop, int16_t *samples, unsigned stride);
+
+#endif
