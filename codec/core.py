@@ -1,9 +1,10 @@
 """The integer core (firmware/core), compiled while installing and loaded through cffi."""
 
+import copy
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from cffi import FFI
@@ -37,8 +38,15 @@ class Structure:
     """Memory for a structure of the core, alive as long as this object; `pointer` is what the core's functions take."""
 
     def __init__(self, size: int, kind: str) -> None:
+        self._size, self._kind = size, kind
         self._memory = ffi.new("int64_t[]", -(-size // 8))
         self.pointer = ffi.cast(kind, self._memory)
+
+    def copy(self) -> "Structure":
+        """Return another one of the same content; no structure of the core points into itself."""
+        twin = Structure(self._size, self._kind)
+        ffi.memmove(twin._memory, self._memory, self._size)
+        return twin
 
 
 def check_made(status: int) -> None:
@@ -87,6 +95,12 @@ class CoreDecoder:
         samples, pointer = self._output()
         self._conceal(self._state.pointer, pointer)
         return samples
+
+    def copy(self) -> Self:
+        """Return an independent decoder in the same state: what it is given, this one never sees."""
+        twin = copy.copy(self)
+        twin._state = self._state.copy()
+        return twin
 
     def _output(self) -> tuple[Decoded, Any]:
         samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)

@@ -2,13 +2,22 @@
 
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from codec.core import (
+    MAX_PACKET_BYTES,
+    UNIT,
+    CoreDecoder,
+    Structure,
+    check_made,
+    does_not_fit,
+    ffi,
+    library,
+)
 from codec.interface import (
     AUTO,
     Codec,
@@ -24,16 +33,20 @@ from codec.interface import (
     checked_parts,
     number,
     numbers,
-    refuse_steering,
     varint,
     word,
 )
+from codec.trial import PacketTrial, steered_packet
 
 NAME = "mdct"
 IDENTIFIER = 1
 HOPS = (16, 32, 64, 128)
 MAX_PACKET_BLOCKS = 4095
 STEP_CODES = 21 * 64
+STEP_CODES_OF_COARSENESS = 4
+"""By how many codes the steps of a packet are larger for each unit of its coarseness."""
+STEERED = b"\x01"
+"""What ends the configuration of a stream whose packets carry their coarseness."""
 LARGEST_FILL = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
@@ -61,10 +74,13 @@ def step_code(step: float) -> int:
     return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
 
 
-def configuration(hop: int, packet_blocks: int, step_codes: Sequence[int], fill_code: int = 0) -> bytes:
+def configuration(
+    hop: int, packet_blocks: int, step_codes: Sequence[int], fill_code: int = 0, steered: bool = False
+) -> bytes:
     """Return the codec's bytes in the stream header."""
     head = varint(packet_blocks << 2 | HOPS.index(hop))
-    return head + b"".join((fill_code << 11 | code).to_bytes(2, "little") for code in step_codes)
+    steps = b"".join((fill_code << 11 | code).to_bytes(2, "little") for code in step_codes)
+    return head + steps + STEERED * steered
 
 
 def built_in_tables() -> bytes:
@@ -107,13 +123,15 @@ class MdctEncoder:
         thrift: float = 1.0,
         hop: int | None = None,
         fill: float = 0.0,
+        steering: Steering | None = None,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
         `thrift`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
         `hop`: one of HOPS, None = that of live streams. `fill`: magnitude that stands in for coefficients rounded to
-        zero, in quantiser steps. Raises CodecError on a channel count, step, packet length, hop, fill or tables that
-        the codec does not have.
+        zero, in quantiser steps. `steering`: chooses the coarseness of each packet, in 1/16 octave of the steps; None =
+        all have the steps as they are. Raises CodecError on a channel count, step, packet length, hop, fill or tables
+        that the codec does not have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
@@ -130,7 +148,15 @@ class MdctEncoder:
         if not 0 <= fill <= LARGEST_FILL:
             raise CodecError(f"fill {fill} is not from 0 to {LARGEST_FILL}")
         step_codes = [step_code(step) for step in steps]
-        self.configuration = configuration(self._hop, self._packet_blocks, step_codes, round(fill * _FILL_UNIT))
+        self.configuration = configuration(
+            self._hop, self._packet_blocks, step_codes, round(fill * _FILL_UNIT), steering is not None
+        )
+        self._steering = steering
+        self._coarsenesses = range(
+            -(max(step_codes) // STEP_CODES_OF_COARSENESS),
+            (STEP_CODES - 1 - min(step_codes)) // STEP_CODES_OF_COARSENESS + 1,
+        )
+        self._coarseness = 0
         core = library()
         self._tables, table_arguments = _tables_arguments(tables)
         self._state = Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
@@ -204,17 +230,30 @@ class MdctEncoder:
         frames = np.lib.stride_tricks.sliding_window_view(self._pending, 2 * self._hop, axis=0)[:: self._hop][:blocks]
         exact = frames @ analysis_matrix(self._hop) * UNIT
         coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
-        packets = [self._code(part) for part in np.split(coefficients, count)]
+        packets = [
+            self._packet_of(part, self._pending[index * self.packet_samples : (index + 1) * self.packet_samples])
+            for index, part in enumerate(np.split(coefficients, count))
+        ]
         self._pending = self._pending[blocks * self._hop :]
         return packets
 
-    def _code(self, coefficients: NDArray[np.int32]) -> bytes:
+    def _packet_of(self, coefficients: NDArray[np.int32], samples: Signal) -> bytes:
         coefficients = np.ascontiguousarray(coefficients)
-        pointer = ffi.cast("const int32_t *", coefficients.ctypes.data)
-        length = library().vc_mdct_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
-        if length < 0:
-            raise does_not_fit(self.packet_samples)
-        return bytes(ffi.buffer(self._packet, length))
+
+        def code(state: Structure, coarseness: int) -> bytes:
+            pointer = ffi.cast("const int32_t *", coefficients.ctypes.data)
+            length = library().vc_mdct_encode(state.pointer, pointer, coarseness, self._packet, MAX_PACKET_BYTES)
+            if length < 0:
+                raise does_not_fit(self.packet_samples)
+            return bytes(ffi.buffer(self._packet, length))
+
+        if self._steering is None:
+            return code(self._state, 0)
+        trial = PacketTrial(
+            samples, self._coarsenesses, self._coarseness, lambda coarseness: code(self._state.copy(), coarseness)
+        )
+        self._coarseness, packet = steered_packet(trial, self._steering, partial(code, self._state))
+        return packet
 
 
 class MdctDecoder(CoreDecoder):
@@ -272,7 +311,6 @@ def make_encoder(
     steering: Steering | None = None,
 ) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
-    refuse_steering(NAME, steering)
     relative_steps = numbers(setting, "step", signal_format.channels)
     steps = [
         min(max(step * rms, SMALLEST_STEP), LARGEST_STEP)
@@ -291,6 +329,7 @@ def make_encoder(
         number(setting, "thrift"),
         hop,
         number(setting, "fill"),
+        steering,
     )
 
 
@@ -315,4 +354,5 @@ CODEC = Codec(
     check_tables=check_tables,
     takes_model=True,
     searches_steps=True,
+    steers=True,
 )

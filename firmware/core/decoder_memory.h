@@ -18,6 +18,7 @@ struct vc_mdct_decoder {
     vc_mdct_configuration configuration;
     const uint8_t *tables;
     vc_model model;
+    vc_coarseness coarseness;
     uint32_t next_sequence;
     int in_sequence; /* packets since the last refresh all came */
     uint32_t random; /* state of the generator that gives signs to fill and concealment */
@@ -52,6 +53,7 @@ struct vc_eva_decoder {
     vc_eva_model model;
     vc_eva_configuration configuration;
     vc_model prior;
+    vc_coarseness coarseness;
     uint32_t next_sequence;
     int in_sequence; /* packets since the last refresh all came */
     uint32_t random; /* state of the generator that gives concealment its signs */

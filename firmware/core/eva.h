@@ -51,9 +51,12 @@ int vc_eva_encoder_init(vc_eva_encoder *encoder, const uint8_t *configuration, s
                         unsigned channels, const uint8_t *model, size_t model_length, uint32_t refresh_packets,
                         uint32_t lambda);
 
-/* Codes one packet. `latents`: channels x columns x latents, in 1/256 of the quantiser step of each, limited to +-2^30.
- * Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE; then the encoder must be initialised again. */
-int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, uint8_t *packet, size_t capacity);
+/* Codes one packet. `latents`: channels x columns x latents, in 1/256 of the quantiser step of each, limited to +-2^30;
+ * those of the packet's quality. `coarseness`: of a steered stream, in 1/16 of a rate of the model (docs/bitstream.md);
+ * others ignore it. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE; then the encoder must be initialised
+ * again. */
+int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t coarseness, uint8_t *packet,
+                      size_t capacity);
 
 /* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes), for a model whose prior adapts.
  */

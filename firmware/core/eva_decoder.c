@@ -62,7 +62,8 @@ static int16_t dequantised(int32_t level, int32_t step)
 }
 
 /* Decodes the next column of a channel into its latents. */
-static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, const int32_t *steps)
+static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, uint32_t quality,
+                          const int32_t *steps)
 {
     const vc_eva_model *model = &decoder->model;
     vc_eva_channel *state = &decoder->channels[channel];
@@ -72,8 +73,7 @@ static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsign
         vc_block_decode(coder, &decoder->prior, &state->block, model->latents, levels);
     for (k = 0; k < model->latents; k++) {
         if (!model->adapts)
-            levels[k] =
-                decode_factorised(coder, vc_eva_probabilities(model, decoder->configuration.quality[channel], k));
+            levels[k] = decode_factorised(coder, vc_eva_probabilities(model, quality, k));
         state->latents[k] = dequantised(levels[k], steps[k]);
     }
 }
@@ -102,11 +102,13 @@ static void put_out(vc_eva_decoder *decoder, vc_range_coder *coder, output to)
     unsigned channel;
     for (channel = 0; channel < configuration->channels; channel++) {
         vc_eva_channel *state = &decoder->channels[channel];
+        const uint32_t quality =
+            vc_eva_packet_quality(&decoder->model, configuration, channel, decoder->coarseness.value);
         uint32_t column, gathered = 0;
-        vc_eva_steps(&decoder->model, configuration->quality[channel], steps);
+        vc_eva_steps(&decoder->model, quality, steps);
         for (column = 0; column < columns; column++) {
             if (coder != NULL)
-                decode_column(decoder, coder, channel, steps);
+                decode_column(decoder, coder, channel, quality, steps);
             else
                 fade_column(decoder, channel, column);
             if (to.latents != NULL) {
@@ -143,9 +145,13 @@ static int decode_packet(vc_eva_decoder *decoder, const uint8_t *packet, size_t 
         vc_model_reset(&decoder->prior, decoder->model.prior);
     for (channel = 0; channel < decoder->configuration.channels && refresh; channel++)
         vc_block_reset(&decoder->channels[channel].block);
+    if (refresh)
+        vc_coarseness_reset(&decoder->coarseness);
     decoder->in_sequence = 1;
     decoder->next_sequence = sequence + 1;
     vc_range_decoder_init(&coder, packet + head, length - head);
+    if (decoder->configuration.steered)
+        vc_coarseness_decode(&coder, &decoder->coarseness);
     put_out(decoder, &coder, to);
     return VC_OK;
 }

@@ -8,6 +8,7 @@ struct vc_eva_encoder {
     vc_eva_configuration configuration;
     uint32_t refresh_packets, lambda, sequence;
     vc_model prior;
+    vc_coarseness coarseness;
     vc_block_state channels[VC_MAX_CHANNELS];
     vc_block_search search;
 };
@@ -52,20 +53,21 @@ static void encode_factorised(vc_range_coder *coder, const uint8_t *probabilitie
 static void encode_column(vc_eva_encoder *encoder, vc_range_coder *coder, unsigned channel, const int32_t *latents)
 {
     const vc_eva_model *model = &encoder->model;
+    const uint32_t quality = vc_eva_packet_quality(model, &encoder->configuration, channel, encoder->coarseness.value);
     uint32_t magnitudes[VC_EVA_MAX_WIDTH], k;
     for (k = 0; k < model->latents; k++) {
         int64_t magnitude = latents[k] < 0 ? -(int64_t)latents[k] : latents[k];
         magnitudes[k] = (uint32_t)(magnitude < MAX_MAGNITUDE ? magnitude : MAX_MAGNITUDE);
         if (!model->adapts)
-            encode_factorised(coder, vc_eva_probabilities(model, encoder->configuration.quality[channel], k),
-                              magnitudes[k], latents[k] < 0);
+            encode_factorised(coder, vc_eva_probabilities(model, quality, k), magnitudes[k], latents[k] < 0);
     }
     if (model->adapts)
         vc_block_encode(coder, &encoder->prior, &encoder->channels[channel], &encoder->search, model->latents,
                         magnitudes, latents, encoder->lambda);
 }
 
-int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, uint8_t *packet, size_t capacity)
+int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t coarseness, uint8_t *packet,
+                      size_t capacity)
 {
     const vc_eva_configuration *configuration = &encoder->configuration;
     const int refresh =
@@ -81,7 +83,11 @@ int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, uint8_t *
         vc_model_reset(&encoder->prior, encoder->model.prior);
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_block_reset(&encoder->channels[channel]);
+    if (refresh)
+        vc_coarseness_reset(&encoder->coarseness);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
+    if (configuration->steered)
+        vc_coarseness_encode(&coder, &encoder->coarseness, coarseness);
     for (channel = 0; channel < configuration->channels; channel++)
         for (column = 0; column < configuration->packet_columns; column++, latents += encoder->model.latents)
             encode_column(encoder, &coder, channel, latents);

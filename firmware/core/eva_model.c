@@ -101,10 +101,11 @@ int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_
     vc_eva_configuration read;
     const size_t head_bytes = length > 0 && (bytes[0] & 0x80u) ? 2 : 1;
     unsigned channel;
-    if (channels < 1 || channels > VC_MAX_CHANNELS || length != head_bytes + 3 * channels ||
-        (bytes[head_bytes - 1] & 0x80u))
+    if (channels < 1 || channels > VC_MAX_CHANNELS || length < head_bytes || (bytes[head_bytes - 1] & 0x80u))
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
+    if (!vc_steering_read(bytes, length, head_bytes + 3 * channels, &read.steered))
+        return VC_BAD_CONFIGURATION;
     read.packet_columns = head_bytes == 1 ? bytes[0] : (bytes[0] & 0x7Fu) | (uint32_t)bytes[1] << 7;
     read.channels = channels;
     if (read.packet_columns < 1 || read.packet_columns > VC_EVA_MAX_PACKET_COLUMNS)
@@ -118,6 +119,14 @@ int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_
     }
     *configuration = read;
     return VC_OK;
+}
+
+uint32_t vc_eva_packet_quality(const vc_eva_model *model, const vc_eva_configuration *configuration, unsigned channel,
+                               int32_t coarseness)
+{
+    const int32_t finest = (int32_t)(QUALITY_PARTS * (model->rates - 1));
+    const int32_t quality = (int32_t)configuration->quality[channel] - coarseness;
+    return (uint32_t)(quality < 0 ? 0 : quality < finest ? quality : finest);
 }
 
 void vc_eva_steps(const vc_eva_model *model, uint32_t quality, int32_t *steps)

@@ -2,7 +2,7 @@
 #ifndef VIBROCAST_MDCT_H
 #define VIBROCAST_MDCT_H
 
-#include "common.h"
+#include "coarseness.h"
 
 #define VC_MAX_BINS 128 /* of a block that is coded by this model: a spectrum, or a column of EVA's latents */
 #define VC_MAX_PACKET_BLOCKS 4095
@@ -23,8 +23,9 @@
 typedef struct {
     uint32_t hop, packet_blocks;
     unsigned channels;
-    int32_t step[VC_MAX_CHANNELS]; /* in 1/256 of a sample's least significant bit */
-    int32_t fill[VC_MAX_CHANNELS]; /* magnitude that stands in for a level of 0, in the same unit */
+    int steered; /* packets carry their coarseness */
+    uint16_t step_code[VC_MAX_CHANNELS];
+    uint8_t fill[VC_MAX_CHANNELS]; /* magnitude that stands in for a level of 0, in 1/128 step */
 } vc_mdct_configuration;
 
 /* What is mixed: the contexts' probabilities, the network's, and a constant. */
@@ -73,6 +74,14 @@ typedef struct {
 static inline int32_t vc_step_of(uint32_t code)
 {
     return (int32_t)((64 + (code & 63)) << (code >> 6));
+}
+
+/* The step of a channel, in 1/256 of a sample's least significant bit, in a packet of this coarseness: four codes to
+ * one, within those that there are. */
+static inline int32_t vc_packet_step(const vc_mdct_configuration *configuration, unsigned channel, int32_t coarseness)
+{
+    const int32_t code = configuration->step_code[channel] + 4 * coarseness;
+    return vc_step_of(code < 0 ? 0 : code < VC_STEP_CODES ? (uint32_t)code : VC_STEP_CODES - 1);
 }
 
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels);

@@ -25,20 +25,21 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
         head = (head & 0x7Fu) | (uint32_t)bytes[1] << 7;
         used = 2;
     }
-    if (head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS || length != used + 2 * channels)
+    if (head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS)
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
+    if (!vc_steering_read(bytes, length, used + 2 * channels, &read.steered))
+        return VC_BAD_CONFIGURATION;
     read.hop = 16u << (head & 3u);
     read.packet_blocks = head >> 2;
     read.channels = channels;
     for (channel = 0; channel < channels; channel++) {
         uint32_t code = bytes[used + 2 * channel] | (uint32_t)bytes[used + 2 * channel + 1] << 8;
-        uint32_t fill = code >> VC_STEP_CODE_BITS;
+        read.fill[channel] = (uint8_t)(code >> VC_STEP_CODE_BITS);
         code &= (1u << VC_STEP_CODE_BITS) - 1;
         if (code >= VC_STEP_CODES)
             return VC_BAD_CONFIGURATION;
-        read.step[channel] = vc_step_of(code);
-        read.fill[channel] = (int32_t)((int64_t)read.step[channel] * fill / 128);
+        read.step_code[channel] = (uint16_t)code;
     }
     *configuration = read;
     return VC_OK;
@@ -70,12 +71,14 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsigned number)
 {
     const uint32_t hop = decoder->configuration.hop;
-    const int32_t step = decoder->configuration.step[number];
+    const int32_t step = vc_packet_step(&decoder->configuration, number, decoder->coarseness.value);
     vc_mdct_channel *channel = &decoder->channels[number];
     int32_t fill;
     uint32_t k;
     vc_block_decode(coder, &decoder->model, &channel->block, hop, channel->spectrum);
-    fill = channel->block.history.silent_history & 1 ? 0 : decoder->configuration.fill[number];
+    fill = channel->block.history.silent_history & 1
+               ? 0
+               : (int32_t)((int64_t)step * decoder->configuration.fill[number] / 128);
     for (k = 0; k < hop; k++)
         channel->spectrum[k] = channel->spectrum[k] == 0 ? fill * vc_random_sign(&decoder->random)
                                                          : vc_reconstruct(channel->spectrum[k], step);
@@ -95,14 +98,18 @@ int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t lengt
         vc_mdct_conceal(decoder, samples);
         return VC_CONCEALED;
     }
-    if (refresh)
+    if (refresh) {
         vc_model_reset(&decoder->model, decoder->tables);
+        vc_coarseness_reset(&decoder->coarseness);
+    }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_block_reset(&decoder->channels[channel].block);
     decoder->in_sequence = 1;
     decoder->next_sequence = sequence + 1;
     decoder->random = sequence; /* so that a decoder that begins here fills alike */
     vc_range_decoder_init(&coder, packet + head, length - head);
+    if (configuration->steered)
+        vc_coarseness_decode(&coder, &decoder->coarseness);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++) {
             decode_block(decoder, &coder, channel);

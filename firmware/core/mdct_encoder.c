@@ -7,6 +7,7 @@ struct vc_mdct_encoder {
     const uint8_t *tables;
     uint32_t refresh_packets, lambda, sequence;
     vc_model model;
+    vc_coarseness coarseness;
     vc_block_state channels[VC_MAX_CHANNELS];
     vc_block_search search;
 };
@@ -70,7 +71,8 @@ static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, vc_blo
     vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, encoder->lambda);
 }
 
-int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, uint8_t *packet, size_t capacity)
+int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t coarseness, uint8_t *packet,
+                       size_t capacity)
 {
     const vc_mdct_configuration *configuration = &encoder->configuration;
     const int refresh =
@@ -82,14 +84,19 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, ui
     if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
     payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
-    if (refresh)
+    if (refresh) {
         vc_model_reset(&encoder->model, encoder->tables);
+        vc_coarseness_reset(&encoder->coarseness);
+    }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_block_reset(&encoder->channels[channel]);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
+    if (configuration->steered)
+        vc_coarseness_encode(&coder, &encoder->coarseness, coarseness);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, coefficients += configuration->hop)
-            encode_block(encoder, &coder, &encoder->channels[channel], coefficients, configuration->step[channel]);
+            encode_block(encoder, &coder, &encoder->channels[channel], coefficients,
+                         vc_packet_step(configuration, channel, encoder->coarseness.value));
     encoder->sequence++;
     payload += vc_range_encoder_finish(&coder, payload);
     return coder.overflow ? VC_PACKET_TOO_LARGE : (int32_t)(payload - packet);

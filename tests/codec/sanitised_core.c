@@ -66,7 +66,7 @@ static int run_mdct(void)
             coefficients[i] = (byte - 128) * (1 << (byte % 22));
         }
         capacity = length % sizeof packet;
-        if (vc_mdct_encode(encoder, coefficients, packet, capacity) > (int32_t)capacity)
+        if (vc_mdct_encode(encoder, coefficients, (int32_t)length - 100, packet, capacity) > (int32_t)capacity)
             return 3;
         free(bytes);
     }
@@ -195,7 +195,7 @@ static int run_eva(void)
             int32_t byte = length > 0 ? bytes[i % length] : 0;
             values[i] = byte == 255 ? INT32_MIN : (byte - 128) * (1 << (byte % 24));
         }
-        if (vc_eva_encode(encoder, values, packet, capacity) > (int32_t)capacity)
+        if (vc_eva_encode(encoder, values, (int32_t)length - 100, packet, capacity) > (int32_t)capacity)
             return 3;
         free(bytes);
     }
