@@ -1,6 +1,8 @@
 """The codec `eva`: a learned transform, its latents coded with what its model knows; layout in docs/bitstream.md."""
 
+import copy
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +26,10 @@ from codec.interface import (
     checked_parts,
     number,
     numbers,
-    refuse_steering,
     varint,
 )
-from codec.mdct import LAMBDA, step_code
+from codec.mdct import LAMBDA, STEERED, step_code
+from codec.trial import PacketTrial, steered_packet
 
 NAME = "eva"
 IDENTIFIER = 4
@@ -45,6 +47,7 @@ _HISTORY = HOP * _COLUMNS_BEFORE + _LOOK_AHEAD
 _CONTEXT_COLUMNS = 4
 """Columns before a packet that the synthesis in ONNX Runtime takes again: its first sample depends on three of them."""
 _MAX_LATENT = 2**30
+_CHANNEL_FIELDS = np.dtype([("level", "<u2"), ("quality", "u1")])
 _CHUNK_SAMPLES = 1 << 16
 
 
@@ -75,15 +78,21 @@ class LatentEncoder:
         )
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
 
-    def encode(self, latents: Sequence[Signal]) -> bytes:
-        """Return the next packet, of each channel's latents (latents, columns) in quantiser steps.
+    def copy(self) -> "LatentEncoder":
+        """Return an independent encoder in the same state."""
+        twin = copy.copy(self)
+        twin._state = self._state.copy()
+        return twin
 
-        Raises CodecError where it does not fit.
+    def encode(self, latents: Sequence[Signal], coarseness: int = 0) -> bytes:
+        """Return the next packet, of each channel's latents (latents, columns) in the packet's quantiser steps.
+
+        `coarseness`: of a steered stream. Raises CodecError where it does not fit.
         """
         fixed = np.clip(np.rint(np.stack(latents) * 256), -_MAX_LATENT, _MAX_LATENT).astype(np.int32)
         columns_first = np.ascontiguousarray(fixed.transpose(0, 2, 1))
         pointer = ffi.cast("const int32_t *", columns_first.ctypes.data)
-        length = library().vc_eva_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
+        length = library().vc_eva_encode(self._state.pointer, pointer, coarseness, self._packet, MAX_PACKET_BYTES)
         if length < 0:
             raise does_not_fit(columns_first.shape[1] * HOP)
         return bytes(ffi.buffer(self._packet, length))
@@ -112,13 +121,16 @@ class EvaEncoder:
         framing: Framing,
         model: Model,
         thrift: float = 1.0,
+        steering: Steering | None = None,
     ) -> None:
         """Make an encoder of len(levels) channels.
 
         `levels`: of each channel, relative to full scale, what the network sees as an RMS value of 1. `qualities`: of
         each channel, in rates of the model, to the next sixteenth. `thrift`: weight of bits against error in
-        rounding, of a model whose prior adapts. Raises CodecError on a channel count or packet length that the codec
-        does not have, a model that is none or does not have the quality, and where it brings no analysis that fits.
+        rounding, of a model whose prior adapts. `steering`: chooses the coarseness of each packet, in sixteenths of a
+        rate by which the qualities are lower, within the model's; None = all have the qualities as they are. Raises
+        CodecError on a channel count or packet length that the codec does not have, a model that is none or does not
+        have the quality, and where it brings no analysis that fits.
         """
         self._channels = len(levels)
         check_channels(self._channels)
@@ -134,14 +146,16 @@ class EvaEncoder:
                 "the model brings no analysis, by which to encode; give the folder that has its analysis.onnx"
             )
         self._analysis = transform(model.analysis, SIGNAL, LATENTS)
-        self._latents = image.latents
+        self._image = image
         level_codes = [step_code(level) for level in levels]
         if max(qualities) > image.rates - 1:
             raise CodecError(f"quality {max(qualities):g} is above the model's finest, {image.rates - 1}; ask for less")
-        quality_codes = [round(quality * QUALITY_PARTS) for quality in qualities]
-        self.configuration = configuration(self._columns, level_codes, quality_codes)
+        self._qualities = [round(quality * QUALITY_PARTS) for quality in qualities]
+        self.configuration = configuration(self._columns, level_codes, self._qualities, steering is not None)
+        self._steering = steering
+        self._coarsenesses = range(min(self._qualities) - image.finest_quality_code, max(self._qualities) + 1)
+        self._coarseness = 0
         self._levels = [level_of(code) for code in level_codes]
-        self._steps = [image.relative_steps(code)[:, None] for code in quality_codes]
         self._encoder = LatentEncoder(self.configuration, self._channels, model.tables, framing.refresh_packets, thrift)
         self._pending: Signal = np.zeros((_HISTORY, self._channels))
         self._begun = False
@@ -176,15 +190,28 @@ class EvaEncoder:
         return packets
 
     def _code(self, samples: Signal) -> bytes:
-        channels = zip(samples.T, self._levels, self._steps, strict=True)
-        return self._encoder.encode([self._analyse(channel, level) / steps for channel, level, steps in channels])
+        latents = [self._analyse(channel, level) for channel, level in zip(samples.T, self._levels, strict=True)]
+
+        def code(encoder: LatentEncoder, coarseness: int) -> bytes:
+            qualities = np.clip(np.array(self._qualities) - coarseness, 0, self._image.finest_quality_code)
+            steps = [self._image.relative_steps(int(quality))[:, None] for quality in qualities]
+            return encoder.encode([part / step for part, step in zip(latents, steps, strict=True)], coarseness)
+
+        if self._steering is None:
+            return code(self._encoder, 0)
+        late = samples[_HISTORY - self.delay_samples :][: self.packet_samples]
+        trial = PacketTrial(
+            late, self._coarsenesses, self._coarseness, lambda coarseness: code(self._encoder.copy(), coarseness)
+        )
+        self._coarseness, packet = steered_packet(trial, self._steering, partial(code, self._encoder))
+        return packet
 
     def _analyse(self, samples: Signal, level: float) -> Signal:
         """Return the latents (latents, columns) of one channel's samples for a packet."""
         columns = _COLUMNS_BEFORE + self._columns + _COLUMNS_AFTER
         signal = np.zeros((1, 1, columns * HOP), dtype=np.float32)
         signal[0, 0, : len(samples)] = samples / level
-        latents = run(self._analysis, signal, (1, self._latents, columns))[0]
+        latents = run(self._analysis, signal, (1, self._image.latents, columns))[0]
         return np.asarray(latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._columns], dtype=np.float64)
 
 
@@ -210,8 +237,9 @@ class OnnxDecoder(EvaDecoder):
         image = EvaImage.unpack(payload)
         self._synthesis = transform(image.graph, LATENTS, SIGNAL)
         self._unit = np.float32(2.0**-image.fraction_bits)
-        codes = np.frombuffer(configuration[-3 * channels :], dtype=[("level", "<u2"), ("quality", "u1")])["level"]
-        self._levels = [32768 * level_of(int(code)) for code in codes]
+        head_bytes = 1 + (configuration[0] >> 7)
+        fields = np.frombuffer(configuration, _CHANNEL_FIELDS, channels, head_bytes)
+        self._levels = [32768 * level_of(int(code)) for code in fields["level"]]
         # Of each channel those of the last columns, then those of the packet.
         columns = _CONTEXT_COLUMNS + self.packet_samples // HOP
         self._latents = np.zeros((channels, columns, image.latents), dtype=np.int16)
@@ -241,10 +269,12 @@ class OnnxDecoder(EvaDecoder):
         return samples
 
 
-def configuration(columns: int, level_codes: Sequence[int], quality_codes: Sequence[int]) -> bytes:
+def configuration(
+    columns: int, level_codes: Sequence[int], quality_codes: Sequence[int], steered: bool = False
+) -> bytes:
     """Return the codec's bytes in the stream header."""
-    fields = zip(level_codes, quality_codes, strict=True)
-    return varint(columns) + b"".join(level.to_bytes(2, "little") + bytes((quality,)) for level, quality in fields)
+    fields = np.array(list(zip(level_codes, quality_codes, strict=True)), _CHANNEL_FIELDS)
+    return varint(columns) + fields.tobytes() + STEERED * steered
 
 
 def level_of(code: int) -> float:
@@ -269,13 +299,13 @@ def make_encoder(
     steering: Steering | None = None,
 ) -> EvaEncoder:
     """Make an encoder whose levels are relative to the RMS values. Raises CodecError as `EvaEncoder`."""
-    refuse_steering(NAME, steering)
     if model is None:
         raise CodecError("the codec eva needs a model; give one of its model images")
     channels = signal_format.channels
     relative_levels = numbers(setting, "level", channels)
     levels = [level * rms for level, rms in zip(relative_levels, signal_format.rms, strict=True)]
-    return EvaEncoder(levels, numbers(setting, "quality", channels), framing, model, number(setting, "thrift"))
+    qualities = numbers(setting, "quality", channels)
+    return EvaEncoder(levels, qualities, framing, model, number(setting, "thrift"), steering)
 
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
@@ -323,4 +353,5 @@ CODEC = Codec(
     with_runtime=with_runtime,
     takes_model=True,
     needs_model=True,
+    steers=True,
 )

@@ -109,6 +109,11 @@ class EvaImage:
         return int(self.step_codes.shape[0])
 
     @property
+    def finest_quality_code(self) -> int:
+        """The quality of the finest rate, in sixteenths of one."""
+        return QUALITY_PARTS * (self.rates - 1)
+
+    @property
     def latents(self) -> int:
         """Channels of the latents."""
         return int(self.step_codes.shape[1])
