@@ -112,14 +112,16 @@ def encode(
     live: bool = False,
     model: Model | None = None,
     progress: Progress | None = None,
+    framing: Framing | None = None,
 ) -> CodedSignal:
     """Code samples (n, channels) in a physical unit by a codec's setting; what it leaves out has its default.
 
     `live`: in short packets with regular refreshes, as for streaming; otherwise in the fewest bytes, as for a file.
+    `framing`: how the packets of a live stream are cut, None = as `live_framing` says.
     `progress` is called with the part done, from 0 to 1. Raises CodecError on an empty signal, NaN, infinity, a
     setting that the codec does not have, or a channel count, level or unit that cannot be coded.
     """
-    return Source(samples, rate_hz, codec, unit, live, model, progress).encode(setting)
+    return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
 
 
 def settled(
@@ -193,6 +195,7 @@ class Source:
         live: bool,
         model: Model | None,
         progress: Progress | None,
+        framing: Framing | None = None,
     ) -> None:
         if samples.ndim != 2 or samples.shape[1] < 1:
             raise CodecError(f"samples of shape {samples.shape}; (n, channels) is needed")
@@ -206,7 +209,9 @@ class Source:
         self._model = model
         self._progress = progress or (lambda part: None)
         self._live = live
-        self._framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
+        if framing is None:
+            framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
+        self._framing = framing
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
         energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
         rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))

@@ -282,9 +282,16 @@ def _encode(
     else:
         coded = codec.encode(samples, rate_hz, given, **how)
     stream = replace(as_stream(coded, recording.unit, image), runtime=runtime)
+    return measured(recording, stream, rate_bps, snr_db)
+
+
+def measured(
+    recording: textures.Recording, stream: Stream, rate_bps: float | None = None, snr_db: float | None = None
+) -> Encoding:
+    """Return how near a stream comes to the recording, at its rate, and to what was asked. Raises CodecError."""
     decoded = stream.decode()
-    reached_db = _finite(codec.snr_db(samples, decoded))
-    each_db = tuple(map(_finite, codec.channel_snrs_db(samples, decoded)))
+    reached_db = _finite(codec.snr_db(recording.samples, decoded))
+    each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
     return Encoding(stream, recording, reached_db, each_db, _shortfall(stream, each_db, rate_bps, snr_db))
 
 

@@ -2,10 +2,8 @@
 
 import contextlib
 import json
-import math
 import re
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -17,11 +15,11 @@ from host import devices
 from host.controller import Controller
 from host.end_to_end import actuator_model
 from host.input_files import InputFileError
+from host.toml_tables import Table, read_toml, text
 from simulated_device.actuator import ACTUATORS, Actuator
 from simulated_device.actuator_tables import constants
 from textures import Recording
 
-MAX_BYTES = 1 << 20
 SENSOR_KINDS = ("accelerometer", "laser")
 SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
@@ -98,15 +96,14 @@ class Bench:
 
 def read_bench(path: Path) -> Bench:
     """Read a bench file. Raises BenchFileError, and OSError where it cannot be read."""
-    if path.exists() and not path.is_file():
-        raise BenchFileError(f"{path}: no file; give a bench file in TOML")
-    if path.stat().st_size > MAX_BYTES:
-        raise BenchFileError(f"{path}: longer than any bench file; give another")
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise BenchFileError(f"{path}: not a TOML file: {error}") from error
-    readers = {"controllers": _controller, "actuators": _actuator, "sensors": _sensor, "textures": _texture}
+    document = read_toml(path, "bench file", BenchFileError)
+    names: list[str] = []
+    readers = {
+        "controllers": _controller,
+        "actuators": lambda table: read_actuator(table, names),
+        "sensors": lambda table: _sensor(table, names),
+        "textures": _texture,
+    }
     if unknown := sorted(set(document) - set(readers)):
         raise BenchFileError(f"{path}: there is no {unknown[0]}; choose from {', '.join(readers)}")
     read: dict[str, list[Any]] = {}
@@ -115,10 +112,10 @@ def read_bench(path: Path) -> Bench:
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise BenchFileError(f"{path}: {kind} must be tables: begin each with [[{kind}]]")
         read[kind] = [
-            reader(_Table(path, f"[[{kind}]] {number}", table, read.get("controllers", [])))
-            for number, table in enumerate(tables, 1)
+            reader(Table(path, f"[[{kind}]] {number}", table, BenchFileError)) for number, table in enumerate(tables, 1)
         ]
-    if not read["controllers"]:
+        names = names or [entry.name for entry in read["controllers"]]
+    if not names:
         raise BenchFileError(f"{path}: names no controller; add [[controllers]] with a name and an address")
     for kind in ("controllers", "sensors"):
         names = [entry.name for entry in read[kind]]
@@ -189,67 +186,19 @@ def _check_address(address: str) -> str:
     return address
 
 
-class _Table:
-    """A table of the file, whose values are taken out one by one; what is left at the end is a mistake."""
-
-    def __init__(self, path: Path, where: str, table: Mapping[str, Any], controllers: list[BenchController]) -> None:
-        self.path = path
-        self._where = where
-        self._left = dict(table)
-        self._controllers = controllers
-        self._known: list[str] = []
-
-    def refuse(self, what: str) -> BenchFileError:
-        """Return the error that names the file and the table."""
-        return BenchFileError(f"{self.path}: {self._where}: {what}")
-
-    def take(self, key: str, read: Callable[[Any], Any], expected: str, default: Any = MISSING) -> Any:
-        """Return a value as `read` makes it of what the file says. Raises BenchFileError, which says what is right."""
-        self._known.append(key)
-        if key not in self._left:
-            if default is MISSING:
-                raise self.refuse(f"{key} is missing; it must be {expected}")
-            return default
-        value = self._left.pop(key)
-        try:
-            return read(value)
-        except (TypeError, ValueError) as error:
-            raise self.refuse(f"{key} must be {expected}, not {value!r}") from error
-
-    def text(self, key: str, default: Any = MISSING) -> Any:
-        """Return a text that is not empty."""
-        return self.take(key, _text, "a text", default)
-
-    def number(self, key: str, default: Any = MISSING) -> Any:
-        """Return a positive number."""
-        return self.take(key, _positive, "a positive number", default)
-
-    def whole(self, key: str, low: int, high: int, default: Any = MISSING) -> Any:
-        """Return a whole number in a range."""
-        return self.take(key, lambda value: _whole(value, low, high), f"a whole number from {low} to {high}", default)
-
-    def word(self, key: str, words: Any, default: Any = MISSING) -> Any:
-        """Return one of some words."""
-        return self.take(key, lambda value: _one_of(value, words), f"one of {', '.join(words)}", default)
-
-    def controller(self) -> str:
-        """Return the name of a controller; that of the only one if not given."""
-        names = [controller.name for controller in self._controllers]
-        return str(self.word("controller", names, names[0] if len(names) == 1 else MISSING))
-
-    def end(self) -> None:
-        """Raise BenchFileError for a key that was not taken."""
-        for key in self._left:
-            raise self.refuse(f"there is no key {key}; choose from {', '.join(self._known)}")
-
-
-def _controller(table: _Table) -> BenchController:
-    entry = BenchController(table.text("name"), table.take("address", _address, "an address such as 'sim'"))
+def _controller(table: Table) -> BenchController:
+    entry = BenchController(table.text("name"), table.take("address", read_address, "an address such as 'sim'"))
     table.end()
     return entry
 
 
-def _actuator(table: _Table) -> BenchActuator:
+def _controller_of(table: Table, controllers: list[str]) -> str:
+    """Return the name of a controller; that of the only one if not given."""
+    return str(table.word("controller", controllers, controllers[0] if len(controllers) == 1 else MISSING))
+
+
+def read_actuator(table: Table, controllers: list[str]) -> BenchActuator:
+    """Return an actuator behind one of the controllers of these names, as its table says: see docs/harness.md."""
     model = table.word("model", ACTUATORS, None)
     base = ACTUATORS[model] if model else None
 
@@ -265,7 +214,7 @@ def _actuator(table: _Table) -> BenchActuator:
     given["dac_bits"] = table.whole("dac_bits", 8, 16, base.dac_bits if base else standard["dac_bits"])
     rate_hz = base.dac_rate_hz if base else standard["dac_rate_hz"]
     given["dac_rate_hz"] = table.whole("dac_rate_hz", 100, 1_000_000, rate_hz)
-    entry = BenchActuator(Actuator(**given), table.controller(), table.whole("channel", 1, 16, None))
+    entry = BenchActuator(Actuator(**given), _controller_of(table, controllers), table.whole("channel", 1, 16, None))
     table.end()
     try:
         constants(entry.model)
@@ -274,11 +223,11 @@ def _actuator(table: _Table) -> BenchActuator:
     return entry
 
 
-def _sensor(table: _Table) -> Sensor:
+def _sensor(table: Table, controllers: list[str]) -> Sensor:
     entry = Sensor(
         name=table.text("name"),
         kind=table.word("kind", SENSOR_KINDS),
-        controller=table.controller(),
+        controller=_controller_of(table, controllers),
         channel=table.whole("channel", 1, 16, 1),
         command=table.take("command", _command, "a list of a program and its arguments, {file} among them"),
         suffix=table.word("suffix", SUFFIXES, ".wav"),
@@ -293,7 +242,7 @@ def _sensor(table: _Table) -> Sensor:
     return entry
 
 
-def _texture(table: _Table) -> Callable[[], Recording]:
+def _texture(table: Table) -> Callable[[], Recording]:
     """Return what loads or makes a texture: that, and a wrong table, raises BenchFileError."""
     file = table.text("file", None)
     if file is None:
@@ -322,39 +271,16 @@ def _texture(table: _Table) -> Callable[[], Recording]:
     return lambda: _loaded(table, partial(textures.load, path, **options))
 
 
-def _loaded(table: _Table, load: Callable[[], Recording]) -> Recording:
+def _loaded(table: Table, load: Callable[[], Recording]) -> Recording:
     try:
         return load()
     except textures.TextureError as error:
         raise table.refuse(str(error)) from error
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise TypeError(value)
-    return value
-
-
-def _positive(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-        raise ValueError(value)
-    return float(value)
-
-
-def _whole(value: Any, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(value)
-    return value
-
-
-def _one_of(value: Any, words: Any) -> str:
-    if not isinstance(value, str) or value not in words:
-        raise ValueError(value)
-    return value
-
-
-def _address(value: Any) -> str:
-    return _check_address(_text(value))
+def read_address(value: Any) -> str:
+    """Return an address as `host.devices.connect` takes it. Raises TypeError or BenchFileError."""
+    return _check_address(text(value))
 
 
 def _command(value: Any) -> tuple[str, ...]:

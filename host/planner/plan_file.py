@@ -1,0 +1,288 @@
+"""The plan file of `vibrocast plan`: how each texture of a scene is coded, sent and played (docs/planning.md)."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+import codec
+import models
+import textures
+from codec import Framing, Setting
+from host import coding
+from host.harness.bench_file import BenchActuator, actuator_toml, read_actuator, read_address
+from host.input_files import InputFileError
+from host.output_files import whole_file
+from host.planner.scene import Source
+from host.toml_tables import Table, read_toml
+from textures import Profile, Recording
+
+FORMAT = 1
+MAX_RATE = 10_000_000
+LOW_CUT_ORDER = 4
+SETTING_MODE = "setting"
+RATE_MODES = (SETTING_MODE,)
+
+
+class PlanError(InputFileError):
+    """A plan file that is wrong, or does not fit what is there; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a plan says of a texture; measured when it was planned, on the texture itself, unless told otherwise.
+
+    `payload_bps`, `wire_bps`: packets alone, and in their frames. `instructions_per_second`, `load_percent`,
+    `flash_bytes`, `ram_bytes`: of the decoder, from this project's tables (docs/firmware.md), None where they were not
+    measured; load is of the whole controller's processor. `snr_db`, `spqi`, `spectral_distance_db`: as
+    evaluation.metrics measures the decoded signal in the band worth coding. `error_over_threshold_db`: the loudest
+    part of the error at the skin, relative to the detection threshold. `delay_ms`: from a sample at the host to the
+    skin, packet, codec, buffer, link and compensation together.
+    """
+
+    payload_bps: float
+    wire_bps: float
+    instructions_per_second: float | None
+    load_percent: float | None
+    flash_bytes: int | None
+    ram_bytes: int | None
+    snr_db: float | None
+    spqi: float | None
+    spectral_distance_db: float | None
+    error_over_threshold_db: float | None
+    delay_ms: float
+
+
+@dataclass(frozen=True)
+class PlannedTexture:
+    """How one texture is coded and sent.
+
+    `hand_speed_mm_s`: under which a height profile is swept; of a profile over position, the greatest.
+    `over_position`: the stream is a profile, its `rate` in samples per metre; otherwise in Hz. `lowest`, `highest`:
+    the band worth coding, in Hz, or in periods per metre. `packet_samples`, `refresh_packets`: as codec.Framing.
+    `rate_mode`: one of RATE_MODES; "setting": every packet by the setting. `buffer_ms`: how long packets lie on the
+    controller before they are needed.
+    """
+
+    name: str
+    source: Source
+    controller: str
+    hand_speed_mm_s: float
+    over_position: bool
+    codec: str
+    model: str | None
+    setting: Setting
+    rate: int
+    lowest: float
+    highest: float
+    packet_samples: int
+    refresh_packets: int
+    rate_mode: str
+    buffer_ms: float
+    forecast: Forecast
+
+    def recording(self) -> Recording:
+        """Load the texture and bring it to the stream's rate and band. Raises TextureError."""
+        return prepared(
+            self.source.load(self.hand_speed_mm_s), self.hand_speed_mm_s, self.over_position, self.rate, self.lowest
+        )
+
+    def encode(self, recording: Recording | None = None) -> coding.Encoding:
+        """Code the texture as planned; `recording`: as `recording` returns it, where that has been done.
+
+        Raises CodecError, ModelError, TextureError.
+        """
+        prepared_recording = recording or self.recording()
+        model = None if self.model is None else models.find(self.model)
+        framing = Framing(self.packet_samples, self.refresh_packets)
+        return encode(prepared_recording, self.codec, self.setting, model, framing)
+
+
+@dataclass(frozen=True)
+class PlannedController:
+    """A controller of the plan, by the name that its textures and actuators give. `address`: as in the scene."""
+
+    name: str
+    address: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A plan, as `write_plan` writes it and `read_plan` reads it. `scene`: the scene's file."""
+
+    scene: Path
+    controllers: tuple[PlannedController, ...]
+    actuators: tuple[BenchActuator, ...]
+    textures: tuple[PlannedTexture, ...]
+
+    def texture(self, name: str) -> PlannedTexture:
+        """Return the texture of that name. Raises PlanError."""
+        for texture in self.textures:
+            if texture.name == name:
+                return texture
+        raise PlanError(
+            f"the plan has no texture {name!r}; choose from {', '.join(each.name for each in self.textures)}"
+        )
+
+
+def prepared(
+    loaded: Recording | Profile, hand_speed_mm_s: float, over_position: bool, rate: int, lowest: float
+) -> Recording:
+    """Return a texture at the stream's rate, and without what lies below its band. Raises TextureError.
+
+    What is above the band goes with the resampling. Below `lowest`, a Butterworth high-pass of order LOW_CUT_ORDER
+    run in both directions, without delay, whose corner (-6 dB) lies half an octave lower, where it takes 0.1 dB at
+    `lowest`; 0 = nothing is taken away. A profile over position has its rate per metre for hertz.
+    """
+    if isinstance(loaded, Profile):
+        # Over position, a metre takes the place of a second: as if swept at 1000 mm/s.
+        loaded = loaded.recording(1000.0 if over_position else hand_speed_mm_s)
+    recording = textures.resample(loaded, rate)
+    if lowest <= 0:
+        return recording
+    sections = scipy.signal.butter(LOW_CUT_ORDER, lowest / np.sqrt(2), "highpass", fs=rate, output="sos")
+    longest = len(recording.samples) - 1
+    cut = scipy.signal.sosfiltfilt(
+        sections, recording.samples, axis=0, padlen=min(longest, 3 * (2 * LOW_CUT_ORDER + 1))
+    )
+    return Recording(np.ascontiguousarray(cut), recording.rate_hz, recording.unit, recording.name)
+
+
+def encode(
+    recording: Recording,
+    codec_name: str,
+    setting: Setting,
+    model: models.Model | None,
+    framing: Framing,
+) -> coding.Encoding:
+    """Code a recording by a setting, cut into packets for a live stream. Raises CodecError."""
+    coded = codec.encode(
+        recording.samples,
+        round(recording.rate_hz),
+        setting,
+        codec=codec_name,
+        unit=recording.unit,
+        live=True,
+        model=None if model is None else codec.Model(model.tables, model.analysis),
+        framing=framing,
+    )
+    return coding.measured(recording, coding.as_stream(coded, recording.unit, None if model is None else model.image))
+
+
+def write_plan(path: Path, plan: Plan) -> None:
+    """Write a plan as TOML; files are named from its folder. Raises OSError."""
+    folder = path.parent
+
+    def from_folder(file: Path) -> str:
+        return os.path.relpath(file, folder)
+
+    parts = [
+        "# Made by `vibrocast plan`; what each key means is in docs/planning.md.",
+        _lines({"format": FORMAT, "scene": from_folder(plan.scene)}),
+    ]
+    for controller in plan.controllers:
+        parts.append("[[controllers]]\n" + _lines(asdict(controller)))
+    for actuator in plan.actuators:
+        channel = "" if actuator.channel is None else f"channel = {actuator.channel}\n"
+        parts.append(actuator_toml(actuator.model, actuator.controller) + channel)
+    for texture in plan.textures:
+        source = texture.source
+        values = {
+            "name": texture.name,
+            "file": [from_folder(file) for file in source.files] or None,
+            "generate": source.kind,
+            **{f.name: getattr(texture, f.name) for f in fields(texture) if f.name not in _TABLES},
+        }
+        parts.append("[[textures]]\n" + _lines(values))
+        for key, table in (("options", source.options), ("setting", texture.setting)):
+            parts.append(f"[textures.{key}]\n" + _lines(table))
+        parts.append("[textures.forecast]\n" + _lines(asdict(texture.forecast)))
+    with whole_file(path) as partial:
+        partial.write_text("\n".join(parts), encoding="utf-8")
+
+
+_TABLES = ("name", "source", "setting", "forecast")
+
+
+def _lines(values: Mapping[str, Any]) -> str:
+    """Return key = value lines; None is left out."""
+    # Texts, numbers, lists and truth values in JSON are the same in TOML.
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items() if value is not None)
+
+
+def read_plan(path: Path) -> Plan:
+    """Read a plan file. Raises PlanError, and OSError where it cannot be read."""
+    document = read_toml(path, "plan", PlanError)
+    lists = {key: document.pop(key, None) for key in ("controllers", "actuators", "textures")}
+    tables: dict[str, list[Table]] = {}
+    for kind, given in lists.items():
+        if not isinstance(given, list) or not given or not all(isinstance(table, dict) for table in given):
+            raise PlanError(f"{path}: a plan has tables [[{kind}]]; make it with `vibrocast plan`")
+        tables[kind] = [Table(path, f"[[{kind}]] {place}", table, PlanError) for place, table in enumerate(given, 1)]
+    head = Table(path, "the plan", document, PlanError)
+    head.whole("format", FORMAT, FORMAT)
+    scene = path.parent / head.text("scene")
+    head.end()
+    controllers = tuple(_controller(table) for table in tables["controllers"])
+    names = [controller.name for controller in controllers]
+    actuators = tuple(read_actuator(table, names) for table in tables["actuators"])
+    return Plan(scene, controllers, actuators, tuple(_texture(table, names) for table in tables["textures"]))
+
+
+def _controller(table: Table) -> PlannedController:
+    controller = PlannedController(table.text("name"), table.take("address", read_address, "an address such as 'sim'"))
+    table.end()
+    return controller
+
+
+def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
+    name = table.text("name")
+    files = table.take("file", _paths, "a list of files", ())
+    kind = table.word("generate", sorted(textures.GENERATORS), None)
+    if (not files) == (kind is None):
+        raise table.refuse("give either file or generate")
+    options = table.take("options", dict, "a table of options", {})
+    codec_name = table.word("codec", sorted(codec.CODECS))
+    read = PlannedTexture(
+        name=name,
+        source=Source(tuple(table.path.parent / file for file in files), kind, options),
+        controller=table.word("controller", controllers),
+        hand_speed_mm_s=table.within("hand_speed_mm_s", 0, 1e6, "speed of the hand in mm/s"),
+        over_position=table.switch("over_position"),
+        codec=codec_name,
+        model=table.text("model", None),
+        setting=table.take("setting", partial(_setting, codec_name), f"a setting of {codec_name}", {}),
+        rate=table.whole("rate", 1, MAX_RATE),
+        lowest=table.within("lowest", 0, MAX_RATE, "lowest frequency worth coding"),
+        highest=table.within("highest", 0, MAX_RATE, "highest frequency worth coding"),
+        packet_samples=table.whole("packet_samples", 1, 1 << 20),
+        refresh_packets=table.whole("refresh_packets", 0, 1 << 20),
+        rate_mode=table.word("rate_mode", RATE_MODES),
+        buffer_ms=table.within("buffer_ms", 0, 1e6, "margin of packets in ms"),
+        forecast=table.take("forecast", _forecast, "the table that `vibrocast plan` wrote"),
+    )
+    table.end()
+    return read
+
+
+def _forecast(value: Any) -> Forecast:
+    if not all(isinstance(each, (int, float)) and not isinstance(each, bool) for each in value.values()):
+        raise TypeError(value)
+    return Forecast(**{**dict.fromkeys(field.name for field in fields(Forecast)), **value})
+
+
+def _setting(codec_name: str, value: Any) -> Setting:
+    given = {name: tuple(part) if isinstance(part, list) else part for name, part in value.items()}
+    return codec.CODECS[codec_name].complete(given)
+
+
+def _paths(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(file, str) and "\0" not in file for file in value):
+        raise TypeError(value)
+    return tuple(value)

@@ -1,0 +1,112 @@
+"""The plan file: what is written is read again, what is wrong is told, and a plan codes as it says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host.planner.plan_file import (
+    Forecast,
+    Plan,
+    PlanError,
+    PlannedController,
+    PlannedTexture,
+    prepared,
+    read_plan,
+    write_plan,
+)
+from host.planner.scene import Source
+from tests.planner.scenes import scene
+from textures import Recording
+
+FORECAST = Forecast(1000.5, 1200.0, None, 2.5, 30_000, 40_000, 12.25, 0.9, 3.0, -9.0, 45.5)
+
+
+def plan(folder: Path) -> Plan:
+    read = scene(folder)
+    texture = PlannedTexture(
+        name="wood",
+        source=read.textures[0].source,
+        controller="one",
+        hand_speed_mm_s=60.0,
+        over_position=False,
+        codec="mdct",
+        model=None,
+        setting={"step": 0.7, "thrift": 1.0, "hop": "32", "fill": 0.03125},
+        rate=1600,
+        lowest=30.0,
+        highest=500.0,
+        packet_samples=64,
+        refresh_packets=5,
+        rate_mode="setting",
+        buffer_ms=10.0,
+        forecast=FORECAST,
+    )
+    return Plan(read.path, (PlannedController("one", "cortex-m4"),), read.actuators, (texture,))
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    written = plan(tmp_path)
+    (tmp_path / "out").mkdir()
+    write_plan(tmp_path / "out" / "plan.toml", written)
+    read = read_plan(tmp_path / "out" / "plan.toml")
+    assert read.scene.resolve() == written.scene.resolve()
+    assert replace(read, scene=written.scene) == written
+    assert read.texture("wood").forecast == FORECAST
+    with pytest.raises(PlanError, match="the plan has no texture 'oak'; choose from wood"):
+        read.texture("oak")
+
+
+def test_a_plan_with_files_finds_them_from_its_folder(tmp_path: Path) -> None:
+    written = plan(tmp_path)
+    source = Source((tmp_path / "in" / "oak.wav",), None, {"unit": "m/s^2"})
+    (tmp_path / "out").mkdir()
+    path = tmp_path / "out" / "plan.toml"
+    write_plan(path, replace(written, textures=(replace(written.textures[0], source=source),)))
+    assert 'file = ["../in/oak.wav"]' in path.read_text()
+    assert read_plan(path).textures[0].source.files[0].resolve() == source.files[0]
+
+
+def test_a_texture_is_coded_as_planned(tmp_path: Path) -> None:
+    (texture,) = plan(tmp_path).textures
+    encoding = texture.encode()
+    decoder = encoding.stream.decoder()
+    assert encoding.stream.header.rate_hz == 1600 and decoder.packet_samples == 64
+    assert encoding.stream.facts()["refresh_packets"] == -(-len(encoding.stream.packets) // 5)
+    assert encoding.snr_db is not None and encoding.snr_db > 3
+
+
+def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
+    time_s = np.arange(4000) / 2000
+    low, tone = np.sin(2 * np.pi * 10 * time_s), np.sin(2 * np.pi * 100 * time_s)
+    recording = Recording((low + tone)[:, None], 2000, "um", "two tones")
+    cut = prepared(recording, 1.0, False, 2000, 60.0).samples[500:-500, 0]
+    assert np.max(np.abs(cut - tone[500:-500])) < 0.02
+    assert prepared(recording, 1.0, False, 2000, 0.0) is recording
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('codec = "mdct"', 'codec = "mp3"', "[[textures]] 1: codec must be one of amr-nb"),
+        ("rate = 1600", "rate = 0", "rate must be a whole number from 1 to"),
+        ("step = 0.7", "step = -1", "setting must be a setting of mdct"),
+        ("packet_samples = 64\n", "", "packet_samples is missing"),
+        ('rate_mode = "setting"', 'rate_mode = "any"', "rate_mode must be one of setting"),
+        ("payload_bps = 1000.5", 'payload_bps = "low"', "forecast must be the table that `vibrocast plan` wrote"),
+        ("format = 1", "format = 2", "format must be a whole number from 1 to 1"),
+        ('controller = "one"\nhand', 'controller = "two"\nhand', "controller must be one of one, not 'two'"),
+        ("[[controllers]]", "[[computers]]", "a plan has tables [[controllers]]; make it with `vibrocast plan`"),
+        ("format = 1", "format = = 1", "not a TOML file"),
+    ],
+)
+def test_a_plan_that_was_spoilt_is_told(before: str, after: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    write_plan(path, plan(tmp_path))
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after))
+    with pytest.raises(PlanError) as raised:
+        read_plan(path)
+    assert str(raised.value).startswith(f"{path}: ") and message in str(raised.value)

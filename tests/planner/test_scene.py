@@ -1,0 +1,148 @@
+"""The scene file: what is read, and that every mistake is told with its table and key."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from host.planner.scene import SceneError, read_scene
+from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
+from textures import Recording, save_wav
+
+
+def test_a_scene_is_read(tmp_path: Path) -> None:
+    read = scene(tmp_path, hand="[hand]\nspeed_mm_s = [20, 80]\n", link='[link]\nkind = "serial"\nbaud = 115200\n')
+    (texture,) = read.textures
+    assert texture.name == "wood" and isinstance(texture.loaded, Recording)
+    assert read.hand_speed_mm_s == (20.0, 80.0)
+    assert read.controllers[0].core == "M4F" and read.controllers[0].clock_hz == 168e6
+    assert read.link.bytes_per_second == 11520.0
+    assert read.asked.measure == "snr_db" and read.asked.waveform
+    assert read.actuator(texture).name == "piezo-stack"
+
+
+def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for name, seconds in (("a", 0.2), ("b", 0.3)):
+        noise = np.random.default_rng(1).normal(size=(round(2800 * seconds), 1))
+        save_wav(folder / f"{name}.wav", Recording(noise, 2800, "m/s^2", name))
+    read = scene(tmp_path, texture='[[textures]]\nfile = "recordings"\n')
+    assert [texture.name for texture in read.textures] == ["a", "b"]
+    (both,) = scene(tmp_path, texture='[[textures]]\nfile = ["recordings/a.wav", "recordings/b.wav"]\n').textures
+    assert both.channels == 2 and isinstance(both.loaded, Recording)
+    assert both.loaded.samples.shape == (840, 2) and not both.loaded.samples[560:, 0].any()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"texture": ""}, "names no textures; add [[textures]]"),
+        ({"texture": '[[textures]]\nfile = "none.wav"\n'}, "[[textures]] 1: file "),
+        ({"texture": "[[textures]]\n"}, "give either file or generate"),
+        ({"texture": TEXTURE + 'file = "a.wav"\n'}, "give either file or generate"),
+        ({"texture": TEXTURE + "colour = 1\n"}, "there is no key colour; choose from"),
+        ({"texture": TEXTURE.replace("2800", "2.8")}, "rate_hz = 2.8 is out of range: sample rate in Hz, from 20 to"),
+        ({"texture": TEXTURE.replace("2800", "2.8")}, "are the units mixed up? 2800 would be possible"),
+        ({"texture": 2 * TEXTURE}, "two [[textures]] are named 'wood'"),
+        ({"texture": '[[textures]]\nfile = "scene.toml"\n'}, "[[textures]] 1: "),
+        ({"texture": "textures = 3\n"}, "textures must be tables: begin each with [[textures]]"),
+        ({"hand": ""}, "[hand]: speed_mm_s is missing; it must be a speed in mm/s"),
+        ({"hand": "[hand]\nspeed_mm_s = 0.05\n"}, "speed_mm_s = 0.05 is out of range: speed of the hand in mm/s"),
+        ({"hand": "[hand]\nspeed_mm_s = 0.05\n"}, "are the units mixed up? 50 would be possible"),
+        ({"hand": "[hand]\nspeed_mm_s = [80, 20]\n"}, "the least speed, 80, is above the greatest, 20; swap them"),
+        ({"hand": "[hand]\nspeed_mm_s = [1, 2, 3]\n"}, "speed_mm_s must be a speed in mm/s, or the least and"),
+        ({"texture": "hand = 3\n" + TEXTURE, "hand": ""}, "hand must be a table: begin it with [hand]"),
+        ({"controller": ""}, "names no controllers; add [[controllers]]"),
+        ({"controller": CONTROLLER.replace("cortex-m4", "elsewhere")}, "address must be an address such as 'sim'"),
+        ({"controller": CONTROLLER + "clock_hz = 168e9\n"}, "clock_hz = 1.68e+11 is out of range: clock of"),
+        ({"controller": CONTROLLER + "clock_hz = 168e9\n"}, "are the units mixed up? 168000000 would be possible"),
+        ({"controller": CONTROLLER + "ram_bytes = 128\n"}, "ram_bytes = 128 is out of range: working memory in bytes"),
+        ({"controller": CONTROLLER + 'core = "Z80"\n'}, "core must be one of M4F, M7, M33, not 'Z80'"),
+        ({"controller": CONTROLLER.replace("cortex-m4", "serial:/dev/ttyX")}, "channels is missing; it must be a"),
+        (
+            {"controller": CONTROLLER.replace("cortex-m4", "serial:/dev/ttyX") + 'channels = 1\ncore = "M7"\n'},
+            "core M7 needs its clock_hz",
+        ),
+        ({"controller": CONTROLLER.replace("cortex-m4", "sim") + "clock_hz = 1e8\n"}, "clock_hz needs the core that"),
+        ({"controller": 2 * CONTROLLER}, "two [[controllers]] are named 'one'"),
+        ({"actuator": ""}, "names no actuators; add [[actuators]]"),
+        ({"actuator": ACTUATOR + "corner_hz = 0.27\n"}, "corner_hz = 0.27 is out of range: -3 dB frequency or"),
+        ({"actuator": ACTUATOR + "stroke_um = 1e9\n"}, "stroke_um = 1e+09 is out of range"),
+        ({"actuator": ACTUATOR + "channel = 9\n"}, "channel 9, but one has 4 channels"),
+        ({"actuator": ACTUATOR + "channel = 2\n"}, "wood moves the actuator on channel 1 of one, which the scene does"),
+        ({"asked": ""}, "[asked]: one quality must be asked, and none is given"),
+        ({"asked": ASKED + "imperceptible = true\n"}, "snr_db and imperceptible is given: keep one of"),
+        ({"asked": ASKED + "waveform = false\n"}, "waveform = false contradicts snr_db, which compares waveforms"),
+        ({"asked": ASKED + "delay_limit_ms = 3\n", "link": "[link]\ndelay_ms = 5\n"}, "delay_limit_ms = 3 cannot be"),
+        (
+            {"asked": ASKED + "rate_limit_bps = 1e6\n", "link": '[link]\nkind = "serial"\nbaud = 9600\n'},
+            "rate_limit_bps = 1000000 is above the 7680 bit/s that the link carries",
+        ),
+        ({"asked": ASKED.replace("10", '"good"')}, "snr_db must be signal-to-noise ratio in dB, a number from 0 to 90"),
+        ({"link": '[link]\nkind = "usb-full-speed"\nbaud = 9600\n'}, "baud is of a serial line, and this link is usb"),
+        ({"link": '[link]\nkind = "carrier pigeon"\n'}, "kind must be one of serial, usb-full-speed"),
+        ({"skin": '[skin]\nthreshold = "none.csv"\n'}, "cannot be read as a detection threshold"),
+        ({"weights": "[weights]\nper_kilobyte = -1\n"}, "per_kilobyte = -1 is out of range: weight of one such unit"),
+        (
+            {"weights": "[weights]\n" + "".join(f"{key} = 0\n" for key in (
+                "per_kilobit_per_second", "per_million_instructions_per_second", "per_kilobyte", "per_millisecond",
+            ))},
+            "all weights are 0",
+        ),
+        ({"more": "[sound]\n"}, "there is no sound; choose from textures"),
+        ({"more": "a = " + 9999 * "["}, "not a TOML file"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_with_its_place(changed: dict[str, str], message: str, tmp_path: Path) -> None:
+    path = written(tmp_path, **changed)
+    with pytest.raises(SceneError) as raised:
+        read_scene(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert message in str(raised.value)
+
+
+def test_a_profile_over_a_range_of_speeds_needs_a_controller_that_knows_the_hand(tmp_path: Path) -> None:
+    profile = "position_um,height_um\n" + "".join(f"{10 * place},{place % 7}\n" for place in range(100))
+    (tmp_path / "profile.csv").write_text(profile)
+    changed = {"texture": '[[textures]]\nfile = "profile.csv"\n', "hand": "[hand]\nspeed_mm_s = [0, 300]\n"}
+    with pytest.raises(SceneError, match="profile is a height profile, and the hand moves at 0 to 300 mm/s"):
+        scene(tmp_path, **changed)
+    knows = scene(tmp_path, **changed, controller=CONTROLLER + "reads_position = true\n")
+    assert knows.textures[0].channels == 1
+
+
+_VALUES = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=3)),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from("ab"), inner, max_size=2),
+    max_leaves=4,
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+@given(
+    key=st.sampled_from(("speed_mm_s", "clock_hz", "channels", "snr_db", "delay_ms", "baud", "file", "weights")),
+    value=_VALUES,
+)
+def test_no_value_makes_anything_but_a_scene_or_an_error(key: str, value: object, tmp_path: Path) -> None:
+    places = {
+        "speed_mm_s": ("hand", "[hand]\n"),
+        "clock_hz": ("controller", CONTROLLER),
+        "channels": ("controller", CONTROLLER),
+        "snr_db": ("asked", "[asked]\n"),
+        "delay_ms": ("link", "[link]\n"),
+        "baud": ("link", '[link]\nkind = "serial"\n'),
+        "file": ("texture", "[[textures]]\n"),
+        "weights": ("first", ""),
+    }
+    part, before = places[key]
+    text = f"{before}{key} = {json.dumps(value)}\n"
+    changed = {part: text} if part != "first" else {"texture": text + TEXTURE}
+    try:
+        read = read_scene(written(tmp_path, **changed))
+    except SceneError:
+        return
+    assert read.textures
