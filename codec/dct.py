@@ -26,12 +26,12 @@ from codec.interface import (
     SignalFormat,
     Steering,
     number,
-    refuse_steering,
     varint,
     word,
 )
 from codec.packetwise import PacketwiseEncoder
 from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
+from codec.trial import PacketTrial, steered_packet
 
 NAME = "dct"
 IDENTIFIER = 2
@@ -39,6 +39,8 @@ BLOCKS = (64, 128, 256, 512, 1024)
 MAX_PACKET_BLOCKS = 4095
 MAX_PACKET_SAMPLES = 2**18
 MAX_LEVELS = 65_535
+LEVEL_CODES = 231
+"""Of the numbers of levels that the packets of a steered stream say."""
 HEIGHT_LIMIT_HZ = 400.0
 """The source paper drops what is above it: its display has no more, and fingers feel little of it."""
 SMALLEST_HEIGHT_UM = 0.05
@@ -47,6 +49,9 @@ SMALLEST_OF_RMS = 0.05
 """S of other units, relative to the RMS value of a coefficient: a tenth gains 1 dB at 14 levels, but stops at 25 dB."""
 
 _RANGE_CODES_PER_OCTAVE = 256
+_LEVEL_CODES_PER_OCTAVE = 16
+# Coarsenesses beyond 4 levels cut what is small, from 36 dB below the greatest magnitude on, and with the last one all.
+_CUTTING_COARSENESSES = 6 * _LEVEL_CODES_PER_OCTAVE + 1
 _FIRST_CLASS = 16
 
 
@@ -55,6 +60,11 @@ def range_code(magnitude: float) -> int:
     if magnitude < 0.5:
         return 0
     return min(max(math.ceil(_RANGE_CODES_PER_OCTAVE * math.log2(magnitude)), 1), 65_535)
+
+
+def level_code(levels: int) -> int:
+    """Return the code of the number of levels nearest `levels`: 16 codes for each factor of two in the steps' size."""
+    return min(round(_LEVEL_CODES_PER_OCTAVE * math.log2((levels - 1) / 3)), LEVEL_CODES - 1)
 
 
 def symbols_of(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -79,8 +89,10 @@ def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: 
 class DctEncoder(PacketwiseEncoder):
     """Encoder of `dct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
-    def __init__(self, setting: Setting, signal_format: SignalFormat, framing: Framing) -> None:
-        """Make an encoder; the setting is complete and checked.
+    def __init__(
+        self, setting: Setting, signal_format: SignalFormat, framing: Framing, steering: Steering | None = None
+    ) -> None:
+        """Make an encoder; the setting is complete and checked. `steering` chooses the levels of each packet.
 
         Raises CodecError on a channel count, packet length, frequency limit or threshold that the codec does not have.
         """
@@ -90,6 +102,7 @@ class DctEncoder(PacketwiseEncoder):
         self._logarithmic = word(setting, "quantiser") == "log"
         self._range_coded = word(setting, "entropy") == "range"
         self._levels = int(number(setting, "levels"))
+        self._steering, self._coarseness = steering, 0
         self._bins = _kept_bins(setting, signal_format, self._block)
         self._cuts = _cuts(setting, signal_format, self._block)[:, self._bins]
         self._smallest = [range_code(value) for value in _smallest(setting, signal_format, self._block)]
@@ -97,12 +110,13 @@ class DctEncoder(PacketwiseEncoder):
             (
                 bytes((BLOCKS.index(self._block) | self._logarithmic << 3 | self._range_coded << 4,)),
                 self._packet_blocks.to_bytes(2, "little"),
-                self._levels.to_bytes(2, "little"),
+                (0 if steering else self._levels).to_bytes(2, "little"),
                 self._bins.start.to_bytes(2, "little"),
                 self._bins.stop.to_bytes(2, "little"),
                 *(code.to_bytes(2, "little") for code in self._smallest if self._logarithmic),
             )
         )
+        self._gains = np.array(signal_format.gains)
         self._sequence = 0
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
@@ -112,33 +126,77 @@ class DctEncoder(PacketwiseEncoder):
         coefficients = dct(blocks, axis=2, norm="ortho")[:, :, self._bins] * UNIT
         kept = np.rint(coefficients)
         kept[np.abs(coefficients) < self._cuts.T] = 0
-        return [self._code(packet.transpose(2, 0, 1)) for packet in kept]
+        parts = zip(kept.transpose(0, 3, 1, 2), samples.reshape(-1, self.packet_samples, self._channels), strict=True)
+        packets = []
+        for packet, own_samples in parts:
+            packets.append(self._steered(packet, own_samples) if self._steering else self._code(packet, self._levels))
+            self._sequence += 1
+        return packets
 
-    def _code(self, coefficients: Signal) -> bytes:
-        """Return one packet of coefficients (channels, blocks, bins) in the core's unit."""
+    def _steered(self, coefficients: Signal, samples: Signal) -> bytes:
+        """Return one packet at the coarseness chosen for it."""
+        assert self._steering is not None
+        own_code = level_code(self._levels)
+
+        def code(coarseness: int) -> bytes:
+            packet_code = max(own_code - coarseness, 0)
+            levels = library().vc_dct_levels_of(packet_code)
+            cut = self._cut(coefficients, levels, coarseness - own_code)
+            return self._code(cut, levels, bytes((packet_code,)))
+
+        coarsenesses = range(own_code - LEVEL_CODES + 1, own_code + _CUTTING_COARSENESSES + 1)
+        trial = PacketTrial(samples, coarsenesses, self._coarseness, code)
+        self._coarseness, packet = steered_packet(trial, self._steering, code)
+        return packet
+
+    def _cut(self, coefficients: Signal, levels: int, coarseness: int) -> Signal:
+        """Return the coefficients of a steered packet without those that count as zero.
+
+        These are less than half a step of linear levels, and, `coarseness` beyond the fewest levels, what it cuts.
+        """
+        magnitudes = np.abs(coefficients)
+        limits = np.zeros((self._channels, 1, 1))
+        if not self._logarithmic:
+            limits = np.ptp(coefficients, axis=(1, 2), keepdims=True) / (levels - 1) / 2
+        if coarseness > 0:
+            # Equal in the physical unit, so that the bits go to the channels that have most.
+            physical = magnitudes * self._gains[:, None, None]
+            octaves = (coarseness + 1 - _CUTTING_COARSENESSES) / _LEVEL_CODES_PER_OCTAVE
+            limits = np.maximum(limits, 2**octaves * np.max(physical) / self._gains[:, None, None])
+        return np.where(magnitudes < limits, 0, coefficients)
+
+    def _code(self, coefficients: Signal, levels: int, stated_levels: bytes = b"") -> bytes:
+        """Return one packet of coefficients (channels, blocks, bins) in the core's unit.
+
+        `stated_levels`: the code of its levels, where the configuration does not state them. Raises CodecError where it does not fit.
+        """
         # The greatest magnitudes below and above zero.
-        ranges = [(range_code(-float(np.min(part))), range_code(float(np.max(part)))) for part in coefficients]
+        magnitudes = [(max(-float(np.min(part)), 0.0), max(float(np.max(part)), 0.0)) for part in coefficients]
+        if stated_levels and not self._logarithmic:
+            magnitudes = [_with_level_at_zero(below, above, levels) for below, above in magnitudes]
+        ranges = [(range_code(below), range_code(above)) for below, above in magnitudes]
         sounding = [channel for channel, both in enumerate(ranges) if any(both)]
         zeros = bool(np.any(coefficients[sounding] == 0))
         values = [
-            self._quantised(coefficients[channel], self._smallest[channel], *ranges[channel], zeros)
+            self._quantised(coefficients[channel], levels, self._smallest[channel], *ranges[channel], zeros)
             for channel in sounding
         ]
-        packet = varint(2 * self._sequence + 1)
+        packet = varint(2 * self._sequence + 1) + stated_levels
         packet += b"".join(code.to_bytes(2, "little") for both in ranges for code in both)
         if values:
             coder = self._range_code if self._range_coded else _huffman_code
             packet += coder(np.array(values), zeros)
         if len(packet) > MAX_PACKET_BYTES:
             raise does_not_fit(self.packet_samples)
-        self._sequence += 1
         return packet
 
-    def _quantised(self, coefficients: Signal, smallest: int, below: int, above: int, zeros: bool) -> NDArray[np.int64]:
+    def _quantised(
+        self, coefficients: Signal, levels: int, smallest: int, below: int, above: int, zeros: bool
+    ) -> NDArray[np.int64]:
         """Return the coded value of each coefficient: that of the nearest level, or 0 for zero where that is one."""
-        levels = reconstruction_levels(self._logarithmic, self._levels, smallest, below, above)
-        rising = np.argsort(levels, kind="stable")
-        edges = (levels[rising][1:] + levels[rising][:-1].astype(np.float64)) / 2
+        values_of_levels = reconstruction_levels(self._logarithmic, levels, smallest, below, above)
+        rising = np.argsort(values_of_levels, kind="stable")
+        edges = (values_of_levels[rising][1:] + values_of_levels[rising][:-1].astype(np.float64)) / 2
         values = rising[np.searchsorted(edges, coefficients)] + zeros
         return np.where(coefficients == 0, 0, values) if zeros else values
 
@@ -150,6 +208,17 @@ class DctEncoder(PacketwiseEncoder):
         if length < 0:
             raise does_not_fit(self.packet_samples)
         return bytes(ffi.buffer(output, length))
+
+
+def _with_level_at_zero(below: float, above: float, levels: int) -> tuple[float, float]:
+    """Return the ends of a linear quantiser moved by at most half a step, so that a level is at zero.
+
+    Without one, small coefficients cost a bit each at an even number of levels and next to nothing at an odd one: bytes
+    would not fall with the levels.
+    """
+    step = (below + above) / (levels - 1)
+    steps_below = round(below / step) if step else 0
+    return steps_below * step, (levels - 1 - steps_below) * step
 
 
 def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> slice:
@@ -211,9 +280,8 @@ def make_encoder(
     steering: Steering | None = None,
 ) -> DctEncoder:
     """Make an encoder. Raises CodecError as `DctEncoder`."""
-    refuse_steering(NAME, steering)
     assert model is None, "takes_model is not set"
-    return DctEncoder(setting, signal_format, framing)
+    return DctEncoder(setting, signal_format, framing, steering)
 
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
@@ -266,4 +334,5 @@ CODEC = Codec(
     physical_ladders=frozenset({"dct-threshold", "dct-linear-threshold", "dct-log-threshold"}),
     make_encoder=make_encoder,
     make_decoder=make_decoder,
+    steers=True,
 )

@@ -36,8 +36,8 @@ int vc_dct_configuration_read(vc_dct_configuration *configuration, const uint8_t
     read.first = number_at(bytes + 5);
     read.end = number_at(bytes + 7);
     if (read.packet_blocks < 1 || read.packet_blocks > MAX_PACKET_BLOCKS ||
-        read.packet_blocks * read.block > MAX_PACKET_SAMPLES || read.levels < VC_DCT_MIN_LEVELS ||
-        read.first >= read.end || read.end > read.block || length != 9u + (read.logarithmic ? 2 * channels : 0))
+        read.packet_blocks * read.block > MAX_PACKET_SAMPLES ||
+        (read.levels > 0 && read.levels < VC_DCT_MIN_LEVELS) || read.first >= read.end || read.end > read.block || length != 9u + (read.logarithmic ? 2 * channels : 0))
         return VC_BAD_CONFIGURATION;
     for (channel = 0; channel < channels && read.logarithmic; channel++)
         read.smallest[channel] = number_at(bytes + 9 + 2 * channel);
@@ -248,12 +248,19 @@ int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length,
 {
     const unsigned channels = decoder->configuration.channels;
     value_reader reader;
-    uint32_t sequence, block;
+    uint32_t sequence, block, levels = decoder->configuration.levels;
     int refresh, sounds = 0;
     unsigned channel;
-    size_t i;
-    const size_t head = vc_packet_head_read(packet, length, &sequence, &refresh), start = head + 4 * (size_t)channels;
-    if (head == 0 || !refresh || length < start)
+    size_t i, head = vc_packet_head_read(packet, length, &sequence, &refresh), start;
+    if (head == 0 || !refresh)
+        return VC_BAD_PACKET;
+    if (levels == 0) {
+        if (length == head || packet[head] >= VC_DCT_LEVEL_CODES)
+            return VC_BAD_PACKET;
+        levels = vc_dct_levels_of(packet[head++]);
+    }
+    start = head + 4 * (size_t)channels;
+    if (length < start)
         return VC_BAD_PACKET;
     for (i = head; i < start; i++)
         sounds |= packet[i];
@@ -274,8 +281,8 @@ int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length,
         memset(decoder->spectrum, 0, sizeof decoder->spectrum);
         vc_dct_model_next_channel(&decoder->model);
         if (!silent)
-            vc_dct_quantiser_init(&quantiser, decoder->configuration.logarithmic, decoder->configuration.levels,
-                                  reader.zeros, decoder->configuration.smallest[channel], below, above);
+            vc_dct_quantiser_init(&quantiser, decoder->configuration.logarithmic, levels, reader.zeros,
+                                  decoder->configuration.smallest[channel], below, above);
         for (block = 0; block < decoder->configuration.packet_blocks; block++) {
             if (!silent)
                 decode_block(decoder, &reader, &quantiser, block);

@@ -79,6 +79,12 @@ int32_t vc_dct_level(const vc_dct_quantiser *quantiser, uint32_t value)
     return logarithmic_level(quantiser->bottom, quantiser->right, level - centre, last + 1 - centre);
 }
 
+uint32_t vc_dct_levels_of(uint32_t code)
+{
+    const uint64_t mantissa = vc_dct_exponential[(code & 15u) << 4];
+    return 1 + (uint32_t)(((3 * mantissa << (code >> 4)) + (1u << 29)) >> 30);
+}
+
 void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above, int32_t *output)
 {
     vc_dct_quantiser quantiser;

@@ -125,7 +125,8 @@ class ReferenceDecoder:
         self.block = 64 << (configuration[0] & 7)
         self.logarithmic, self.range_coded = configuration[0] >> 3 & 1, configuration[0] >> 4 & 1
         numbers: list[int] = np.frombuffer(configuration[1:], dtype="<u2").tolist()
-        self.blocks, self.levels, self.first, self.end, *self.smallest = numbers
+        self.blocks, self.own_levels, self.first, self.end, *self.smallest = numbers
+        self.levels = self.own_levels
 
     def level(self, value: int, zeros: int, ranges: tuple[float, float], smallest: float) -> float:
         """Section "Levels"."""
@@ -151,6 +152,9 @@ class ReferenceDecoder:
     def samples(self, packet: bytes) -> NDArray[np.float64]:
         """Return (samples, channels) in least significant bits."""
         head = next(index for index, byte in enumerate(packet) if byte < 0x80) + 1
+        if self.own_levels == 0:
+            self.levels = 1 + round(3 * 2 ** (packet[head] / 16))
+            head += 1
         start = head + 4 * self.channels
         codes = np.frombuffer(packet[head:start], dtype="<u2").reshape(-1, 2).tolist()
         payload = packet[start:]
