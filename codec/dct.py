@@ -168,7 +168,8 @@ class DctEncoder(PacketwiseEncoder):
     def _code(self, coefficients: Signal, levels: int, stated_levels: bytes = b"") -> bytes:
         """Return one packet of coefficients (channels, blocks, bins) in the core's unit.
 
-        `stated_levels`: the code of its levels, where the configuration does not state them. Raises CodecError where it does not fit.
+        `stated_levels`: the code of its levels, where the configuration states none. Raises CodecError where it does
+        not fit.
         """
         # The greatest magnitudes below and above zero.
         magnitudes = [(max(-float(np.min(part)), 0.0), max(float(np.max(part)), 0.0)) for part in coefficients]

@@ -316,7 +316,7 @@ def refuse_steering(name: str, steering: Steering | None) -> None:
     """Raise CodecError where a codec whose packets are all of one quality is asked to steer."""
     if steering is not None:
         raise CodecError(
-            f"all packets of {name} are of one quality; choose a codec that `vibrocast codecs` says steers"
+            f"all packets of {name} are of one quality; choose mdct, or another that `vibrocast codecs` says steers"
         )
 
 

@@ -6,6 +6,7 @@ of the standard, and reads none of its streams.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,11 @@ from codec.interface import (
     SignalFormat,
     Steering,
     number,
-    refuse_steering,
 )
 from codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
+from codec.mdct import STEERED
 from codec.packetwise import PacketwiseEncoder
+from codec.trial import PacketTrial, steered_packet
 
 NAME = "slp"
 IDENTIFIER = 3
@@ -33,6 +35,8 @@ FRAMES = (32, 64, 128)
 MAX_ORDER = 16
 MAX_PACKET_FRAMES = 4095
 STEP_CODES = 21 * 8
+COARSENESSES_OF_STEP_CODE = 2
+"""By how much the coarseness of a packet is more where its steps are larger by one code."""
 LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
 
@@ -55,17 +59,31 @@ class SlpEncoder(PacketwiseEncoder):
     """Encoder of `slp`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
     def __init__(
-        self, step: float, frame: int, order: int, shaping: float, signal_format: SignalFormat, framing: Framing
+        self,
+        step: float,
+        frame: int,
+        order: int,
+        shaping: float,
+        signal_format: SignalFormat,
+        framing: Framing,
+        steering: Steering | None = None,
     ) -> None:
         """Make an encoder with a quantiser step relative to each channel's RMS value.
 
         `frame`: samples per frame. `order`: of the predictor. `shaping`: weight of the detection threshold in the
-        steps, 0 to 1. Raises CodecError on what the codec does not have.
+        steps, 0 to 1. `steering`: chooses the coarseness of each packet, in 1/16 octave of the steps; None = all have
+        the steps as they are. Raises CodecError on what the codec does not have.
         """
         if frame not in FRAMES:
             raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
         super().__init__(signal_format.channels, framing, frame, MAX_PACKET_FRAMES)
         self._frame, self._order = frame, order
+        step_codes = [step_code(step * rms) for rms in signal_format.rms]
+        self._steering, self._coarseness = steering, 0
+        self._coarsenesses = range(
+            -COARSENESSES_OF_STEP_CODE * max(step_codes),
+            COARSENESSES_OF_STEP_CODE * (STEP_CODES - 1 - min(step_codes)) + 1,
+        )
         self.configuration = bytes(
             (
                 FRAMES.index(frame) << 5 | order,
@@ -73,7 +91,8 @@ class SlpEncoder(PacketwiseEncoder):
                 self._packet_blocks >> 8,
                 min(round(256 * shaping), 255),
                 round(8 * math.log2(signal_format.rate_hz)),
-                *(step_code(step * rms) for rms in signal_format.rms),
+                *step_codes,
+                *(STEERED if steering else b""),
             )
         )
         core = library()
@@ -94,7 +113,8 @@ class SlpEncoder(PacketwiseEncoder):
         count, frames = len(signal) // self.packet_samples, len(signal) // self._frame
         codes = np.stack([self._analysed(channel) for channel in np.concatenate([self._before, signal]).T], axis=1)
         units = np.rint(signal * UNIT).astype(np.int32).reshape(frames, self._frame, self._channels).swapaxes(1, 2)
-        packets = [self._code(*parts) for parts in zip(np.split(units, count), np.split(codes, count), strict=True)]
+        parts = zip(np.split(units, count), np.split(codes, count), np.split(signal, count), strict=True)
+        packets = [self._packet_of(*part) for part in parts]
         self._before = np.concatenate([self._before, signal])[-len(self._before) :]
         return packets
 
@@ -109,18 +129,30 @@ class SlpEncoder(PacketwiseEncoder):
             codes[start:stop] = reflection_codes(stabilised(sparse_predictors(rows, targets)))
         return codes
 
-    def _code(self, samples: NDArray[np.int32], codes: NDArray[np.int8]) -> bytes:
-        samples, codes = np.ascontiguousarray(samples), np.ascontiguousarray(codes)
-        length = library().vc_slp_encode(
-            self._state.pointer,
-            ffi.cast("const int32_t *", samples.ctypes.data),
-            ffi.cast("const int8_t *", codes.ctypes.data),
-            self._packet,
-            MAX_PACKET_BYTES,
+    def _packet_of(self, units: NDArray[np.int32], codes: NDArray[np.int8], samples: Signal) -> bytes:
+        """Return the packet of samples: in the core's unit by frame and channel, their predictors, and as given."""
+        units, codes = np.ascontiguousarray(units), np.ascontiguousarray(codes)
+
+        def code(state: Structure, coarseness: int) -> bytes:
+            length = library().vc_slp_encode(
+                state.pointer,
+                ffi.cast("const int32_t *", units.ctypes.data),
+                ffi.cast("const int8_t *", codes.ctypes.data),
+                coarseness,
+                self._packet,
+                MAX_PACKET_BYTES,
+            )
+            if length < 0:
+                raise does_not_fit(self.packet_samples)
+            return bytes(ffi.buffer(self._packet, length))
+
+        if self._steering is None:
+            return code(self._state, 0)
+        trial = PacketTrial(
+            samples, self._coarsenesses, self._coarseness, lambda coarseness: code(self._state.copy(), coarseness)
         )
-        if length < 0:
-            raise does_not_fit(self.packet_samples)
-        return bytes(ffi.buffer(self._packet, length))
+        self._coarseness, packet = steered_packet(trial, self._steering, partial(code, self._state))
+        return packet
 
 
 def make_encoder(
@@ -131,7 +163,6 @@ def make_encoder(
     steering: Steering | None = None,
 ) -> SlpEncoder:
     """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError as `SlpEncoder`."""
-    refuse_steering(NAME, steering)
     return SlpEncoder(
         relative_step(number(setting, "quality")),
         int(str(setting["frame"])),
@@ -139,6 +170,7 @@ def make_encoder(
         number(setting, "shaping"),
         signal_format,
         framing,
+        steering,
     )
 
 
@@ -160,4 +192,5 @@ CODEC = Codec(
     ladders={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
     make_encoder=make_encoder,
     make_decoder=make_decoder,
+    steers=True,
 )

@@ -272,6 +272,7 @@ def codecs(as_json: bool) -> None:
     facts = {
         known.name: {
             "summary": known.summary,
+            "steers": "yes" if known.steers else "no, all packets are of one quality",
             **{
                 name: f"{parameter.meaning}: {parameter.range}; {parameter.default} if not given"
                 for name, parameter in known.parameters.items()

@@ -26,15 +26,16 @@ uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder);
 
 /* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK, or
  * VC_BAD_PACKET (nothing written) for a packet without a head that says refresh, without its ranges, or with a code
- * that is none, of Huffman's or of a number of levels. The caller orders packets and drops those that come late. Any bytes are safe. */
+ * that is none, of Huffman's or of a number of levels. The caller orders packets and drops those that come late. Any
+ * bytes are safe. */
 int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
 /* Stands in for one missing packet: writes packet_samples x channels samples, the last ones backwards and faded to
  * zero, then silence. The first samples of the packet decoded next rise from zero. */
 void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples);
 
-/* The number of levels that a code in a packet stands for, 16 codes to an octave of the steps between them. `code`: 0 to
- * 230, which are 4 and 63743. For encoders. */
+/* The number of levels that a code in a packet stands for, 16 codes to an octave of the steps between them. `code`: 0
+ * to 230, which are 4 and 63743. For encoders. */
 uint32_t vc_dct_levels_of(uint32_t code);
 
 /* Writes the reconstruction levels of one channel of a packet: `levels` numbers in the order of the coded values,

@@ -36,8 +36,8 @@ int vc_dct_configuration_read(vc_dct_configuration *configuration, const uint8_t
     read.first = number_at(bytes + 5);
     read.end = number_at(bytes + 7);
     if (read.packet_blocks < 1 || read.packet_blocks > MAX_PACKET_BLOCKS ||
-        read.packet_blocks * read.block > MAX_PACKET_SAMPLES ||
-        (read.levels > 0 && read.levels < VC_DCT_MIN_LEVELS) || read.first >= read.end || read.end > read.block || length != 9u + (read.logarithmic ? 2 * channels : 0))
+        read.packet_blocks * read.block > MAX_PACKET_SAMPLES || (read.levels > 0 && read.levels < VC_DCT_MIN_LEVELS) ||
+        read.first >= read.end || read.end > read.block || length != 9u + (read.logarithmic ? 2 * channels : 0))
         return VC_BAD_CONFIGURATION;
     for (channel = 0; channel < channels && read.logarithmic; channel++)
         read.smallest[channel] = number_at(bytes + 9 + 2 * channel);

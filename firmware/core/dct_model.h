@@ -9,7 +9,7 @@
 #define VC_DCT_MIN_LEVELS 4u
 #define VC_DCT_MAX_LEVELS 65535u
 #define VC_DCT_LEVEL_CODES 231u /* of the numbers of levels that packets say */
-#define VC_DCT_FADE_SAMPLES 64 /* of a fade where a packet misses, and of the rise behind it; no block is shorter */
+#define VC_DCT_FADE_SAMPLES 64  /* of a fade where a packet misses, and of the rise behind it; no block is shorter */
 #define VC_DCT_CONTEXTS 40
 #define VC_DCT_ZERO_CONTEXTS 8
 #define VC_DCT_UNARY_LIMIT 16u
@@ -20,7 +20,7 @@ typedef struct {
     uint32_t block, packet_blocks; /* samples in a block, blocks in a packet */
     uint32_t first, end;           /* coefficients that are coded; the others are 0 */
     int logarithmic, range_coded;
-    uint32_t levels; /* 0: each packet says its own */
+    uint32_t levels;                    /* 0: each packet says its own */
     uint32_t smallest[VC_MAX_CHANNELS]; /* range code of the least magnitude */
 } vc_dct_configuration;
 

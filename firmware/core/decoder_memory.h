@@ -36,6 +36,7 @@ struct vc_dct_decoder {
 struct vc_slp_decoder {
     vc_slp_configuration configuration;
     vc_slp_model model;
+    vc_coarseness coarseness;
     uint32_t next_sequence;
     int in_sequence;    /* packets since the last refresh all came */
     uint32_t concealed; /* samples of the gap so far, as long as it sounds */

@@ -11,13 +11,14 @@ struct vc_slp_encoder {
     vc_slp_configuration configuration;
     uint32_t refresh_packets, sequence;
     vc_slp_model model;
+    vc_coarseness coarseness;
     vc_slp_channel channels[VC_MAX_CHANNELS];
 };
 
 /* A predictor that may serve a frame, and what it leaves. */
 typedef struct {
     int8_t reflections[VC_SLP_MAX_ORDER];
-    int32_t steps[VC_SLP_MAX_FRAME];
+    int32_t log_steps[VC_SLP_MAX_FRAME], steps[VC_SLP_MAX_FRAME];
     int32_t spectrum[VC_SLP_MAX_FRAME]; /* of the residual */
     int32_t cost;                       /* estimated, in 1/256 bit */
 } candidate;
@@ -40,20 +41,23 @@ static uint32_t magnitude_of(int32_t value)
     return (uint32_t)(value < 0 ? -value : value);
 }
 
-/* Finds the residual of a frame from the state that the decoder's filter is in, and estimates its bits: of a
- * coefficient c, log2(1 + |c| / step). */
-static void measure(candidate *tried, const vc_slp_configuration *configuration, const vc_slp_channel *channel,
+/* Finds the steps and the residual of a frame from the state that the decoder's filter is in, and estimates its bits:
+ * of a coefficient c, log2(1 + |c| / step). */
+static void measure(candidate *tried, const vc_slp_encoder *encoder, const vc_slp_channel *channel,
                     const int32_t *samples)
 {
+    const vc_slp_configuration *configuration = &encoder->configuration;
     int32_t residual[VC_SLP_MAX_FRAME], backward[VC_SLP_MAX_ORDER + 1];
     uint32_t n;
     memcpy(backward, channel->backward, sizeof backward);
     vc_slp_analyse(configuration, tried->reflections, backward, samples, residual);
     vc_slp_dct(residual, configuration->frame, tried->spectrum);
     tried->cost = 0;
-    for (n = 0; n < configuration->frame; n++)
+    for (n = 0; n < configuration->frame; n++) {
+        tried->steps[n] = vc_slp_step(tried->log_steps[n], &encoder->coarseness);
         tried->cost +=
             vc_slp_log2(256 + ((uint64_t)magnitude_of(tried->spectrum[n]) << 8) / (uint32_t)tried->steps[n]) - 8 * 256;
+    }
 }
 
 /* Estimated bits of a predictor that differs from the last one, in 1/256 bit. */
@@ -84,12 +88,12 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     int32_t residual[VC_SLP_MAX_FRAME], output[VC_SLP_MAX_FRAME];
     uint32_t k;
     memcpy(kept.reflections, channel->reflections, sizeof kept.reflections);
-    memcpy(kept.steps, channel->steps, sizeof kept.steps);
-    measure(&kept, configuration, channel, samples);
+    memcpy(kept.log_steps, channel->log_steps, sizeof kept.log_steps);
+    measure(&kept, encoder, channel, samples);
     memset(fresh.reflections, 0, sizeof fresh.reflections);
     memcpy(fresh.reflections, reflections, configuration->order);
-    vc_slp_steps(configuration, number, fresh.reflections, fresh.steps);
-    measure(&fresh, configuration, channel, samples);
+    vc_slp_log_steps(configuration, number, fresh.reflections, fresh.log_steps);
+    measure(&fresh, encoder, channel, samples);
     if (fresh.cost + predictor_cost(fresh.reflections, kept.reflections, configuration->order) / PREDICTOR_LIFE <
         kept.cost)
         chosen = &fresh;
@@ -101,13 +105,14 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     }
     vc_slp_code_frame(coder, 1, &encoder->model, channel, configuration, number, &frame);
     for (k = 0; k < configuration->frame; k++)
-        chosen->spectrum[k] = vc_slp_reconstruct(frame.levels[k], channel->steps[k]);
+        chosen->spectrum[k] =
+            vc_slp_reconstruct(frame.levels[k], vc_slp_step(channel->log_steps[k], &encoder->coarseness));
     vc_slp_inverse_dct(chosen->spectrum, configuration->frame, residual);
     vc_slp_synthesise(configuration, channel->reflections, channel->backward, residual, output);
 }
 
-int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections, uint8_t *packet,
-                      size_t capacity)
+int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections, int32_t coarseness,
+                      uint8_t *packet, size_t capacity)
 {
     const vc_slp_configuration *configuration = &encoder->configuration;
     const int refresh =
@@ -119,11 +124,15 @@ int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int
     if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
     payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
-    if (refresh)
+    if (refresh) {
         vc_slp_model_reset(&encoder->model);
+        vc_coarseness_reset(&encoder->coarseness);
+    }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_slp_channel_reset(&encoder->channels[channel], configuration, channel);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
+    if (configuration->steered)
+        vc_coarseness_encode(&coder, &encoder->coarseness, coarseness);
     for (index = 0; index < configuration->packet_frames; index++)
         for (channel = 0; channel < configuration->channels; channel++) {
             encode_frame(encoder, &coder, channel, samples, reflections);

@@ -9,9 +9,10 @@ int vc_slp_configuration_read(vc_slp_configuration *configuration, const uint8_t
 {
     vc_slp_configuration read;
     unsigned channel;
-    if (channels < 1 || channels > VC_MAX_CHANNELS || length != 5 + (size_t)channels)
-        return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
+    if (channels < 1 || channels > VC_MAX_CHANNELS ||
+        !vc_steering_read(bytes, length, 5 + (size_t)channels, &read.steered))
+        return VC_BAD_CONFIGURATION;
     read.frame = 32u << (bytes[0] >> 5);
     read.order = bytes[0] & 31u;
     read.packet_frames = bytes[1] | (uint32_t)bytes[2] << 8;
@@ -67,7 +68,7 @@ void vc_slp_model_reset(vc_slp_model *model)
 void vc_slp_channel_reset(vc_slp_channel *channel, const vc_slp_configuration *configuration, unsigned number)
 {
     memset(channel, 0, sizeof *channel);
-    vc_slp_steps(configuration, number, channel->reflections, channel->steps);
+    vc_slp_log_steps(configuration, number, channel->reflections, channel->log_steps);
 }
 
 /* One adaptive decision, either way. */
@@ -164,7 +165,7 @@ void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model,
         if (changed) {
             code_reflections(coder, encoding, model, channel->reflections, frame->reflections, configuration->order);
             memcpy(channel->reflections, frame->reflections, sizeof channel->reflections);
-            vc_slp_steps(configuration, number, channel->reflections, channel->steps);
+            vc_slp_log_steps(configuration, number, channel->reflections, channel->log_steps);
         }
     }
     for (k = 0; k < configuration->frame; k++) {
@@ -224,7 +225,13 @@ static int32_t threshold(const vc_slp_configuration *configuration, uint32_t k)
     return vc_slp_threshold[index < 0 ? 0 : index > 56 ? 56 : index];
 }
 
-void vc_slp_steps(const vc_slp_configuration *configuration, unsigned number, const int8_t *reflections, int32_t *steps)
+int32_t vc_slp_step(int32_t log_step, const vc_coarseness *coarseness)
+{
+    return power_of_two(log_step + 16 * coarseness->value);
+}
+
+void vc_slp_log_steps(const vc_slp_configuration *configuration, unsigned number, const int8_t *reflections,
+                      int32_t *log_steps)
 {
     int64_t direct[VC_SLP_MAX_ORDER + 1] = {1 << 16}; /* A(z) in 1/2^16, by the step-up recursion */
     const unsigned order = configuration->order;
@@ -250,8 +257,8 @@ void vc_slp_steps(const vc_slp_configuration *configuration, unsigned number, co
         real = scaled(real, 28); /* now in 1/2^12 */
         imaginary = scaled(imaginary, 28);
         log_gain = vc_slp_log2((uint64_t)(real * real + imaginary * imaginary)) / 2 - 12 * 256;
-        steps[k] = power_of_two(configuration->log_step[number] + log_gain +
-                                (int32_t)(configuration->shaping * (uint32_t)threshold(configuration, k) / 256));
+        log_steps[k] = configuration->log_step[number] + log_gain +
+                       (int32_t)(configuration->shaping * (uint32_t)threshold(configuration, k) / 256);
     }
 }
 

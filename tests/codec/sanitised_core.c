@@ -98,6 +98,9 @@ static int run_dct(void)
         return 0;
     free(bytes);
     samples = malloc((size_t)vc_dct_decoder_packet_samples(decoder) * (unsigned)kind * sizeof *samples);
+    for (i = 0; i < 231; i++) /* any code of a number of levels */
+        if (vc_dct_levels_of((uint32_t)i) < 4 || vc_dct_levels_of((uint32_t)i) > 65535)
+            return 3;
     while (read_record(&kind, &bytes, &length)) {
         if (kind == 1 || vc_dct_decode(decoder, bytes, length, samples) < 0)
             vc_dct_conceal(decoder, samples);
@@ -148,7 +151,7 @@ static int run_slp(void)
         }
         for (i = 0; i < count * SLP_MAX_ORDER; i++)
             reflections[i] = (int8_t)((length > 0 ? bytes[i / 7 % length] : 0) % 31 - 15);
-        if (vc_slp_encode(encoder, values, reflections, packet, capacity) > (int32_t)capacity)
+        if (vc_slp_encode(encoder, values, reflections, (int32_t)length - 100, packet, capacity) > (int32_t)capacity)
             return 3;
         free(bytes);
     }

@@ -224,7 +224,7 @@ def decoder_of(head: int, levels: int = 14, first: int = 0, end: int = 64, block
 @given(head=st.integers(0, 31), numbers=st.lists(st.integers(0, 2000), min_size=4, max_size=4))
 def test_any_configuration_is_read_or_refused(head: int, numbers: list[int]) -> None:
     blocks, levels, first, end = numbers
-    fits = head & 7 < 5 and 1 <= blocks <= 2**12 // (1 << (head & 7)) and levels >= 4
+    fits = head & 7 < 5 and 1 <= blocks <= 2**12 // (1 << (head & 7)) and (levels == 0 or levels >= 4)
     fits = fits and blocks <= 4095 and first < end <= 64 << (head & 7)
     try:
         decoder = decoder_of(head, levels, first, end, blocks)

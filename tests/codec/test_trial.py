@@ -1,0 +1,144 @@
+"""What every codec that steers must do: trials from the same state, packets as chosen, padding, what is refused."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import codec
+from codec import CodecError, Signal
+from codec.interface import Choice, Encoder, Steering, Trial
+from codec.mdct import hop_samples
+from tests.codec.signals import RATE_HZ, texture
+from tests.codec.test_every_codec import middle_setting, model_of, tables_of
+
+STEERED = [name for name, known in codec.CODECS.items() if known.steers]
+every_steered_codec = pytest.mark.parametrize("name", STEERED)
+FRAMING = codec.Framing(4 * hop_samples(RATE_HZ), 5)
+
+
+def encoder_of(name: str, signal: Signal, steering: Steering | None) -> Encoder:
+    rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
+    signal_format = codec.SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
+    setting = codec.CODECS[name].complete(middle_setting(name))
+    return codec.CODECS[name].make_encoder(setting, signal_format, FRAMING, model_of(name), steering)
+
+
+def coded(name: str, signal: Signal, steering: Steering) -> tuple[Encoder, list[bytes]]:
+    encoder = encoder_of(name, signal, steering)
+    return encoder, encoder.encode(signal) + encoder.finish()
+
+
+def decoded(name: str, encoder: Encoder, packets: list[bytes], channels: int) -> codec.Decoded:
+    identifier = codec.CODECS[name].identifier
+    decoder = codec.decoder(identifier, encoder.configuration, channels, tables_of(name))
+    return np.concatenate([decoder.decode(packet) for packet in packets])
+
+
+def in_turn(places: list[int], least_bytes: int = 0) -> Steering:
+    """Choose the coarsenesses at these places, in 1/64 of all that can be chosen, one after the other."""
+    count = 0
+
+    def steering(trial: Trial) -> Choice:
+        nonlocal count
+        count += 1
+        place = places[count % len(places)] * (len(trial.coarsenesses) - 1) // 64
+        return Choice(trial.coarsenesses[place], least_bytes)
+
+    return steering
+
+
+@every_steered_codec
+def test_trials_leave_no_trace_and_are_what_is_coded(name: str) -> None:
+    signal = texture(2000, 2)
+    choose = in_turn([20, 25, 40, 22])
+    packets: list[bytes] = []
+    previous = 0
+
+    def steering(trial: Trial) -> Choice:
+        nonlocal previous
+        assert trial.previous == previous
+        choice = choose(trial)
+        sizes = [len(trial.packet(coarseness)) for coarseness in trial.coarsenesses[::40]]
+        assert sizes[-1] <= sizes[0]
+        packets.append(trial.packet(choice.coarseness))
+        previous = choice.coarseness
+        return choice
+
+    assert coded(name, signal, steering)[1] == packets
+    assert coded(name, signal, in_turn([20, 25, 40, 22]))[1] == packets
+
+
+@every_steered_codec
+def test_coarser_takes_fewer_bytes_and_errs_more(name: str) -> None:
+    signal = texture(2800)
+    results = []
+    for place in range(0, 65, 8):
+        encoder, packets = coded(name, signal, in_turn([place]))
+        heard = decoded(name, encoder, packets, 1)[encoder.delay_samples :][: len(signal)] / 32768
+        results.append((sum(map(len, packets)), float(np.sqrt(np.mean((heard - signal) ** 2)))))
+    sizes, errors = np.array(results).T
+    assert np.all(np.diff(sizes) <= 0.02 * sizes[:-1])
+    assert sizes[-1] < 0.5 * sizes[0]
+    assert errors[-1] > 3 * errors[0]
+
+
+@every_steered_codec
+def test_the_samples_of_a_trial_are_what_its_packet_stands_for(name: str) -> None:
+    wanted: list[Signal] = []
+
+    def finest(trial: Trial) -> Choice:
+        wanted.append(trial.samples)
+        return Choice(trial.coarsenesses[0])
+
+    signal = texture(2000, 2)
+    encoder, packets = coded(name, signal, finest)
+    assert {part.shape for part in wanted} == {(encoder.packet_samples, 2)}
+    heard = decoded(name, encoder, packets, 2) / 32768
+    expected = np.concatenate(wanted)
+    assert (codec.snr_db(expected[:2000], heard[:2000]) or 0) > 5
+    delayed = np.concatenate([np.zeros((encoder.delay_samples, 2)), signal])
+    np.testing.assert_allclose(expected[: len(delayed)], delayed[: len(expected)], atol=1e-3)
+
+
+@every_steered_codec
+@given(places=st.lists(st.integers(0, 64), min_size=1, max_size=6), padding=st.integers(0, 300))
+@settings(max_examples=6)
+def test_padding_changes_nothing_but_the_length(name: str, places: list[int], padding: int) -> None:
+    signal = texture(900, 2)
+    encoder, packets = coded(name, signal, in_turn(places))
+    _, padded = coded(name, signal, in_turn(places, padding))
+    assert [len(packet) for packet in padded] == [max(len(packet), padding) for packet in packets]
+    assert all(long.rstrip(b"\0") == short.rstrip(b"\0") for long, short in zip(padded, packets, strict=True))
+    np.testing.assert_array_equal(decoded(name, encoder, padded, 2), decoded(name, encoder, packets, 2))
+
+
+@every_steered_codec
+@pytest.mark.parametrize(
+    "choose",
+    [
+        lambda trial: Choice(trial.coarsenesses[0] - 1),
+        lambda trial: Choice(trial.coarsenesses[-1] + 1),
+        lambda trial: Choice(0, 65_536),
+        lambda trial: Choice(0, len(trial.packet(trial.coarsenesses[-1] + 1))),
+    ],
+)
+def test_choices_that_no_packet_can_have_are_refused(name: str, choose: Callable[[Trial], Choice]) -> None:
+    with pytest.raises(CodecError, match="can"):
+        coded(name, texture(1000), choose)
+
+
+@pytest.mark.parametrize("name", [name for name in codec.CODECS if name not in STEERED])
+def test_codecs_that_do_not_steer_say_so(name: str) -> None:
+    with pytest.raises(CodecError, match="one quality; choose"):
+        encoder_of(name, texture(100), in_turn([0]))
+
+
+@every_steered_codec
+def test_the_configuration_says_whether_a_stream_is_steered(name: str) -> None:
+    signal = texture(300)
+    plain, steered = encoder_of(name, signal, None), encoder_of(name, signal, in_turn([0]))
+    assert plain.configuration != steered.configuration
+    assert len(plain.configuration) <= len(steered.configuration) <= len(plain.configuration) + 1
