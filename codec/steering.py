@@ -1,0 +1,496 @@
+"""Policies that steer an encoder: a constant rate over a leaky bucket, a constant quality, or a quality up to a rate.
+
+A policy is a codec.interface.Steering: it is asked for the coarseness of each packet when all of that packet's input is
+there, and nothing beyond it. `steered_encoder` joins a codec with a policy; docs/rate_control.md shows what they do.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Protocol, Self, TypeAlias, cast
+
+import numpy as np
+
+from codec.interface import (
+    Choice,
+    Codec,
+    CodecError,
+    Decoder,
+    Encoder,
+    Framing,
+    Model,
+    OutOfReach,
+    Setting,
+    Signal,
+    SignalFormat,
+    Trial,
+)
+from codec.judges import Judge
+
+DB_PER_COARSENESS = 20 * math.log10(2) / 16
+"""What one of coarseness is in the quantiser's steps: 16 are a factor of two."""
+DEFAULT_BUCKET_S = 0.018
+"""The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
+MOST_ADDED = 0.15
+"""What frames may add to the packets in them, relative to these."""
+
+FrameBytes: TypeAlias = Callable[[bytes], int]
+"""Bytes that the frame of a packet adds to it on the way."""
+
+_FIRST_STRIDE = 2
+# A constant rate aims at the mean quality of the last _MEMORY_BUCKETS times of the bucket, and up to half _SWING_DB
+# more as the bucket is empty, less as it is full; the swing is less where it holds few packets, or it overshoots.
+_MEMORY_BUCKETS = 4.0
+_SWING_DB = 10.0
+_PACKETS_FOR_FULL_SWING = 4.0
+_PROBE_PACKETS = 4
+# A sequence number takes one byte at first, and four from packet 2^20 on.
+_SEQUENCE_GROWTH_BYTES = 3
+
+
+class CopyableDecoder(Decoder, Protocol):
+    """A decoder on whose state packets can be tried."""
+
+    def copy(self) -> Self:
+        """Return an independent decoder in the same state."""
+
+
+class LeakyBucket:
+    """What was sent and not yet drained at a constant rate, as in ITU-T H.264, C.1: its fullness stays in 0 ... size.
+
+    With fullness F, a packet of s bytes that lasts T seconds leaves F + s - R T / 8 at R bit/s. So over any run of
+    packets the bytes differ from R T / 8 by no more than the bucket's size, R * bucket_s / 8 and at least one byte; and
+    on a link of R bit/s nothing waits longer than bucket_s.
+    """
+
+    def __init__(self, bits_per_second: float, bucket_s: float, full: float) -> None:
+        """Make a bucket that begins as full as `full`, a part of its size. Raises CodecError for what is no rate."""
+        if not (math.isfinite(bucket_s) and bucket_s > 0):
+            raise CodecError(f"a bucket of {bucket_s} s; it must hold a positive time")
+        self.bits_per_second = bits_per_second
+        self.bucket_s = bucket_s
+        self.fullness_bytes = full * self.size_bytes
+
+    @property
+    def bits_per_second(self) -> float:
+        """The rate; it may be set at any time, and what is in the bucket stays there."""
+        return self._bits_per_second
+
+    @bits_per_second.setter
+    def bits_per_second(self, bits_per_second: float) -> None:
+        if not (math.isfinite(bits_per_second) and bits_per_second > 0):
+            raise CodecError(f"a rate of {bits_per_second} bit/s cannot be held; ask for a positive number")
+        self._bits_per_second = bits_per_second
+
+    @property
+    def size_bytes(self) -> float:
+        """What the bucket holds."""
+        return max(1.0, self.bits_per_second * self.bucket_s / 8)
+
+    @property
+    def full(self) -> float:
+        """How full the bucket is, relative to its size; above 1 only after the rate was lowered."""
+        return self.fullness_bytes / self.size_bytes
+
+    def least_bytes(self, seconds: float) -> int:
+        """Return with how many bytes a packet of that duration does not let the bucket run dry."""
+        return max(0, math.ceil(self._drained_bytes(seconds) - self.fullness_bytes))
+
+    def most_bytes(self, seconds: float) -> int:
+        """Return with how many bytes a packet of that duration does not let it run over; negative if none would."""
+        return math.floor(self._drained_bytes(seconds) - self.fullness_bytes + self.size_bytes)
+
+    def fill(self, sent_bytes: int, seconds: float) -> None:
+        """Take in a packet."""
+        self.fullness_bytes += sent_bytes - self._drained_bytes(seconds)
+
+    def _drained_bytes(self, seconds: float) -> float:
+        return self.bits_per_second * seconds / 8
+
+
+class _Attempts:
+    """The packets of trials that are due together, each coded once at a coarseness that is common to all."""
+
+    def __init__(self, trials: Sequence[Trial], sent_bytes: Callable[[bytes], int]) -> None:
+        self.trials = trials
+        finest, coarsest = min(t.coarsenesses[0] for t in trials), max(t.coarsenesses[-1] for t in trials)
+        self.coarsenesses = range(finest, coarsest + 1)
+        self.previous = max(trial.previous for trial in trials)
+        self._sent_bytes = sent_bytes
+        self._packets: dict[int, list[bytes] | None] = {}
+
+    def packets(self, coarseness: int) -> list[bytes] | None:
+        """Return each trial's packet at the coarseness, or the nearest it has; None where one would be too long."""
+        if coarseness not in self._packets:
+            try:
+                packets = [trial.packet(_within(trial.coarsenesses, coarseness)) for trial in self.trials]
+            except CodecError:
+                packets = None
+            self._packets[coarseness] = packets
+        return self._packets[coarseness]
+
+    def size_bytes(self, coarseness: int) -> float:
+        """Return what all packets take on the way, infinity where one would be too long."""
+        packets = self.packets(coarseness)
+        return math.inf if packets is None else sum(map(self._sent_bytes, packets))
+
+    def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
+        """Return a coarseness at which `holds`, and not at the next finer one; None where it holds at none.
+
+        `holds`: on the whole, of coarse ones and not of fine ones. Steps away from `start` double until the change
+        lies between two that were tried; then what is between them is halved.
+        """
+        first, last = self.coarsenesses[0], self.coarsenesses[-1]
+        fails, succeeds = first - 1, last + 1
+        coarseness, stride = _within(self.coarsenesses, start), _FIRST_STRIDE
+        while succeeds - fails > 1:
+            if holds(coarseness):
+                succeeds = coarseness
+            else:
+                fails = coarseness
+            if fails < first:
+                coarseness = max(first, succeeds - stride)
+            elif succeeds > last:
+                coarseness = min(last, fails + stride)
+            else:
+                coarseness = (fails + succeeds) // 2
+            stride *= 2
+        if succeeds <= last:
+            return succeeds
+        return next(filter(holds, reversed(self.coarsenesses)), None)
+
+
+def _within(coarsenesses: range, coarseness: int) -> int:
+    return min(max(coarseness, coarsenesses[0]), coarsenesses[-1])
+
+
+class Policy(ABC):
+    """A steering with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its place.
+
+    `frame_bytes`: what the frame of a packet adds to it on the way. `judge`: measures the quality of packets.
+    """
+
+    def __init__(self, frame_bytes: FrameBytes | int = 0, judge: Judge | None = None) -> None:
+        self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
+        self._judge = judge
+        self._decoder: CopyableDecoder | None = None
+        self._seconds = math.nan
+
+    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin a stream of packets of so many seconds, which `decoder` decodes from its first one on.
+
+        `least_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
+        where the codec's packets cannot be judged, OutOfReach where they do not fit the rate.
+        """
+        if self._judge is not None and not hasattr(decoder, "copy"):
+            raise CodecError("this codec cannot be held to a quality; ask for a constant rate, or choose another codec")
+        self._decoder = None if self._judge is None else cast(CopyableDecoder, decoder)
+        self._seconds = seconds
+
+    def sent_bytes(self, packet: bytes) -> int:
+        """Return what a packet and its frame take on the way."""
+        return len(packet) + self._frame_bytes(packet)
+
+    @abstractmethod
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose how the next packet is coded. Raises OutOfReach where nothing will do."""
+
+    def _quality_db(self, attempts: _Attempts, coarseness: int) -> float:
+        """Return the quality at a coarseness; without a judge, that of the steps: 6 dB for a factor of two."""
+        if self._judge is None or self._decoder is None:
+            return -DB_PER_COARSENESS * coarseness
+        packets = attempts.packets(coarseness)
+        if packets is None:  # what is too long to be coded is finer than all that can be
+            return math.inf
+        return self._judge.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
+
+    def _coarsest_with(self, attempts: _Attempts, quality_db: float) -> int:
+        """Return the coarsest that has the quality; the finest that can be coded where none has."""
+        worse = attempts.finest(lambda each: self._quality_db(attempts, each) < quality_db, attempts.previous)
+        coarseness = attempts.coarsenesses[-1] if worse is None else _within(attempts.coarsenesses, worse - 1)
+        if attempts.packets(coarseness) is not None:
+            return coarseness
+        codable = attempts.finest(lambda each: attempts.packets(each) is not None, coarseness)
+        return attempts.coarsenesses[-1] if codable is None else codable
+
+    def _hear(self, attempts: _Attempts, coarseness: int) -> None:
+        """Let decoder and judge take in the packet that was chosen."""
+        packets = attempts.packets(coarseness)
+        if self._judge is not None and self._decoder is not None and packets is not None:
+            self._judge.hear(attempts.trials[0].samples, self._decoder.decode(packets[0]) / 32768)
+
+
+class ConstantQuality(Policy):
+    """Every packet as coarse as the asked quality allows, whatever bytes that takes."""
+
+    def __init__(self, quality_db: float, judge: Judge) -> None:
+        super().__init__(judge=judge)
+        self.quality_db = quality_db
+
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose the coarsest packet that has the quality; the finest where none has."""
+        attempts = _Attempts([trial], self.sent_bytes)
+        coarseness = self._coarsest_with(attempts, self.quality_db)
+        self._hear(attempts, coarseness)
+        return Choice(coarseness)
+
+
+class RatePolicy(Policy):
+    """A policy whose packets, frames included, a leaky bucket holds."""
+
+    def __init__(self, bucket: LeakyBucket, frame_bytes: FrameBytes | int, judge: Judge | None) -> None:
+        super().__init__(frame_bytes, judge)
+        self.bucket = bucket
+        self.least_bits_per_second = 0.0
+        """The least rate that holds whatever signal comes; known when a stream has begun."""
+
+    @property
+    def bits_per_second(self) -> float:
+        """The rate, which may be set at any time. Raises OutOfReach, and CodecError for what is none."""
+        return self.bucket.bits_per_second
+
+    @bits_per_second.setter
+    def bits_per_second(self, bits_per_second: float) -> None:
+        self._check_reach(bits_per_second)
+        self.bucket.bits_per_second = bits_per_second
+
+    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin a stream; see Policy."""
+        super().begin(decoder, least_bytes, seconds)
+        self.least_bits_per_second = 8 * least_bytes / seconds
+        self._check_reach(self.bits_per_second)
+
+    def _check_reach(self, bits_per_second: float) -> None:
+        if bits_per_second < self.least_bits_per_second:
+            raise self._out_of_reach(bits_per_second, self.least_bits_per_second)
+
+    def _out_of_reach(self, bits_per_second: float, least: float) -> OutOfReach:
+        return OutOfReach(
+            f"{bits_per_second:g} bit/s cannot be held: packets of {1000 * self._seconds:.1f} ms take "
+            f"{math.ceil(least)} bit/s however coarse, with their frames; ask for that, or for longer packets"
+        )
+
+    def _finest_that_fits(self, attempts: _Attempts, start: int) -> int:
+        """Return the finest that the bucket holds; the coarsest where a lower rate has left too much in it."""
+        most_bytes = self.bucket.most_bytes(self._seconds)
+        found = attempts.finest(lambda each: attempts.size_bytes(each) <= most_bytes, start)
+        if found is not None:
+            return found
+        if self.bucket.full > 1:
+            return attempts.coarsenesses[-1]
+        raise self._out_of_reach(
+            self.bits_per_second, 8 * min(map(attempts.size_bytes, attempts.coarsenesses)) / self._seconds
+        )
+
+    def _send(self, packets: Sequence[bytes]) -> None:
+        """Take packets into the bucket, padded as they are."""
+        self.bucket.fill(sum(map(self.sent_bytes, packets)), self._seconds)
+
+
+class CappedRate(RatePolicy):
+    """A constant quality as far as the bucket holds it, and else the finest that it holds."""
+
+    def __init__(
+        self,
+        quality_db: float,
+        judge: Judge,
+        bits_per_second: float,
+        frame_bytes: FrameBytes | int = 0,
+        bucket_s: float = DEFAULT_BUCKET_S,
+    ) -> None:
+        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.0), frame_bytes, judge)
+        self.quality_db = quality_db
+
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises OutOfReach."""
+        attempts = _Attempts([trial], self.sent_bytes)
+        coarseness = self._coarsest_with(attempts, self.quality_db)
+        if attempts.size_bytes(coarseness) > self.bucket.most_bytes(self._seconds):
+            coarseness = self._finest_that_fits(attempts, coarseness)
+        self._hear(attempts, coarseness)
+        self._send(attempts.packets(coarseness) or [])
+        self.bucket.fullness_bytes = max(0.0, self.bucket.fullness_bytes)
+        return Choice(coarseness)
+
+
+class ConstantRate(RatePolicy):
+    """A constant rate: no packet lets the bucket run over, and padding never lets it run dry.
+
+    In between, the quality is as even as the bucket allows: each packet aims at the mean quality of those before it,
+    and somewhat more or less as the bucket is emptier or fuller than half. Without a judge what is even is the
+    quantiser's step, and with it the error; with SnrJudge it is the ratio of signal to error.
+    """
+
+    def __init__(
+        self,
+        bits_per_second: float,
+        frame_bytes: FrameBytes | int = 0,
+        bucket_s: float = DEFAULT_BUCKET_S,
+        judge: Judge | None = None,
+    ) -> None:
+        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.5), frame_bytes, judge)
+        self._mean_db: float | None = None
+
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose the packet's coarseness and padding. Raises OutOfReach where none fits."""
+        return self.choose([trial])[0]
+
+    def choose(self, trials: Sequence[Trial]) -> list[Choice]:
+        """Choose for packets of several streams that are due together: one coarseness, and their sum fits."""
+        attempts = _Attempts(trials, self.sent_bytes)
+        least_bytes, most_bytes = self.bucket.least_bytes(self._seconds), self.bucket.most_bytes(self._seconds)
+        coarseness = self._aim(attempts)
+        if attempts.size_bytes(coarseness) > most_bytes:
+            coarseness = self._finest_that_fits(attempts, coarseness)
+        elif attempts.size_bytes(coarseness) < least_bytes:
+            coarseness = self._coarsest_that_fills(attempts, coarseness, least_bytes, most_bytes)
+        packets = attempts.packets(coarseness) or []
+        self._remember(attempts, coarseness, padded=sum(map(self.sent_bytes, packets)) < least_bytes)
+        packets[-1] = self._padded(packets, least_bytes, most_bytes)
+        self._hear(attempts, coarseness)
+        self._send(packets)
+        return [
+            Choice(_within(trial.coarsenesses, coarseness), len(packet))
+            for trial, packet in zip(trials, packets, strict=True)
+        ]
+
+    def _aim(self, attempts: _Attempts) -> int:
+        """Return the coarseness of the quality aimed at, whatever it takes."""
+        if self._mean_db is None:
+            return self._finest_that_fits(attempts, attempts.previous)
+        swing_db = _SWING_DB * min(1.0, self.bucket.bucket_s / self._seconds / _PACKETS_FOR_FULL_SWING)
+        return self._coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.bucket.full))
+
+    def _coarsest_that_fills(self, attempts: _Attempts, start: int, least_bytes: int, most_bytes: int) -> int:
+        """Return the coarsest that needs no padding, or the finest that fits where the least padding is needed."""
+        short = attempts.finest(lambda each: attempts.size_bytes(each) < least_bytes, start)
+        assert short is not None, "the one that is aimed at is too short"
+        finer = _within(attempts.coarsenesses, short - 1)
+        return finer if attempts.size_bytes(finer) <= most_bytes else short
+
+    def _remember(self, attempts: _Attempts, coarseness: int, padded: bool) -> None:
+        """Take the quality into its mean; not that of a packet that had more bytes than it could use."""
+        if padded and self._mean_db is not None:
+            return
+        quality_db = self._quality_db(attempts, coarseness)
+        if self._mean_db is None:
+            self._mean_db = quality_db
+        kept = math.exp(-self._seconds / (_MEMORY_BUCKETS * self.bucket.bucket_s))
+        self._mean_db = kept * self._mean_db + (1 - kept) * quality_db
+
+    def _padded(self, packets: Sequence[bytes], least_bytes: int, most_bytes: int) -> bytes:
+        """Return the last of the packets, padded with zero bytes to bring all of them to the least."""
+        *others, last = packets
+        others_bytes = sum(map(self.sent_bytes, others))
+        padded = last.ljust(len(last) + least_bytes - others_bytes - self.sent_bytes(last), b"\0")
+        # A longer packet may have a longer frame.
+        while len(padded) > len(last) and others_bytes + self.sent_bytes(padded) > most_bytes:
+            padded = padded[:-1]
+        return padded
+
+
+class Group:
+    """Several streams whose packets are due together, under one constant rate for the sum of their bytes.
+
+    All have one coarseness. Where a coarseness means the same step in a physical unit in all of them, the bits go
+    where the power is: reverse water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3).
+    `members`: the policies of the streams' encoders, one each.
+    """
+
+    def __init__(self, policy: ConstantRate, streams: int) -> None:
+        self.policy = policy
+        self.members = tuple(_Member(self, index, policy.sent_bytes) for index in range(streams))
+        self._trials: dict[int, Trial] = {}
+        self._choices: dict[int, Choice] = {}
+        self._least_bytes = [0] * streams
+        self._code_next: Callable[[int], None] | None = None
+
+    def code(self, coders: Sequence[Callable[[Signal], list[bytes]]], blocks: Sequence[Signal]) -> list[list[bytes]]:
+        """Code one packet's samples of each stream by its encoder's `encode`, or what calls it; return the packets.
+
+        Raises CodecError for blocks that make more than one packet, and as the encoders do.
+        """
+        packets: list[list[bytes]] = [[] for _ in self.members]
+        self._trials, self._choices = {}, {}
+
+        # Each encoder waits for its choice while the next one makes its trial; behind the last one all are chosen.
+        def code_from(index: int) -> None:
+            if index == len(self.members):
+                chosen = self.policy.choose(list(self._trials.values())) if self._trials else []
+                self._choices = dict(zip(self._trials, chosen, strict=True))
+                return
+            packets[index] = coders[index](blocks[index])
+            if index not in self._trials:  # it completed no packet
+                code_from(index + 1)
+
+        self._code_next = code_from
+        try:
+            code_from(0)
+        finally:
+            self._code_next = None
+        return packets
+
+    def begin(self, index: int, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin the stream of one member; see Policy."""
+        self._least_bytes[index] = least_bytes
+        self.policy.begin(decoder, sum(self._least_bytes), seconds)
+
+    def choose(self, index: int, trial: Trial) -> Choice:
+        """Choose for one member when all have made their trials. Raises CodecError outside `code`."""
+        if self._code_next is None or index in self._trials:
+            raise CodecError("streams that share a rate are coded together, a packet of each at a time")
+        self._trials[index] = trial
+        self._code_next(index + 1)
+        return self._choices[index]
+
+
+class _Member(Policy):
+    """The policy of one stream of a group."""
+
+    def __init__(self, group: Group, index: int, frame_bytes: FrameBytes) -> None:
+        super().__init__()
+        self._group, self._index = group, index
+
+    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin a stream; see Policy."""
+        self._group.begin(self._index, decoder, least_bytes, seconds)
+
+    def sent_bytes(self, packet: bytes) -> int:
+        """Return what a packet and its frame take on the way."""
+        return self._group.policy.sent_bytes(packet)
+
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose with the others of the group."""
+        return self._group.choose(self._index, trial)
+
+
+def steered_encoder(
+    codec: Codec, setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None, policy: Policy
+) -> Encoder:
+    """Make an encoder as `codec.make_encoder` does, steered by a policy, which begins with it.
+
+    What the coarsest packets take at most is found by coding full-scale noise, silence and a click first. Raises
+    CodecError as `make_encoder`, also for a codec that does not steer, and as `policy.begin`.
+    """
+    encoder = codec.make_encoder(setting, signal_format, framing, model, policy)
+    probe = codec.make_encoder(setting, signal_format, framing, model, lambda trial: Choice(trial.coarsenesses[-1]))
+    shape = (_PROBE_PACKETS * encoder.packet_samples, signal_format.channels)
+    noise, silence, click = np.random.default_rng(0).uniform(-1, 1, shape), np.zeros(shape), np.zeros(shape)
+    click[encoder.packet_samples // 2] = 1.0
+    packets = probe.encode(np.concatenate([noise, silence, click])) + probe.finish()
+    longest = max(packets, key=policy.sent_bytes)
+    least_bytes = policy.sent_bytes(longest + bytes(_SEQUENCE_GROWTH_BYTES))
+    decoder = codec.make_decoder(encoder.configuration, signal_format.channels, model.tables if model else None)
+    policy.begin(decoder, least_bytes, encoder.packet_samples / signal_format.rate_hz)
+    return encoder
+
+
+def shortest_packet_samples(bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes) -> int:
+    """Return the samples per channel in the shortest packet to which its frame adds at most 15 %.
+
+    `bits_per_second`: of all channels of the stream, frames included. An encoder rounds up to whole blocks.
+    """
+    packet = b"\xff"
+    while frame_bytes(packet) > MOST_ADDED * len(packet):
+        packet += b"\xff"
+    return math.ceil(8 * (len(packet) + frame_bytes(packet)) * rate_hz / bits_per_second)
