@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from codec import dct, eva, libav, mdct, slp
+from codec import dct, eva, libav, mdct, parametric, slp
 from codec.interface import (
     AUTO,
     Codec,
@@ -35,7 +35,7 @@ _MIN_GAIN = 2.0**-120
 Progress: TypeAlias = Callable[[float], None]
 
 CODECS: Mapping[str, Codec] = {
-    codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS)
+    codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS, parametric.CODEC)
 }
 
 

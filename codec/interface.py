@@ -268,6 +268,8 @@ class Codec:
     with `searches_steps` (`mdct`), and nothing of the setting given, it searches the parameters `step`, relative to
     each channel's RMS value, and `thrift`. `steers`: packets may each be of another quality. `physical_ladders`: those
     that need a signal in a physical unit.
+    `keeps_waveform`: decoded samples come near the input's, so that an SNR can be asked for; False for one that keeps
+    what a texture is like, and none of its samples.
     `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
     CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
     `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, or raises
@@ -294,6 +296,7 @@ class Codec:
     needs_model: bool = False
     searches_steps: bool = False
     steers: bool = False
+    keeps_waveform: bool = True
 
     def checked(self, setting: Setting) -> Setting:
         """Return what is given of a setting, numbers in text read. Raises CodecError for unknown names and values."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from codec import mdct
-from codec.coding import Progress, Source, decode, parts, peak_of
+from codec.coding import Progress, Source, codec_by_name, decode, parts, peak_of
 from codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
 
 SNR_TOLERANCE_DB = 0.2
@@ -69,6 +69,11 @@ def encode_to_snr(
     """
     if not math.isfinite(target_db):
         raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
+    if not codec_by_name(codec).keeps_waveform:
+        raise OutOfReach(
+            f"an SNR of {target_db:g} dB cannot be met: {codec} keeps no waveform; ask for a rate, or "
+            "choose another codec"
+        )
     source = Source(samples, rate_hz, codec, unit, live, model, progress)
     if source.silent:
         return source.encode(_rungs(source, setting)[0])

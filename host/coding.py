@@ -197,6 +197,8 @@ def encode(
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
+    A codec that keeps no waveform has no SNR to search for: without a rate its setting is completed by the defaults.
+
     `codec_name`: None = that of the model, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
     `setting`: what is given of the codec's setting; one that leaves nothing to search for is used as it is. `model`:
     None = the tables built in or, for a codec without such, the smallest model that ships and can do what is asked.
@@ -218,7 +220,7 @@ def encode(
             raise codec.CodecError(
                 "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
             )
-    elif rate_bps is None and snr_db is None:
+    elif rate_bps is None and snr_db is None and chosen.keeps_waveform:
         snr_db = DEFAULT_SNR_DB
     if model is not None and model.codec_identifier != chosen.identifier:
         raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another")

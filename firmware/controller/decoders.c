@@ -1,11 +1,11 @@
 /* The codecs that a controller decodes, behind one interface; see decoders.h. */
 #include "decoders.h"
 
-enum { MDCT = 1, DCT = 2, SLP = 3, EVA = 4 };
+enum { MDCT = 1, DCT = 2, SLP = 3, EVA = 4, PARAMETRIC = 11 };
 
 #define EVA_LAYOUT_VERSION 1
 
-const vc_codec_description vc_codecs[VC_CODECS] = {{MDCT, "mdct"}, {DCT, "dct"}, {SLP, "slp"}, {EVA, "eva"}};
+const vc_codec_description vc_codecs[VC_CODECS] = {{MDCT, "mdct"}, {DCT, "dct"}, {SLP, "slp"}, {EVA, "eva"}, {PARAMETRIC, "parametric"}};
 
 /* Returns 0 if a codec's decoder takes the payload of a model image; else refuses with `code`. */
 static int check_tables(uint8_t codec, const uint8_t *tables, size_t length, enum vc_error_code code,
@@ -45,6 +45,7 @@ int vc_coding_check(vc_coding *coding, vc_refusal *refusal)
         vc_dct_configuration dct;
         vc_slp_configuration slp;
         vc_eva_configuration eva;
+        vc_parametric_configuration parametric;
     } read;
     vc_eva_model model;
     const uint8_t *bytes = coding->configuration;
@@ -84,6 +85,13 @@ int vc_coding_check(vc_coding *coding, vc_refusal *refusal)
             coding->delay_samples = VC_EVA_DELAY;
         }
         break;
+    case PARAMETRIC:
+        status = vc_parametric_configuration_read(&read.parametric, bytes, length, coding->channels);
+        if (status == VC_OK) {
+            coding->packet_samples = read.parametric.packet_frames * vc_parametric_frame_samples(&read.parametric);
+            coding->delay_samples = read.parametric.hop;
+        }
+        break;
     default:
         return vc_refuse_numbers(refusal, VC_UNKNOWN_CODEC, "codec # is needed, which this controller does not have",
                                  coding->codec, 0);
@@ -108,6 +116,9 @@ void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding)
     case SLP:
         (void)vc_slp_decoder_init(&decoder->of.slp, bytes, length, coding->channels);
         break;
+    case PARAMETRIC:
+        (void)vc_parametric_decoder_init(&decoder->of.parametric, bytes, length, coding->channels);
+        break;
     default:
         (void)vc_eva_decoder_init(&decoder->of.eva, bytes, length, coding->channels, tables, tables_length);
         break;
@@ -123,6 +134,8 @@ int vc_decoder_decode(vc_decoder *decoder, const uint8_t *packet, size_t length,
         return vc_dct_decode(&decoder->of.dct, packet, length, samples) >= VC_OK;
     case SLP:
         return vc_slp_decode(&decoder->of.slp, packet, length, samples) >= VC_OK;
+    case PARAMETRIC:
+        return vc_parametric_decode(&decoder->of.parametric, packet, length, samples) >= VC_OK;
     default:
         return vc_eva_decode(&decoder->of.eva, packet, length, samples) >= VC_OK;
     }
@@ -139,6 +152,9 @@ void vc_decoder_conceal(vc_decoder *decoder, int16_t *samples)
         break;
     case SLP:
         vc_slp_conceal(&decoder->of.slp, samples);
+        break;
+    case PARAMETRIC:
+        vc_parametric_conceal(&decoder->of.parametric, samples);
         break;
     default:
         vc_eva_conceal(&decoder->of.eva, samples);

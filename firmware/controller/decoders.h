@@ -5,7 +5,7 @@
 #include "decoder_memory.h"
 #include "messages.h"
 
-#define VC_CODECS 4
+#define VC_CODECS 5
 
 /* Their identifiers in stream headers and model images, and names. */
 extern const vc_codec_description vc_codecs[VC_CODECS];
@@ -30,6 +30,7 @@ typedef struct {
         struct vc_dct_decoder dct;
         struct vc_slp_decoder slp;
         struct vc_eva_decoder eva;
+        struct vc_parametric_decoder parametric;
     } of;
 } vc_decoder;
 

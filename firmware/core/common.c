@@ -54,6 +54,14 @@ int vc_adaptive_decode(vc_range_coder *coder, uint16_t *probability, unsigned sh
     return bit;
 }
 
+int vc_adaptive_code(vc_range_coder *coder, int encoding, int bit, uint16_t *probability, unsigned shift)
+{
+    if (!encoding)
+        return vc_adaptive_decode(coder, probability, shift);
+    vc_adaptive_encode(coder, bit, probability, shift);
+    return bit;
+}
+
 void vc_golomb_encode(vc_range_coder *coder, uint32_t value)
 {
     unsigned bits = vc_floor_log2(value + 1), i;

@@ -28,6 +28,8 @@ size_t vc_packet_head_write(uint8_t *packet, uint32_t sequence, int refresh);
 /* One decision whose probability of 1, in 1/65536, adapts by 1/2^shift with what came. */
 void vc_adaptive_encode(vc_range_coder *coder, int bit, uint16_t *probability, unsigned shift);
 int vc_adaptive_decode(vc_range_coder *coder, uint16_t *probability, unsigned shift);
+/* The one if `encoding`, else the other; returns the decision. */
+int vc_adaptive_code(vc_range_coder *coder, int encoding, int bit, uint16_t *probability, unsigned shift);
 
 /* A number from 0 on: exponential-Golomb code of order 0, each bit with even odds, at most 24 bits behind the prefix.
  */

@@ -6,6 +6,7 @@
 
 #include "dct_model.h"
 #include "eva_synthesis.h"
+#include "parametric_frame.h"
 #include "slp_frame.h"
 
 typedef struct {
@@ -42,6 +43,23 @@ struct vc_slp_decoder {
     uint32_t concealed; /* samples of the gap so far, as long as it sounds */
     vc_slp_channel channels[VC_MAX_CHANNELS];
     int16_t last[VC_MAX_CHANNELS][VC_SLP_MAX_FRAME]; /* the last frame played */
+};
+
+typedef struct {
+    int32_t spectrum[VC_MAX_BINS];                   /* of the last block, in 1/256 of a least significant bit */
+    int32_t overlap[VC_MAX_BINS];                    /* windowed second half of the last block, in the same unit */
+    int32_t amplitudes[VC_PARAMETRIC_MAX_HARMONICS]; /* of the ridges after the last block, in the same unit */
+    uint32_t turn;                                   /* of their phase from sample to sample, in 1/2^32 turn */
+} vc_parametric_synthesis;
+
+struct vc_parametric_decoder {
+    vc_parametric_configuration configuration;
+    vc_parametric_model model;
+    uint32_t next_sequence;
+    int in_sequence; /* packets since the last refresh all came */
+    uint32_t random; /* state of the generator that gives noise its signs */
+    vc_parametric_channel channels[VC_MAX_CHANNELS];
+    vc_parametric_synthesis synthesis[VC_MAX_CHANNELS];
 };
 
 typedef struct {

@@ -74,10 +74,7 @@ void vc_slp_channel_reset(vc_slp_channel *channel, const vc_slp_configuration *c
 /* One adaptive decision, either way. */
 static int coded(vc_range_coder *coder, int encoding, int bit, uint16_t *probability)
 {
-    if (!encoding)
-        return vc_adaptive_decode(coder, probability, ADAPTATION);
-    vc_adaptive_encode(coder, bit, probability, ADAPTATION);
-    return bit;
+    return vc_adaptive_code(coder, encoding, bit, probability, ADAPTATION);
 }
 
 /* Codes a predictor as differences, modulo the number of codes, to the channel's last one. */

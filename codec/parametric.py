@@ -1,0 +1,347 @@
+"""The codec `parametric`: band levels, their course over time and ridges, no waveform; layout in docs/bitstream.md."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from codec.interface import (
+    Codec,
+    CodecError,
+    Framing,
+    Model,
+    Parameter,
+    Setting,
+    Signal,
+    SignalFormat,
+    Steering,
+    number,
+    refuse_steering,
+    word,
+)
+from codec.mdct import HOPS, analysis_matrix
+from codec.packetwise import PacketwiseEncoder
+
+NAME = "parametric"
+IDENTIFIER = 11
+BANDS = ("octave", "half octave", "third octave", "sixth octave")
+"""Widths of bands, roughly: a band is at least a bin wide, and 1, 1/2, 1/4 or 1/8 of the frequency where it begins."""
+LEVEL_STEPS_DB = ("6", "3", "1.5", "0.75")
+LARGEST_FRAME = 64
+"""Blocks in a frame."""
+MAX_HARMONICS = 8
+MAX_PACKET_SAMPLES = 1 << 18
+PITCHES = 512
+
+_OCTAVES = 21
+_SMALLEST_AMPLITUDE = 64
+"""Of level 1, in the core's unit."""
+_HYSTERESIS = 0.75
+"""How far, in steps, a level is from that of the frame before when it changes: 1/2 would be plain rounding."""
+_RIDGE_WINDOW = 1024
+"""Samples that ridges are looked for in: three turns of the longest, at 1/340 of a turn per sample."""
+_LOWEST_TURN, _HIGHEST_TURN = 3 / _RIDGE_WINDOW, 0.25
+_LINE_EXCESS = 12.0
+"""Power of a spectral line over the median about it, which noise exceeds in one bin of 4000: exp(-12 ln 2)."""
+_SUBHARMONIC_WEIGHT = 0.84
+"""Of each harmonic beside the one before: D. J. Hermes, "Measurement of pitch by subharmonic summation", 1988."""
+_RIDGE_SHARE = 0.25
+"""Of the signal's energy that ridges must hold to be coded."""
+
+
+def band_edges(hop: int, bands: str) -> NDArray[np.intp]:
+    """Return the first bin of each band and, behind the last, the hop."""
+    edges, spacing = [0], BANDS.index(bands)
+    while edges[-1] < hop:
+        edges.append(min(edges[-1] + max(edges[-1] >> spacing, 1), hop))
+    return np.array(edges)
+
+
+def amplitudes(level_bits: int) -> Signal:
+    """Return what the levels from 1 on stand for, in the core's unit: float64 (levels,)."""
+    codes = np.arange(_OCTAVES << level_bits) << (6 - level_bits)
+    each: Signal = np.ldexp(_SMALLEST_AMPLITUDE + codes % 64.0, codes // 64)
+    return each
+
+
+def turns() -> Signal:
+    """Return the turns per sample of the pitch codes: float64 (PITCHES,)."""
+    codes = np.arange(PITCHES)
+    each: Signal = np.ldexp(1 + codes % 64 / 64, codes // 64 - 10)
+    return each
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a description holds: see the parameters of CODEC. `frame`, `interval`: in blocks."""
+
+    hop: int
+    bands: str
+    level_bits: int
+    frame: int
+    interval: int
+    harmonics: int
+
+    @property
+    def frame_samples(self) -> int:
+        """Samples of a frame."""
+        return self.hop * self.frame
+
+    def configuration(self, packet_frames: int) -> bytes:
+        """Return the codec's bytes in the stream header."""
+        head = HOPS.index(self.hop) | BANDS.index(self.bands) << 2 | self.level_bits << 4
+        frame_exponent, interval_exponent = self.frame.bit_length() - 1, self.interval.bit_length() - 1
+        return bytes(
+            (head, self.harmonics | frame_exponent << 4, interval_exponent, *packet_frames.to_bytes(2, "little"))
+        )
+
+
+class ParametricEncoder(PacketwiseEncoder):
+    """Encoder of `parametric`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
+
+    def __init__(self, shape: Shape, channels: int, framing: Framing) -> None:
+        """Make an encoder of descriptions of a shape. Raises CodecError on what the codec does not have."""
+        super().__init__(channels, framing, shape.frame_samples, MAX_PACKET_SAMPLES // shape.frame_samples)
+        self._shape = shape
+        self.delay_samples = shape.hop
+        self.configuration = shape.configuration(self._packet_blocks)
+        core = library()
+        self._state = Structure(core.vc_parametric_encoder_size(), "vc_parametric_encoder *")
+        check_made(
+            core.vc_parametric_encoder_init(
+                self._state.pointer, self.configuration, len(self.configuration), channels, framing.refresh_packets
+            )
+        )
+        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        self._begun = False
+        self._analyses = [_Analysis(shape) for _ in range(channels)]
+
+    def finish(self) -> list[bytes]:
+        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
+        if not self._begun:
+            return []
+        self._begun = False
+        left = len(self._pending) + self.delay_samples
+        return self._complete(np.zeros((self.delay_samples + -left % self.packet_samples, self._channels)))
+
+    def _complete(self, samples: Signal) -> list[bytes]:
+        self._begun |= len(samples) > 0
+        return super()._complete(samples)
+
+    def _code_packets(self, signal: Signal) -> list[bytes]:
+        count = len(signal) // self.packet_samples
+        described = [analysis.describe(channel) for analysis, channel in zip(self._analyses, signal.T, strict=True)]
+        return [self._code(frames) for frames in np.split(np.stack(described, axis=1), count)]
+
+    def _code(self, frames: NDArray[np.int16]) -> bytes:
+        frames = np.ascontiguousarray(frames)
+        pointer = ffi.cast("const int16_t *", frames.ctypes.data)
+        length = library().vc_parametric_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
+        if length < 0:
+            raise does_not_fit(self.packet_samples)
+        return bytes(ffi.buffer(self._packet, length))
+
+
+class _Analysis:
+    """Finds the description of one channel, frame after frame."""
+
+    def __init__(self, shape: Shape) -> None:
+        self._shape = shape
+        self._window = max(_RIDGE_WINDOW, shape.frame_samples)
+        self._before: Signal = np.zeros(self._window)
+        self._edges = band_edges(shape.hop, shape.bands)
+        self._levels = np.log2(amplitudes(shape.level_bits) / UNIT)
+        self._last = np.zeros(len(self._edges) - 1, dtype=np.int16)
+        n = np.arange(2 * shape.hop)[:, None]
+        k = np.arange(shape.hop)[None, :]
+        # Cosine and sine transform together have the power of a tone whatever its phase (the MCLT of H. S. Malvar, "A
+        # modulated complex lapped transform and its applications to audio processing", ICASSP 1999).
+        cosines = analysis_matrix(shape.hop)
+        angles = np.pi / shape.hop * (n + 0.5 + shape.hop / 2) * (k + 0.5)
+        window = np.sqrt(2 / shape.hop) * np.sin(np.pi * (n + 0.5) / (2 * shape.hop))
+        self._transforms = (cosines, window * np.sin(angles))
+
+    def describe(self, signal: Signal) -> NDArray[np.int16]:
+        """Return the frames of a signal of whole frames: pitch, levels over time, bands, harmonics."""
+        shape = self._shape
+        frames = len(signal) // shape.frame_samples
+        known = np.concatenate([self._before, signal])
+        self._before = known[-self._window :]
+        spans = np.lib.stride_tricks.sliding_window_view(known, self._window)[
+            shape.frame_samples :: shape.frame_samples
+        ]
+        parts = np.lib.stride_tricks.sliding_window_view(known, shape.frame_samples + shape.hop)
+        segments = parts[self._window - shape.hop :: shape.frame_samples][:frames]
+        pitches, harmonics, ridges = self._ridges(spans[:frames], segments)
+        times = self._times(self._powers(segments))
+        gains = np.repeat(np.exp2(times / (1 << shape.level_bits)), shape.interval, axis=1)
+        energy = np.mean(np.square(gains), axis=1)
+        starts = self._edges[:-1]
+        bands = np.add.reduceat(np.mean(self._powers(segments - ridges), axis=1), starts, axis=1)
+        mean_squares = bands / np.diff(self._edges) / energy[:, None]
+        return np.concatenate(
+            [
+                pitches[:, None],
+                times,
+                self._steady(_log2(np.sqrt(mean_squares))),
+                self._nearest(_log2(harmonics / np.sqrt(energy)[:, None])),
+            ],
+            axis=1,
+        ).astype(np.int16)
+
+    def _powers(self, segments: Signal) -> Signal:
+        """Return the mean square of both transforms (frames, blocks, bins) of segments of a frame and a hop before."""
+        hop = self._shape.hop
+        blocks = np.lib.stride_tricks.sliding_window_view(segments, 2 * hop, axis=1)[:, ::hop]
+        cosines, sines = (np.square(blocks @ transform) for transform in self._transforms)
+        powers: Signal = (cosines + sines) / 2
+        return powers
+
+    def _times(self, powers: Signal) -> NDArray[np.int16]:
+        """Return the levels over time (frames, times): of each interval's energy beside the frame's mean."""
+        frames, times = len(powers), self._shape.frame // self._shape.interval
+        energies = np.mean(powers.sum(axis=2).reshape(frames, times, self._shape.interval), axis=2)
+        relative = _log2(np.sqrt(energies)) - _log2(np.sqrt(np.mean(energies, axis=1)))[:, None]
+        limit = _OCTAVES << self._shape.level_bits
+        return np.clip(np.rint(relative * (1 << self._shape.level_bits)), -limit, limit).astype(np.int16)
+
+    def _nearest(self, logarithms: Signal) -> NDArray[np.int16]:
+        """Return the levels nearest to amplitudes relative to full scale, given as logarithms to base 2."""
+        middles = (self._levels[1:] + self._levels[:-1]) / 2
+        lowest = self._levels[0] - 0.5 / (1 << self._shape.level_bits)
+        return np.where(logarithms < lowest, 0, 1 + np.searchsorted(middles, logarithms)).astype(np.int16)
+
+    def _steady(self, logarithms: Signal) -> NDArray[np.int16]:
+        """Return levels (frames, bands) that stay where they are as long as they are near enough."""
+        levels = self._nearest(logarithms)
+        for frame, exact in zip(levels, logarithms, strict=True):
+            near = np.abs(exact - self._levels[np.maximum(self._last, 1) - 1]) < _HYSTERESIS / (
+                1 << self._shape.level_bits
+            )
+            frame[:] = np.where(near & (self._last > 0) & (frame > 0), self._last, frame)
+            self._last = frame
+        return levels
+
+    def _ridges(self, spans: Signal, segments: Signal) -> tuple[NDArray[np.int16], Signal, Signal]:
+        """Return pitch codes (frames,), -1 = no ridges, harmonics' amplitudes, and what of the segments they make."""
+        shape = self._shape
+        pitches = np.full(len(spans), -1, dtype=np.int16)
+        amplitudes = np.zeros((len(spans), shape.harmonics))
+        ridges = np.zeros(segments.shape)
+        if shape.harmonics == 0:
+            return pitches, amplitudes, ridges
+        for frame, pitch in enumerate(pitches_of(spans, shape.harmonics)):
+            if pitch < 0:
+                continue
+            turn = turns()[pitch]
+            count = min(shape.harmonics, math.ceil(0.5 / turn) - 1)
+            angles = 2 * np.pi * turn * np.arange(1, count + 1) * np.arange(self._window + shape.hop)[:, None]
+            waves = np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
+            weights = np.linalg.lstsq(waves[-len(spans[frame]) :], spans[frame], rcond=None)[0]
+            fitted = waves @ weights
+            if np.sum(np.square(fitted[-len(spans[frame]) :])) < _RIDGE_SHARE * np.sum(np.square(spans[frame])):
+                continue
+            pitches[frame] = pitch
+            amplitudes[frame, :count] = np.hypot(weights[:count], weights[count:])
+            ridges[frame] = fitted[-segments.shape[1] :]
+        return pitches, amplitudes, ridges
+
+
+def pitches_of(spans: Signal, harmonics: int) -> NDArray[np.int16]:
+    """Return the pitch code of each span (spans, samples), -1 where no harmonics stand out of the noise."""
+    samples = spans.shape[1]
+    padded = 4 * samples
+    spectra = np.square(np.abs(np.fft.rfft(spans * np.hanning(samples + 1)[:-1], padded, axis=1)))
+    reach = 64  # bins of the padded spectrum: eight main lobes of the window
+    neighbours = np.lib.stride_tricks.sliding_window_view(
+        np.pad(spectra, ((0, 0), (reach, reach)), "reflect"), 2 * reach + 1, axis=1
+    )
+    noise = np.median(neighbours[:, :, ::8], axis=2)
+    lines = np.sqrt(np.where(spectra > _LINE_EXCESS * noise, spectra, 0))
+    each = turns()
+    bins = np.rint(each[:, None] * np.arange(1, harmonics + 1) * padded).astype(np.intp)
+    weights = np.where(bins < lines.shape[1], _SUBHARMONIC_WEIGHT ** np.arange(harmonics), 0)
+    scores = np.sum(lines[:, np.minimum(bins, lines.shape[1] - 1)] * weights, axis=2)
+    scores[:, (each < _LOWEST_TURN) | (each > _HIGHEST_TURN)] = 0
+    best = np.argmax(scores, axis=1)
+    return np.where(np.max(scores, axis=1) > 0, best, -1).astype(np.int16)
+
+
+def _log2(values: Signal) -> Signal:
+    """Return logarithms; of nothing one far below all levels."""
+    return np.log2(np.maximum(values, 2.0**-60))
+
+
+class ParametricDecoder(CoreDecoder):
+    """Decoder of `parametric`; see codec.interface.Decoder."""
+
+    def __init__(self, configuration: bytes, channels: int, tables: bytes | None = None) -> None:
+        """Make a decoder from the codec's bytes in the stream header; it takes no tables. Raises CodecError."""
+        super().__init__(NAME, configuration, channels)
+        self.delay_samples = library().vc_parametric_decoder_delay_samples(self._state.pointer)
+
+
+def make_encoder(
+    setting: Setting,
+    signal_format: SignalFormat,
+    framing: Framing,
+    model: Model | None,
+    steering: Steering | None = None,
+) -> ParametricEncoder:
+    """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError."""
+    refuse_steering(NAME, steering)
+    shape = Shape(
+        hop=int(word(setting, "hop")),
+        bands=word(setting, "bands"),
+        level_bits=LEVEL_STEPS_DB.index(word(setting, "step_db")),
+        frame=int(word(setting, "frame")),
+        interval=int(word(setting, "interval")),
+        harmonics=int(number(setting, "harmonics")),
+    )
+    if shape.interval > shape.frame:
+        raise CodecError(f"an interval of {shape.interval} blocks in frames of {shape.frame}; give one that fits")
+    return ParametricEncoder(shape, signal_format.channels, framing)
+
+
+_POWERS = tuple(str(1 << exponent) for exponent in range(LARGEST_FRAME.bit_length()))
+
+
+def _rung(hop: int, bands: str, step_db: str, frame: int, interval: int, harmonics: int) -> Setting:
+    return {
+        "hop": str(hop),
+        "bands": bands,
+        "step_db": step_db,
+        "frame": str(frame),
+        "interval": str(interval),
+        "harmonics": harmonics,
+    }
+
+
+CODEC = Codec(
+    name=NAME,
+    identifier=IDENTIFIER,
+    summary="a description from which the texture is synthesised: band levels, their course, ridges; no waveform",
+    parameters={
+        "bands": Parameter("width of the bands of the spectral envelope", "third octave", choices=BANDS),
+        "step_db": Parameter("step of all levels, in dB", "3", choices=LEVEL_STEPS_DB),
+        "hop": Parameter("samples of a block", "32", choices=tuple(map(str, HOPS))),
+        "frame": Parameter("blocks from one envelope to the next", "8", choices=_POWERS),
+        "interval": Parameter("blocks for each level over time", "2", choices=_POWERS),
+        "harmonics": Parameter("of ridges, 0 = none", MAX_HARMONICS, low=0, high=MAX_HARMONICS, whole=True),
+    },
+    ladders={
+        NAME: (
+            _rung(32, "octave", "6", 64, 64, 0),
+            _rung(32, "octave", "3", 64, 16, 4),
+            _rung(32, "half octave", "3", 32, 8, 4),
+            _rung(32, "third octave", "3", 16, 4, 8),
+            _rung(32, "third octave", "3", 8, 2, 8),
+            _rung(32, "third octave", "1.5", 8, 1, 8),
+        )
+    },
+    make_encoder=make_encoder,
+    make_decoder=ParametricDecoder,
+    keeps_waveform=False,
+)
