@@ -1,7 +1,7 @@
 """Speech and audio codecs through FFmpeg's libraries (PyAV), as others would use them; layout in docs/bitstream.md."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from codec.interface import (
     Codec,
     CodecError,
     Decoded,
+    Encoder,
     Framing,
     Model,
     Parameter,
@@ -25,6 +26,8 @@ from codec.interface import (
     varint,
     word,
 )
+from codec.packetwise import PacketwiseEncoder
+from codec.trial import PacketTrial, steered_packet
 
 LABEL_HZ = 8000
 """The rate that samples of every stream are passed off as: speech codecs have no other, the rest do not mind."""
@@ -41,6 +44,8 @@ _AMR_FRAME_BYTES = (13, 14, 16, 18, 20, 21, 27, 32)
 _G726_FULL_SCALE_BITS = 15
 _OPUS_FRAMES_SAMPLES = (20, 40, 80, 160, 320, 480)
 _OPUS_BITS_PER_SECOND = (6000, 8000, 10_000, 12_000, 16_000, 20_000, 24_000, 32_000, 48_000, 64_000)
+_FEWEST_WAVPACK_BITS, _MOST_WAVPACK_BITS = 2, 16
+_COARSENESSES_PER_BIT = 16
 _WAVPACK_BITS_PER_SAMPLE = (3, 4, 5, 6, 7, 8, 10, 12, 14, 16)
 
 
@@ -66,7 +71,7 @@ class _Library:
     `plan(setting, packet_samples)`. `decimation`: of decoded samples, one of so many is kept. `continuous`: frames
     have no bounds, and those of a packet are decoded at once. `full_scale_bits`: 16, fewer where the codec wants
     headroom. `settling_samples`: that a decoder which begins anew in the middle of a stream takes to find the signal.
-    `decoder_options(frame_bytes)`.
+    `decoder_options(frame_bytes)`. `steers`: WavPack does.
     """
 
     encoder: str
@@ -78,6 +83,7 @@ class _Library:
     full_scale_bits: int = 16
     settling_samples: int = 640  # 80 ms at 8 kHz, the pre-roll of RFC 7845, 4.6; enough for the speech codecs too
     decoder_options: Callable[[int], Mapping[str, str]] = lambda frame_bytes: {}
+    steers: bool = False
 
 
 def _plan_opus(setting: Setting, packet_samples: int) -> _Plan:
@@ -203,6 +209,40 @@ class LibavEncoder:
         return packets
 
 
+class SteeredWavpackEncoder(PacketwiseEncoder):
+    """Encoder of `wavpack` that keeps as many bits of each packet's samples as are chosen for it.
+
+    Each block of WavPack stands alone, so a trial is coded by an encoder of its own.
+    """
+
+    def __init__(self, library: _Library, plan: _Plan, framing: Framing, channels: int, steering: Steering) -> None:
+        """Make an encoder; `plan` has the bits of a coarseness of 0. Raises CodecError as `LibavEncoder`."""
+        self.configuration = LibavEncoder(library, plan, framing, channels).configuration
+        super().__init__(channels, framing, plan.frame_samples, 1)
+        self._library, self._plan, self._framing, self._steering = library, plan, framing, steering
+        self._coarsenesses = range(
+            _COARSENESSES_PER_BIT * (plan.bits_per_sample - _MOST_WAVPACK_BITS),
+            _COARSENESSES_PER_BIT * (plan.bits_per_sample - _FEWEST_WAVPACK_BITS) + 1,
+        )
+        self._sequence = self._coarseness = 0
+
+    def _code_packets(self, samples: Signal) -> list[bytes]:
+        return [self._packet_of(part) for part in np.split(samples, len(samples) // self.packet_samples)]
+
+    def _packet_of(self, samples: Signal) -> bytes:
+        def code(coarseness: int) -> bytes:
+            bits = self._plan.bits_per_sample - round(coarseness / _COARSENESSES_PER_BIT)
+            plan = replace(self._plan, bits_per_sample=bits)
+            encoder = LibavEncoder(self._library, plan, self._framing, self._channels)
+            (packet,) = encoder.encode(samples) + encoder.finish()
+            return varint(2 * self._sequence + 1) + packet[1:]
+
+        trial = PacketTrial(samples, self._coarsenesses, self._coarseness, code)
+        self._coarseness, packet = steered_packet(trial, self._steering, code)
+        self._sequence += 1
+        return packet
+
+
 class LibavDecoder:
     """Decoder of all these codecs; see codec.interface.Decoder."""
 
@@ -259,9 +299,12 @@ class LibavDecoder:
 
     def _frames(self, reader: "_Reader") -> list[bytes]:
         """Return the codec frames of a packet, all of one channel before those of the next."""
-        frames = []
+        frames: list[bytes] = []
         while not reader.at_end:
-            frames.append(reader.take(self._frame_bytes or reader.varint()))
+            frame_bytes = self._frame_bytes or reader.varint()
+            if frames and frame_bytes == 0:
+                break  # padding
+            frames.append(reader.take(frame_bytes))
         if len(frames) % self.channels or len(frames) * self._frame_samples > self.packet_samples * self.channels:
             raise CodecError(f"a packet of {len(frames)} frames for {self.channels} channels; it was damaged")
         return frames
@@ -367,14 +410,19 @@ def _codec(
         framing: Framing,
         model: Model | None,
         steering: Steering | None = None,
-    ) -> LibavEncoder:
+    ) -> Encoder:
+        plan = library.plan(setting, framing.packet_samples)
+        if steering is not None and library.steers:
+            return SteeredWavpackEncoder(library, plan, framing, signal_format.channels, steering)
         refuse_steering(name, steering)
-        return LibavEncoder(library, library.plan(setting, framing.packet_samples), framing, signal_format.channels)
+        return LibavEncoder(library, plan, framing, signal_format.channels)
 
     def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> LibavDecoder:
         return LibavDecoder(library, configuration, channels)
 
-    return Codec(name, identifier, summary, parameters, {name: ladder}, make_encoder, make_decoder)
+    return Codec(
+        name, identifier, summary, parameters, {name: ladder}, make_encoder, make_decoder, steers=library.steers
+    )
 
 
 CODECS = (
@@ -429,8 +477,12 @@ CODECS = (
         "wavpack",
         9,
         "WavPack, lossless linear prediction, of samples rounded to fewer bits",
-        _Library("wavpack", "wavpack", _plan_wavpack, sample_format="s16p", settling_samples=0),
-        {"bits_per_sample": Parameter("bits kept of each sample, 16 = lossless", 8, low=2, high=16, whole=True)},
+        _Library("wavpack", "wavpack", _plan_wavpack, sample_format="s16p", settling_samples=0, steers=True),
+        {
+            "bits_per_sample": Parameter(
+                "bits kept of each sample, 16 = lossless", 8, _FEWEST_WAVPACK_BITS, _MOST_WAVPACK_BITS, True
+            )
+        },
         tuple({"bits_per_sample": bits} for bits in _WAVPACK_BITS_PER_SAMPLE),
     ),
     _codec(

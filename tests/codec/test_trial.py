@@ -140,5 +140,5 @@ def test_codecs_that_do_not_steer_say_so(name: str) -> None:
 def test_the_configuration_says_whether_a_stream_is_steered(name: str) -> None:
     signal = texture(300)
     plain, steered = encoder_of(name, signal, None), encoder_of(name, signal, in_turn([0]))
-    assert plain.configuration != steered.configuration
+    assert (plain.configuration != steered.configuration) == (name != "wavpack"), "its blocks tell their bits"
     assert len(plain.configuration) <= len(steered.configuration) <= len(plain.configuration) + 1
