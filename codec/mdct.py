@@ -8,16 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import (
-    MAX_PACKET_BYTES,
-    UNIT,
-    CoreDecoder,
-    Structure,
-    check_made,
-    does_not_fit,
-    ffi,
-    library,
-)
+from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
 from codec.interface import (
     AUTO,
     Codec,

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation
-from tests.codec.reference_decoder import Channel, Model, RangeDecoder, bounded, decode_block, suffix
+from tests.codec.reference_decoder import Channel, Coarseness, Model, RangeDecoder, bounded, decode_block, suffix
 
 Columns = NDArray[np.int64]
 """Activations as (columns, channels)."""
@@ -67,8 +67,8 @@ class EvaReferenceDecoder:
         self.image = EvaImage.unpack(payload)
         head = 1 + (configuration[0] >> 7)
         self.columns = configuration[0] & 0x7F | (configuration[1] << 7 if head == 2 else 0)
-        fields = np.frombuffer(configuration[head:], dtype=[("level", "<u2"), ("quality", "u1")])
-        assert len(fields) == channels
+        fields = np.frombuffer(configuration, [("level", "<u2"), ("quality", "u1")], channels, head)
+        self.steered = configuration[head + 3 * channels :] == b"\x01"
         self.levels = [(64 + int(code) % 64) << int(code) // 64 for code in fields["level"]]
         self.qualities = [int(quality) for quality in fields["quality"]]
 
@@ -90,9 +90,13 @@ class EvaReferenceDecoder:
         if packet[0] & 1:
             self.known = [Channel(self.image.latents) for _ in self.levels]
             self.model = Model(self.image.prior) if isinstance(self.image.prior, bytes) else None
+            self.coarseness = Coarseness()
         coder = RangeDecoder(packet[start:])
+        if self.steered:
+            self.coarseness.decode(coder)
         levels = np.zeros((len(self.levels), self.columns, self.image.latents), dtype=np.int64)
-        for channel, (known, quality) in enumerate(zip(self.known, self.qualities, strict=True)):
+        for channel, (known, asked) in enumerate(zip(self.known, self.qualities, strict=True)):
+            quality = min(max(asked - self.coarseness.value, 0), 16 * (self.image.rates - 1))
             for row in levels[channel]:
                 if self.model is not None:
                     decode_block(coder, self.model, known, row)

@@ -127,6 +127,24 @@ class Model:
 
 
 @dataclass
+class Coarseness:
+    """Section "payload": what moves the quality of a steered stream's packet."""
+
+    value: int = 0
+    same: int = 32768
+
+    def decode(self, coder: RangeDecoder) -> None:
+        same = coder.decode(bounded(self.same))
+        self.same += (65535 - self.same) >> 2 if same else -(self.same >> 2)
+        if not same:
+            finer = coder.decode()
+            change = suffix(coder) * 4
+            change += 2 * coder.decode()
+            change += coder.decode() + 1
+            self.value = clamp(self.value + (-change if finer else change), 336)
+
+
+@dataclass
 class Channel:
     """Section "Contexts": what one channel remembers."""
 
@@ -231,10 +249,10 @@ class ReferenceDecoder:
         if head & 0x80:
             head, position = head & 0x7F | configuration[1] << 7, 2
         self.hop, self.blocks = 16 << (head & 3), head >> 2
-        codes = np.frombuffer(configuration[position:], dtype="<u2")
-        self.steps = [(64 + int(code) % 64) * 2.0 ** (int(code) % 2048 // 64) / 256 for code in codes]
-        fills = [int(code) // 2048 for code in codes]
-        self.fills = [int(256 * step * fill / 128) / 256 for step, fill in zip(self.steps, fills, strict=True)]
+        fields = np.frombuffer(configuration, "<u2", channels, position)
+        self.codes = [int(code) % 2048 for code in fields]
+        self.fills = [int(code) // 2048 for code in fields]
+        self.steered = configuration[position + 2 * channels :] == b"\x01"
         self.tables = tables
         self.channels = [Channel(self.hop) for _ in range(channels)]
         self.overlap = np.zeros((channels, self.hop))
@@ -251,7 +269,10 @@ class ReferenceDecoder:
         if packet[0] & 1:
             self.model = Model(self.tables)
             self.channels = [Channel(self.hop) for _ in self.channels]
+            self.coarseness = Coarseness()
         coder = RangeDecoder(packet[position:])
+        if self.steered:
+            self.coarseness.decode(coder)
         levels = np.zeros((self.blocks, len(self.channels), self.hop), dtype=np.int64)
         self.silent = np.zeros(levels.shape[:2], dtype=bool)
         for block, silent in zip(levels, self.silent, strict=True):
@@ -260,10 +281,16 @@ class ReferenceDecoder:
                 silent[number] = channel.silent_history & 1
         return levels
 
-    def fill(self, levels: NDArray[np.int64], spectra: NDArray[np.float64], random: int) -> None:
+    def steps(self) -> list[float]:
+        """Steps of the last packet, by channel."""
+        codes = [min(max(code + 4 * self.coarseness.value, 0), 1343) for code in self.codes]
+        return [(64 + code % 64) * 2.0 ** (code // 64) / 256 for code in codes]
+
+    def fill(self, levels: NDArray[np.int64], spectra: NDArray[np.float64], steps: list[float], random: int) -> None:
         """Section "Fill": puts a magnitude of random sign in place of zeros, silent blocks apart."""
+        fills = [int(256 * step * fill / 128) / 256 for step, fill in zip(steps, self.fills, strict=True)]
         for block, channel in np.ndindex(levels.shape[:2]):
-            magnitude = 0.0 if self.silent[block, channel] else self.fills[channel]
+            magnitude = 0.0 if self.silent[block, channel] else fills[channel]
             for k in np.flatnonzero(levels[block, channel] == 0):
                 random = (random * 1664525 + 1013904223) % 2**32
                 spectra[block, channel, k] = -magnitude if random >> 31 else magnitude
@@ -271,8 +298,9 @@ class ReferenceDecoder:
     def samples(self, packet: bytes) -> NDArray[np.float64]:
         """Exact samples (packet_samples, channels), not rounded, 32768 = full scale."""
         levels = self.levels(packet)
-        spectra = levels * np.array(self.steps)[None, :, None]
-        self.fill(levels, spectra, read_varint(packet) >> 1)
+        steps = self.steps()
+        spectra = levels * np.array(steps)[None, :, None]
+        self.fill(levels, spectra, steps, read_varint(packet) >> 1)
         signal = np.zeros((self.blocks, self.hop, len(self.channels)))
         for block, spectrum in zip(signal, spectra, strict=True):
             halves = spectrum @ self.synthesis

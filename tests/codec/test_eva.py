@@ -1,6 +1,8 @@
 """The codec `eva`: its core against a numpy decoder, ONNX Runtime, loss, hostile bytes, golden streams."""
 
 import hashlib
+import itertools
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import codec
-from codec import CodecError, Framing, Model, eva
+from codec import Choice, CodecError, Framing, Model, Steering, eva
 from codec.core import Structure, ffi, library
 from codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
 from codec.graphs import LATENTS, SIGNAL, transform
@@ -28,10 +30,14 @@ LIVE = Framing(128, 5)
 
 
 def coded(
-    signal: codec.Signal, quality: float, framing: Framing = LIVE, level: float = 0.2
+    signal: codec.Signal,
+    quality: float,
+    framing: Framing = LIVE,
+    level: float = 0.2,
+    steering: Steering | None = None,
 ) -> tuple[bytes, list[bytes]]:
     channels = signal.shape[1]
-    encoder = eva.EvaEncoder([level] * channels, [quality] * channels, framing, TINY)
+    encoder = eva.EvaEncoder([level] * channels, [quality] * channels, framing, TINY, steering=steering)
     packets = encoder.encode(signal) + encoder.finish()
     return encoder.configuration, packets
 
@@ -41,15 +47,18 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int, runtime: 
     return np.concatenate([decoder.decode(packet) for packet in packets])
 
 
-def random_packets(image: EvaImage, seed: int, channels: int, columns: int, scale: float) -> tuple[bytes, list[bytes]]:
-    """Return a configuration and packets of random latents of this magnitude, in steps."""
+def random_packets(
+    image: EvaImage, seed: int, channels: int, columns: int, scale: float, coarsenesses: Sequence[int] = ()
+) -> tuple[bytes, list[bytes]]:
+    """Return a configuration and packets of random latents of this magnitude, in steps; steered if so asked."""
     generator = np.random.default_rng(seed)
     level_codes = [int(code) for code in generator.integers(0, STEP_CODES, channels)]
     quality_codes = [int(code) for code in generator.integers(0, 16 * (image.rates - 1) + 1, channels)]
-    configuration = eva.configuration(columns, level_codes, quality_codes)
+    configuration = eva.configuration(columns, level_codes, quality_codes, steered=bool(coarsenesses))
     encoder = eva.LatentEncoder(configuration, channels, image.pack(), 2)
     latents = generator.laplace(0, scale, (3, channels, image.latents, columns))
-    return configuration, [encoder.encode(list(packet)) for packet in latents]
+    turn = zip(latents, itertools.cycle(coarsenesses or [0]), strict=False)
+    return configuration, [encoder.encode(list(packet), coarseness) for packet, coarseness in turn]
 
 
 @given(
@@ -61,15 +70,24 @@ def random_packets(image: EvaImage, seed: int, channels: int, columns: int, scal
     columns=st.integers(1, 9),
     scale=st.sampled_from([0.05, 0.5, 3.0, 1e6]),
     extreme=st.booleans(),
+    coarsenesses=st.lists(st.integers(-40, 40) | st.integers(-(2**31), 2**31 - 1), max_size=3),
 )
 @settings(max_examples=60, deadline=None)
 def test_core_gives_the_integers_of_the_numpy_decoder(
-    seed: int, width: int, latents: int, prior: PriorKind, channels: int, columns: int, scale: float, extreme: bool
+    seed: int,
+    width: int,
+    latents: int,
+    prior: PriorKind,
+    channels: int,
+    columns: int,
+    scale: float,
+    extreme: bool,
+    coarsenesses: list[int],
 ) -> None:
     image = random_image(seed, width, latents, 3, prior)
     if extreme:
         image = with_extreme_weights(image, seed)
-    configuration, packets = random_packets(image, seed, channels, columns, scale)
+    configuration, packets = random_packets(image, seed, channels, columns, scale, coarsenesses)
     decoder = eva.EvaDecoder(configuration, channels, image.pack())
     reference = EvaReferenceDecoder(configuration, channels, image.pack())
     samples = np.concatenate([decoder.decode(packet) for packet in packets])
@@ -112,6 +130,53 @@ def test_packets_do_not_depend_on_how_samples_arrive(seed: int, lengths: list[in
     encoder = eva.EvaEncoder([0.2, 0.2], [3.0, 3.0], Framing(96, 4), TINY)
     packets = [packet for part in np.split(signal, np.cumsum(lengths)[:-1]) for packet in encoder.encode(part)]
     assert (encoder.configuration, packets + encoder.finish()) == whole
+
+
+def in_turn(coarsenesses: Sequence[int]) -> Steering:
+    """Choose these coarsenesses, one after the other and over again."""
+    turn = itertools.cycle(coarsenesses)
+    return lambda trial: Choice(next(turn))
+
+
+@given(
+    st.integers(0, 3),
+    st.lists(st.integers(1, 400), min_size=1, max_size=8),
+    st.lists(st.integers(-64, 48), min_size=1),
+)
+@settings(max_examples=20, deadline=None)
+def test_steered_packets_do_not_depend_on_how_samples_arrive(
+    seed: int, lengths: list[int], coarsenesses: list[int]
+) -> None:
+    signal = texture(sum(lengths), 2, seed)
+    whole = coded(signal, 3.0, Framing(96, 4), steering=in_turn(coarsenesses))
+    encoder = eva.EvaEncoder([0.2, 0.2], [3.0, 3.0], Framing(96, 4), TINY, steering=in_turn(coarsenesses))
+    packets = [packet for part in np.split(signal, np.cumsum(lengths)[:-1]) for packet in encoder.encode(part)]
+    assert (encoder.configuration, packets + encoder.finish()) == whole
+
+
+@pytest.mark.parametrize("coarseness", [0, 20, -7])
+@pytest.mark.parametrize("runtime", codec.RUNTIMES)
+def test_a_constant_coarseness_is_that_of_the_quality_and_costs_at_most_a_bit_a_packet(
+    coarseness: int, runtime: str
+) -> None:
+    signal = texture(30_000)
+    plain = coded(signal, 3.0 - coarseness / 16)
+    steered = coded(signal, 3.0, steering=in_turn([coarseness]))
+    np.testing.assert_array_equal(decoded(*plain, 1, runtime), decoded(*steered, 1, runtime))
+    added_bits = 8 * (sum(map(len, steered[1])) - sum(map(len, plain[1])))
+    refreshes = len(plain[1]) / 5
+    assert 0 < added_bits <= len(plain[1]) + (0 if coarseness == 0 else 10 * refreshes)
+
+
+def test_the_range_of_coarsenesses_is_that_of_the_model() -> None:
+    ranges = []
+
+    def steering(trial: codec.Trial) -> Choice:
+        ranges.append(trial.coarsenesses)
+        return Choice(0)
+
+    coded(texture(300), 3.0, steering=steering)
+    assert set(ranges) == {range(-4 * 16, 3 * 16 + 1)}
 
 
 def snrs_db(signal: codec.Signal, setting: codec.Setting) -> tuple[float, float]:
