@@ -166,6 +166,10 @@ class Controller:
         """Ask for the status without waiting for it; `poll` brings it. Raises TransportError."""
         self._write(self._next_request(StatusRequest()))
 
+    def ask_capture(self, tap: Tap, offset: int, channels: int) -> None:
+        """Ask for a frame of captured samples without waiting for it; `poll` brings it. Raises TransportError."""
+        self._write(self._next_request(CaptureRead(tap, offset, self.capture_room(channels))))
+
     def poll(self, timeout_s: float) -> Message | None:
         """Take in what the controller sends, waiting for it at most `timeout_s`; return the answer to what was asked.
 
@@ -199,6 +203,10 @@ class Controller:
         Raises as `request`, and ControllerError if the first of them is no longer there.
         """
         captured = self.request(CaptureRead(tap, offset, min(count, self.capture_room(channels))), CaptureData)
+        return self.checked_capture(captured, tap, offset, channels)
+
+    def checked_capture(self, captured: CaptureData, tap: Tap, offset: int, channels: int) -> CaptureData:
+        """Return captured samples if they are those asked for. Raises ControllerError."""
         if captured.tap != tap or captured.channels != channels or captured.offset != offset:
             raise ControllerError(
                 f"the controller has no {tap.name.lower()} capture from sample {offset} of {channels} channels: "

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
-from device_protocol.messages import Configure, Start, State, Status, StreamData, Tap, pack
+from device_protocol.messages import CaptureData, Configure, Start, State, Status, StreamData, Tap, pack
 from device_protocol.transports import TransportError
-from host.controller import ConnectionLost, Controller, ControllerError
+from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 
 # Longer than a busy computer keeps a program waiting, as a rule; all of it is delay between host and skin.
 BUFFER_S = 0.3
@@ -239,7 +239,8 @@ class _Stretch:
         self._status_interval_s = min(
             _LONGEST_STATUS_INTERVAL_S, limits.watchdog_ms / 4000, self._buffer_packets * source.packet_s / 2
         )
-        self._ask_s = 0.0
+        self._ask_s = self._free_s = 0.0
+        self._asked_tap: Tap | None = None
         self.reports_playing, self.buffered_s_sum = 0, 0.0
         self._captures: dict[Tap, list[NDArray[np.int16]]] = {tap: [] for tap in Tap}
         self._captured_samples = dict.fromkeys(Tap, 0)
@@ -278,18 +279,22 @@ class _Stretch:
         data = self._next_data()
         if data is not None:
             self._controller.send(data)
-        if now_s >= self._ask_s:
-            # Not waited for, so that a lost answer does not hold up the data.
-            self._ask_s = now_s + self._status_interval_s
-            self._controller.ask_status()
-        self._controller.poll(0 if data is not None else min(_READ_S, self._status_interval_s))
+        if now_s >= self._free_s:
+            self._ask(now_s)
+        answer = self._controller.poll(0 if data is not None else min(_READ_S, self._status_interval_s))
+        if answer is not None:
+            self._free_s = now_s
+        if isinstance(answer, CaptureData) and self._asked_tap is not None:
+            tap, self._asked_tap = self._asked_tap, None  # a second copy may follow
+            offset, channels = self._captured_samples[tap], self._source.header.channels
+            self._keep(self._controller.checked_capture(answer, tap, offset, channels), tap)
+            if not answer.data:
+                self._free_s = self._ask_s  # nothing new, as far as is known, before the next status
         status = self._controller.status
         if status is not None and status is not self.status and status.stream == self._stream:
             self._note(status)
             if self._settings.progress is not None:
                 self._settings.progress(self._progress())
-        if self._settings.capture:
-            self._read_long_captures()
         return self.status.state in (State.FINISHED, State.STOPPED)
 
     def goes_on(self) -> bool:
@@ -402,19 +407,33 @@ class _Stretch:
             (Tap.DAC, int(source.seconds(positions) * dac_rate_hz), dac_rate_hz),
         ]
 
-    def _read_long_captures(self) -> None:
-        """Read back a frame of each capture that would soon be longer than what the controller keeps."""
-        for tap, captured_by_now, _ in self._taps():
-            unread = captured_by_now - self._captured_samples[tap]
-            if unread > self._controller.description.limits.capture_samples // 4:
-                self._read_capture(tap)
+    def _ask(self, now_s: float) -> None:
+        """Ask for the status, or else for a frame of a capture that would soon be longer than what is kept of it.
+
+        Neither is waited for, so that a lost answer does not hold up the data.
+        """
+        if now_s >= self._ask_s:
+            self._ask_s = now_s + self._status_interval_s
+            self._free_s = now_s + min(ANSWER_TIMEOUT_S, self._status_interval_s)
+            self._controller.ask_status()
+            return
+        limit = self._controller.description.limits.capture_samples // 4
+        unread = {tap: captured_by_now - self._captured_samples[tap] for tap, captured_by_now, _ in self._taps()}
+        tap = max(unread, key=lambda tap: unread[tap])
+        if self._settings.capture and unread[tap] > limit:
+            self._asked_tap = tap
+            self._free_s = now_s + ANSWER_TIMEOUT_S
+            self._controller.ask_capture(tap, self._captured_samples[tap], self._source.header.channels)
 
     def _read_capture(self, tap: Tap) -> bool:
         """Read a frame of a capture; return whether there is more."""
         channels = self._source.header.channels
         room = self._controller.capture_room(channels)
-        captured = self._controller.read_capture(tap, self._captured_samples[tap], room, channels)
-        samples = np.frombuffer(captured.data, "<i2").astype(np.int16).reshape(-1, channels)
+        return self._keep(self._controller.read_capture(tap, self._captured_samples[tap], room, channels), tap)
+
+    def _keep(self, captured: CaptureData, tap: Tap) -> bool:
+        """Keep what was asked for of a capture; return whether there is more."""
+        samples = np.frombuffer(captured.data, "<i2").astype(np.int16).reshape(-1, captured.channels)
         self._captures[tap].append(samples)
         self._captured_samples[tap] += len(samples)
         return len(samples) > 0 and self._captured_samples[tap] < captured.end

@@ -29,7 +29,7 @@ from host.controller import ConnectionLost, Controller, ControllerError
 from host.player import Progress, play
 from simulated_device.controller import Controller as SimulatedController
 from simulated_device.controller import Settings
-from simulated_device.memory_link import MemoryLink
+from simulated_device.memory_link import FaultyLine, MemoryLink
 from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
 from tests.simulated_device.bench import stream
@@ -98,6 +98,19 @@ def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None
     assert result.dac_codes is not None
     np.testing.assert_array_equal(result.decoded, samples)
     np.testing.assert_array_equal(result.dac_codes, -samples)
+
+
+@pytest.mark.parametrize("fault", ["lost", "flipped", "doubled"])
+def test_captures_that_are_slow_to_come_do_not_hold_up_the_data(fault: str) -> None:
+    played = stream(3.0)
+    for seed in range(4):
+        small = SimulatedController(Settings(buffer_samples=2048, capture_samples=4096))
+        link = MemoryLink(small, to_host=FaultyLine(seed, **{fault: 0.2}))
+        controller = Controller(link, link.clock, link.sleep)
+        result = play(controller, played.header, played.packets, played.packet_samples, capture=True)
+        assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+        assert result.decoded is not None
+        np.testing.assert_array_equal(result.decoded, played.decoded)
 
 
 @pytest.mark.parametrize("count", [1, 7])
