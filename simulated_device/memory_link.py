@@ -48,20 +48,47 @@ class FaultyLine:
         return arrived
 
 
+class SimulatedTime:
+    """The time of one link, or of several at once; it passes in steps of at most `step_us`."""
+
+    def __init__(self, step_us: int = STEP_US) -> None:
+        self.now_us = 0
+        self.links: list[MemoryLink] = []
+        self.step_us = step_us
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass for all controllers."""
+        end_us = self.now_us + round(seconds * 1e6)
+        while self.now_us < end_us:
+            self.now_us = min(end_us, self.now_us + self.step_us)
+            for link in self.links:
+                link.controller.advance(self.now_us)
+
+
 class MemoryLink:
     """A transport (device_protocol.transports.Transport) to a controller; reading from it is what makes time pass.
 
-    `clock` and `sleep` are the host's, in simulated time.
+    `clock` and `sleep` are the host's, in simulated time. `time`: that of other links too, None = its own.
     """
 
     def __init__(
-        self, controller: Device, to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None
+        self,
+        controller: Device,
+        to_controller: FaultyLine | None = None,
+        to_host: FaultyLine | None = None,
+        time: SimulatedTime | None = None,
     ) -> None:
-        self.now_us = 0
         self.controller = controller
+        self.time = time or SimulatedTime()
+        self.time.links.append(self)
         self._to_controller = to_controller or FaultyLine()
         self._to_host = to_host or FaultyLine()
         self._cable_out_until_us = 0
+
+    @property
+    def now_us(self) -> int:
+        """The simulated time in microseconds."""
+        return self.time.now_us
 
     def clock(self) -> float:
         """Return the simulated time in seconds."""
@@ -69,10 +96,7 @@ class MemoryLink:
 
     def sleep(self, seconds: float) -> None:
         """Let simulated time pass."""
-        end_us = self.now_us + round(seconds * 1e6)
-        while self.now_us < end_us:
-            self.now_us = min(end_us, self.now_us + STEP_US)
-            self.controller.advance(self.now_us)
+        self.time.sleep(seconds)
 
     def write(self, data: bytes) -> None:
         """Send bytes to the controller. Raises TransportError while the cable is out."""
@@ -87,7 +111,7 @@ class MemoryLink:
             data = self._to_host.carry(self.controller.transmit())
             if data or self.now_us >= end_us:
                 return data
-            self.sleep(min(STEP_US, end_us - self.now_us) / 1e6)
+            self.sleep(min(self.time.step_us, end_us - self.now_us) / 1e6)
 
     def unplug(self, seconds: float) -> None:
         """Pull the cable, to be plugged in again after so long; what is sent meanwhile is lost."""

@@ -1,6 +1,5 @@
 """Latency in simulated time: the figures are held against when the codes really went to the DAC."""
 
-from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +12,8 @@ from host.harness.device_clock import DeviceClock
 from simulated_device.actuator import PIEZO_STACK, Codes
 from simulated_device.controller import Controller as SimulatedController
 from simulated_device.controller import Settings
-from simulated_device.memory_link import MemoryLink
+from simulated_device.memory_link import MemoryLink, SimulatedTime
+from simulated_device.slow_line import SlowLine, Wire
 from textures import Recording
 
 RATE_HZ = 2800
@@ -35,35 +35,11 @@ class Bench:
         self.played.append((self.link.clock(), codes))
 
 
-class LongLink(MemoryLink):
-    """A link that carries everything so long each way, as a UART behind USB does."""
-
-    def __init__(self, controller: SimulatedController, late_us: int) -> None:
-        super().__init__(controller)
-        self._late_us = late_us
-        self._there: deque[tuple[int, bytes]] = deque()
-        self._back: deque[tuple[int, bytes]] = deque()
-
-    def sleep(self, seconds: float) -> None:
-        end_us = self.now_us + round(seconds * 1e6)
-        while self.now_us < end_us:
-            self.now_us = min(end_us, self.now_us + 100)
-            self.controller.advance(self.now_us)
-            while self._there and self._there[0][0] <= self.now_us:
-                self.controller.receive(self._there.popleft()[1], self.now_us)
-            if data := self.controller.transmit():
-                self._back.append((self.now_us + self._late_us, data))
-
-    def write(self, data: bytes) -> None:
-        self._there.append((self.now_us + self._late_us, data))
-
-    def read(self, timeout_s: float) -> bytes:
-        end_us = self.now_us + round(timeout_s * 1e6)
-        while not self._back or self._back[0][0] > self.now_us:
-            if self.now_us >= end_us:
-                return b""
-            self.sleep(1e-4)
-        return self._back.popleft()[1]
+def long_line(late_s: float) -> Controller:
+    """Return a session over a line that carries everything so long each way, as a UART behind USB does."""
+    line = SlowLine(SimulatedController(), Wire(delay_s=late_s), Wire(delay_s=late_s))
+    link = MemoryLink(line, time=SimulatedTime(step_us=100))
+    return Controller(link, link.clock, link.sleep)
 
 
 def noise(seconds: float = 1.0) -> Recording:
@@ -97,8 +73,7 @@ def test_what_is_measured_is_when_the_dac_has_it() -> None:
 
 @pytest.mark.parametrize("late_ms", [1, 3, 4])
 def test_a_link_of_long_round_trips_is_measured_without_holding_the_stream_up(late_ms: int) -> None:
-    link = LongLink(SimulatedController(), 1000 * late_ms)
-    measured = latency.measure(Controller(link, link.clock, link.sleep), PIEZO_STACK, noise(), seconds=2.0)
+    measured = latency.measure(long_line(late_ms / 1000), PIEZO_STACK, noise(), seconds=2.0)
     assert measured.stable
     assert measured.as_sent
     assert measured.parts["wire"].median_ms == pytest.approx(late_ms, abs=0.2)
