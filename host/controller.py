@@ -3,6 +3,7 @@
 import random
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Self, TypeVar
 
 from device_protocol.frames import DELIMITER, FrameReader, write_frame
@@ -57,6 +58,15 @@ class ConnectionLost(ControllerError):
     """A controller that no longer answers, has restarted or has given the host up: `Controller.reconnect` may help."""
 
 
+@dataclass
+class _Asked:
+    """A request whose answer is not waited for, when it goes out again, and how often it still may."""
+
+    frame: bytes
+    again_s: float
+    tries_left: int
+
+
 class Controller:
     """A session with the controller behind a transport.
 
@@ -83,6 +93,7 @@ class Controller:
         self._reader = FrameReader()
         self._sequence = NOTIFICATION
         self._complaint: Error | None = None
+        self._asked: _Asked | None = None
         self.say_hello()
 
     def __enter__(self) -> Self:
@@ -97,6 +108,7 @@ class Controller:
 
     def say_hello(self) -> None:
         """Open a session, or open it anew; sets `description`. Raises as `request`."""
+        self._asked = None
         self._write(DELIMITER)  # ends whatever the line has picked up
         description = self._greet()
         if description.major != PROTOCOL_MAJOR:
@@ -154,17 +166,25 @@ class Controller:
                 if answer is not None:
                     asked, answered = type(message).__name__, type(answer).__name__
                     raise ControllerError(f"the controller answers {asked} with {answered}: update its firmware")
-        raise ConnectionLost(
-            "the controller does not answer. Check that it has power and that the address is the right one."
-        )
+        raise _no_answer()
 
     def send(self, data: StreamData) -> None:
         """Send stream data, which is never answered. Raises TransportError."""
         self._write(write_frame(pack(data)))
 
+    def ask(self, message: Message) -> None:
+        """Send a request without waiting for its answer: `poll` sends it again until it comes. Raises as `request`."""
+        frame = self._next_request(message)
+        self._write(frame)
+        self._asked = _Asked(frame, self.clock() + ANSWER_TIMEOUT_S, TRIES - 1)
+
     def ask_status(self) -> None:
-        """Ask for the status without waiting for it; `poll` brings it. Raises TransportError."""
-        self._write(self._next_request(StatusRequest()))
+        """Ask for the status without waiting for it; `poll` brings it. Raises TransportError.
+
+        While another request waits for its answer, nothing is sent: one is under way at a time.
+        """
+        if self._asked is None:
+            self._write(self._next_request(StatusRequest()))
 
     def ask_capture(self, tap: Tap, offset: int, channels: int) -> None:
         """Ask for a frame of captured samples without waiting for it; `poll` brings it. Raises TransportError."""
@@ -173,9 +193,17 @@ class Controller:
     def poll(self, timeout_s: float) -> Message | None:
         """Take in what the controller sends, waiting for it at most `timeout_s`; return the answer to what was asked.
 
-        Raises TransportError, and ControllerError if the controller refuses or complains.
+        Raises TransportError, ConnectionLost, and ControllerError if the controller refuses or complains.
         """
+        if self._asked is not None and self.clock() >= self._asked.again_s:
+            if not self._asked.tries_left:
+                raise _no_answer()
+            self._write(self._asked.frame)
+            self._asked.again_s = self.clock() + ANSWER_TIMEOUT_S
+            self._asked.tries_left -= 1
         answer = self._receive(timeout_s)
+        if answer is not None:
+            self._asked = None
         if isinstance(answer, Error):
             raise _refusal(answer)
         if self._complaint is not None:
@@ -189,6 +217,7 @@ class Controller:
 
     def stop(self) -> Status:
         """Ramp down at once, also after a frame that was cut while it was being written. Raises as `request`."""
+        self._asked = None
         self._write(DELIMITER)
         return self.request(Stop(), Status)
 
@@ -232,7 +261,9 @@ class Controller:
             self.sleep(_RECONNECT_PAUSE_S)
 
     def _next_request(self, message: Message) -> bytes:
-        """Return the frame of a new request, which becomes the one that is waited for."""
+        """Return the frame of a new request, which becomes the one that is waited for, when the last one is answered."""
+        while self._asked is not None:
+            self.poll(ANSWER_TIMEOUT_S)
         self._sequence = self._sequence % MAXIMUM_SEQUENCE + 1
         return write_frame(pack(message, self._sequence))
 
@@ -257,6 +288,12 @@ class Controller:
             elif sequence == NOTIFICATION and isinstance(message, Error):
                 self._complaint = message
         return answer
+
+
+def _no_answer() -> ConnectionLost:
+    return ConnectionLost(
+        "the controller does not answer. Check that it has power and that the address is the right one."
+    )
 
 
 def _refusal(error: Error) -> ControllerError:

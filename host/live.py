@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -10,10 +11,12 @@ import numpy as np
 import codec
 from codec import Signal, SignalFormat
 from device_protocol.coded_stream import StreamHeader
-from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
+from device_protocol.frames import write_frame
+from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData, pack
 from device_protocol.transports import TransportError
 from host.coding import DEFAULT_CODEC
 from host.controller import ConnectionLost, Controller, ControllerError
+from host.link import LinkModel
 from host.player import RECONNECT_S, check_limits
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
@@ -132,7 +135,9 @@ class LiveStream:
             self.stream, self.header.pack(), self.packet_samples, compensation=self._compensation, gain=self._gain
         )
         self.status = self.controller.request(configure, Status)
+        self._link = LinkModel.measured(self.controller)
         self.packets_sent = 0
+        self._on_the_way: deque[float] = deque()  # when each packet should arrive, by the controller's clock
         self._began_s = self.controller.clock()
         self._out_of_step_since_s: float | None = None
 
@@ -141,14 +146,16 @@ class LiveStream:
         return self._encoder.encode(samples / np.array(self.format.gains))
 
     def send_packets(self, packets: Sequence[bytes]) -> None:
-        """Send packets at once, each in a frame of its own."""
+        """Send packets at once, each in a frame of its own; Start goes with the first, so that none waits for it."""
         for packet in packets:
-            self.controller.send(StreamData(self.stream, 0, (packet,)))
+            data = StreamData(self.stream, 0, (packet,))
+            arrives_s = self._link.arrival_s(self.controller.clock(), len(write_frame(pack(data))))
+            self.controller.send(data)
+            self._on_the_way.append(arrives_s)
             self.packets_sent += 1
             if self.packets_sent == 1:
                 # From here on the packets come as evenly as the samples do, so the margin stays as it begins.
-                arrived_us = self.controller.request_status().device_time_us
-                self.status = self.controller.request(Start(arrived_us + round(1e6 * self.margin_s)), Status)
+                self.controller.ask(Start(round(1e6 * (arrives_s + self.margin_s))))
 
     def send(self, samples: Signal) -> None:
         """Code and send samples (n, channels), take in what has come; begin anew where the clocks are out of step."""
@@ -181,9 +188,13 @@ class LiveStream:
         if status.state == State.FAULT:
             raise ControllerError("the controller reports a fault of its hardware and has stopped")
         self.status = status
-        ahead_s = (self.packets_sent * self.packet_samples - status.position) / self.format.rate_hz
+        while self._on_the_way and self._on_the_way[0] <= status.device_time_us / 1e6:
+            self._on_the_way.popleft()
+        arrived = self.packets_sent - len(self._on_the_way)
+        behind = status.position > arrived * self.packet_samples
         longest_s = self.margin_s + self.packet_samples / self.format.rate_hz + _LARGEST_GROWTH_S
-        if status.state != State.PLAYING or 0 <= ahead_s <= longest_s:
+        too_long = status.buffered_samples > longest_s * self.format.rate_hz
+        if status.state != State.PLAYING or not (behind or too_long):
             self._out_of_step_since_s = None
         elif self._out_of_step_since_s is None:
             self._out_of_step_since_s = self.controller.clock()

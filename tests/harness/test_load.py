@@ -8,6 +8,7 @@ from host.harness import load
 from simulated_device.controller import Controller as SimulatedController
 from simulated_device.controller import Settings
 from simulated_device.memory_link import MemoryLink
+from simulated_device.slow_line import SlowLine, Wire
 from textures import Recording
 
 
@@ -44,7 +45,8 @@ def test_throughput_is_that_of_the_line() -> None:
 
 
 def test_load_beyond_the_line_is_seen_as_underruns() -> None:
-    loads = load.underruns(session(SlowLink(SimulatedController(Settings(channels=2)), 14_000)), noise())
+    line = SlowLine(SimulatedController(Settings(channels=2)), there=Wire(bits_per_second=40_000))
+    loads = load.underruns(session(MemoryLink(line)), noise())
     assert [(each.channels, each.rate_hz) for each in loads] == [(1, 2800), (2, 2800), (1, 8000), (2, 8000)]
     assert loads[0].held
     assert not loads[-1].held

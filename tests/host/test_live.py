@@ -8,7 +8,7 @@ import pytest
 import codec
 from codec import CodecError, Signal
 from device_protocol.coded_stream import StreamError
-from device_protocol.messages import State, Tap
+from device_protocol.messages import Start, State, Tap
 from device_protocol.transports import TransportError
 from host import live
 from host.controller import Controller
@@ -17,6 +17,7 @@ from host.live import LiveStream
 from simulated_device.controller import Controller as SimulatedController
 from simulated_device.controller import Settings
 from simulated_device.memory_link import FaultyLine, MemoryLink
+from simulated_device.slow_line import SlowLine, Wire
 
 RATE_HZ = 2800
 FORMAT = live.live_format(RATE_HZ, "um", [10.0])
@@ -61,6 +62,49 @@ def test_packets_are_as_short_as_the_codec_has_them_and_refresh_four_times_a_sec
     packets = stream.code(noise(1.0))
     refreshes = [number for number, packet in enumerate(packets) if packet[0] & 1]
     assert refreshes[:3] == [0, 43, 86]
+
+
+@pytest.mark.parametrize("delay_ms", [5, 20, 100])
+def test_nothing_is_lost_at_the_start_of_a_stream_over_long_round_trips(delay_ms: int) -> None:
+    line = SlowLine(SimulatedController(), *(Wire(delay_s=delay_ms / 1000) for _ in range(2)))
+    link = MemoryLink(line)
+    controller = Controller(link, link.clock, link.sleep)
+    stream = LiveStream(controller, FORMAT)
+    result = live.play(stream, blocks(stream, noise(1.0)))
+    assert (result.underruns, result.lost_packets, result.streams) == (0, 0, 1)
+
+
+def test_the_margin_counts_from_when_the_first_packet_has_come_over_a_slow_line() -> None:
+    link = MemoryLink(SlowLine(SimulatedController(), Wire(bits_per_second=80_000), Wire(bits_per_second=80_000)))
+    stream = LiveStream(Controller(link, link.clock, link.sleep), FORMAT, margin_s=0.04)
+    ahead: list[float] = []
+    for _, block in live.paced(stream, noise(1.0), stream.packet_samples):
+        stream.send(block)
+        link.sleep(0.005)
+        status = stream.status
+        if status.state == State.PLAYING and status.position:
+            ahead.append(status.buffered_samples / RATE_HZ)
+    assert np.mean(ahead) == pytest.approx(0.04, abs=0.006)
+    assert stream.finish().underruns == 0
+
+
+def test_a_lost_start_is_sent_again() -> None:
+    link, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+    send = link.write
+    swallowed: list[bytes] = []
+
+    def swallow_once(data: bytes) -> None:
+        if data[1:2] == bytes((Start.TYPE,)) and not swallowed:
+            swallowed.append(data)
+        else:
+            send(data)
+
+    link.write = swallow_once  # type: ignore[method-assign]
+    result = live.play(stream, blocks(stream, noise(1.0)))
+    assert swallowed
+    assert result.status.state == State.FINISHED
+    assert result.underruns == 0
 
 
 def test_a_lost_packet_costs_itself_alone() -> None:
