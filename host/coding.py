@@ -209,21 +209,17 @@ def encode(
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
     _check_length(samples.size)
-    if codec_name is None:
-        codec_name = DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
-    chosen = codec.codec_by_name(codec_name)
+    chosen = chosen_codec(codec_name, model)
     given = chosen.checked(setting or {})
     if not chosen.leaves_open(given):
         if rate_bps is not None or snr_db is not None:
             if not given:
-                raise codec.CodecError(f"{codec_name} has one quality only; leave out the rate or SNR")
+                raise codec.CodecError(f"{chosen.name} has one quality only; leave out the rate or SNR")
             raise codec.CodecError(
                 "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
             )
     elif rate_bps is None and snr_db is None and chosen.keeps_waveform:
         snr_db = DEFAULT_SNR_DB
-    if model is not None and model.codec_identifier != chosen.identifier:
-        raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another")
     candidates = [model] if model or not chosen.needs_model else smallest_first(chosen)
     for number, candidate in enumerate(candidates):
         tell = None if progress is None else partial(_tell_of_part, progress, number, len(candidates))
@@ -232,7 +228,22 @@ def encode(
         except codec.OutOfReach:
             if number + 1 == len(candidates):
                 raise
-    raise models.ModelError(f"no model for the codec {codec_name} ships; train one, and give its folder with --model")
+    raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder with --model")
+
+
+def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:
+    """Return the codec of that name; None = that of the model, or DEFAULT_CODEC. Raises CodecError on a misfit."""
+    if codec_name is None:
+        codec_name = DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
+    chosen = codec.codec_by_name(codec_name)
+    if model is not None and model.codec_identifier != chosen.identifier:
+        raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another")
+    return chosen
+
+
+def encoder_model(model: models.Model | None) -> codec.Model | None:
+    """Return what a trained model gives an encoder."""
+    return None if model is None else codec.Model(model.tables, model.analysis)
 
 
 def smallest_first(chosen: codec.Codec) -> list[models.Model]:
@@ -270,7 +281,7 @@ def _encode(
         "codec": chosen.name,
         "unit": recording.unit,
         "live": live,
-        "model": None if model is None else codec.Model(model.tables, model.analysis),
+        "model": encoder_model(model),
         "progress": progress,
     }
 

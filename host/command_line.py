@@ -38,9 +38,12 @@ from host.options import (
     Finite,
     OutputFile,
     chosen_model,
+    codec_option,
     device_option,
+    model_option,
     options,
     recording_options,
+    setting_option,
 )
 from host.output_files import whole_file
 from host.plain import plain
@@ -130,37 +133,13 @@ def refuse_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | N
         used.append(output)
 
 
-def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
-    """Return a codec's parameters by name, or raise click.BadParameter."""
-    setting: dict[str, str] = {}
-    for text in values:
-        name, sign, value = text.partition("=")
-        if not (name and sign and value):
-            raise click.BadParameter(f"{text!r} is not of the form NAME=VALUE.", ctx, param)
-        if name in setting:
-            raise click.BadParameter(f"{name} is given twice.", ctx, param)
-        setting[name] = value
-    return setting
-
-
-model_option = click.option(
-    "--model",
-    callback=chosen_model,
-    metavar="NAME|FOLDER|IMAGE",
-    help="A trained model that `vibrocast models` lists, a folder that `vibrocast export` wrote, or a model image.",
-)
 runtime_option = click.option(
     "--runtime",
     type=click.Choice(codec.RUNTIMES),
     help="Decode by the integer core or by ONNX Runtime, where the model can be decoded by either; else as it says.",
 )
 quality_options = options(
-    click.option(
-        "--codec",
-        "codec_name",
-        type=click.Choice(sorted(codec.CODECS)),
-        help=f"That of --model if not given, else {coding.DEFAULT_CODEC}.",
-    ),
+    codec_option,
     click.option("--rate-bps", type=POSITIVE, help="Size of the whole coded file, in bits per second of signal."),
     click.option(
         "--snr-db", type=Finite(), help=f"Signal-to-noise ratio; {coding.DEFAULT_SNR_DB:g} if neither is given."
@@ -172,13 +151,7 @@ quality_options = options(
         show_default=True,
         help="Sample rate of the coded stream.",
     ),
-    click.option(
-        "--setting",
-        callback=parsed_setting,
-        multiple=True,
-        metavar="NAME=VALUE",
-        help="Parameter of the codec, instead of searching for it; `vibrocast codecs` lists them.",
-    ),
+    setting_option,
     model_option,
 )
 

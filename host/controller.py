@@ -261,7 +261,7 @@ class Controller:
             self.sleep(_RECONNECT_PAUSE_S)
 
     def _next_request(self, message: Message) -> bytes:
-        """Return the frame of a new request, which becomes the one that is waited for, when the last one is answered."""
+        """Return the frame of a new request, the one that is waited for, once an `ask` before it is answered."""
         while self._asked is not None:
             self.poll(ANSWER_TIMEOUT_S)
         self._sequence = self._sequence % MAXIMUM_SEQUENCE + 1

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-import models
 from device_protocol.messages import ActuatorDescription
-from device_protocol.model_image import sha256
 from host import flasher, player
 from host.coding import Encoding, Stream
 from host.controller import Controller, ControllerError
-from host.devices import SIMULATED, model_images
+from host.devices import model_images
 from host.picture import Trace
 from host.report import ActuatorUse, DeviceDescription, Latency, Report
 from simulated_device.actuator import ACTUATORS, Actuator
@@ -61,7 +59,8 @@ def play(
     `skin_model`: the one that moves the skin, None = the same. Raises CodecError, and whatever `player.play` raises.
     """
     header, decoder = stream.header, stream.decoder()
-    _provide_model(controller, address, stream)
+    if stream.image is not None:
+        flasher.provide(controller, address, stream.image)
     hello = controller.description
     actuator = actuator or actuator_model(hello.actuator)
     skin_model = skin_model or actuator
@@ -148,23 +147,6 @@ def play(
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
     caption = f"skin: the DAC's codes, {source}, through the model of the actuator {skin_model.name}"
     return Outcome(report, caption, tuple(traces))
-
-
-def _provide_model(controller: Controller, address: str, stream: Stream) -> None:
-    """See to it that the controller runs the stream's model: flash a simulated one, or raise ControllerError."""
-    running = flasher.running(controller)
-    if stream.image is None or (running is not None and running.sha256 == sha256(stream.image)):
-        return
-    if address in SIMULATED:
-        flasher.flash(controller, stream.image)
-        return
-    wanted, found = stream.model_name, running.name if running else "none"
-    # A name finds the models that ship alone.
-    given = wanted if models.by_hash(stream.header.image_hash) else "FOLDER"
-    raise ControllerError(
-        f"the stream needs the model {wanted} (image {stream.header.image_hash.hex()}), the controller runs {found}: "
-        f"flash it first, `vibrocast flash {given} --device {address}`"
-    )
 
 
 def actuator_model(description: ActuatorDescription) -> Actuator:

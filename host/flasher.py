@@ -3,6 +3,8 @@
 import contextlib
 from collections.abc import Callable
 
+import models
+from device_protocol.coded_stream import IMAGE_HASH_BYTES
 from device_protocol.messages import (
     FlashActivate,
     FlashBegin,
@@ -17,6 +19,7 @@ from device_protocol.messages import (
 from device_protocol.model_image import ModelImage, sha256
 from device_protocol.transports import TransportError
 from host.controller import ConnectionLost, Controller, ControllerError
+from host.devices import SIMULATED
 
 RECONNECT_S = 10.0
 
@@ -83,6 +86,26 @@ def running(controller: Controller) -> ImageDescription | None:
     """Return the model image that the controller said in its last hello that it runs, None if it runs none."""
     found = {image.state: image for image in controller.description.images}
     return next((found[state] for state in _RUNNING if state in found), None)
+
+
+def provide(controller: Controller, address: str, image: bytes) -> None:
+    """See to it that the controller at an address runs a packed model image: flash a simulated one.
+
+    Raises ControllerError for another one that runs something else, and as `flash`.
+    """
+    found = running(controller)
+    if found is not None and found.sha256 == sha256(image):
+        return
+    if address in SIMULATED:
+        flash(controller, image)
+        return
+    name = ModelImage.unpack(image).name
+    # A name finds the models that ship alone.
+    given = name if models.by_hash(sha256(image)) else "FOLDER"
+    raise ControllerError(
+        f"the stream needs the model {name} (image {sha256(image)[:IMAGE_HASH_BYTES].hex()}), the controller runs "
+        f"{found.name if found else 'none'}: flash it first, `vibrocast flash {given} --device {address}`"
+    )
 
 
 def _free_slot(controller: Controller) -> int:

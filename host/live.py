@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 import codec
+import models
 from codec import Signal, SignalFormat
 from device_protocol.coded_stream import StreamHeader
 from device_protocol.frames import write_frame
 from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData, pack
 from device_protocol.transports import TransportError
-from host.coding import DEFAULT_CODEC
+from host import coding
 from host.controller import ConnectionLost, Controller, ControllerError
 from host.link import LinkModel
 from host.player import RECONNECT_S, check_limits
@@ -72,6 +73,7 @@ def live_format(
 class LiveStream:
     """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
 
+    `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
     `margin_s`: how long packets lie on the controller before they are needed. `packet_samples`: samples per channel in
     a packet, at least those asked for and the codec's shortest block. `header`, `stream`, `packets_sent`, `status`:
     of the stream under way. `begun`: streams so far; `earlier`: the last status of each of those before this one.
@@ -83,8 +85,9 @@ class LiveStream:
         controller: Controller,
         signal_format: SignalFormat,
         *,
-        codec_name: str = DEFAULT_CODEC,
+        codec_name: str | None = None,
         setting: codec.Setting | None = None,
+        model: models.Model | None = None,
         packet_samples: int = 1,
         margin_s: float = MARGIN_S,
         gain: float = 1.0,
@@ -95,8 +98,10 @@ class LiveStream:
         self.format = signal_format
         self.margin_s = margin_s
         self.earlier: list[Status] = []
-        self._codec = codec.codec_by_name(codec_name)
-        self.setting = self._codec.complete({**live_setting(codec_name, signal_format.rate_hz), **(setting or {})})
+        self._codec, self._model = coding.chosen_codec(codec_name, model), model
+        self.setting = self._codec.complete(
+            {**live_setting(self._codec.name, signal_format.rate_hz), **(setting or {})}
+        )
         # Rounded up to whole blocks: to how many samples, an encoder says.
         encoder = self._make_encoder(codec.Framing(packet_samples, 1))
         self.packet_samples = encoder.packet_samples
@@ -117,7 +122,8 @@ class LiveStream:
         self._configure()
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
-        return self._codec.make_encoder(self.setting, self.format, framing, None, None)
+        model = coding.encoder_model(self._model)
+        return self._codec.make_encoder(self.setting, self.format, framing, model, None)
 
     def _configure(self) -> None:
         refresh_packets = max(1, math.floor(REFRESH_S * self.format.rate_hz / self.packet_samples))
@@ -129,6 +135,7 @@ class LiveStream:
             self.format.unit,
             self.format.gains,
             self._encoder.configuration,
+            b"" if self._model is None else coding.image_hash(self._model.image),
         )
         self.stream = (self.controller.request_status().stream + 1) % 256
         configure = Configure(

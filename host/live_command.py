@@ -7,12 +7,14 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+import codec
+import models
 import textures
 from device_protocol.coded_stream import MAX_RATE_HZ
 from device_protocol.messages import Status
-from host import coding, devices, progress
+from host import coding, devices, flasher, progress
 from host import live as streaming
-from host.options import POSITIVE, BadInput, Finite, device_option
+from host.options import POSITIVE, BadInput, Finite, codec_option, device_option, model_option, setting_option
 from textures.recording import MAX_CHANNELS
 
 # What 1.0 of full scale is in each.
@@ -38,6 +40,9 @@ STANDARD_INPUT = "-"
     show_default=True,
     help="How long a packet lies ready on the controller, and so how late it may be.",
 )
+@codec_option
+@setting_option
+@model_option
 def live(
     source: str,
     address: str,
@@ -48,6 +53,9 @@ def live(
     unit: str,
     full_scale: float,
     margin_ms: float,
+    codec_name: str | None,
+    setting: codec.Setting,
+    model: models.Model | None,
 ) -> None:
     """Stream a live SOURCE: raw samples from standard input (-), as they come, or a generated texture.
 
@@ -61,8 +69,15 @@ def live(
         raise BadInput("standard input is closed: pipe samples into it, or name a texture")
     else:
         signal_format = streaming.live_format(rate_hz, unit, [full_scale] * channels)
+    chosen = coding.chosen_codec(codec_name, model)
+    if chosen.needs_model and model is None:
+        model = coding.smallest_first(chosen)[0]
     with devices.connect(address) as controller, progress.shown("streaming") as update:
-        stream = streaming.LiveStream(controller, signal_format, margin_s=margin_ms / 1e3)
+        if model is not None:
+            flasher.provide(controller, address, model.image)
+        stream = streaming.LiveStream(
+            controller, signal_format, codec_name=chosen.name, setting=setting, model=model, margin_s=margin_ms / 1e3
+        )
         blocks: Iterator[NDArray[np.float64]]
         if source != STANDARD_INPUT:
             blocks = (block for _, block in streaming.paced(stream, texture.samples, stream.packet_samples))

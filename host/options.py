@@ -4,16 +4,17 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+import codec
 import models
 import textures
 from device_protocol.model_image import ModelImageError
-from host import devices
+from host import coding, devices
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -65,6 +66,19 @@ def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) 
         raise click.BadParameter(str(error), ctx, param) from error
 
 
+def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
+    """Return a codec's parameters by name, or raise click.BadParameter."""
+    setting: dict[str, str] = {}
+    for text in values:
+        name, sign, value = text.partition("=")
+        if not (name and sign and value):
+            raise click.BadParameter(f"{text!r} is not of the form NAME=VALUE.", ctx, param)
+        if name in setting:
+            raise click.BadParameter(f"{name} is given twice.", ctx, param)
+        setting[name] = value
+    return setting
+
+
 def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
     """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
     if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
@@ -96,6 +110,26 @@ device_option = click.option(
     default="sim",
     show_default=True,
     help=f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
+)
+
+model_option = click.option(
+    "--model",
+    callback=chosen_model,
+    metavar="NAME|FOLDER|IMAGE",
+    help="A trained model that `vibrocast models` lists, a folder that `vibrocast export` wrote, or a model image.",
+)
+codec_option = click.option(
+    "--codec",
+    "codec_name",
+    type=click.Choice(sorted(codec.CODECS)),
+    help=f"That of --model if not given, else {coding.DEFAULT_CODEC}.",
+)
+setting_option = click.option(
+    "--setting",
+    callback=parsed_setting,
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Parameter of the codec, instead of searching for it; `vibrocast codecs` lists them.",
 )
 
 recording_options = options(

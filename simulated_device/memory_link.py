@@ -76,6 +76,7 @@ class MemoryLink:
         controller: Device,
         to_controller: FaultyLine | None = None,
         to_host: FaultyLine | None = None,
+        *,
         time: SimulatedTime | None = None,
     ) -> None:
         self.controller = controller

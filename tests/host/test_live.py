@@ -23,8 +23,8 @@ RATE_HZ = 2800
 FORMAT = live.live_format(RATE_HZ, "um", [10.0])
 
 
-def bench(settings: Settings | None = None, **lines: FaultyLine) -> tuple[MemoryLink, Controller]:
-    link = MemoryLink(SimulatedController(settings), **lines)
+def bench(settings: Settings | None = None, to_controller: FaultyLine | None = None) -> tuple[MemoryLink, Controller]:
+    link = MemoryLink(SimulatedController(settings), to_controller)
     return link, Controller(link, link.clock, link.sleep)
 
 

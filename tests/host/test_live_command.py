@@ -41,3 +41,16 @@ def test_samples_that_are_no_numbers_are_refused() -> None:
     result = run("-", "--format", "float32", data=np.full(800, np.nan, "<f4").tobytes())
     assert result.exit_code == 2
     assert "NaN" in result.output
+
+
+@pytest.mark.parametrize("arguments", [["--model", "eva-16"], ["--codec", "eva"], ["--model", "mdct-network"]])
+def test_a_model_is_flashed_and_streamed_with(arguments: list[str]) -> None:
+    result = run("rough", "--seconds", "0.3", "--margin-ms", "300", *arguments)
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
+
+
+def test_a_model_of_another_codec_is_refused() -> None:
+    result = run("rough", "--model", "eva-16", "--codec", "dct")
+    assert result.exit_code == 2
+    assert "is not for the codec dct" in result.output
