@@ -368,12 +368,17 @@ def test_an_snr_is_met_in_every_channel_and_a_rate_in_all() -> None:
 
 
 @pytest.mark.parametrize(
-    ("prior", "digest"),
-    [("contexts", "3c3017f3a17a35fab569e08113bac5ff"), ("factorised", "4b82fd8e00677bc6e47dd03ff2ff86fa")],
+    ("prior", "stream", "digest"),
+    [
+        ("contexts", "golden_eva_contexts", "3c3017f3a17a35fab569e08113bac5ff"),
+        ("factorised", "golden_eva_factorised", "4b82fd8e00677bc6e47dd03ff2ff86fa"),
+        ("contexts", "golden_eva_contexts_steered", "b5d5cad23c859ac4f4c5ec566dff6990"),
+        ("factorised", "golden_eva_factorised_steered", "0a96a83352b430f138cc4d0210340906"),
+    ],
 )
-def test_golden_streams(prior: PriorKind, digest: str) -> None:
+def test_golden_streams(prior: PriorKind, stream: str, digest: str) -> None:
     """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
-    header, packets = unpack_file((FOLDER / f"golden_eva_{prior}.vct").read_bytes())
+    header, packets = unpack_file((FOLDER / f"{stream}.vct").read_bytes())
     image = (FOLDER / f"golden_eva_{prior}.vcmi").read_bytes()
     assert (header.codec_identifier, header.channels, header.image_hash) == (4, 2, sha256(image)[:IMAGE_HASH_BYTES])
     payload = ModelImage.unpack(image).payload

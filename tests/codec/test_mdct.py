@@ -361,3 +361,13 @@ def test_golden_stream_with_a_network() -> None:
     assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "a9d7630edeff2d58beab1260ff91005d"
     ratio = codec.snr_db(golden_signal(), samples[128:528] * (np.array(header.gains) / 32768))
     assert ratio == pytest.approx(30.22, abs=0.01)
+
+
+def test_golden_steered_stream() -> None:
+    """Steps that change from packet to packet, with padding behind some: it stays playable likewise."""
+    header, packets = unpack_file(Path(__file__).with_name("golden_mdct_steered.vct").read_bytes())
+    assert (header.samples, header.channels, len(packets)) == (400, 2, 7)
+    samples = decoded(header.configuration, packets, header.channels)
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "ad474f2bbbc58f24fd57c168ff0f181a"
+    ratio = codec.snr_db(golden_signal(), samples[16:416] * (np.array(header.gains) / 32768))
+    assert ratio == pytest.approx(25.53, abs=0.01)

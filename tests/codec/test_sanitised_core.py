@@ -1,5 +1,6 @@
 """The C core under address and undefined-behaviour sanitisers, where a compiler has them."""
 
+import itertools
 import shutil
 import subprocess
 from dataclasses import replace
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import models
-from codec import Framing, Setting, dct, encode, eva, mdct, slp
+from codec import Choice, Framing, Setting, dct, encode, eva, mdct, slp
 from codec.core import ffi, library
 from codec.eva_image import PRIOR_KINDS, PriorKind
 from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL
@@ -50,13 +51,15 @@ def run(program: Path, records: bytes, codec_name: str = "mdct") -> subprocess.C
 def test_streams_with_losses_damage_and_noise(program: Path) -> None:
     generator = np.random.default_rng(1)
     network = models.find("mdct-network").tables
-    for channels, tables, hop in (
-        (1, b"", 32),
-        (3, network, 16),
-        (16, b"", 128),
-        (1, generator.bytes(len(network)), 128),
+    for channels, tables, hop, steering in (
+        (1, b"", 32, None),
+        (3, network, 16, lambda trial: Choice(int(generator.choice(trial.coarsenesses)))),
+        (16, b"", 128, lambda trial: Choice(int(generator.integers(-30, 30)))),
+        (1, generator.bytes(len(network)), 128, None),
     ):
-        encoder = mdct.MdctEncoder([0.02] * channels, RATE_HZ, Framing(96, 4), tables or None, hop=hop, fill=0.1)
+        encoder = mdct.MdctEncoder(
+            [0.02] * channels, RATE_HZ, Framing(96, 4), tables or None, hop=hop, fill=0.1, steering=steering
+        )
         packets = encoder.encode(texture(3000, channels))
         records = record(0, tables) + record(channels, encoder.configuration)
         for packet in packets:
@@ -70,9 +73,10 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
 
 
 def test_extreme_steps_and_levels(program: Path) -> None:
-    for code in (0, mdct.STEP_CODES - 1):
+    for code, steered in itertools.product((0, mdct.STEP_CODES - 1), (False, True)):
         for hop in mdct.HOPS:
-            records = record(0, b"") + record(2, mdct.configuration(hop, 2, [code] * 2, fill_code=31))
+            configuration = mdct.configuration(hop, 2, [code] * 2, fill_code=31, steered=steered)
+            records = record(0, b"") + record(2, configuration)
             records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))
             done = run(program, records)
             assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
@@ -162,7 +166,8 @@ def test_eva_streams_with_losses_and_noise(program: Path, width: int, latents: i
     generator = np.random.default_rng(5)
     image = random_image(1, width, latents, 3, prior)
     for model, channels in ((image, 1), (with_extreme_weights(image, 2), 16)):
-        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, [32] * channels)
+        steered = channels > 1
+        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, [32] * channels, steered)
         records = record(0, model.pack()) + record(channels, configuration)
         records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(0, 256, 17))
         for sequence in range(30):
