@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from codec import Signal
-from tests.codec.reference_decoder import RangeDecoder, adapted, bounded, divide, fine_class
+from tests.codec.reference_decoder import Coarseness, RangeDecoder, adapted, bounded, divide, fine_class
 
 THRESHOLD = [
     round(
@@ -68,8 +68,9 @@ class SlpReferenceDecoder:
         self.frame, self.order = 32 << (configuration[0] >> 5), configuration[0] & 31
         self.packet_frames = configuration[1] | configuration[2] << 8
         self.shaping, self.rate_code = configuration[3], configuration[4]
-        self.step_codes = list(configuration[5:])
-        assert len(self.step_codes) == channels
+        self.step_codes = list(configuration[5 : 5 + channels])
+        self.steered = configuration[5 + channels :] == b"\x01"
+        self.coarseness = Coarseness()
         self.model = Model()
         self.channels: list[Channel] = []
 
@@ -78,8 +79,11 @@ class SlpReferenceDecoder:
         head = next(i for i, byte in enumerate(packet) if byte < 128) + 1
         if packet[0] & 1:
             self.model = Model()
+            self.coarseness = Coarseness()
             self.channels = [Channel(self.frame, self.order) for _ in self.step_codes]
         coder = RangeDecoder(packet[head:])
+        if self.steered:
+            self.coarseness.decode(coder)
         frames = [
             [self._frame(coder, channel, code) for channel, code in zip(self.channels, self.step_codes, strict=True)]
             for _ in range(self.packet_frames)
@@ -161,7 +165,9 @@ class SlpReferenceDecoder:
             frequency = lg(2 * k + 1) + 32 * self.rate_code - 512 - lg(self.frame)
             index = min(max(divide(frequency - 1024 + 16, 32), 0), 56)
             gain = lg(real**2 + imaginary**2) // 2 - 3072
-            steps.append(ex(768 + 32 * step_code + gain + (self.shaping * THRESHOLD[index] >> 8)))
+            steps.append(
+                ex(768 + 32 * step_code + 16 * self.coarseness.value + gain + (self.shaping * THRESHOLD[index] >> 8))
+            )
         return steps
 
     def _synthesised(self, channel: Channel, spectrum: list[int]) -> list[float]:

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.fft import dct as reference_dct
 
 import codec
-from codec import CodecError, Decoder, Framing, Setting, Signal, SignalFormat, dct
+from codec import Choice, CodecError, Decoder, Framing, Setting, Signal, SignalFormat, dct
+from codec.core import library
 from codec.huffman import LONGEST_CODE, canonical_codes, code_lengths
 from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from device_protocol.coded_stream import unpack_file
@@ -121,6 +122,73 @@ def test_logarithmic_levels_rise_by_equal_factors_from_the_smallest(
 def test_a_smallest_level_above_the_signal_is_no_louder_than_it() -> None:
     decoded = codec.decode(coded(texture(2048), {"quantiser": "log", "smallest": 100.0}))
     assert np.max(np.abs(coefficients(decoded))) <= 1.01 * np.max(np.abs(coefficients(texture(2048))))
+
+
+def steered(signal: Signal, setting: Setting, coarsenesses: list[int]) -> tuple[bytes, list[bytes]]:
+    """Code live, each packet at the next of these coarsenesses, over and over, or at the nearest that there is."""
+    turn = itertools.cycle(coarsenesses)
+    encoder = dct.DctEncoder(
+        dct.CODEC.complete(setting),
+        SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], (0.5,) * signal.shape[1]),
+        Framing(128, 1),
+        lambda trial: Choice(min(max(next(turn), trial.coarsenesses[0]), trial.coarsenesses[-1])),
+    )
+    return encoder.configuration, encoder.encode(signal) + encoder.finish()
+
+
+def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
+    decoder = dct.make_decoder(configuration, channels)
+    return np.concatenate([decoder.decode(packet) for packet in packets])
+
+
+@pytest.mark.parametrize(("quantiser", "entropy"), EVERY_CODER)
+@given(
+    coarsenesses=st.lists(st.integers(-60, 60) | st.integers(-300, 300), min_size=1, max_size=6),
+    channels=st.integers(1, 2),
+)
+@settings(max_examples=8, deadline=None)
+def test_core_agrees_with_the_documented_decoder_on_any_coarsenesses(
+    quantiser: str, entropy: str, coarsenesses: list[int], channels: int
+) -> None:
+    setting: Setting = {"quantiser": quantiser, "entropy": entropy, "block": "64"}
+    configuration, packets = steered(texture(600, channels), setting, coarsenesses)
+    reference = ReferenceDecoder(configuration, channels)
+    exact = np.concatenate([reference.samples(packet) for packet in packets])
+    assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels))) < 0.55
+
+
+def test_codes_of_levels_are_sixteen_to_a_factor_of_two_in_the_steps() -> None:
+    core = library()
+    assert [core.vc_dct_levels_of(code) for code in range(dct.LEVEL_CODES)] == [
+        1 + round(3 * 2 ** (code / 16)) for code in range(dct.LEVEL_CODES)
+    ]
+    assert all(core.vc_dct_levels_of(dct.level_code(levels)) == levels for levels in range(4, 24))
+
+
+@pytest.mark.parametrize("code", [231, 255])
+def test_packets_of_a_number_of_levels_that_is_none_are_refused(code: int) -> None:
+    decoder = decoder_of(16, levels=0)
+    assert decoder.decode(bytes((1, 230)) + RANGES).shape == (64, 1)
+    for packet in (bytes((1, code)) + RANGES, b"\x01", bytes((1, 230)) + RANGES[:3]):
+        with pytest.raises(CodecError, match="damaged"):
+            decoder.decode(packet)
+
+
+def test_small_coefficients_of_steered_packets_are_zero() -> None:
+    """At an even number of levels too, where without steering each of them is half a step off."""
+    signal = sine(0.9, 175.0) + sine(0.05, 350.0)
+    configuration, packets = steered(signal, {"levels": 6, "entropy": "range"}, [0])
+    spectrum = coefficients(decoded(configuration, packets, 1) / 32768)
+    assert np.max(np.abs(np.delete(spectrum, 64, axis=1))) < 0.01
+    np.testing.assert_allclose(spectrum[:, 64], coefficients(signal)[:, 64], rtol=0.01)
+
+
+def test_the_coarsest_packets_keep_the_loudest_channel_and_then_nothing() -> None:
+    signal = np.hstack([0.1 * texture(1024), texture(1024, seed=2)])
+    coarsest = dct.level_code(14) + 6 * 16 + 1  # 6 octaves of cuts from 4 levels on, and all
+    for coarseness, sounding in ((coarsest - 1, [False, True]), (coarsest, [False, False]), (1000, [False, False])):
+        samples = decoded(*steered(signal, {}, [coarseness]), 2)
+        assert [bool(np.any(channel)) for channel in samples.T] == sounding
 
 
 def test_quality_does_not_rise_with_every_level() -> None:
@@ -390,12 +458,16 @@ def golden_signal() -> Signal:
 
 
 @pytest.mark.parametrize(
-    ("entropy", "digest", "snr_db"),
-    [("huffman", "653ebe1f428e46e3b793c6912f2afbe0", 24.12), ("range", "5334e1c94726787e65a1e161e70cbffc", 21.04)],
+    ("name", "digest", "snr_db"),
+    [
+        ("huffman", "653ebe1f428e46e3b793c6912f2afbe0", 24.12),
+        ("range", "5334e1c94726787e65a1e161e70cbffc", 21.04),
+        ("steered", "427eb868e00c129681ec30705115e629", 5.71),
+    ],
 )
-def test_golden_streams(entropy: str, digest: str, snr_db: float) -> None:
+def test_golden_streams(name: str, digest: str, snr_db: float) -> None:
     """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
-    header, packets = unpack_file(Path(__file__).with_name(f"golden_dct_{entropy}.vct").read_bytes())
+    header, packets = unpack_file(Path(__file__).with_name(f"golden_dct_{name}.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (700, 2, 6)
     decoder = codec.decoder(2, header.configuration, 2)
     samples = np.concatenate([decoder.decode(packet) for packet in packets])

@@ -1,7 +1,9 @@
 """The codec `slp`: its core against a decoder written from the documentation, stability, loss, a golden stream."""
 
 import hashlib
+import itertools
 import math
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -12,19 +14,27 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 import codec
-from codec import CodecError, Framing, Setting, SignalFormat, linear_prediction, slp
+from codec import Choice, CodecError, Framing, Setting, SignalFormat, Steering, linear_prediction, slp
 from device_protocol.coded_stream import unpack_file
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from tests.codec.slp_reference_decoder import SlpReferenceDecoder
 from tests.codec.test_mdct import golden_signal
 
 
-def coded(signal: codec.Signal, framing: Framing, **given: float | str) -> tuple[bytes, list[bytes]]:
+def coded(
+    signal: codec.Signal, framing: Framing, steering: Steering | None = None, **given: float | str
+) -> tuple[bytes, list[bytes]]:
     setting: Setting = slp.CODEC.complete(given)
     rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
     signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
-    encoder = slp.make_encoder(setting, signal_format, framing, None)
+    encoder = slp.make_encoder(setting, signal_format, framing, None, steering)
     return encoder.configuration, encoder.encode(signal) + encoder.finish()
+
+
+def in_turn(coarsenesses: Sequence[int]) -> Steering:
+    """Choose these coarsenesses, one after the other and over again, or the nearest that there are."""
+    turn = itertools.cycle(coarsenesses)
+    return lambda trial: Choice(min(max(next(turn), trial.coarsenesses[0]), trial.coarsenesses[-1]))
 
 
 def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
@@ -49,6 +59,31 @@ def test_core_agrees_with_the_documented_decoder(frame: str, order: int, channel
 def test_core_agrees_with_the_documented_decoder_on_hard_signals(name: str, quality: int) -> None:
     configuration, packets = coded(edge_signals()[name][:1600], Framing(800, 0), quality=quality)
     assert difference_to_the_documented_decoder(configuration, packets, 1) < 1.5
+
+
+@given(
+    coarsenesses=st.lists(st.integers(-40, 40) | st.integers(-336, 336), min_size=1, max_size=8),
+    frame=st.sampled_from(slp.FRAMES),
+    channels=st.integers(1, 2),
+    refresh_packets=st.integers(0, 3),
+)
+@settings(max_examples=15, deadline=None)
+def test_core_agrees_with_the_documented_decoder_on_any_coarsenesses(
+    coarsenesses: list[int], frame: int, channels: int, refresh_packets: int
+) -> None:
+    signal, framing = texture(500, channels), Framing(2 * frame, refresh_packets)
+    configuration, packets = coded(signal, framing, in_turn(coarsenesses), frame=str(frame))
+    assert difference_to_the_documented_decoder(configuration, packets, channels) < 1.5
+
+
+def test_a_constant_coarseness_is_that_of_the_quality_and_costs_at_most_a_bit_a_packet() -> None:
+    """Ten levels of `quality` are two octaves of steps: four to one, 32 coarsenesses."""
+    signal = texture(20_000)
+    plain = coded(signal, Framing(128, 5), quality=10)
+    steered = coded(signal, Framing(128, 5), in_turn([32]), quality=20)
+    np.testing.assert_array_equal(decoded(*plain, 1), decoded(*steered, 1))
+    added_bits = 8 * (sum(map(len, steered[1])) - sum(map(len, plain[1])))
+    assert 0 < added_bits <= len(plain[1]) + 12 * len(plain[1]) / 5
 
 
 def test_levels_rise_in_steps_of_about_a_decibel() -> None:
@@ -294,11 +329,18 @@ def test_a_packet_that_does_not_fit_is_refused() -> None:
         coded(noise, Framing(64 * 300, 0), quality=slp.LEVELS - 1, order=0)
 
 
-def test_golden_stream() -> None:
+@pytest.mark.parametrize(
+    ("name", "count", "digest", "snr_db"),
+    [
+        ("slp", 4, "8b1232451a78e00057889c37c32eb322", 22.62),
+        ("slp_steered", 7, "2851cf2aca8d659096b9d84dc1e623f5", 17.72),
+    ],
+)
+def test_golden_streams(name: str, count: int, digest: str, snr_db: float) -> None:
     """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
-    header, packets = unpack_file(Path(__file__).with_name("golden_slp.vct").read_bytes())
-    assert (header.samples, header.channels, len(packets)) == (400, 2, 4)
+    header, packets = unpack_file(Path(__file__).with_name(f"golden_{name}.vct").read_bytes())
+    assert (header.samples, header.channels, len(packets)) == (400, 2, count)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "8b1232451a78e00057889c37c32eb322"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == digest
     ratio = codec.snr_db(golden_signal(), samples[:400] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(22.62, abs=0.01)
+    assert ratio == pytest.approx(snr_db, abs=0.01)
