@@ -9,6 +9,7 @@ from codec.coding import (
     decode_integers,
     decoder,
     encode,
+    encode_steered,
     gain_for,
     live_framing,
     settled,
@@ -41,8 +42,8 @@ from codec.steering import (
     Group,
     Policy,
     RatePolicy,
-    shortest_packet_samples,
     steered_encoder,
+    steered_framing,
 )
 
 __all__ = [
@@ -83,12 +84,13 @@ __all__ = [
     "decode_integers",
     "decoder",
     "encode",
+    "encode_steered",
     "encode_to_rate",
     "encode_to_snr",
     "gain_for",
     "live_framing",
     "settled",
-    "shortest_packet_samples",
     "snr_db",
     "steered_encoder",
+    "steered_framing",
 ]

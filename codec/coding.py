@@ -22,6 +22,7 @@ from codec.interface import (
     Signal,
     SignalFormat,
 )
+from codec.steering import Policy, steered_encoder
 
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
@@ -122,6 +123,25 @@ def encode(
     setting that the codec does not have, or a channel count, level or unit that cannot be coded.
     """
     return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
+
+
+def encode_steered(
+    samples: Signal,
+    rate_hz: int,
+    policy: Policy,
+    framing: Framing,
+    *,
+    codec: str = mdct.NAME,
+    setting: Setting | None = None,
+    unit: str = "full scale",
+    model: Model | None = None,
+    progress: Progress | None = None,
+) -> CodedSignal:
+    """Code samples (n, channels) in a physical unit in one pass, as a live stream would be, steered by a policy.
+
+    Raises CodecError as `encode`, and for packets longer than 4000 bytes; OutOfReach as `steered_encoder`.
+    """
+    return Source(samples, rate_hz, codec, unit, True, model, progress).encode_steered(setting or {}, policy, framing)
 
 
 def settled(
@@ -229,16 +249,20 @@ class Source:
             packets = self._packets(encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
             if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or as_short_as_can_be:
-                return CodedSignal(
-                    self.codec.name,
-                    self.format.rate_hz,
-                    len(self.samples),
-                    self.format.gains,
-                    encoder.configuration,
-                    tuple(packets),
-                )
+                return self._coded(encoder, packets)
             tried_samples = encoder.packet_samples
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
+
+    def encode_steered(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
+        """Code with a policy, in packets as they are asked. Raises CodecError as `codec.encode_steered`."""
+        encoder = steered_encoder(self.codec, self.settled(setting), self.format, framing, self._model, policy)
+        packets = self._packets(encoder)
+        if max(map(len, packets)) > _LARGEST_PACKET_BYTES:
+            raise CodecError(
+                f"a packet of {max(map(len, packets))} bytes, and no controller need take more than "
+                f"{_LARGEST_PACKET_BYTES}: ask for shorter packets, or for less"
+            )
+        return self._coded(encoder, packets)
 
     def takes(self, setting: Setting) -> bool:
         """Return whether the codec has this setting with this model."""
@@ -260,6 +284,16 @@ class Source:
         """What the codec chooses by the signal: the same at every setting, so that a search meets no jump."""
         assert self.codec.settle is not None, f"{self.codec.name} has parameters that may be {AUTO}"
         return self.codec.settle(self.samples, self.format)
+
+    def _coded(self, encoder: Encoder, packets: list[bytes]) -> CodedSignal:
+        return CodedSignal(
+            self.codec.name,
+            self.format.rate_hz,
+            len(self.samples),
+            self.format.gains,
+            encoder.configuration,
+            tuple(packets),
+        )
 
     def _packets(self, encoder: Encoder) -> list[bytes]:
         packets: list[bytes] = []

@@ -27,12 +27,11 @@ from codec.interface import (
 )
 from codec.judges import Judge
 
-DB_PER_COARSENESS = 20 * math.log10(2) / 16
-"""What one of coarseness is in the quantiser's steps: 16 are a factor of two."""
 DEFAULT_BUCKET_S = 0.018
 """The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
 MOST_ADDED = 0.15
 """What frames may add to the packets in them, relative to these."""
+REFRESH_S = 1.0
 
 FrameBytes: TypeAlias = Callable[[bytes], int]
 """Bytes that the frame of a packet adds to it on the way."""
@@ -41,7 +40,7 @@ _FIRST_STRIDE = 2
 # A constant rate aims at the mean quality of the last _MEMORY_BUCKETS times of the bucket, and up to half _SWING_DB
 # more as the bucket is empty, less as it is full; the swing is less where it holds few packets, or it overshoots.
 _MEMORY_BUCKETS = 4.0
-_SWING_DB = 10.0
+_SWING_DB = 4.0
 _PACKETS_FOR_FULL_SWING = 4.0
 _PROBE_PACKETS = 4
 # A sequence number takes one byte at first, and four from packet 2^20 on.
@@ -129,6 +128,12 @@ class _Attempts:
             self._packets[coarseness] = packets
         return self._packets[coarseness]
 
+    def coded(self, coarseness: int) -> list[bytes]:
+        """Return the packets at a coarseness. Raises CodecError where one would be too long."""
+        return self.packets(coarseness) or [
+            trial.packet(_within(trial.coarsenesses, coarseness)) for trial in self.trials
+        ]
+
     def size_bytes(self, coarseness: int) -> float:
         """Return what all packets take on the way, infinity where one would be too long."""
         packets = self.packets(coarseness)
@@ -164,16 +169,50 @@ def _within(coarsenesses: range, coarseness: int) -> int:
     return min(max(coarseness, coarsenesses[0]), coarsenesses[-1])
 
 
-class Policy(ABC):
-    """A steering with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its place.
+class _Ear:
+    """Hears packets as the far end will, and lets a judge say how good they are; of one stream."""
 
-    `frame_bytes`: what the frame of a packet adds to it on the way. `judge`: measures the quality of packets.
-    """
-
-    def __init__(self, frame_bytes: FrameBytes | int = 0, judge: Judge | None = None) -> None:
-        self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
+    def __init__(self, judge: Judge) -> None:
         self._judge = judge
         self._decoder: CopyableDecoder | None = None
+
+    def begin(self, decoder: Decoder) -> None:
+        """Listen to what this decoder decodes. Raises CodecError for one whose state cannot be copied."""
+        if not hasattr(decoder, "copy"):
+            raise CodecError("this codec cannot be held to a quality; ask for a constant rate, or choose another codec")
+        self._decoder = cast(CopyableDecoder, decoder)
+
+    def quality_db(self, attempts: _Attempts, coarseness: int) -> float:
+        """Return the quality of the first trial's packet; infinity where it is too long to be coded."""
+        packets = attempts.packets(coarseness)
+        if packets is None:
+            return math.inf
+        assert self._decoder is not None, "it has begun"
+        return self._judge.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
+
+    def coarsest_with(self, attempts: _Attempts, quality_db: float) -> int:
+        """Return the coarsest that has the quality; the finest that can be coded where none has."""
+        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.previous)
+        coarseness = attempts.coarsenesses[-1] if worse is None else _within(attempts.coarsenesses, worse - 1)
+        if attempts.packets(coarseness) is not None:
+            return coarseness
+        codable = attempts.finest(lambda each: attempts.packets(each) is not None, coarseness)
+        return attempts.coarsenesses[-1] if codable is None else codable
+
+    def hear(self, attempts: _Attempts, coarseness: int) -> None:
+        """Take in the packet that was chosen."""
+        assert self._decoder is not None, "it has begun"
+        self._judge.hear(attempts.trials[0].samples, self._decoder.decode(attempts.coded(coarseness)[0]) / 32768)
+
+
+class Policy(ABC):
+    """A steering with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its place."""
+
+    _ear: _Ear | None = None
+
+    def __init__(self, frame_bytes: FrameBytes | int = 0) -> None:
+        """`frame_bytes`: what the frame of a packet adds to it on the way."""
+        self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
         self._seconds = math.nan
 
     def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
@@ -182,9 +221,8 @@ class Policy(ABC):
         `least_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
         where the codec's packets cannot be judged, OutOfReach where they do not fit the rate.
         """
-        if self._judge is not None and not hasattr(decoder, "copy"):
-            raise CodecError("this codec cannot be held to a quality; ask for a constant rate, or choose another codec")
-        self._decoder = None if self._judge is None else cast(CopyableDecoder, decoder)
+        if self._ear is not None:
+            self._ear.begin(decoder)
         self._seconds = seconds
 
     def sent_bytes(self, packet: bytes) -> int:
@@ -195,51 +233,30 @@ class Policy(ABC):
     def __call__(self, trial: Trial) -> Choice:
         """Choose how the next packet is coded. Raises OutOfReach where nothing will do."""
 
-    def _quality_db(self, attempts: _Attempts, coarseness: int) -> float:
-        """Return the quality at a coarseness; without a judge, that of the steps: 6 dB for a factor of two."""
-        if self._judge is None or self._decoder is None:
-            return -DB_PER_COARSENESS * coarseness
-        packets = attempts.packets(coarseness)
-        if packets is None:  # what is too long to be coded is finer than all that can be
-            return math.inf
-        return self._judge.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
-
-    def _coarsest_with(self, attempts: _Attempts, quality_db: float) -> int:
-        """Return the coarsest that has the quality; the finest that can be coded where none has."""
-        worse = attempts.finest(lambda each: self._quality_db(attempts, each) < quality_db, attempts.previous)
-        coarseness = attempts.coarsenesses[-1] if worse is None else _within(attempts.coarsenesses, worse - 1)
-        if attempts.packets(coarseness) is not None:
-            return coarseness
-        codable = attempts.finest(lambda each: attempts.packets(each) is not None, coarseness)
-        return attempts.coarsenesses[-1] if codable is None else codable
-
-    def _hear(self, attempts: _Attempts, coarseness: int) -> None:
-        """Let decoder and judge take in the packet that was chosen."""
-        packets = attempts.packets(coarseness)
-        if self._judge is not None and self._decoder is not None and packets is not None:
-            self._judge.hear(attempts.trials[0].samples, self._decoder.decode(packets[0]) / 32768)
-
 
 class ConstantQuality(Policy):
     """Every packet as coarse as the asked quality allows, whatever bytes that takes."""
 
+    _ear: _Ear
+
     def __init__(self, quality_db: float, judge: Judge) -> None:
-        super().__init__(judge=judge)
+        super().__init__()
         self.quality_db = quality_db
+        self._ear = _Ear(judge)
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the coarsest packet that has the quality; the finest where none has."""
         attempts = _Attempts([trial], self.sent_bytes)
-        coarseness = self._coarsest_with(attempts, self.quality_db)
-        self._hear(attempts, coarseness)
+        coarseness = self._ear.coarsest_with(attempts, self.quality_db)
+        self._ear.hear(attempts, coarseness)
         return Choice(coarseness)
 
 
 class RatePolicy(Policy):
     """A policy whose packets, frames included, a leaky bucket holds."""
 
-    def __init__(self, bucket: LeakyBucket, frame_bytes: FrameBytes | int, judge: Judge | None) -> None:
-        super().__init__(frame_bytes, judge)
+    def __init__(self, bucket: LeakyBucket, frame_bytes: FrameBytes | int) -> None:
+        super().__init__(frame_bytes)
         self.bucket = bucket
         self.least_bits_per_second = 0.0
         """The least rate that holds whatever signal comes; known when a stream has begun."""
@@ -276,11 +293,11 @@ class RatePolicy(Policy):
         found = attempts.finest(lambda each: attempts.size_bytes(each) <= most_bytes, start)
         if found is not None:
             return found
+        coarsest = attempts.coarsenesses[-1]
         if self.bucket.full > 1:
-            return attempts.coarsenesses[-1]
-        raise self._out_of_reach(
-            self.bits_per_second, 8 * min(map(attempts.size_bytes, attempts.coarsenesses)) / self._seconds
-        )
+            return coarsest
+        least_bytes = sum(map(self.sent_bytes, attempts.coded(coarsest)))
+        raise self._out_of_reach(self.bits_per_second, 8 * least_bytes / self._seconds)
 
     def _send(self, packets: Sequence[bytes]) -> None:
         """Take packets into the bucket, padded as they are."""
@@ -290,6 +307,8 @@ class RatePolicy(Policy):
 class CappedRate(RatePolicy):
     """A constant quality as far as the bucket holds it, and else the finest that it holds."""
 
+    _ear: _Ear
+
     def __init__(
         self,
         quality_db: float,
@@ -298,17 +317,18 @@ class CappedRate(RatePolicy):
         frame_bytes: FrameBytes | int = 0,
         bucket_s: float = DEFAULT_BUCKET_S,
     ) -> None:
-        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.0), frame_bytes, judge)
+        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.0), frame_bytes)
         self.quality_db = quality_db
+        self._ear = _Ear(judge)
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises OutOfReach."""
         attempts = _Attempts([trial], self.sent_bytes)
-        coarseness = self._coarsest_with(attempts, self.quality_db)
+        coarseness = self._ear.coarsest_with(attempts, self.quality_db)
         if attempts.size_bytes(coarseness) > self.bucket.most_bytes(self._seconds):
             coarseness = self._finest_that_fits(attempts, coarseness)
-        self._hear(attempts, coarseness)
-        self._send(attempts.packets(coarseness) or [])
+        self._ear.hear(attempts, coarseness)
+        self._send(attempts.coded(coarseness))
         self.bucket.fullness_bytes = max(0.0, self.bucket.fullness_bytes)
         return Choice(coarseness)
 
@@ -316,9 +336,9 @@ class CappedRate(RatePolicy):
 class ConstantRate(RatePolicy):
     """A constant rate: no packet lets the bucket run over, and padding never lets it run dry.
 
-    In between, the quality is as even as the bucket allows: each packet aims at the mean quality of those before it,
-    and somewhat more or less as the bucket is emptier or fuller than half. Without a judge what is even is the
-    quantiser's step, and with it the error; with SnrJudge it is the ratio of signal to error.
+    In between, a judge makes the quality as even as the bucket allows: each packet aims at the mean of those before it,
+    and at up to 2 dB more or less as the bucket is emptier or fuller than half. Without a judge each packet aims at its
+    share of the rate, which is all that the default bucket leaves to choose.
     """
 
     def __init__(
@@ -328,8 +348,9 @@ class ConstantRate(RatePolicy):
         bucket_s: float = DEFAULT_BUCKET_S,
         judge: Judge | None = None,
     ) -> None:
-        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.5), frame_bytes, judge)
-        self._mean_db: float | None = None
+        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.5), frame_bytes)
+        self._ear = None if judge is None else _Ear(judge)
+        self._mean_db, self._heard = 0.0, 0  # the mean quality, and of how many packets
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the packet's coarseness and padding. Raises OutOfReach where none fits."""
@@ -344,10 +365,13 @@ class ConstantRate(RatePolicy):
             coarseness = self._finest_that_fits(attempts, coarseness)
         elif attempts.size_bytes(coarseness) < least_bytes:
             coarseness = self._coarsest_that_fills(attempts, coarseness, least_bytes, most_bytes)
-        packets = attempts.packets(coarseness) or []
-        self._remember(attempts, coarseness, padded=sum(map(self.sent_bytes, packets)) < least_bytes)
+        packets = attempts.coded(coarseness)
+        # What had more bytes than it could use tells nothing of the quality that the rate has.
+        if self._ear is not None:
+            if attempts.size_bytes(coarseness) >= least_bytes:
+                self._remember(self._ear.quality_db(attempts, coarseness))
+            self._ear.hear(attempts, coarseness)
         packets[-1] = self._padded(packets, least_bytes, most_bytes)
-        self._hear(attempts, coarseness)
         self._send(packets)
         return [
             Choice(_within(trial.coarsenesses, coarseness), len(packet))
@@ -355,11 +379,13 @@ class ConstantRate(RatePolicy):
         ]
 
     def _aim(self, attempts: _Attempts) -> int:
-        """Return the coarseness of the quality aimed at, whatever it takes."""
-        if self._mean_db is None:
-            return self._finest_that_fits(attempts, attempts.previous)
+        """Return the coarseness of the quality aimed at; that of the packet's share of the rate where none is known."""
+        if self._ear is None or self._heard == 0:
+            share_bytes = self.bits_per_second * self._seconds / 8
+            aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.previous)
+            return attempts.coarsenesses[-1] if aim is None else aim
         swing_db = _SWING_DB * min(1.0, self.bucket.bucket_s / self._seconds / _PACKETS_FOR_FULL_SWING)
-        return self._coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.bucket.full))
+        return self._ear.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.bucket.full))
 
     def _coarsest_that_fills(self, attempts: _Attempts, start: int, least_bytes: int, most_bytes: int) -> int:
         """Return the coarsest that needs no padding, or the finest that fits where the least padding is needed."""
@@ -368,15 +394,11 @@ class ConstantRate(RatePolicy):
         finer = _within(attempts.coarsenesses, short - 1)
         return finer if attempts.size_bytes(finer) <= most_bytes else short
 
-    def _remember(self, attempts: _Attempts, coarseness: int, padded: bool) -> None:
-        """Take the quality into its mean; not that of a packet that had more bytes than it could use."""
-        if padded and self._mean_db is not None:
-            return
-        quality_db = self._quality_db(attempts, coarseness)
-        if self._mean_db is None:
-            self._mean_db = quality_db
+    def _remember(self, quality_db: float) -> None:
+        """Take a quality into the mean."""
+        self._heard += 1
         kept = math.exp(-self._seconds / (_MEMORY_BUCKETS * self.bucket.bucket_s))
-        self._mean_db = kept * self._mean_db + (1 - kept) * quality_db
+        self._mean_db += max(1 / self._heard, 1 - kept) * (quality_db - self._mean_db)
 
     def _padded(self, packets: Sequence[bytes], least_bytes: int, most_bytes: int) -> bytes:
         """Return the last of the packets, padded with zero bytes to bring all of them to the least."""
@@ -485,12 +507,17 @@ def steered_encoder(
     return encoder
 
 
-def shortest_packet_samples(bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes) -> int:
-    """Return the samples per channel in the shortest packet to which its frame adds at most 15 %.
+def steered_framing(
+    bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, longest_s: float = math.inf
+) -> Framing:
+    """Return the framing for a rate: the shortest packets to which their frames add at most 15 %, but none too long.
 
-    `bits_per_second`: of all channels of the stream, frames included. An encoder rounds up to whole blocks.
+    `bits_per_second`: of all channels, frames included. `longest_s`: what the asked delay leaves for a packet. Encoders
+    round up to whole blocks. A refresh comes every second: a lost packet then silences the tactor for half of that on
+    average, and refreshes cost 1 to 2 % of the bits (every 0.25 s, 7 to 10 %; docs/rate_control.md).
     """
     packet = b"\xff"
     while frame_bytes(packet) > MOST_ADDED * len(packet):
         packet += b"\xff"
-    return math.ceil(8 * (len(packet) + frame_bytes(packet)) * rate_hz / bits_per_second)
+    seconds = min(8 * (len(packet) + frame_bytes(packet)) / bits_per_second, longest_s)
+    return Framing(max(1, math.ceil(seconds * rate_hz)), max(1, round(REFRESH_S / seconds)))
