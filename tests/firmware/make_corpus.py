@@ -1,12 +1,13 @@
 """Writes the inputs that fuzzing of the firmware starts from: python -m tests.firmware.make_corpus"""
 
+import itertools
 import zipfile
 import zlib
 
 import numpy as np
 
 import codec
-from codec import Setting, eva, mdct
+from codec import Choice, Framing, Setting, SignalFormat, eva, mdct
 from codec.eva_image import PRIOR_KINDS
 from device_protocol import messages
 from device_protocol.coded_stream import StreamHeader
@@ -81,8 +82,21 @@ def host_messages() -> list[Message]:
     ]
 
 
+def steered(name: str, setting: Setting) -> bytes:
+    """Return a short stream whose packets differ in their quality."""
+    turn = itertools.cycle([0, 0, 16, -3, 50])
+    signal_format = SignalFormat(RATE_HZ, "um", (1.0, 1.0), (0.2, 0.2))
+    known = codec.codec_by_name(name)
+    encoder = known.make_encoder(
+        known.complete(setting), signal_format, Framing(64, 4), None, lambda trial: Choice(next(turn), 12)
+    )
+    packets = encoder.encode(texture(600, 2))
+    header = StreamHeader(known.identifier, RATE_HZ, None, "um", signal_format.gains, encoder.configuration)
+    return b"".join(map(record, [b"", header.pack(), *packets]))
+
+
 def streams() -> list[bytes]:
-    """Return a short stream of every codec, one packet of it missing."""
+    """Return a short stream of every codec, one packet of it missing, and steered ones."""
     inputs = []
     for name, setting in SETTINGS:
         coded = codec.encode(texture(300, 2), RATE_HZ, setting, codec=name, live=True)
@@ -90,9 +104,11 @@ def streams() -> list[bytes]:
         header = StreamHeader(identifier, RATE_HZ, 300, "um", coded.gains, coded.configuration)
         packets = [packet if number != 2 else b"" for number, packet in enumerate(coded.packets)]
         inputs.append(b"".join(map(record, [b"", header.pack(), *packets])))
+    inputs += [steered(name, setting) for name, setting in SETTINGS]
     generator = np.random.default_rng(1)
-    for prior in PRIOR_KINDS:
-        header = StreamHeader(4, RATE_HZ, None, "um", (1.0,), eva.configuration(3, [700], [0]), b"hash")
+    for prior, is_steered in itertools.product(PRIOR_KINDS, (False, True)):
+        configuration = eva.configuration(3, [700], [8], is_steered)
+        header = StreamHeader(4, RATE_HZ, None, "um", (1.0,), configuration, b"hash")
         noise = [pack_varint(2 * number + (number % 4 == 0)) + generator.bytes(30) for number in range(8)]
         model = random_image(2, 2, 3, 1, prior).pack()
         inputs.append(b"".join(map(record, [model, header.pack(), *noise[:2], b"", *noise[3:]])))
