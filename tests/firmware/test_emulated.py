@@ -1,5 +1,6 @@
 """The firmware on emulated boards: every codec played as computed, the stack it takes, images kept, faults told."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from unicorn import arm_const
 import codec
 import models
 import textures
+from codec import Choice, SignalFormat
 from device_protocol.frames import write_frame
 from device_protocol.messages import (
     CaptureData,
@@ -55,6 +57,23 @@ def coded(codec_name: str, seconds: float = 0.3) -> Stream:
     return coding.encode(recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True, runtime="core").stream
 
 
+def steered(stream: Stream) -> Stream:
+    """Return the stream coded again, its packets of different qualities, some padded."""
+    header, known = stream.header, codec.codec_by_identifier(stream.header.codec_identifier)
+    model = models.find(LEARNED) if known.needs_model else None
+    signal = stream.decode_integers()[stream.decoder().delay_samples :][: stream.samples] / 32768
+    turn = itertools.cycle([Choice(0), Choice(-7), Choice(-20, least_bytes=100), Choice(-12)])
+    encoder = known.make_encoder(
+        known.complete({}),
+        SignalFormat(header.rate_hz, header.unit, header.gains, (0.2, 0.2)),
+        codec.live_framing(header.rate_hz),
+        None if model is None else codec.Model(model.tables, model.analysis),
+        lambda trial: next(turn),
+    )
+    packets = encoder.encode(signal) + encoder.finish()
+    return replace(stream, header=replace(header, configuration=encoder.configuration), packets=tuple(packets))
+
+
 def board(
     name: str, flash: FlashMemory | None = None, on_dac: Callable[[Codes], None] | None = None
 ) -> CortexM | Stm32F405:
@@ -79,12 +98,15 @@ def flash_of(name: str) -> FlashMemory:
     ],
 )
 def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: str) -> None:
+    """On the board, and on the other cores, steered ones where the codec steers."""
     codes: list[Codes] = []
     device = board(name, on_dac=codes.append)
     link, host = session(device)
     if codec_name == "eva":
         flasher.flash(host, models.find(LEARNED).image)
     stream = coded(codec_name)
+    if name != "cortex-m4" and codec.codec_by_name(codec_name).steers:
+        stream = steered(stream)
     decoder, decoded = stream.decoder(), stream.decode_integers()
     result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
     link.sleep(0.2)
