@@ -42,6 +42,7 @@ from codec.steering import (
     Group,
     Policy,
     RatePolicy,
+    equal_error,
     steered_encoder,
     steered_framing,
 )
@@ -87,6 +88,7 @@ __all__ = [
     "encode_steered",
     "encode_to_rate",
     "encode_to_snr",
+    "equal_error",
     "gain_for",
     "live_framing",
     "settled",

@@ -32,6 +32,7 @@ DEFAULT_BUCKET_S = 0.018
 MOST_ADDED = 0.15
 """What frames may add to the packets in them, relative to these."""
 REFRESH_S = 1.0
+"""From one refresh to the next, where the rate is steered."""
 
 FrameBytes: TypeAlias = Callable[[bytes], int]
 """Bytes that the frame of a packet adds to it on the way."""
@@ -43,6 +44,8 @@ _MEMORY_BUCKETS = 4.0
 _SWING_DB = 4.0
 _PACKETS_FOR_FULL_SWING = 4.0
 _PROBE_PACKETS = 4
+_STEP_PARAMETERS = {"mdct": "step", "eva": "level"}
+"""What the steps of a channel are proportional to, relative to its RMS value."""
 # A sequence number takes one byte at first, and four from packet 2^20 on.
 _SEQUENCE_GROWTH_BYTES = 3
 
@@ -505,6 +508,22 @@ def steered_encoder(
     decoder = codec.make_decoder(encoder.configuration, signal_format.channels, model.tables if model else None)
     policy.begin(decoder, least_bytes, encoder.packet_samples / signal_format.rate_hz)
     return encoder
+
+
+def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
+    """Return what of a setting gives all channels the same steps in their physical unit, and so the same error.
+
+    At one coarseness the bits then go to the channels by need, and one below the error gets none: reverse
+    water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3). It is the least error in all for
+    the rate; by default all channels have the same SNR. Raises CodecError for a codec whose steps are not of a channel.
+    """
+    if codec.name not in _STEP_PARAMETERS:
+        known = " or ".join(_STEP_PARAMETERS)
+        raise CodecError(f"the steps of {codec.name} do not differ by channel; code an equal error with {known}")
+    name = _STEP_PARAMETERS[codec.name]
+    physical = np.array(signal_format.rms) * np.array(signal_format.gains)
+    steps = float(codec.parameters[name].default) * math.sqrt(np.mean(np.square(physical))) / physical
+    return {name: tuple(map(float, steps))}
 
 
 def steered_framing(
