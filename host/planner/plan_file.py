@@ -15,8 +15,9 @@ import codec
 import models
 import textures
 from codec import Framing, Setting
+from codec.threshold import DETECTION_THRESHOLD
 from host import coding
-from host.harness.bench_file import BenchActuator, actuator_toml, read_actuator, read_address
+from host.harness.bench_file import Bench, BenchActuator, BenchController, actuator_toml, read_actuator, read_address
 from host.input_files import InputFileError
 from host.output_files import whole_file
 from host.planner.scene import Source
@@ -67,7 +68,7 @@ class PlannedTexture:
     `over_position`: the stream is a profile, its `rate` in samples per metre; otherwise in Hz. `lowest`, `highest`:
     the band worth coding, in Hz, or in periods per metre. `packet_samples`, `refresh_packets`: as codec.Framing.
     `rate_mode`: one of RATE_MODES; "setting": every packet by the setting. `buffer_ms`: how long packets lie on the
-    controller before they are needed.
+    controller before they are needed. `sha256`: of the texture's files, as Source gives it; None = of no matter.
     """
 
     name: str
@@ -86,17 +87,28 @@ class PlannedTexture:
     rate_mode: str
     buffer_ms: float
     forecast: Forecast
+    sha256: str | None = None
 
     def recording(self) -> Recording:
-        """Load the texture and bring it to the stream's rate and band. Raises TextureError."""
+        """Load the texture and bring it to the stream's rate and band. Raises TextureError, PlanError."""
+        self._check_files()
         return prepared(
             self.source.load(self.hand_speed_mm_s), self.hand_speed_mm_s, self.over_position, self.rate, self.lowest
         )
 
+    def _check_files(self) -> None:
+        """Raise PlanError where the texture's files are gone, or are not what was planned for."""
+        for file in self.source.files:
+            if not file.is_file():
+                raise PlanError(f"{self.name}: {file} does not exist; bring it back, or plan the scene again")
+        if self.sha256 is not None and self.sha256 != self.source.sha256():
+            files = ", ".join(map(str, self.source.files))
+            raise PlanError(f"{self.name}: {files} changed after this was planned; plan the scene again")
+
     def encode(self, recording: Recording | None = None) -> coding.Encoding:
         """Code the texture as planned; `recording`: as `recording` returns it, where that has been done.
 
-        Raises CodecError, ModelError, TextureError.
+        Raises CodecError, ModelError, PlanError, TextureError.
         """
         prepared_recording = recording or self.recording()
         model = None if self.model is None else models.find(self.model)
@@ -106,20 +118,25 @@ class PlannedTexture:
 
 @dataclass(frozen=True)
 class PlannedController:
-    """A controller of the plan, by the name that its textures and actuators give. `address`: as in the scene."""
+    """A controller of the plan, by the name that its textures and actuators give; the rest as in the scene."""
 
     name: str
     address: str
+    clock_hz: float | None = None
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan, as `write_plan` writes it and `read_plan` reads it. `scene`: the scene's file."""
+    """A plan, as `write_plan` writes it and `read_plan` reads it.
+
+    `scene`: the scene's file. `threshold_path`: rows of the detection threshold, as in the scene.
+    """
 
     scene: Path
     controllers: tuple[PlannedController, ...]
     actuators: tuple[BenchActuator, ...]
     textures: tuple[PlannedTexture, ...]
+    threshold_path: Path = DETECTION_THRESHOLD
 
     def texture(self, name: str) -> PlannedTexture:
         """Return the texture of that name. Raises PlanError."""
@@ -129,6 +146,11 @@ class Plan:
         raise PlanError(
             f"the plan has no texture {name!r}; choose from {', '.join(each.name for each in self.textures)}"
         )
+
+    def bench(self) -> Bench:
+        """Return the plan's controllers, actuators and textures as a bench; a texture raises as its `recording`."""
+        controllers = tuple(BenchController(each.name, each.address) for each in self.controllers)
+        return Bench(controllers, self.actuators, textures=tuple(each.recording for each in self.textures))
 
 
 def prepared(
@@ -182,9 +204,11 @@ def write_plan(path: Path, plan: Plan) -> None:
     def from_folder(file: Path) -> str:
         return os.path.relpath(file, folder)
 
+    # The one that ships is found wherever it is installed.
+    threshold = None if plan.threshold_path == DETECTION_THRESHOLD else from_folder(plan.threshold_path)
     parts = [
         "# Made by `vibrocast plan`; what each key means is in docs/planning.md.",
-        _lines({"format": FORMAT, "scene": from_folder(plan.scene)}),
+        _lines({"format": FORMAT, "scene": from_folder(plan.scene), "threshold": threshold}),
     ]
     for controller in plan.controllers:
         parts.append("[[controllers]]\n" + _lines(asdict(controller)))
@@ -228,15 +252,22 @@ def read_plan(path: Path) -> Plan:
     head = Table(path, "the plan", document, PlanError)
     head.whole("format", FORMAT, FORMAT)
     scene = path.parent / head.text("scene")
+    threshold = head.text("threshold", None)
+    threshold_path = DETECTION_THRESHOLD if threshold is None else path.parent / threshold
     head.end()
     controllers = tuple(_controller(table) for table in tables["controllers"])
     names = [controller.name for controller in controllers]
     actuators = tuple(read_actuator(table, names) for table in tables["actuators"])
-    return Plan(scene, controllers, actuators, tuple(_texture(table, names) for table in tables["textures"]))
+    planned = tuple(_texture(table, names) for table in tables["textures"])
+    return Plan(scene, controllers, actuators, planned, threshold_path)
 
 
 def _controller(table: Table) -> PlannedController:
-    controller = PlannedController(table.text("name"), table.take("address", read_address, "an address such as 'sim'"))
+    controller = PlannedController(
+        table.text("name"),
+        table.take("address", read_address, "an address such as 'sim'"),
+        table.number("clock_hz", None),
+    )
     table.end()
     return controller
 
@@ -266,6 +297,7 @@ def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
         rate_mode=table.word("rate_mode", RATE_MODES),
         buffer_ms=table.within("buffer_ms", 0, 1e6, "margin of packets in ms"),
         forecast=table.take("forecast", _forecast, "the table that `vibrocast plan` wrote"),
+        sha256=table.text("sha256", None),
     )
     table.end()
     return read

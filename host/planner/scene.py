@@ -1,5 +1,6 @@
 """The scene file: textures, hand speeds, actuators, controllers, link and wishes, in TOML (docs/planning.md)."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, replace
 from functools import partial
@@ -114,6 +115,15 @@ class Source:
         if len(self.files) == 1 and (profile := _profile(self.files[0])) is not None:
             return profile
         return together([textures.load(path, **self.options) for path in self.files])
+
+    def sha256(self) -> str | None:
+        """Return the SHA-256 of the files' bytes, one after another, in hexadecimal; None without files."""
+        if not self.files:
+            return None
+        digest = hashlib.sha256()
+        for path in self.files:
+            digest.update(path.read_bytes())
+        return digest.hexdigest()
 
 
 @dataclass(frozen=True)

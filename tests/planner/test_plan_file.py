@@ -51,6 +51,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     write_plan(tmp_path / "out" / "plan.toml", written)
     read = read_plan(tmp_path / "out" / "plan.toml")
+    assert read.threshold_path == written.threshold_path
     assert read.scene.resolve() == written.scene.resolve()
     assert replace(read, scene=written.scene) == written
     assert read.texture("wood").forecast == FORECAST
@@ -110,3 +111,23 @@ def test_a_plan_that_was_spoilt_is_told(before: str, after: str, message: str, t
     with pytest.raises(PlanError) as raised:
         read_plan(path)
     assert str(raised.value).startswith(f"{path}: ") and message in str(raised.value)
+
+
+def test_files_that_changed_after_planning_are_told(tmp_path: Path) -> None:
+    file = tmp_path / "oak.csv"
+    file.write_text("1\n2\n")
+    source = Source((file,), None, {})
+    texture = replace(plan(tmp_path).textures[0], name="oak", source=source, sha256=source.sha256())
+    file.write_text("1\n3\n")
+    with pytest.raises(PlanError, match=r"oak: .*oak.csv changed after this was planned; plan the scene again"):
+        texture.recording()
+    file.unlink()
+    with pytest.raises(PlanError, match=r"oak: .*oak.csv does not exist; bring it back, or plan the scene again"):
+        texture.recording()
+
+
+def test_a_plan_is_a_bench(tmp_path: Path) -> None:
+    bench = plan(tmp_path).bench()
+    assert bench.first.address == "cortex-m4"
+    assert bench.actuator("one") == plan(tmp_path).actuators[0].model
+    assert len(bench.scene()) == 1
