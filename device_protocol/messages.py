@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self, TypeVar
 from device_protocol.encoding import pack_varint, unpack_varint
 
 PROTOCOL_MAJOR = 1
-PROTOCOL_MINOR = 0
+PROTOCOL_MINOR = 1
 
 # A sequence number of 0 marks what nobody asked for: a notification.
 NOTIFICATION = 0
@@ -374,14 +374,29 @@ class StreamData(Message):
         return cls(body[0], iteration, tuple(packets))
 
 
+@dataclass(frozen=True)
+class Position(Message):
+    """Where the hand was at a device time (0 = when the message comes), from any origin; for all channels."""
+
+    TYPE = 0x41
+    FIXED = struct.Struct("<Qq")
+
+    device_time_us: int
+    position_nm: int
+
+
 # ---- from the controller: responses, and notifications of the same layout ----
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the controller can take. `watchdog_ms`: longest silence of the host while armed, playing or paused."""
+    """What the controller can take. `watchdog_ms`: longest silence of the host while armed, playing or paused.
+
+    `profile_samples`: of a height profile, of all channels together; 0, or left out by protocol 1.0: none.
+    """
 
     FIXED: ClassVar[struct.Struct] = struct.Struct("<HHIIBIIH")
+    PROFILE: ClassVar[struct.Struct] = struct.Struct("<I")
 
     maximum_payload_bytes: int
     maximum_packet_bytes: int
@@ -391,6 +406,19 @@ class Limits:
     minimum_rate_hz: int
     maximum_rate_hz: int
     watchdog_ms: int
+    profile_samples: int = 0
+
+    def value(self) -> bytes:
+        """Return the bytes of the TLV. Raises MessageError."""
+        *fixed, profile_samples = astuple(self)
+        return _pack(self.FIXED, *fixed) + _pack(self.PROFILE, profile_samples)
+
+    @classmethod
+    def from_value(cls, value: bytes) -> Self:
+        """Return the limits in a TLV. Raises MessageError."""
+        fixed, rest = _unpack(cls.FIXED, value)
+        profile = _unpack(cls.PROFILE, rest)[0] if len(rest) >= cls.PROFILE.size else ()
+        return cls(*fixed, *profile)
 
 
 @dataclass(frozen=True)
@@ -459,7 +487,7 @@ class HelloResponse(Message):
             _pack(self.FIXED, self.major, self.minor),
             _tlv(self.BUILD_TAG, self.build.encode()),
             _tlv(self.HARDWARE_TAG, self.hardware.encode()),
-            _tlv(self.LIMITS_TAG, _pack(Limits.FIXED, *astuple(self.limits))),
+            _tlv(self.LIMITS_TAG, self.limits.value()),
             _tlv(self.ACTUATOR_TAG, _pack(ActuatorDescription.FIXED, *numbers) + name.encode()),
         ]
         for identifier, codec_name in self.codecs:
@@ -484,7 +512,7 @@ class HelloResponse(Message):
         return cls(
             build=_text(single[cls.BUILD_TAG]),
             hardware=_text(single[cls.HARDWARE_TAG]),
-            limits=Limits(*_unpack(Limits.FIXED, single[cls.LIMITS_TAG])[0]),
+            limits=Limits.from_value(single[cls.LIMITS_TAG]),
             actuator=ActuatorDescription(_text(name), *numbers),
             codecs=tuple((identifier, _text(codec_name)) for (identifier,), codec_name in codecs),
             images=tuple(_image(value) for tag, value in tlvs if tag == cls.IMAGE_TAG),
@@ -616,7 +644,7 @@ REQUESTS: tuple[type[Message], ...] = (
 )
 RESPONSES: tuple[type[Message], ...] = (HelloResponse, Status, CaptureData, FlashStatus, Error)
 
-ALL: tuple[type[Message], ...] = (*REQUESTS, StreamData, *RESPONSES)
+ALL: tuple[type[Message], ...] = (*REQUESTS, StreamData, Position, *RESPONSES)
 MESSAGES = {message.TYPE: message for message in ALL}
 
 

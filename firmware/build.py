@@ -39,7 +39,7 @@ CORTEX_M_FLAGS = (
 )
 M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
 """What the compiler calls processors with an FPU and DSP instructions."""
-_IN_RAM = (".stack", ".rings", ".data", ".bss")
+_IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
@@ -101,7 +101,13 @@ def _mps2(core: str, processor: str, board: str, script: str = "mps2.ld", **defi
 _POSITION_INDEPENDENT = () if sys.platform == "win32" else ("-fPIC",)
 _PROCESSOR = os.environ.get("VIBROCAST_CPU", "native")
 # Four channels, and captures of some 20 s, in 4 MiB.
-_EMULATED = {"VC_CHANNELS": 4, "VC_MAX_CHANNELS": 4, "VC_BUFFER_BYTES": 1 << 18, "VC_CAPTURE_SAMPLES": 1 << 16}
+_EMULATED = {
+    "VC_CHANNELS": 4,
+    "VC_MAX_CHANNELS": 4,
+    "VC_BUFFER_BYTES": 1 << 18,
+    "VC_CAPTURE_SAMPLES": 1 << 16,
+    "VC_PROFILE_SAMPLES": 1 << 14,
+}
 
 
 def _stm32f405(summary: str, script: str) -> Target:
@@ -116,6 +122,7 @@ _STM32F405 = {
     "VC_BUFFER_PACKETS": 128,
     "VC_BUFFER_BYTES": 24576,
     "VC_PACKET_SAMPLES": 4096,
+    "VC_PROFILE_SAMPLES": 4096,
     "VC_CAPTURE_SAMPLES": 2048,
     "VC_MAXIMUM_PAYLOAD_BYTES": 2048,
     "VC_RATE_RATIO": 4,

@@ -32,6 +32,7 @@ from device_protocol.messages import (
     Message,
     MessageError,
     Pause,
+    Position,
     Resume,
     Start,
     State,
@@ -43,6 +44,7 @@ from device_protocol.messages import (
 from simulated_device.actuator import PIEZO_STACK, Actuator, Codes
 from simulated_device.flash import FlashMemory, ImageStore
 from simulated_device.playback import Playback
+from simulated_device.profile import HAND_DELAY_US
 from simulated_device.refusal import Refusal
 
 BUILD = "simulated controller 0.1.0"
@@ -66,7 +68,8 @@ class Settings:
     """What kind of controller this is.
 
     `drift_ppm`: how much faster than true time its clock runs. `runtime`: one of codec.RUNTIMES, by which it decodes
-    models that leave the choice; None = as the image says.
+    models that leave the choice; None = as the image says. `profile_samples`: of a height profile, of all channels
+    together. `position_sensor`: says where the hand is, in nm, at the controller's time, in us; None = the host does.
     """
 
     actuator: Actuator = PIEZO_STACK
@@ -77,6 +80,8 @@ class Settings:
     buffer_samples: int = 1 << 15
     capture_samples: int = 1 << 19
     watchdog_ms: int = 2000
+    profile_samples: int = 1 << 16
+    position_sensor: Callable[[int], int] | None = None
 
 
 class Controller:
@@ -129,6 +134,9 @@ class Controller:
         self._time_us = max(self._time_us, true_us + true_us * self.settings.drift_ppm // 1_000_000)
         if self._playback is None:
             return
+        sensor = self.settings.position_sensor
+        if sensor is not None and self._playback.state in _ACTIVE:
+            self._playback.position(self._time_us, sensor(self._time_us), self._time_us)
         silent_at_us = self._heard_us + self.settings.watchdog_ms * 1000
         if self._playback.state in _ACTIVE and self._time_us > silent_at_us:
             self._put_out(self._playback.advance(silent_at_us))
@@ -154,7 +162,7 @@ class Controller:
         self._heard_us = self._time_us
         try:
             sequence, message = messages.unpack(payload)
-            if sequence == NOTIFICATION and not isinstance(message, StreamData):
+            if sequence == NOTIFICATION and not isinstance(message, StreamData | Position):
                 raise MessageError("a request needs a sequence number of 1 or more")
         except MessageError as error:
             refusal = _refuse(error.code, error)
@@ -166,6 +174,9 @@ class Controller:
         if isinstance(message, StreamData):
             if self._playback is not None and message.stream == self._playback.stream:
                 self._playback.add(message.iteration, message.packets, self._time_us)
+        elif isinstance(message, Position):
+            if self._playback is not None and self.settings.position_sensor is None:
+                self._playback.position(message.device_time_us, message.position_nm, self._time_us)
         elif isinstance(message, Hello):
             self._greet(sequence, message)
         elif self._opened_by is None and isinstance(message, Stop):
@@ -300,6 +311,7 @@ class Controller:
                 minimum_rate_hz=MINIMUM_RATE_HZ,
                 maximum_rate_hz=MAXIMUM_RATE_HZ,
                 watchdog_ms=settings.watchdog_ms,
+                profile_samples=settings.profile_samples,
             ),
             actuator=ActuatorDescription(
                 name=actuator.name,
@@ -329,7 +341,7 @@ class Controller:
             )
         if header.channels > settings.channels:
             raise Refusal(ErrorCode.BEYOND_LIMITS, f"{header.channels} channels; there are {settings.channels} here")
-        if not MINIMUM_RATE_HZ <= header.rate_hz <= MAXIMUM_RATE_HZ:
+        if not header.spatial and not MINIMUM_RATE_HZ <= header.rate_hz <= MAXIMUM_RATE_HZ:
             raise Refusal(
                 ErrorCode.BEYOND_LIMITS,
                 f"a rate of {header.rate_hz} Hz is outside {MINIMUM_RATE_HZ} to {MAXIMUM_RATE_HZ} Hz: resample first",
@@ -341,6 +353,8 @@ class Controller:
             settings.actuator,
             settings.buffer_samples,
             settings.capture_samples,
+            settings.profile_samples,
+            hand_delay_us=HAND_DELAY_US if settings.position_sensor is None else 0,
         )
         self._stop()
         self._playback = playback

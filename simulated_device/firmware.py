@@ -49,6 +49,7 @@ class Firmware:
             "VC_CHANNELS": self.settings.channels,
             "VC_BUFFER_SAMPLES": self.settings.buffer_samples,
             "VC_CAPTURE_SAMPLES": self.settings.capture_samples,
+            "VC_PROFILE_SAMPLES": self.settings.profile_samples,
         }
         ffi, self._library = _loaded(build("native", settings_sizes | dict(sizes or {})))
         self._raised: list[BaseException] = []
@@ -56,9 +57,19 @@ class Firmware:
         self._sink = ffi.callback("vc_dac_sink", _sink(ffi, on_dac, self._raised))
         self._texts = [ffi.new("char[]", text.encode()) for text in (BUILD, self.settings.hardware)]
         self._actuator = ffi.new("vc_actuator *", constants(self.settings.actuator))
+        self._profile = ffi.new("int64_t[]", self._library.vc_controller_profile_size() // 8)
+        self._sensor = ffi.NULL
+        if self.settings.position_sensor is not None:
+            self._sensor = ffi.callback("vc_position_sensor", _sensor(self.settings.position_sensor, self._raised))
         self._settings = ffi.new(
             "vc_controller_settings *",
-            (*self._texts, self._actuator, self.settings.watchdog_ms),
+            (
+                *self._texts,
+                self._actuator,
+                self.settings.watchdog_ms,
+                ffi.cast("vc_profile *", self._profile),
+                self._sensor,
+            ),
         )
         self.memory_bytes: int = self._library.vc_controller_size()
         self._memory = np.zeros(-(-self.memory_bytes // 8), np.int64)
@@ -99,6 +110,17 @@ class Firmware:
         """Raise what a callback has raised."""
         if self._raised:
             raise self._raised[0]
+
+
+def _sensor(read: Callable[[int], int], raised: list[BaseException]) -> Callable[[Any, int], int]:
+    def position_nm(context: Any, now_us: int) -> int:
+        try:
+            return 0 if raised else read(now_us)
+        except BaseException as error:
+            raised.append(error)
+            return 0
+
+    return position_nm
 
 
 def _sink(ffi: Any, on_dac: Callable[[Codes], None] | None, raised: list[BaseException]) -> Callable[..., None]:

@@ -11,6 +11,7 @@ from device_protocol.coded_stream import StreamError, StreamHeader, packet_seque
 from device_protocol.messages import Configure, ErrorCode, State, Status, Tap
 from simulated_device.actuator import Actuator, Codes
 from simulated_device.output import Dac, Drive, recording_end
+from simulated_device.profile import Profile, least_samples, rendered
 from simulated_device.refusal import Refusal
 
 # Bounds the memory that small packets could take; credit never goes beyond it.
@@ -61,6 +62,8 @@ class Playback:
         actuator: Actuator,
         buffer_samples: int,
         capture_samples: int,
+        profile_samples: int,
+        hand_delay_us: int,
     ) -> None:
         self.state = State.BUFFERING
         self.stream = configure.stream
@@ -77,16 +80,24 @@ class Playback:
             raise Refusal(ErrorCode.UNKNOWN_CODEC, str(error)) from error
         self._packet_samples = self._decoder.packet_samples
         self._recording_end = recording_end(header, self._decoder.delay_samples)
+        output, delay_samples = header, self._decoder.delay_samples
+        if header.spatial:
+            output, delay_samples = rendered(header, actuator), 0
         try:
-            self._drive = Drive(header, actuator, configure.compensation, self._decoder.delay_samples)
+            self._drive = Drive(output, actuator, configure.compensation, delay_samples)
         except ValueError as error:
             raise Refusal(ErrorCode.BEYOND_LIMITS, str(error)) from error
-        hold_samples = self._drive.drive_samples(self._decoder.delay_samples)
-        self._dac = Dac(header, actuator, configure.gain, configure.compensation, hold_samples)
+        hold_samples = self._drive.drive_samples(delay_samples)
+        self._dac = Dac(output, actuator, configure.gain, configure.compensation, hold_samples)
         self._dac_rate_hz = actuator.dac_rate_hz
         self.captures = {tap: CaptureRing(capture_samples, self.channels) for tap in Tap}
         self._buffer_packets = min(BUFFER_PACKETS, buffer_samples // self._packet_samples)
         self._refuse_misfits()
+        self._profile: Profile | None = None
+        self._hand_delay_us = hand_delay_us
+        if header.spatial:
+            self._refuse_profile(configure.first_packet, profile_samples)
+            self._profile = Profile(header.rate_hz, header.samples or 0, self.channels, actuator.dac_rate_hz)
         self.set_loops(configure.loops)
         self._buffer: dict[int, bytes] = {}
         self._first = self._next = configure.first_packet
@@ -136,6 +147,13 @@ class Playback:
                 self._buffer.setdefault(index, packet)
                 self._newest = max(self._newest, index)
                 self._waiting_since_us = time_us
+        while self._profile is not None and self._next in self._buffer:
+            self._profile.load(self._decode_next())
+
+    def position(self, hand_us: int, position_nm: int, time_us: int) -> None:
+        """Take where the hand was at a time of the controller's clock, at most the present one; 0: now."""
+        if self._profile is not None and self.state in _TAKING_DATA:
+            self._profile.position(min(hand_us or time_us, time_us), position_nm)
 
     def start(self, start_us: int, time_us: int) -> None:
         """Arm: play from `start_us` on, or as soon as the prebuffer is there if that is later."""
@@ -149,8 +167,10 @@ class Playback:
         self._ramp_down()
 
     def resume(self) -> None:
-        """Fade in where `pause` held."""
+        """Fade in where `pause` held, or the hand is."""
         self.state = State.PLAYING
+        if self._profile is not None:
+            self._profile.begin()
 
     def stop(self, state: State) -> None:
         """Ramp down at once, drop the stream and stay in `state`. The captures remain."""
@@ -215,7 +235,9 @@ class Playback:
 
     def status(self, device_time_us: int, bad_frames: int) -> Status:
         """Return what a Status message says."""
-        pending = math.ceil(len(self._pending) * self._header.rate_hz / self._dac_rate_hz)
+        pending = 0
+        if self._profile is None:
+            pending = math.ceil(len(self._pending) * self._header.rate_hz / self._dac_rate_hz)
         self._position = max(self._position, self._next * self._packet_samples - pending)
         counts = self._dac.counts
         return Status(
@@ -251,8 +273,30 @@ class Playback:
                 f"for {room} samples in such packets",
             )
 
+    def _refuse_profile(self, first_packet: int, profile_samples: int) -> None:
+        """Raise Refusal for a profile that cannot be loaded as a whole, or not be rendered."""
+        samples, end = self._header.samples, self._recording_end
+        if samples is None or end is None or first_packet or (self._packets or 0) * self._packet_samples < end:
+            raise Refusal(
+                ErrorCode.BAD_VALUE,
+                "a profile is loaded as a whole: its header says its length, and its packets hold all of it",
+            )
+        if samples > profile_samples // self.channels:
+            raise Refusal(
+                ErrorCode.BEYOND_LIMITS,
+                f"a profile of {samples} samples; there is room for {profile_samples} in all channels together",
+            )
+        least = least_samples(self._header.rate_hz, self._dac_rate_hz)
+        if not least or samples < least:
+            raise Refusal(
+                ErrorCode.BEYOND_LIMITS,
+                f"a profile of {samples} samples; at its pitch it needs {least} to be rendered at 300 mm/s",
+            )
+
     def _refuse_short_iterations(self) -> None:
         """Raise Refusal if an iteration plays too little of what it decodes, or too shortly, to be repeated."""
+        if self._header.spatial:
+            raise Refusal(ErrorCode.BAD_VALUE, "a profile repeats by itself as the hand goes on: loops is 1")
         if self.live:
             raise Refusal(ErrorCode.BAD_VALUE, "a live stream cannot loop")
         decoded = (self._packets or 0) * self._packet_samples
@@ -275,11 +319,15 @@ class Playback:
 
     def _begin_if_ready(self, time_us: int) -> None:
         buffered_samples = (self._newest + 1 - self._next) * self._packet_samples
-        if not (
-            buffered_samples >= self._prebuffer_samples
-            or self._newest + 1 == self._end()
-            or time_us - self._waiting_since_us > LONGEST_WAIT_US
-        ):
+        if self._profile is not None:
+            ready = self._next == self._packets
+        else:
+            ready = (
+                buffered_samples >= self._prebuffer_samples
+                or self._newest + 1 == self._end()
+                or time_us - self._waiting_since_us > LONGEST_WAIT_US
+            )
+        if not ready:
             # The prebuffer has not come in time: it begins when it is there.
             self._start_us = max(self._start_us, time_us)
         elif self._start_us <= time_us:
@@ -287,7 +335,16 @@ class Playback:
             self._clock_from_us, self._clock_samples = self._start_us, 0
 
     def _has_drive(self, count: int) -> bool:
-        """Decode until `count` samples of drive are there, or fewer at the end; return whether there are any."""
+        """Decode until `count` samples of drive are there, or fewer at the end; return whether there are any.
+
+        Of a profile, render what is under the hand at the times of the next `count` samples.
+        """
+        if self._profile is not None:
+            samples = range(self._clock_samples, self._clock_samples + count)
+            times_us = (self._clock_from_us + sample * 1_000_000 // self._dac_rate_hz for sample in samples)
+            heights = self._profile.render(max(0, time_us - self._hand_delay_us) for time_us in times_us)
+            self._pending = self._drive.push(heights)
+            return True
         while len(self._pending) < count and not self._drained:
             end = self._end()
             if end is not None and self._next >= end:
@@ -316,7 +373,7 @@ class Playback:
             decoded = self._decoder.conceal()
         self.captures[Tap.DECODED].write(decoded)
         # Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording.
-        first = self._decoder.delay_samples if iteration > 0 else 0
+        first = self._decoder.delay_samples if iteration > 0 or self._profile is not None else 0
         end = None if self.live else self._recording_end
         last = None if end is None else max(0, end - number * self._packet_samples)
         return decoded[max(0, first - number * self._packet_samples) : last]

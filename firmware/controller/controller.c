@@ -14,6 +14,11 @@ size_t vc_controller_size(void)
     return sizeof(vc_controller);
 }
 
+size_t vc_controller_profile_size(void)
+{
+    return VC_PROFILE_WORDS * sizeof(int64_t);
+}
+
 /* ---- what goes out ---- */
 
 static uint32_t outgoing_bytes(const vc_controller *controller)
@@ -187,7 +192,7 @@ static int configure(vc_controller *controller, const vc_configure *configure, v
     if (!refused)
         refused = find_coding(controller, &header, &coding, refusal);
     if (!refused)
-        refused = vc_playback_check(configure, &header, &coding, controller->settings->actuator, refusal);
+        refused = vc_playback_check(configure, &header, &coding, controller->settings, refusal);
     if (refused)
         return refused;
     stop(controller);
@@ -332,6 +337,7 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     hello.limits.minimum_rate_hz = VC_MINIMUM_RATE_HZ;
     hello.limits.maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
     hello.limits.watchdog_ms = controller->settings->watchdog_ms;
+    hello.limits.profile_samples = controller->settings->profile != NULL ? VC_PROFILE_SAMPLES : 0;
     hello.actuator.name = actuator->name;
     hello.actuator.stroke_um_float_bits = actuator->stroke_um;
     hello.actuator.volts_float_bits = actuator->volts;
@@ -453,7 +459,7 @@ static void handle(vc_controller *controller, vc_piece payload)
         return;
     controller->heard_us = controller->time_us;
     refused = vc_message_read(&message, payload.bytes, payload.length, &refusal);
-    if (!refused && message.sequence == VC_NOTIFICATION && message.type != VC_STREAM_DATA)
+    if (!refused && message.sequence == VC_NOTIFICATION && message.type < VC_STREAM_DATA)
         refused = vc_refuse(&refusal, VC_MALFORMED, "a request needs a sequence number of 1 or more");
     if (refused && message.sequence == VC_NOTIFICATION) {
         if (outgoing_bytes(controller) < UNREAD_NOTIFICATIONS_BYTES)
@@ -463,6 +469,10 @@ static void handle(vc_controller *controller, vc_piece payload)
             answer_error(controller, message.sequence, &refusal);
     } else if (message.type == VC_HELLO) {
         greet(controller, message.sequence, &message.body.hello);
+    } else if (message.type == VC_POSITION) {
+        if (controller->configured && controller->settings->position == NULL)
+            vc_playback_position(playback, message.body.position.time_us, message.body.position.position_nm,
+                                 controller->time_us);
     } else if (message.type != VC_STREAM_DATA) {
         take_request(controller, &message);
     } else if (controller->configured && message.body.stream_data.stream == playback->stream) {
@@ -484,6 +494,8 @@ void vc_controller_init(vc_controller *controller, const vc_controller_settings 
     controller->playback.actuator = settings->actuator;
     controller->playback.sink = dac;
     controller->playback.sink_context = dac_context;
+    controller->playback.profile = settings->profile;
+    controller->playback.hand_delay_us = settings->position != NULL ? 0 : VC_HAND_DELAY_US;
     vc_frame_reader_init(&controller->reader);
     boot(controller);
 }
@@ -496,6 +508,11 @@ void vc_controller_advance(vc_controller *controller, uint64_t now_us)
         controller->time_us = now_us;
     if (!controller->configured)
         return;
+    if (controller->settings->position != NULL && is_active(playback->state))
+        vc_playback_position(
+            playback, controller->time_us,
+            controller->settings->position(controller->settings->position_context, controller->time_us),
+            controller->time_us);
     if (is_active(playback->state) && controller->time_us - controller->heard_us > longest_us) {
         vc_playback_advance(playback, controller->heard_us + longest_us);
         if (is_active(playback->state))

@@ -10,6 +10,7 @@
 #include <stdint.h>
 
 #include "output.h"
+#include "profile.h"
 
 /* cffi: begin */
 typedef struct vc_controller vc_controller;
@@ -27,12 +28,19 @@ typedef struct {
     void *context;
 } vc_flash;
 
+/* Returns where the hand is now, in nanometres from any origin: a sensor on the board. Called some hundred times a
+ * second, before what is due is rendered. */
+typedef int64_t (*vc_position_sensor)(void *context, uint64_t now_us);
+
 /* What kind of controller this is; must stay valid. Texts end with a zero byte and have at most 63 bytes before it.
  * The other limits that hello tells are compiled in: sizes.h. */
 typedef struct {
     const char *build, *hardware;
     const vc_actuator *actuator;
-    uint16_t watchdog_ms; /* at least 50 */
+    uint16_t watchdog_ms;        /* at least 50 */
+    vc_profile *profile;         /* VC_PROFILE_WORDS of int64_t (sizes.h) for height profiles; NULL: takes none */
+    vc_position_sensor position; /* NULL: the host says where the hand is */
+    void *position_context;
 } vc_controller_settings;
 
 /* Takes DAC codes in the order in which they are due: samples x channels, interleaved, signed, 0 = rest. A port's DAC
@@ -41,6 +49,9 @@ typedef void (*vc_dac_sink)(void *context, const int16_t *codes, uint32_t sample
 
 /* Bytes of memory, aligned for int64_t, for a vc_controller. */
 size_t vc_controller_size(void);
+
+/* Bytes of memory, aligned for int64_t, for the height profiles of one. */
+size_t vc_controller_profile_size(void);
 
 /* Boots: reads the flash, starts the image on trial or the confirmed one. `settings`, `flash` and `dac_context` must
  * stay valid. `now_us`: the controller's clock, which never goes back. */

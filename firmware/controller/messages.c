@@ -14,7 +14,7 @@
 
 /* Tags of HelloResponse and Error. */
 enum { BUILD = 1, HARDWARE = 2, LIMITS = 3, ACTUATOR = 4, CODEC = 5, IMAGE = 6, ERROR_TEXT = 1 };
-enum { TAG_BYTES = 3, LIMITS_BYTES = 23, ACTUATOR_BYTES = 25, IMAGE_BYTES = 35 };
+enum { TAG_BYTES = 3, LIMITS_BYTES = 27, ACTUATOR_BYTES = 25, IMAGE_BYTES = 35 };
 
 static int malformed(vc_refusal *refusal, const char *text)
 {
@@ -161,6 +161,10 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
         message->body.capture_read.offset = vc_take_number(&fields, 8);
         message->body.capture_read.count = (uint16_t)vc_take_number(&fields, 2);
         break;
+    case VC_POSITION:
+        message->body.position.time_us = vc_take_number(&fields, 8);
+        message->body.position.position_nm = (int64_t)vc_take_number(&fields, 8);
+        break;
     case VC_FLASH_VERIFY:
     case VC_FLASH_ACTIVATE:
     case VC_FLASH_CONFIRM:
@@ -221,6 +225,7 @@ static void put_limits(vc_frame_writer *writer, const vc_controller_limits *limi
     vc_frame_put_number(writer, limits->minimum_rate_hz, 4);
     vc_frame_put_number(writer, limits->maximum_rate_hz, 4);
     vc_frame_put_number(writer, limits->watchdog_ms, 2);
+    vc_frame_put_number(writer, limits->profile_samples, 4);
 }
 
 static void put_actuator(vc_frame_writer *writer, const vc_actuator_description *actuator)

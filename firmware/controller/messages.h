@@ -11,7 +11,7 @@
 #include "refusal.h"
 
 #define VC_PROTOCOL_MAJOR 1
-#define VC_PROTOCOL_MINOR 0
+#define VC_PROTOCOL_MINOR 1
 #define VC_NOTIFICATION 0 /* the sequence number of what nobody asked for */
 
 /* Payload bytes of a CaptureData before its samples. */
@@ -40,6 +40,7 @@ enum vc_message_type {
     VC_FLASH_ACTIVATE = 0x13,
     VC_FLASH_CONFIRM = 0x14,
     VC_STREAM_DATA = 0x40,
+    VC_POSITION = 0x41,
     VC_HELLO_RESPONSE = 0x80, /* from here on, what controllers send */
     VC_STATUS = 0x81,
     VC_CAPTURE_DATA = 0x82,
@@ -112,6 +113,12 @@ typedef struct {
     vc_piece packets; /* for vc_next_packet */
 } vc_stream_data;
 
+/* Where the hand was. `time_us`: device time; 0: when the message came. */
+typedef struct {
+    uint64_t time_us;
+    int64_t position_nm;
+} vc_position;
+
 /* A message from the host. `type`: enum vc_message_type. `sequence`: VC_NOTIFICATION for stream data. Which member of
  * `body` counts, the type says; StatusRequest, Pause, Resume and Stop have none. */
 typedef struct {
@@ -129,6 +136,7 @@ typedef struct {
         vc_flash_data flash_data;
         uint8_t slot; /* FlashVerify, FlashActivate, FlashConfirm */
         vc_stream_data stream_data;
+        vc_position position;
     } body;
 } vc_message;
 
@@ -146,6 +154,7 @@ typedef struct {
     uint8_t channels;
     uint32_t minimum_rate_hz, maximum_rate_hz;
     uint16_t watchdog_ms;
+    uint32_t profile_samples; /* of all channels together; 0: no profiles */
 } vc_controller_limits;
 
 typedef struct {

@@ -7,6 +7,7 @@
 /* Playing begins with what is there when data has not come for so long: what is missing of the prebuffer was lost. */
 #define LONGEST_WAIT_US 1000000u
 #define US_PER_S 1000000u
+#define DISPLACEMENT 2 /* the unit um; output.h */
 
 #define NO_END UINT64_MAX
 
@@ -78,12 +79,51 @@ static uint64_t recording_end(const vc_stream_header *header, const vc_coding *c
     return header->samples == VC_LENGTH_UNKNOWN ? NO_END : coding->delay_samples + header->samples;
 }
 
+static int is_spatial(const vc_stream_header *header)
+{
+    return header->output.unit == VC_UNIT_PROFILE;
+}
+
+/* What the drive takes of a stream: a profile is rendered at the DAC's rate. */
+static vc_output_stream output_of(const vc_stream_header *header, const vc_actuator *actuator)
+{
+    vc_output_stream output = header->output;
+    if (is_spatial(header)) {
+        output.unit = DISPLACEMENT;
+        output.rate_hz = actuator->dac_rate_hz;
+    }
+    return output;
+}
+
+/* What a profile must be to be loaded as a whole and rendered. */
+static int refuse_profile(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
+                          const vc_controller_settings *settings, vc_refusal *refusal)
+{
+    const uint32_t room = settings->profile != NULL ? VC_PROFILE_SAMPLES : 0;
+    const uint32_t least_samples = vc_profile_least_samples(header->output.rate_hz, settings->actuator->dac_rate_hz);
+    if (header->samples == VC_LENGTH_UNKNOWN || configure->first_packet > 0 ||
+        (uint64_t)configure->packets * coding->packet_samples < coding->delay_samples + header->samples)
+        return vc_refuse(refusal, VC_BAD_VALUE,
+                         "a profile is loaded as a whole: its header says its length, and its packets hold all of it");
+    if (header->samples > room / header->output.channels)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+                                 "a profile of # samples; there is room for # in all channels together",
+                                 header->samples, room);
+    if (least_samples == 0 || header->samples < least_samples)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+                                 "a profile of # samples; at its pitch it needs # to be rendered at 300 mm/s",
+                                 header->samples, least_samples);
+    return 0;
+}
+
 static int refuse_short_iterations(const vc_stream_header *header, const vc_coding *coding, uint32_t packets,
                                    vc_refusal *refusal)
 {
     const uint64_t decoded = (uint64_t)packets * coding->packet_samples;
     const uint64_t end = least(decoded, recording_end(header, coding));
     const uint64_t played = end - least(end, coding->delay_samples);
+    if (is_spatial(header))
+        return vc_refuse(refusal, VC_BAD_VALUE, "a profile repeats by itself as the hand goes on: loops is 1");
     if (packets == 0)
         return vc_refuse(refusal, VC_BAD_VALUE, "a live stream cannot loop");
     if (played * 1000 < (uint64_t)SHORTEST_ITERATION_MS * header->output.rate_hz ||
@@ -107,23 +147,24 @@ uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator)
 }
 
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
-                      const vc_actuator *actuator, vc_refusal *refusal)
+                      const vc_controller_settings *settings, vc_refusal *refusal)
 {
-    const vc_output_stream *output = &header->output;
+    const vc_actuator *actuator = settings->actuator;
+    const vc_output_stream output = output_of(header, actuator);
     const uint32_t maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
     uint64_t end, room;
     if (configure->packets > 0 && configure->first_packet >= configure->packets)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
                                  configure->packets);
-    if (output->channels > VC_CHANNELS)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "# channels; there are # here", output->channels,
+    if (output.channels > VC_CHANNELS)
+        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "# channels; there are # here", output.channels,
                                  VC_CHANNELS);
-    if (output->rate_hz < VC_MINIMUM_RATE_HZ || output->rate_hz > maximum_rate_hz)
+    if (!is_spatial(header) && (output.rate_hz < VC_MINIMUM_RATE_HZ || output.rate_hz > maximum_rate_hz))
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "a rate outside # to # Hz: resample first",
                                  VC_MINIMUM_RATE_HZ, maximum_rate_hz);
     if (vc_coding_check(coding, refusal))
         return refusal->code;
-    if (vc_drive_size(actuator, output) == 0)
+    if (vc_drive_size(actuator, &output) == 0)
         return vc_refuse(refusal, VC_BEYOND_LIMITS, "the output cannot play a stream of this kind");
     end = recording_end(header, coding);
     if (end != NO_END && (uint64_t)configure->packets * coding->packet_samples >= end + 2 * coding->packet_samples)
@@ -140,6 +181,8 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
             refusal, VC_BEYOND_LIMITS,
             "a prebuffer of # samples; the buffer has room for # samples in packets of this stream",
             configure->prebuffer_samples, room);
+    if (is_spatial(header) && refuse_profile(configure, header, coding, settings, refusal))
+        return refusal->code;
     return configure->loops == 1 ? 0 : refuse_short_iterations(header, coding, configure->packets, refusal);
 }
 
@@ -156,10 +199,12 @@ static const vc_drive *const_drive_of(const vc_playback *playback)
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding)
 {
-    uint32_t hold_samples;
+    uint32_t delay_samples, hold_samples;
     playback->header = *header;
     playback->coding = *coding;
     playback->coding.configuration = playback->header.configuration;
+    playback->output = output_of(header, playback->actuator);
+    playback->spatial = (uint8_t)is_spatial(header);
     playback->stream = configure->stream;
     playback->live = playback->open = configure->packets == 0;
     playback->packets = configure->packets;
@@ -182,10 +227,14 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     playback->finishing = playback->drained = 0;
     playback->drive_at = playback->drive_end = 0;
     playback->ramping = 0;
-    (void)vc_drive_init(drive_of(playback), playback->actuator, &playback->header.output, configure->compensation,
-                        playback->coding.delay_samples);
-    hold_samples = vc_drive_samples(drive_of(playback), playback->coding.delay_samples);
-    vc_dac_init(&playback->dac, playback->actuator, &playback->header.output, configure->gain_float_bits,
+    if (playback->spatial)
+        vc_profile_init(playback->profile, header->output.rate_hz, (uint32_t)header->samples, header->output.channels,
+                        playback->actuator->dac_rate_hz);
+    delay_samples = playback->spatial ? 0 : coding->delay_samples;
+    (void)vc_drive_init(drive_of(playback), playback->actuator, &playback->output, configure->compensation,
+                        delay_samples);
+    hold_samples = vc_drive_samples(drive_of(playback), delay_samples);
+    vc_dac_init(&playback->dac, playback->actuator, &playback->output, configure->gain_float_bits,
                 configure->compensation, hold_samples);
     playback->captures[VC_TAP_DECODED].end = playback->captures[VC_TAP_DECODED].at = 0;
     playback->captures[VC_TAP_DAC].end = playback->captures[VC_TAP_DAC].at = 0;
@@ -217,11 +266,59 @@ uint32_t vc_playback_room_samples(const vc_playback *playback)
            playback->coding.packet_samples;
 }
 
+/* Decodes the next packet, or conceals its loss; what is to be played of it waits for the drive. */
+static void decode_next(vc_playback *playback)
+{
+    const vc_coding *coding = &playback->coding;
+    const uint64_t number = playback->next++;
+    const uint64_t iteration = playback->open ? 0 : number / playback->packets;
+    const uint64_t before = (number - iteration * playback->packets) * coding->packet_samples;
+    const uint64_t end = playback->live ? NO_END : recording_end(&playback->header, coding);
+    size_t length;
+    const uint8_t *packet;
+    int starved;
+    if (iteration > 0 && before == 0) {
+        vc_decoder_init(&playback->decoder, &playback->coding);
+        vc_drive_join(drive_of(playback));
+    }
+    packet = vc_packet_buffer_find(&playback->buffer, number, &length);
+    starved = playback->buffer.count == 0;
+    if (starved && !playback->starved)
+        count_one(&playback->underruns);
+    playback->starved = starved;
+    if (packet == NULL || !vc_decoder_decode(&playback->decoder, packet, length, playback->decoded)) {
+        count_one(&playback->lost_packets);
+        vc_decoder_conceal(&playback->decoder, playback->decoded);
+    }
+    vc_packet_buffer_remove(&playback->buffer, number);
+    capture(&playback->captures[VC_TAP_DECODED], playback->decoded, coding->packet_samples,
+            playback->header.output.channels);
+    /* Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording. */
+    playback->decoded_at = 0;
+    if ((iteration > 0 || playback->spatial) && before < coding->delay_samples)
+        playback->decoded_at = (uint32_t)least(coding->delay_samples - before, coding->packet_samples);
+    playback->decoded_end = (uint32_t)least(end - least(end, before), coding->packet_samples);
+    if (playback->decoded_end < playback->decoded_at)
+        playback->decoded_end = playback->decoded_at;
+    playback->decoded_for_drive += playback->decoded_end - playback->decoded_at;
+}
+
+/* Decodes the next packet of a profile into it. */
+static void load_next(vc_playback *playback)
+{
+    decode_next(playback);
+    vc_profile_load(playback->profile,
+                    playback->decoded + (size_t)playback->decoded_at * playback->header.output.channels,
+                    playback->decoded_end - playback->decoded_at);
+    playback->decoded_at = playback->decoded_end;
+}
+
 void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us)
 {
     uint32_t sequence;
     int refresh;
     uint64_t number;
+    size_t length;
     if (playback->state < VC_STATE_BUFFERING || playback->state > VC_STATE_PAUSED ||
         vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh) != 0 ||
         (playback->open ? iteration > 0 : sequence >= playback->packets))
@@ -234,6 +331,14 @@ void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet,
     if (number >= playback->newest_end)
         playback->newest_end = number + 1;
     playback->waiting_since_us = time_us;
+    while (playback->spatial && vc_packet_buffer_find(&playback->buffer, playback->next, &length) != NULL)
+        load_next(playback);
+}
+
+void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us)
+{
+    if (playback->spatial && playback->state >= VC_STATE_BUFFERING && playback->state <= VC_STATE_PAUSED)
+        vc_profile_position(playback->profile, hand_us > 0 ? least(hand_us, time_us) : time_us, position_nm);
 }
 
 /* ---- what the host asks ---- */
@@ -261,6 +366,8 @@ void vc_playback_pause(vc_playback *playback)
 void vc_playback_resume(vc_playback *playback)
 {
     playback->state = VC_STATE_PLAYING;
+    if (playback->spatial)
+        vc_profile_begin(playback->profile);
 }
 
 void vc_playback_stop(vc_playback *playback, enum vc_state state)
@@ -295,43 +402,6 @@ void vc_playback_end_live(vc_playback *playback, uint32_t packets)
 
 /* ---- playing ---- */
 
-/* Decodes the next packet, or conceals its loss; what is to be played of it waits for the drive. */
-static void decode_next(vc_playback *playback)
-{
-    const vc_coding *coding = &playback->coding;
-    const uint64_t number = playback->next++;
-    const uint64_t iteration = playback->open ? 0 : number / playback->packets;
-    const uint64_t before = (number - iteration * playback->packets) * coding->packet_samples;
-    const uint64_t end = playback->live ? NO_END : recording_end(&playback->header, coding);
-    size_t length;
-    const uint8_t *packet;
-    int starved;
-    if (iteration > 0 && before == 0) {
-        vc_decoder_init(&playback->decoder, &playback->coding);
-        vc_drive_join(drive_of(playback));
-    }
-    packet = vc_packet_buffer_find(&playback->buffer, number, &length);
-    starved = playback->buffer.count == 0;
-    if (starved && !playback->starved)
-        count_one(&playback->underruns);
-    playback->starved = starved;
-    if (packet == NULL || !vc_decoder_decode(&playback->decoder, packet, length, playback->decoded)) {
-        count_one(&playback->lost_packets);
-        vc_decoder_conceal(&playback->decoder, playback->decoded);
-    }
-    vc_packet_buffer_remove(&playback->buffer, number);
-    capture(&playback->captures[VC_TAP_DECODED], playback->decoded, coding->packet_samples,
-            playback->header.output.channels);
-    /* Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording. */
-    playback->decoded_at = 0;
-    if (iteration > 0 && before < coding->delay_samples)
-        playback->decoded_at = (uint32_t)least(coding->delay_samples - before, coding->packet_samples);
-    playback->decoded_end = (uint32_t)least(end - least(end, before), coding->packet_samples);
-    if (playback->decoded_end < playback->decoded_at)
-        playback->decoded_end = playback->decoded_at;
-    playback->decoded_for_drive += playback->decoded_end - playback->decoded_at;
-}
-
 /* Makes drive where none is left, decoding what it needs for it; returns how many samples the DAC may take. */
 static uint32_t ready_drive(vc_playback *playback)
 {
@@ -356,13 +426,31 @@ static uint32_t ready_drive(vc_playback *playback)
     return playback->drive_end - playback->drive_at;
 }
 
+/* Makes so much drive, at most VC_PIECE_SAMPLES, of what is under the hand at the times of the next DAC samples. */
+static uint32_t render(vc_playback *playback, uint32_t samples)
+{
+    const unsigned channels = playback->header.output.channels;
+    int16_t heights[VC_PIECE_SAMPLES * VC_CHANNELS];
+    uint32_t n;
+    for (n = 0; n < samples; n++) {
+        const uint64_t time_us =
+            playback->clock_from_us + scaled(playback->clock_samples + n, US_PER_S, playback->actuator->dac_rate_hz);
+        vc_profile_render(playback->profile, time_us - least(time_us, playback->hand_delay_us),
+                          heights + (size_t)n * channels);
+    }
+    playback->drive_at = 0;
+    (void)vc_drive_push(drive_of(playback), heights, samples, playback->drive_samples, VC_PIECE_SAMPLES,
+                        &playback->drive_end);
+    return playback->drive_end;
+}
+
 /* Samples of the stream's rate that are decoded and not yet played. */
 static uint32_t pending_samples(const vc_playback *playback)
 {
     const uint32_t rate_hz = playback->header.output.rate_hz, dac_rate_hz = playback->actuator->dac_rate_hz;
     const uint64_t held = playback->finishing ? vc_drive_delay_samples(const_drive_of(playback)) : 0;
     const uint64_t drive = scaled_up(playback->decoded_for_drive + held, dac_rate_hz, rate_hz) - playback->played;
-    if (playback->state != VC_STATE_PLAYING && playback->state != VC_STATE_PAUSED)
+    if (playback->spatial || (playback->state != VC_STATE_PLAYING && playback->state != VC_STATE_PAUSED))
         return 0;
     return (uint32_t)scaled_up(drive, rate_hz, dac_rate_hz);
 }
@@ -371,8 +459,11 @@ static void begin_if_ready(vc_playback *playback, uint64_t time_us)
 {
     const uint64_t buffered = (playback->newest_end - playback->next) * playback->coding.packet_samples;
     const int full = credit_of(playback) - playback->next == playback->buffer.count;
-    if (buffered < playback->prebuffer_samples && playback->newest_end != end_of(playback) && !full &&
-        time_us - playback->waiting_since_us <= LONGEST_WAIT_US) {
+    const int waits = playback->spatial
+                          ? playback->next < playback->packets
+                          : buffered < playback->prebuffer_samples && playback->newest_end != end_of(playback) &&
+                                !full && time_us - playback->waiting_since_us <= LONGEST_WAIT_US;
+    if (waits) {
         /* The prebuffer has not come in time: it begins when it is there. */
         if (playback->start_us < time_us)
             playback->start_us = time_us;
@@ -395,7 +486,7 @@ static uint32_t play(vc_playback *playback, uint64_t samples)
         playback->ramping = made > 0;
     }
     if (made == 0 && playback->state == VC_STATE_PLAYING) {
-        made = (uint32_t)least(wanted, ready_drive(playback));
+        made = playback->spatial ? render(playback, wanted) : (uint32_t)least(wanted, ready_drive(playback));
         if (made > 0) {
             vc_dac_play(&playback->dac, playback->drive_samples + (size_t)playback->drive_at * channels, made, codes);
             playback->drive_at += made;

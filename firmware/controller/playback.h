@@ -29,7 +29,9 @@ typedef struct {
 typedef struct {
     /* The stream. */
     vc_stream_header header;
-    vc_coding coding; /* points into the header, and into a model image in flash */
+    vc_coding coding;        /* points into the header, and into a model image in flash */
+    vc_output_stream output; /* what the drive takes: of a profile, what is rendered from it */
+    uint8_t spatial;         /* it is a height profile: all of it is loaded, then the hand's position plays it */
     uint8_t stream;
     uint8_t live;
     uint8_t open; /* a live stream whose end has not been said */
@@ -63,6 +65,8 @@ typedef struct {
     vc_dac dac;
     vc_capture captures[2]; /* by enum vc_tap */
 
+    vc_profile *profile;    /* memory for one; NULL: none */
+    uint32_t hand_delay_us; /* by how much later than they were taken positions are rendered */
     const vc_actuator *actuator;
     vc_dac_sink sink;
     void *sink_context;
@@ -74,14 +78,17 @@ uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator);
 /* Says whether a stream can be played: returns 0, or the refusal's code. `coding`: of the header's codec and
  * configuration; what its packets are is filled in. */
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
-                      const vc_actuator *actuator, vc_refusal *refusal);
-/* Sets up what vc_playback_check has passed, in the place of what has stopped. `actuator`, `sink` and `sink_context`
- * stay. */
+                      const vc_controller_settings *settings, vc_refusal *refusal);
+/* Sets up what vc_playback_check has passed, in the place of what has stopped. `profile` and what
+ * follows it stay. */
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding);
 
 /* Sorts in a packet of a message; drops it if it comes twice, too late, beyond credit or beyond the end. */
 void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us);
+
+/* Takes where the hand was at a time of the controller's clock, at most the present one; 0: now. */
+void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us);
 
 /* Arms: plays from `start_us` on, or as soon as the prebuffer is there if that is later. */
 void vc_playback_start(vc_playback *playback, uint64_t start_us, uint64_t time_us);

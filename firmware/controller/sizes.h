@@ -2,7 +2,7 @@
 #ifndef VIBROCAST_SIZES_H
 #define VIBROCAST_SIZES_H
 
-#include "output_memory.h"
+#include "profile_memory.h"
 
 /* Channels of a stream. VC_MAX_CHANNELS bounds them too, and is what decoders set memory aside for. */
 #ifndef VC_CHANNELS
@@ -24,6 +24,12 @@
 #ifndef VC_PACKET_SAMPLES
 #define VC_PACKET_SAMPLES VC_BUFFER_SAMPLES
 #endif
+
+/* Samples of a height profile, of all channels together. */
+#ifndef VC_PROFILE_SAMPLES
+#define VC_PROFILE_SAMPLES 65536
+#endif
+#define VC_PROFILE_WORDS (VC_PROFILE_MEMORY(VC_PROFILE_SAMPLES, VC_CHANNELS) / sizeof(int64_t) + 1)
 
 /* Samples per channel that each capture keeps; 0 = none. */
 #ifndef VC_CAPTURE_SAMPLES

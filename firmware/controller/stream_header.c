@@ -4,7 +4,6 @@
 #include "common.h"
 
 #define UNIT_BITS 0x03u
-#define UNITS 3u
 #define HAS_IMAGE_HASH 0x04u
 #define LENGTH_UNKNOWN 0x08u
 #define VARINT_BITS 63
@@ -43,9 +42,8 @@ int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t 
     if (fields.rest.length > 0)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE, "# bytes are left after the stream header", fields.rest.length,
                                  0);
-    if (header->codec == 0 || header->output.unit >= UNITS)
-        return vc_refuse(refusal, VC_BAD_VALUE,
-                         "the stream header is damaged: no codec has number 0, no unit number 3");
+    if (header->codec == 0)
+        return vc_refuse(refusal, VC_BAD_VALUE, "the stream header is damaged: no codec has number 0");
     if (rate_hz < 1 || rate_hz > VC_STREAM_MAX_RATE_HZ)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE, "a rate of # Hz is outside 1 to # Hz: resample the signal",
                                  rate_hz, VC_STREAM_MAX_RATE_HZ);

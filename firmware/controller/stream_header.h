@@ -11,6 +11,8 @@
 #define VC_STREAM_MAX_RATE_HZ 200000u
 #define VC_LENGTH_UNKNOWN UINT64_MAX
 #define VC_IMAGE_HASH_BYTES 4
+/* The unit of a height profile: um over position, the rate being in samples per metre. */
+#define VC_UNIT_PROFILE 3u
 
 /* cffi: begin */
 /* All that a decoder needs to know before the first packet; holds no pointers. */

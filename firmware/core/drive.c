@@ -172,13 +172,16 @@ static uint32_t fill(int32_t *taps, uint32_t at, uint32_t direction, uint32_t co
     return sum;
 }
 
+uint32_t vc_kernel_taps(int32_t *taps, uint32_t half, uint32_t step, uint32_t behind)
+{
+    return fill(taps, half, 1, half, behind, step) + fill(taps, half - 1, UINT32_MAX, half, step - behind, step);
+}
+
 /* Writes the taps for the present phase; returns their sum. */
 static uint32_t make_taps(vc_drive *drive)
 {
-    const uint32_t half = drive->delay_samples, step = drive->tap_step;
     const uint32_t behind = (uint32_t)((drive->phase * drive->phase_step) >> (52 - 22));
-    return fill(drive->values, half, 1, half, behind, step) +
-           fill(drive->values, half - 1, UINT32_MAX, half, step - behind, step);
+    return vc_kernel_taps(drive->values, drive->delay_samples, drive->tap_step, behind);
 }
 
 /* 2^(31 + sum_shift) / sum, from that of phase 0: the sums differ by 1/1000 at most, and a step of Newton's method

@@ -59,7 +59,7 @@ typedef struct vc_actuator {
 /* What the output needs to know of a stream; device_protocol/coded_stream.py. */
 typedef struct {
     uint32_t rate_hz;
-    uint8_t unit;      /* 0: full scale, 1: m/s^2, 2: um */
+    uint8_t unit;      /* 0: full scale, 1: m/s^2, 2: um; 3, um over position, is rendered to 2 by profile.h */
     uint8_t channels;  /* 1 to 16 */
     uint16_t gain[16]; /* upper half of the float32 physical value of full scale of each channel: positive, finite */
 } vc_output_stream;

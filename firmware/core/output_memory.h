@@ -95,6 +95,10 @@ struct vc_dac {
 /* sinc(0.9 t) times a Kaiser window over |t| < 8, from t = 0 on, in 1/2^23, 256 steps to 1; 0 at 8 and behind it. */
 extern const int32_t vc_resampling_kernel[2050];
 
+/* Writes 2 `half` taps of it, `step` apart in 1/2^22 of a crossing (at least 8 crossings in all on either side): tap
+ * `half` lies `behind`, at most `step`, behind its middle, the ones after it farther. Returns their sum. */
+uint32_t vc_kernel_taps(int32_t *taps, uint32_t half, uint32_t step, uint32_t behind);
+
 /* Samples of a fade of 5 ms: at least 1. */
 uint32_t vc_fade_samples(uint32_t rate_hz);
 

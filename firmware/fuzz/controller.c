@@ -139,7 +139,7 @@ void vc_fuzz_controller(const uint8_t *data, size_t length)
     vc_flash flash = {
         test->flash, {0, RECORD_BYTES}, RECORD_BYTES, {2 * RECORD_BYTES, 2 * RECORD_BYTES + SLOT_BYTES}, SLOT_BYTES,
         erase,       program,           test};
-    vc_controller_settings settings = {"fuzzed", "board", NULL, 1000};
+    vc_controller_settings settings = {.build = "fuzzed", .hardware = "board", .watchdog_ms = 1000};
     uint8_t *record;
     size_t record_length;
     memset(test->flash, 0xFF, FLASH_BYTES);
@@ -147,6 +147,7 @@ void vc_fuzz_controller(const uint8_t *data, size_t length)
     test->host = malloc(vc_frame_reader_size());
     test->controller = malloc(vc_controller_size());
     settings.actuator = test->actuator;
+    settings.profile = malloc(vc_controller_profile_size());
     vc_frame_reader_init(test->host);
     vc_controller_init(test->controller, &settings, &flash, take_codes, test, test->now_us);
     while (vc_fuzz_record(&data, &length, &record, &record_length)) {
@@ -156,6 +157,7 @@ void vc_fuzz_controller(const uint8_t *data, size_t length)
     }
     check_alive(test);
     free(test->controller);
+    free(settings.profile);
     free(test->host);
     free(test);
 }

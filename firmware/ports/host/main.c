@@ -25,6 +25,7 @@
 
 #include "actuator_tables.h"
 #include "port.h"
+#include "sizes.h"
 
 #define RECORD_BYTES 4096u
 #define SLOT_BYTES (1u << 20)
@@ -166,10 +167,15 @@ static void make_link(const char *name)
     atexit(remove_link);
 }
 
+static int64_t profile[VC_PROFILE_WORDS];
+
 int main(int count, char **arguments)
 {
-    vc_controller_settings settings = {
-        .build = VC_BUILD, .hardware = "host", .actuator = &vc_piezo_stack, .watchdog_ms = 2000};
+    vc_controller_settings settings = {.build = VC_BUILD,
+                                       .hardware = "host",
+                                       .actuator = &vc_piezo_stack,
+                                       .watchdog_ms = 2000,
+                                       .profile = (vc_profile *)profile};
     vc_flash flash = {.record = {0, RECORD_BYTES},
                       .record_bytes = RECORD_BYTES,
                       .slot = {2 * RECORD_BYTES, 2 * RECORD_BYTES + SLOT_BYTES},

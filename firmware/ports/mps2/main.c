@@ -2,6 +2,9 @@
 #include "actuator_tables.h"
 #include "board.h"
 #include "port.h"
+#include "sizes.h"
+
+static int64_t profile[VC_PROFILE_WORDS];
 
 int main(void)
 {
@@ -10,6 +13,7 @@ int main(void)
         .hardware = VC_HARDWARE,
         .actuator = &vc_piezo_stack,
         .watchdog_ms = 2000,
+        .profile = (vc_profile *)profile,
     };
     vc_board_start();
     vc_loop_start(&settings, &vc_board_flash);

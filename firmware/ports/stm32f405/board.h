@@ -13,8 +13,9 @@
 #define VC_APB1_HZ (VC_PROCESSOR_HZ / 4)
 #define VC_APB1_TIMERS_HZ (VC_PROCESSOR_HZ / 2) /* 7.2: twice APB1's clock where that is divided */
 
-/* Where the rings between interrupts and the loop lie; not cleared at a start. */
-#define VC_RING_MEMORY __attribute__((section(".rings")))
+/* Memory beside that of all else, for the rings between interrupts and the loop and for height profiles; not cleared
+ * at a start. */
+#define VC_CORE_MEMORY __attribute__((section(".core")))
 
 /* Runs the processor at VC_PROCESSOR_HZ, from the crystal or, if it does not start, from the internal oscillator. */
 void vc_clocks_start(void);

@@ -17,7 +17,7 @@
 #define FADE_MS 50     /* to rest at boot; where samples are missing, to rest and back */
 
 /* Written by the loop. */
-static int16_t ring[CAPACITY][CHANNELS] VC_RING_MEMORY;
+static int16_t ring[CAPACITY][CHANNELS] VC_CORE_MEMORY;
 static volatile uint32_t put;
 static uint64_t turn_us; /* when the loop's turn began */
 static uint32_t rate_hz, lag_samples;

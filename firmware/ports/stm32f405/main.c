@@ -3,6 +3,7 @@
 #include "board.h"
 #include "common.h"
 #include "port.h"
+#include "sizes.h"
 #include "systick.h"
 
 #define ACTUATOR vc_piezo_stack_12_bits
@@ -16,10 +17,15 @@ static struct {
 static const vc_core_vectors boot_vectors __attribute__((section(".vectors"), used)) =
     VC_CORE_VECTORS(vc_dac_output_rest, SysTick_Handler);
 
+static int64_t profile[VC_PROFILE_WORDS] VC_CORE_MEMORY;
+
 int main(void)
 {
-    static const vc_controller_settings settings = {
-        .build = VC_BUILD, .hardware = VC_HARDWARE, .actuator = &ACTUATOR, .watchdog_ms = 2000};
+    static const vc_controller_settings settings = {.build = VC_BUILD,
+                                                    .hardware = VC_HARDWARE,
+                                                    .actuator = &ACTUATOR,
+                                                    .watchdog_ms = 2000,
+                                                    .profile = (vc_profile *)profile};
     unsigned line;
     vc_watchdog_start();
     vc_clocks_start();

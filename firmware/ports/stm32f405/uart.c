@@ -6,7 +6,7 @@
 #define BAUD 921600u
 
 /* Received while a packet is being decoded or flash is written: 178 ms of the line. */
-static uint8_t received_bytes[1 << 14] VC_RING_MEMORY, sending_bytes[1 << 10] VC_RING_MEMORY;
+static uint8_t received_bytes[1 << 14] VC_CORE_MEMORY, sending_bytes[1 << 10] VC_CORE_MEMORY;
 static vc_ring received = {received_bytes, sizeof received_bytes, 0, 0};
 static vc_ring sending = {sending_bytes, sizeof sending_bytes, 0, 0};
 

@@ -1,0 +1,45 @@
+/* What a profile keeps, laid open for a caller that sets its memory aside at compile time; only profile.c uses it. */
+#ifndef VIBROCAST_PROFILE_MEMORY_H
+#define VIBROCAST_PROFILE_MEMORY_H
+
+#include "output_memory.h"
+#include "profile.h"
+
+#define VC_PROFILE_OCTAVES 8
+#define VC_KEPT_POSITIONS 64 /* a power of two */
+
+#define VC_OCTAVE_FILTER_TAPS 43 /* the middle one, and those on one side of it */
+extern const int32_t vc_octave_filter[VC_OCTAVE_FILTER_TAPS];
+
+/* Bytes of a vc_profile of so many samples, of all channels together: its octaves, each with what continues its end. */
+#define VC_PROFILE_MEMORY(samples, channels)                                                                           \
+    (sizeof(struct vc_profile) +                                                                                       \
+     (2 * (size_t)(samples) + VC_PROFILE_OCTAVES * VC_RESAMPLER_TAPS * (channels)) * sizeof(int16_t))
+
+/* Places are in 1/2^32 of a sample of the profile. */
+typedef struct {
+    uint64_t time_us;
+    int64_t place;
+} vc_hand_position;
+
+struct vc_profile {
+    uint32_t samples_per_metre, samples, channels;
+    uint32_t loaded;
+    uint32_t octaves, period;           /* samples after which the profile repeats */
+    uint32_t first[VC_PROFILE_OCTAVES]; /* of each octave, in samples from the first */
+    /* The hand's way. */
+    vc_hand_position hand[VC_KEPT_POSITIONS]; /* by number modulo VC_KEPT_POSITIONS */
+    uint64_t positions, behind;               /* that have come; the number of the last one before the present time */
+    uint64_t sloped;                          /* `slope` leads from `behind` on where this is one more */
+    int64_t slope;                            /* place per microsecond */
+    /* The low-passes: places of both, less `origin`, a multiple of the period, so that `place` lies within it. */
+    int64_t origin, between, place;
+    uint32_t share;           /* of its distance that each goes in a DAC sample, in 1/2^22 */
+    int64_t furthest;         /* distance beyond which it goes no faster */
+    int64_t fastest;          /* place per DAC sample at 600 mm/s */
+    int anchored;             /* there is a place */
+    int32_t level, most_rise; /* fade, in 1/2^16, and by how much it changes in a DAC sample at most */
+    int16_t heights[];
+};
+
+#endif

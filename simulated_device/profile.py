@@ -1,0 +1,62 @@
+"""A height profile rendered by the position of the hand, by firmware/core/profile.h: integers, the same everywhere."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec import Decoded
+from codec.core import Structure, ffi, library
+from device_protocol.coded_stream import StreamHeader
+from simulated_device.actuator import Actuator
+
+# By how much later than they were taken positions from a host are rendered, and time constant of each of the two
+# low-passes that smooth them: firmware/core/profile.h.
+HAND_DELAY_US = 20_000
+HAND_SMOOTHING_US = 4_000
+
+
+def least_samples(samples_per_metre: int, dac_rate_hz: int) -> int:
+    """Return the least samples that a profile must have to be rendered by such a DAC; 0 where none can be."""
+    return int(library().vc_profile_least_samples(samples_per_metre, dac_rate_hz))
+
+
+def rendered(header: StreamHeader, actuator: Actuator) -> StreamHeader:
+    """Return what a profile's header says of the heights that are rendered from it: um, at the DAC's rate."""
+    return replace(header, unit="um", rate_hz=actuator.dac_rate_hz)
+
+
+class Profile:
+    """What is under the hand at every DAC sample.
+
+    A profile of `samples` (at least `least_samples`) per channel is loaded once, positions of the hand come with their
+    times, heights go out, in the profile's own integers.
+    """
+
+    def __init__(self, samples_per_metre: int, samples: int, channels: int, dac_rate_hz: int) -> None:
+        self._channels = channels
+        self._profile = Structure(library().vc_profile_size(samples, channels), "vc_profile *")
+        library().vc_profile_init(self._profile.pointer, samples_per_metre, samples, channels, dac_rate_hz)
+
+    def load(self, decoded: Decoded) -> None:
+        """Take the next decoded samples, int16 (n, channels)."""
+        decoded = np.ascontiguousarray(decoded)
+        pointer = ffi.cast("int16_t *", decoded.ctypes.data)
+        library().vc_profile_load(self._profile.pointer, pointer, len(decoded))
+
+    def begin(self) -> None:
+        """State that the output is at rest: rendering fades in at the place where the hand then is."""
+        library().vc_profile_begin(self._profile.pointer)
+
+    def position(self, time_us: int, position_nm: int) -> None:
+        """Take where the hand was at a time; dropped unless later than the last one and within 2^40 nm."""
+        library().vc_profile_position(self._profile.pointer, time_us, position_nm)
+
+    def render(self, times_us: Iterable[int]) -> NDArray[np.int16]:
+        """Return the heights int16 (n, channels) at the times of DAC samples that follow each other."""
+        times = list(times_us)
+        heights = np.empty((len(times), self._channels), np.int16)
+        for time_us, row in zip(times, heights, strict=True):
+            library().vc_profile_render(self._profile.pointer, time_us, ffi.cast("int16_t *", row.ctypes.data))
+        return heights
