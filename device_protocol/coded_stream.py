@@ -11,6 +11,7 @@ VERSION = 1
 UNITS = ("full scale", "m/s^2", "um")
 PROFILE_UNIT = "um over position"
 """That of a height profile, whose rate is in samples per metre."""
+STREAM_UNITS = (*UNITS, PROFILE_UNIT)
 MAX_CHANNELS = 16
 MAX_CODEC_IDENTIFIER = 15
 MAX_RATE_HZ = 200_000
@@ -18,7 +19,6 @@ MAX_CONFIGURATION_BYTES = 255
 MAX_PACKET_BYTES = 65_535
 IMAGE_HASH_BYTES = 4
 
-_UNIT_CODES = (*UNITS, PROFILE_UNIT)
 _UNIT_BITS = 0x03
 _HAS_IMAGE_HASH = 0x04
 _LENGTH_UNKNOWN = 0x08
@@ -35,7 +35,7 @@ class StreamHeader:
     """All that a decoder needs to know before the first packet.
 
     `rate_hz`: per metre where `unit` is PROFILE_UNIT. `samples`: samples per channel, None when the stream is live and
-    its length unknown. `unit`: one of UNITS, or PROFILE_UNIT.
+    its length unknown. `unit`: one of STREAM_UNITS.
     `gains`: physical value of full scale for each channel, positive, exact in 8 significant bits (a float32 whose
     lower 16 bits are zero). `configuration`: the codec's own bytes. `image_hash`: empty when the stream needs only
     the tables built into the codec, otherwise the first 4 bytes of the SHA-256 of the model image that it needs.
@@ -57,8 +57,8 @@ class StreamHeader:
             raise StreamError(f"rate {self.rate_hz} Hz is outside 1..{MAX_RATE_HZ} Hz; resample the signal first")
         if self.samples is not None and not 0 <= self.samples < 2**63:
             raise StreamError(f"{self.samples} samples cannot be stored")
-        if self.unit not in _UNIT_CODES:
-            raise StreamError(f"unit {self.unit!r} is not one of {', '.join(_UNIT_CODES)}")
+        if self.unit not in STREAM_UNITS:
+            raise StreamError(f"unit {self.unit!r} is not one of {', '.join(STREAM_UNITS)}")
         if not 1 <= self.channels <= MAX_CHANNELS:
             raise StreamError(f"{self.channels} channels; a stream holds 1 to {MAX_CHANNELS}")
         for gain in self.gains:
@@ -80,7 +80,7 @@ class StreamHeader:
 
     def pack(self) -> bytes:
         """Return the header's bytes."""
-        flags = _UNIT_CODES.index(self.unit) | (self.channels - 1) << 4
+        flags = STREAM_UNITS.index(self.unit) | (self.channels - 1) << 4
         flags |= _HAS_IMAGE_HASH if self.image_hash else 0
         flags |= _LENGTH_UNKNOWN if self.samples is None else 0
         return b"".join(
@@ -115,7 +115,7 @@ class StreamHeader:
         gains = tuple(_unpack_gain(reader.take(2)) for _ in range(channels))
         image_hash = reader.take(IMAGE_HASH_BYTES) if flags & _HAS_IMAGE_HASH else b""
         configuration = reader.take(reader.take(1)[0])
-        unit = _UNIT_CODES[flags & _UNIT_BITS]
+        unit = STREAM_UNITS[flags & _UNIT_BITS]
         header = StreamHeader(codec_identifier, rate_hz, samples, unit, gains, configuration, image_hash)
         return header, reader.position
 

@@ -1,6 +1,6 @@
 """A height profile rendered by the position of the hand, by firmware/core/profile.h: integers, the same everywhere."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from codec import Decoded
 from codec.core import Structure, ffi, library
 from device_protocol.coded_stream import StreamHeader
-from simulated_device.actuator import Actuator
+from simulated_device.actuator import Actuator, Codes
+from simulated_device.output import Dac, Drive
 
 # By how much later than they were taken positions from a host are rendered, and time constant of each of the two
 # low-passes that smooth them: firmware/core/profile.h.
@@ -60,3 +61,34 @@ class Profile:
         for time_us, row in zip(times, heights, strict=True):
             library().vc_profile_render(self._profile.pointer, time_us, ffi.cast("int16_t *", row.ctypes.data))
         return heights
+
+
+def render(
+    header: StreamHeader,
+    decoded: Decoded,
+    delay_samples: int,
+    positions: Sequence[tuple[int, int]],
+    samples: int,
+    actuator: Actuator,
+    *,
+    compensation: bool = True,
+    gain: float = 1.0,
+) -> tuple[NDArray[np.int16], Codes]:
+    """Return the heights and the DAC codes, both int16 (samples, channels), of a profile under a moving hand.
+
+    `decoded`: int16, every packet; `delay_samples`: the decoder's. `positions`: time in us from the first DAC sample,
+    and place in nm, each there when it is needed. Bit for bit what a controller with this actuator puts out.
+    """
+    assert header.samples is not None, "a profile has a length"
+    profile = Profile(header.rate_hz, header.samples, header.channels, actuator.dac_rate_hz)
+    profile.load(decoded[delay_samples:])
+    heights = np.empty((samples, header.channels), np.int16)
+    waiting = list(reversed(positions))
+    for number in range(samples):
+        time_us = number * 1_000_000 // actuator.dac_rate_hz
+        while waiting and waiting[-1][0] <= time_us:
+            profile.position(*waiting.pop())
+        heights[number] = profile.render([max(0, time_us - HAND_DELAY_US)])[0]
+    output = rendered(header, actuator)
+    drive = Drive(output, actuator, compensation)
+    return heights, Dac(output, actuator, gain, compensation).play(drive.push(heights))

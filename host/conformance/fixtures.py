@@ -36,6 +36,7 @@ SECTIONS = (
     "Playing: Stream data",
     "Playing: Start",
     "Playing: EndStream",
+    "Playing: Profiles",
     "Playing: Stop",
     "Playing: Limits",
     "Playing: Capture",

@@ -9,6 +9,7 @@ from host.conformance.test_hello import *
 from host.conformance.test_link import *
 from host.conformance.test_messages import *
 from host.conformance.test_playing import *
+from host.conformance.test_profiles import *
 from host.conformance.test_sequence_numbers import *
 from host.conformance.test_states import *
 from host.conformance.test_streams import *

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device_protocol.coded_stream import (
-    UNITS,
+    STREAM_UNITS,
     StreamError,
     StreamHeader,
     pack_file,
@@ -23,7 +23,7 @@ headers = st.builds(
     codec_identifier=st.integers(1, 15),
     rate_hz=st.integers(1, 200_000),
     samples=st.none() | st.integers(0, 2**63 - 1),
-    unit=st.sampled_from(UNITS),
+    unit=st.sampled_from(STREAM_UNITS),
     gains=st.lists(gains, min_size=1, max_size=16).map(tuple),
     configuration=st.binary(max_size=255),
     image_hash=st.sampled_from([b"", b"\x01\x02\x03\x04"]),

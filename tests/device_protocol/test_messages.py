@@ -1,6 +1,7 @@
 """Messages: round trip of every type, unknown tags, lengths and values that must be refused, fuzz."""
 
 import struct
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -30,6 +31,7 @@ from device_protocol.messages import (
     Message,
     MessageError,
     Pause,
+    Position,
     Resume,
     SlotState,
     Start,
@@ -50,7 +52,7 @@ texts = st.text(max_size=40)
 sha256s = st.binary(min_size=32, max_size=32)
 states, slot_states, taps = st.sampled_from(State), st.sampled_from(SlotState), st.sampled_from(Tap)
 
-limits = st.builds(Limits, u16, u16, u32, u32, u8, u32, u32, u16)
+limits = st.builds(Limits, u16, u16, u32, u32, u8, u32, u32, u16, u32)
 actuators = st.builds(ActuatorDescription, texts, f32, f32, f32, f32, f32, u8, u32)
 images = st.builds(ImageDescription, u8, slot_states, sha256s, texts, texts)
 captures = st.integers(1, 4).flatmap(
@@ -77,6 +79,7 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     FlashActivate: st.builds(FlashActivate, u8),
     FlashConfirm: st.builds(FlashConfirm, u8),
     StreamData: st.builds(StreamData, u8, u32, st.lists(st.binary(max_size=200)).map(tuple)),
+    Position: st.builds(Position, u64, st.integers(-(1 << 63), (1 << 63) - 1)),
     HelloResponse: st.builds(
         HelloResponse,
         texts,
@@ -107,13 +110,13 @@ def test_every_message_is_tested() -> None:
 @given(data=st.data(), sequence=u16)
 def test_round_trip(message_type: type[Message], data: st.DataObject, sequence: int) -> None:
     message = data.draw(MESSAGES[message_type])
-    assert unpack(pack(message, sequence)) == (0 if message_type is StreamData else sequence, message)
+    assert unpack(pack(message, sequence)) == (0 if message_type in (StreamData, Position) else sequence, message)
 
 
 @given(any_message.filter(lambda message: not isinstance(message, UNTAGGED)), st.binary(max_size=30))
 def test_unknown_tags_are_skipped(message: Message, value: bytes) -> None:
     payload = pack(message, 5) + struct.pack("<BH", 0xEE, len(value)) + value
-    assert unpack(payload) == (5, message)
+    assert unpack(payload) == (0 if isinstance(message, Position) else 5, message)
 
 
 @given(any_message, st.data())
@@ -210,9 +213,23 @@ def test_sequence_out_of_range_is_not_packed() -> None:
 
 
 def test_longer_limits_of_a_later_version_are_read() -> None:
-    hello = HelloResponse("b", "h", Limits(1, 2, 3, 4, 5, 6, 7, 8), ActuatorDescription("a", 1, 2, 3, 4, 5, 6, 7), ())
-    known = struct.pack("<BH", HelloResponse.LIMITS_TAG, Limits.FIXED.size)
-    longer = struct.pack("<BH", HelloResponse.LIMITS_TAG, Limits.FIXED.size + 2)
-    at = pack(hello).index(known) + 3 + Limits.FIXED.size
-    payload = pack(hello)[:at].replace(known, longer) + b"xx" + pack(hello)[at:]
-    assert unpack(payload)[1] == hello
+    hello = HelloResponse(
+        "b", "h", Limits(1, 2, 3, 4, 5, 6, 7, 8, 9), ActuatorDescription("a", 1, 2, 3, 4, 5, 6, 7), ()
+    )
+    assert unpack(with_limits(hello, hello.limits.value() + b"xx"))[1] == hello
+
+
+def test_limits_of_a_version_without_profiles_are_read() -> None:
+    hello = HelloResponse(
+        "b", "h", Limits(1, 2, 3, 4, 5, 6, 7, 8, 9), ActuatorDescription("a", 1, 2, 3, 4, 5, 6, 7), ()
+    )
+    without = replace(hello, limits=replace(hello.limits, profile_samples=0))
+    assert unpack(with_limits(hello, hello.limits.value()[: Limits.FIXED.size]))[1] == without
+
+
+def with_limits(hello: HelloResponse, value: bytes) -> bytes:
+    """Return the payload of a hello with other bytes as its limits."""
+    told = hello.limits.value()
+    tag = struct.pack("<BH", HelloResponse.LIMITS_TAG, len(told)) + told
+    assert pack(hello).count(tag) == 1
+    return pack(hello).replace(tag, struct.pack("<BH", HelloResponse.LIMITS_TAG, len(value)) + value)

@@ -56,7 +56,7 @@ def test_tables_name_every_message_error_code_and_state() -> None:
 
 
 def test_fixed_parts_have_the_size_that_the_tables_say() -> None:
-    sizes = {"u8": 1, "u16": 2, "u32": 4, "u64": 8, "f32": 4, "bytes": 32}
+    sizes = {"u8": 1, "u16": 2, "u32": 4, "u64": 8, "i64": 8, "f32": 4, "bytes": 32}
     for message in ALL:
         if message is StreamData:
             continue

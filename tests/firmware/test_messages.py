@@ -30,6 +30,7 @@ from device_protocol.messages import (
     Message,
     MessageError,
     Pause,
+    Position,
     Resume,
     SlotState,
     Start,
@@ -43,7 +44,7 @@ from device_protocol.messages import (
 from tests.device_protocol.test_messages import MESSAGES, any_message, images, u8, u16
 from tests.firmware.native import ffi, load, native, piece_bytes, refusal_text
 
-FROM_HOST = (*messages.REQUESTS, StreamData)
+FROM_HOST = (*messages.REQUESTS, StreamData, Position)
 EMPTY = (StatusRequest, Pause, Resume, Stop)
 
 
@@ -103,6 +104,8 @@ def in_python(message: Any) -> Message:
         case FlashConfirm.TYPE:
             return FlashConfirm(body.slot)
         case _:
+            if message.type == Position.TYPE:
+                return Position(body.position.time_us, body.position.position_nm)
             assert message.type == StreamData.TYPE
             return StreamData(stream.stream, stream.iteration, packets_of(stream.packets))
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.coded_stream import UNITS, StreamError, StreamHeader, packet_sequence
+from device_protocol.coded_stream import STREAM_UNITS, StreamError, StreamHeader, packet_sequence
 from device_protocol.encoding import pack_varint
 from tests.device_protocol.test_coded_stream import headers
 from tests.firmware.native import ffi, native, refusal_text
@@ -29,7 +29,7 @@ def check_read_as_in_python(data: bytes) -> None:
     assert header.codec == expected.codec_identifier
     assert header.samples == (LENGTH_UNKNOWN if expected.samples is None else expected.samples)
     assert header.output.rate_hz == expected.rate_hz
-    assert UNITS[header.output.unit] == expected.unit
+    assert STREAM_UNITS[header.output.unit] == expected.unit
     assert header.output.channels == expected.channels
     gains = [struct.unpack("<f", struct.pack("<I", gain << 16))[0] for gain in header.output.gain]
     assert tuple(gains[: expected.channels]) == expected.gains

@@ -106,7 +106,7 @@ def test_other_major_version_is_refused_by_name_and_other_minor_is_not(kind: Kin
     answer = bench.ask(Hello(major=2, minor=3))
     assert error_code(answer) == ErrorCode.UNSUPPORTED_VERSION
     assert isinstance(answer, Error)
-    assert "1.0" in answer.text
+    assert "1.1" in answer.text
     assert "2.3" in answer.text
     assert error_code(bench.ask(StatusRequest())) == ErrorCode.HELLO_FIRST
     assert isinstance(bench.ask(Hello(minor=9)), HelloResponse)
