@@ -15,9 +15,8 @@ from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_ampli
 _MEMORY_S = 0.25
 _QUIET_DB = 20.0
 _LEAST_BIT = 2.0**-15
-# The skin sums vibration over some 0.2 s (Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965).
-_SUMMATION_S = 0.2
-_LOWEST_BAND_HZ = 10.0
+_LOWEST_BAND = -20  # 10 Hz
+_NOTHING = 1e-20
 
 
 class Judge(Protocol):
@@ -66,49 +65,36 @@ class SnrJudge:
 class ThresholdJudge:
     """How far a packet's error stays below what a finger may feel, in dB, in the third octave where it is nearest.
 
-    The error of all packets so far goes through a bank of third-octave filters (Butterworth of third order; midband
-    frequencies 1000 * 2^(n/3) Hz), its power is averaged exponentially over 0.2 s, the time over which the skin sums,
-    and a band's level is compared with the detection threshold of a sinusoid of the same power at the midband
-    frequency. The least over bands and channels counts: 0 dB = an error just at the threshold. Silence, and whatever
-    else cannot be felt, gets the coarsest coding by itself.
+    The error's power in each third octave (midband frequencies 1000 * 2^(n/3) Hz, IEC 61260-1) is that of its spectrum
+    over the packet, a bin's spread over its width, and its level that relative to a sinusoid at the detection threshold
+    at the midband frequency. The least over bands and channels counts: 0 dB = an error just at the threshold. The skin
+    sums over 0.2 s and more (Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965), which is
+    longer than most packets; but an error held to a level in each of them has it over all, and with a mean over earlier
+    packets each would pay for the one before. Silence, and what else cannot be felt, is coded as coarsely as can be.
     """
 
     def __init__(self, signal_format: SignalFormat, threshold: Path = DETECTION_THRESHOLD) -> None:
         """Make a judge of streams in a physical unit. Raises CodecError for others, and a threshold not readable."""
-        from scipy import signal  # takes long to load
-
-        octave_thirds = range(
-            math.ceil(3 * math.log2(_LOWEST_BAND_HZ / 1000)),
-            math.floor(3 * math.log2(signal_format.rate_hz / 2 / 1000) - 0.5) + 1,
-        )
-        middle_hz = 1000 * 2 ** (np.array(octave_thirds) / 3)
+        highest = math.floor(3 * math.log2(signal_format.rate_hz / 2 / 1000) - 0.5)
+        middle_hz = 1000 * 2 ** (np.arange(_LOWEST_BAND, max(highest, _LOWEST_BAND) + 1) / 3)
         amplitude = threshold_amplitude(read_threshold(threshold), middle_hz, signal_format.unit)
+        self._edges_hz = middle_hz[:, None] * 2 ** (np.array([-1, 1]) / 6)
+        self._least_power = np.square(amplitude)[:, None] / 2
         self._gains = np.array(signal_format.gains)
-        self._least_power = amplitude[:, None] ** 2 / 2
         self._rate_hz = signal_format.rate_hz
-        self._filter = signal.sosfilt
-        self._bands = [
-            signal.butter(3, (hz * 2 ** (-1 / 6), hz * 2 ** (1 / 6)), "bandpass", fs=self._rate_hz, output="sos")
-            for hz in middle_hz
-        ]
-        self._states = [np.zeros((len(band), 2, signal_format.channels)) for band in self._bands]
-        self._power = np.zeros((len(self._bands), signal_format.channels))
 
     def quality_db(self, samples: Signal, decoded: Signal) -> float:
         """Return the level of the threshold over that of the error; see Judge."""
-        power, _ = self._after(samples, decoded)
-        return float(np.min(10 * np.log10(self._least_power / np.maximum(power, np.finfo(np.float64).tiny))))
+        spectrum = np.abs(np.fft.rfft((samples - decoded) * self._gains, axis=0)) / len(samples)
+        spectrum[1:] *= math.sqrt(2)
+        below = np.concatenate([np.zeros((1, len(self._gains))), np.cumsum(np.square(spectrum), axis=0)])
+        bin_edges_hz = (np.arange(len(below)) - 0.5) * self._rate_hz / len(samples)
+        low, high = (
+            np.stack([np.interp(edge_hz, bin_edges_hz, channel) for channel in below.T], axis=1)
+            for edge_hz in self._edges_hz.T
+        )
+        power = np.maximum(high - low, _NOTHING * self._least_power)
+        return float(np.min(10 * np.log10(self._least_power / power)))
 
     def hear(self, samples: Signal, decoded: Signal) -> None:
-        """Take in the error; see Judge."""
-        self._power, self._states = self._after(samples, decoded)
-
-    def _after(self, samples: Signal, decoded: Signal) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
-        """Return the power in each band and channel, and the filters' states, behind a packet."""
-        error = (samples - decoded) * self._gains
-        kept = math.exp(-len(error) / self._rate_hz / _SUMMATION_S)
-        filtered = [
-            self._filter(band, error, axis=0, zi=state) for band, state in zip(self._bands, self._states, strict=True)
-        ]
-        power = np.array([np.mean(np.square(band), axis=0) for band, _ in filtered])
-        return kept * self._power + (1 - kept) * power, [state for _, state in filtered]
+        """Each packet is judged by itself; see Judge."""

@@ -263,6 +263,8 @@ class RatePolicy(Policy):
         self.bucket = bucket
         self.least_bits_per_second = 0.0
         """The least rate that holds whatever signal comes; known when a stream has begun."""
+        self.padding_bytes = 0
+        """Bytes so far that only keep the rate."""
 
     @property
     def bits_per_second(self) -> float:
@@ -374,7 +376,9 @@ class ConstantRate(RatePolicy):
             if attempts.size_bytes(coarseness) >= least_bytes:
                 self._remember(self._ear.quality_db(attempts, coarseness))
             self._ear.hear(attempts, coarseness)
-        packets[-1] = self._padded(packets, least_bytes, most_bytes)
+        padded = self._padded(packets, least_bytes, most_bytes)
+        self.padding_bytes += len(padded) - len(packets[-1])
+        packets = [*packets[:-1], padded]
         self._send(packets)
         return [
             Choice(_within(trial.coarsenesses, coarseness), len(packet))

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from device_protocol.coded_stream import StreamError, StreamHeader
 from device_protocol.model_image import ModelImage, sha256
 from host.input_files import read_input
 from host.output_files import whole_file
+
+Made = TypeVar("Made")
 
 DEFAULT_CODEC = "mdct"
 DEFAULT_SNR_DB = 15.0
@@ -220,11 +222,29 @@ def encode(
             )
     elif rate_bps is None and snr_db is None and chosen.keeps_waveform:
         snr_db = DEFAULT_SNR_DB
+    return first_in_reach(
+        chosen,
+        model,
+        lambda candidate, tell: _encode(resampled, chosen, given, rate_bps, snr_db, candidate, runtime, live, tell),
+        progress,
+    )
+
+
+def first_in_reach(
+    chosen: codec.Codec,
+    model: models.Model | None,
+    code: Callable[[models.Model | None, Callable[[float], None] | None], Made],
+    progress: Callable[[float], None] | None,
+) -> Made:
+    """Return what `code` makes with the model or, where a codec needs one, with the smallest that reaches the wish.
+
+    `code` is called with a model and with what it tells its progress. Raises as it does, and as `models.shipped`.
+    """
     candidates = [model] if model or not chosen.needs_model else smallest_first(chosen)
     for number, candidate in enumerate(candidates):
         tell = None if progress is None else partial(_tell_of_part, progress, number, len(candidates))
         try:
-            return _encode(resampled, chosen, given, rate_bps, snr_db, candidate, runtime, live, tell)
+            return code(candidate, tell)
         except codec.OutOfReach:
             if number + 1 == len(candidates):
                 raise

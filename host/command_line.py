@@ -21,7 +21,7 @@ from device_protocol.coded_stream import MAX_RATE_HZ, StreamError
 from device_protocol.messages import MessageError
 from device_protocol.model_image import ModelImageError
 from device_protocol.transports import TransportError
-from host import coding, devices, flasher, player, progress
+from host import coding, devices, flasher, player, progress, steered
 from host.bench_command import bench
 from host.conformance_command import conformance
 from host.controller import ControllerError
@@ -221,15 +221,43 @@ def play(
         )
 
 
+steered_options = options(
+    click.option(
+        "--constant-rate-bps",
+        type=POSITIVE,
+        help="As a live stream: over any 2 s, so many bits per second in packets and their frames, within 1 %.",
+    ),
+    click.option(
+        "--capped-rate-bps",
+        type=POSITIVE,
+        help="As a live stream: every packet at --snr-db or --error-db, but never more bits per second than these.",
+    ),
+    click.option("--constant-quality", is_flag=True, help="As a live stream: every packet at --snr-db or --error-db."),
+    click.option(
+        "--error-db", type=Finite(), help="Level of the error relative to the detection threshold, third octaves."
+    ),
+    click.option(
+        "--bucket-s", type=POSITIVE, help="Let a rate wander by so many seconds' bits, for a more even quality."
+    ),
+    click.option("--packet-ms", type=POSITIVE, help="Length of packets; if not given, frames add at most 15 %."),
+    click.option("--equal-error", is_flag=True, help="The same error in all channels, rather than the same SNR."),
+)
+
+
 @main.command()
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".vct"))
 @quality_options
+@steered_options
 @recording_options
 def encode(file: Path, out: Path, **choices: Any) -> None:
     """Code a recording into a .vct file."""
     refuse_overwriting([out], [file, *files_of(choices["model"])])
+    wish = wish_of(choices)
     quality = quality_of(choices)
+    if wish is not None:
+        encode_steered(textures.load(file, **choices), out, wish, quality)
+        return
     encoding = encoded(textures.load(file, **choices), quality, live=False)
     coding.write(out, encoding.stream)
     snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
@@ -404,6 +432,62 @@ def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
     return quality
+
+
+def wish_of(choices: dict[str, Any]) -> steered.Wish | None:
+    """Take the options of a steered stream out of all choices, None where none is asked. Raises click.UsageError."""
+    rates = {name: choices.pop(name) for name in ("constant_rate_bps", "capped_rate_bps")}
+    constant_quality = choices.pop("constant_quality")
+    details = {name: choices.pop(name) for name in ("error_db", "bucket_s", "packet_ms", "equal_error")}
+    kinds = {**rates, "constant_quality": constant_quality or None}
+    given = [option_of(name) for name, value in kinds.items() if value is not None]
+    if not given:
+        if useless := [name for name, value in details.items() if value not in (None, False)]:
+            raise click.UsageError(f"{option_of(useless[0])} needs one of {', '.join(map(option_of, kinds))}.")
+        return None
+    if len(given) > 1 or choices["rate_bps"] is not None:
+        others = ", ".join(map(option_of, [*kinds, "rate_bps"]))
+        raise click.UsageError(f"{others} exclude each other: give one of them.")
+    qualities = sum(value is not None for value in (choices["snr_db"], details["error_db"]))
+    if rates["constant_rate_bps"] is not None and qualities:
+        raise click.UsageError("a constant rate leaves no quality to ask for: drop it, or give --capped-rate-bps.")
+    if rates["constant_rate_bps"] is None and qualities != 1:
+        raise click.UsageError(f"{given[0]} needs either --snr-db or --error-db.")
+    if constant_quality and details["bucket_s"] is not None:
+        raise click.UsageError("--bucket-s belongs to a rate: drop it.")
+    packet_ms = details.pop("packet_ms")
+    packet_s = None if packet_ms is None else packet_ms / 1000
+    return steered.Wish(snr_db=choices["snr_db"], packet_s=packet_s, **rates, **details)
+
+
+def option_of(name: str) -> str:
+    """Return an option as it is given."""
+    return f"--{name.replace('_', '-')}"
+
+
+def encode_steered(recording: textures.Recording, out: Path, wish: steered.Wish, quality: dict[str, Any]) -> None:
+    """Code a recording as a live stream into a .vct file, and print how rate and quality came out."""
+    del quality["rate_bps"], quality["snr_db"]  # they are in the wish
+    with progress.shown("encoding") as update:
+        stream, outcome = steered.encode(recording, wish, progress=update, **quality)
+    coding.write(out, stream)
+    window = "" if outcome.furthest is None else f", furthest from it over 2 s: {100 * outcome.furthest:+.2f} %"
+    asked = "" if wish.rate_bps is None else f" of {wish.rate_bps:g}{window}"
+    low_db, high_db = outcome.snr_range_db
+    snr = (
+        "silent"
+        if math.isnan(outcome.snr_db)
+        else f"{outcome.snr_db:.2f} dB, 90 % within {low_db:.1f} to {high_db:.1f}"
+    )
+    lines = {
+        str(out): f"{stream.size_bytes} bytes, codec {stream.codec_name}"
+        + (f", model {stream.model_name}" if stream.image else ""),
+        "rate": f"{outcome.sent_bps:.0f} bit/s{asked}",
+        "of it": f"packets {outcome.packets_bps:.0f} bit/s, to which frames add {100 * outcome.frames_add:.1f} %; "
+        f"padding {100 * outcome.padding:.1f} %",
+        "packets": f"{1000 * outcome.packet_s:.1f} ms each, SNR {snr}",
+    }
+    show(lines)
 
 
 def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) -> coding.Encoding:

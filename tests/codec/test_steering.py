@@ -15,11 +15,15 @@ import codec
 from codec import (
     CappedRate,
     CodecError,
+    ConstantQuality,
     ConstantRate,
+    Framing,
     Group,
     OutOfReach,
     Signal,
+    SignalFormat,
     SnrJudge,
+    steered_encoder,
     steered_framing,
 )
 from codec.interface import Choice, Decoded
@@ -193,13 +197,11 @@ def test_a_packet_that_cannot_be_coded_says_so() -> None:
 
 
 def texture(seconds: float, seed: int = 0, channels: int = 1) -> Signal:
+    """Return coloured noise that swells by 6 dB and falls again, once a second."""
     noise = np.random.default_rng(seed).standard_normal((round(seconds * RATE_HZ), channels))
-    return (
-        0.1
-        * np.sin(np.arange(len(noise)) / 900)[:, None] ** 2
-        * np.cumsum(noise - np.roll(noise, 9, axis=0), axis=0)
-        / 9
-    )
+    swell = 0.05 * (1.5 + 0.5 * np.sin(2 * np.pi * np.arange(len(noise)) / RATE_HZ))
+    coloured: Signal = swell[:, None] * np.cumsum(noise - np.roll(noise, 9, axis=0), axis=0) / 9
+    return coloured
 
 
 def hostile(channels: int) -> Signal:
@@ -232,3 +234,108 @@ def test_every_codec_that_steers_holds_its_rate_whatever_comes(name: str, rate_p
     sizes = [len(packet) + FRAME_BYTES for packet in coded.packets]
     assert worst_deviation(sizes, rate, packet_samples / RATE_HZ) < 0.01
     assert codec.decode(coded).shape == samples.shape
+
+
+def packet_snrs_db(samples: Signal, coded: codec.CodedSignal) -> NDArray[np.float64]:
+    decoder = codec.decoder(codec.codec_by_name(coded.codec).identifier, coded.configuration, coded.channels)
+    size, delay = decoder.packet_samples, decoder.delay_samples
+    late = np.concatenate([np.zeros((delay, coded.channels)), samples])
+    decoded = codec.decode_integers(coded) * np.array(coded.gains) / 32768
+    count = len(late) // size
+    power, error = (
+        np.mean(np.square(each[: count * size].reshape(count, -1)), axis=1)
+        for each in (late, late - decoded[: len(late)])
+    )
+    ratios: NDArray[np.float64] = 10 * np.log10(power / error)
+    return ratios
+
+
+@pytest.mark.parametrize("name", ["mdct", "slp"])
+def test_a_constant_quality_is_that_of_every_packet(name: str) -> None:
+    samples = texture(3)
+    policy = ConstantQuality(15, SnrJudge(RATE_HZ))
+    coded = codec.encode_steered(samples, RATE_HZ, policy, Framing(140, 20), codec=name)
+    ratios = packet_snrs_db(samples, coded)[2:]
+    assert np.min(ratios) >= 14.99
+    assert np.percentile(ratios, 90) < 16
+
+
+def test_a_capped_rate_is_the_constant_quality_where_it_fits() -> None:
+    samples, framing = texture(3), Framing(160, 20)
+    free, roomy, tight = (
+        codec.encode_steered(samples, RATE_HZ, policy, framing)
+        for policy in (
+            ConstantQuality(15, SnrJudge(RATE_HZ)),
+            CappedRate(15, SnrJudge(RATE_HZ), 100_000),
+            CappedRate(15, SnrJudge(RATE_HZ), 1500),
+        )
+    )
+    assert roomy.packets == free.packets
+    assert max(map(len, tight.packets)) <= 1500 * (160 / RATE_HZ + 0.018) / 8
+    assert np.mean(packet_snrs_db(samples, tight)) < 14
+
+
+def test_a_larger_bucket_makes_the_quality_more_even() -> None:
+    samples = np.concatenate([texture(3), np.sin(np.arange(3 * RATE_HZ) / 5)[:, None], texture(3, 1)])
+    framing = Framing(350, 8)
+    spreads = []
+    for bucket_s in (0.018, 2.0):
+        policy = ConstantRate(4000, 0, bucket_s, SnrJudge(RATE_HZ))
+        ratios = packet_snrs_db(samples, codec.encode_steered(samples, RATE_HZ, policy, framing))
+        spreads.append(np.std(ratios[3:]))
+    assert spreads[1] < spreads[0] - 1
+
+
+def test_a_codec_whose_decoder_cannot_be_tried_holds_no_quality() -> None:
+    with pytest.raises(CodecError, match="cannot be held to a quality"):
+        codec.encode_steered(
+            texture(1), RATE_HZ, ConstantQuality(15, SnrJudge(RATE_HZ)), Framing(140, 0), codec="wavpack"
+        )
+
+
+def test_equal_error_gives_bits_to_the_louder_channel() -> None:
+    loud, faint = texture(2), 0.03 * texture(2, 1)
+    samples = np.concatenate([loud, faint], axis=1)
+    rms = np.sqrt(np.mean(np.square(samples), axis=0))
+    setting = codec.equal_error(codec.codec_by_name("mdct"), SignalFormat(RATE_HZ, "um", (1.0, 1.0), tuple(rms)))
+    framing = Framing(350, 8)
+    equal_snr, equal_error = (
+        codec.decode(codec.encode_steered(samples, RATE_HZ, ConstantRate(4000), framing, setting=given)) - samples
+        for given in ({}, setting)
+    )
+    assert np.sum(np.square(equal_error)) < np.sum(np.square(equal_snr))
+    errors = np.mean(np.square(equal_error), axis=0)
+    assert errors[1] == pytest.approx(np.mean(np.square(faint)), rel=0.3)  # below the error: no bits
+    with pytest.raises(CodecError, match="with mdct or eva"):
+        codec.equal_error(codec.codec_by_name("slp"), SignalFormat(RATE_HZ, "um", (1.0,), (0.1,)))
+
+
+def test_a_group_of_real_encoders_shares_its_rate_by_need() -> None:
+    signals = [texture(2), 0.03 * texture(2, 1)]
+    codec_, framing = codec.codec_by_name("mdct"), Framing(352, 8)
+    group = Group(ConstantRate(8000, FRAME_BYTES), 2)
+    encoders = []
+    for signal, member in zip(signals, group.members, strict=True):
+        signal_format = SignalFormat(RATE_HZ, "um", (1.0,), (float(np.std(signal)),))
+        setting = codec_.complete({"step": 0.02 / signal_format.rms[0]})
+        encoders.append(steered_encoder(codec_, setting, signal_format, framing, None, member))
+    sizes = []
+    for start in range(0, len(signals[0]) - 352, 352):
+        coded = group.code(
+            [encoder.encode for encoder in encoders], [signal[start : start + 352] for signal in signals]
+        )
+        sizes.append([len(packet) + FRAME_BYTES for (packet,) in coded])
+    totals = np.sum(sizes, axis=1)
+    assert np.ptp(np.cumsum(totals) - np.arange(1, len(totals) + 1) * 8000 * 352 / RATE_HZ / 8) <= 18.1
+    assert np.mean(sizes, axis=0)[0] > 3 * np.mean(sizes, axis=0)[1]
+    with pytest.raises(CodecError, match="are coded together"):
+        encoders[0].encode(signals[0][:352])
+
+
+def test_frames_add_at_most_15_percent_unless_the_delay_forbids() -> None:
+    framing = steered_framing(4000, RATE_HZ, lambda packet: 8)
+    sent = 4000 * framing.packet_samples / RATE_HZ / 8
+    assert 0.14 < 8 / (sent - 8) <= 0.15
+    assert framing.refresh_packets * framing.packet_samples == pytest.approx(RATE_HZ, rel=0.1)
+    assert steered_framing(4000, RATE_HZ, lambda packet: 8, longest_s=0.02).packet_samples == 56
+    assert steered_framing(500, RATE_HZ, lambda packet: 8).refresh_packets == 1
