@@ -193,7 +193,8 @@ class EvaEncoder:
         latents = [self._analyse(channel, level) for channel, level in zip(samples.T, self._levels, strict=True)]
 
         def code(encoder: LatentEncoder, coarseness: int) -> bytes:
-            qualities = np.clip(np.array(self._qualities) - coarseness, 0, self._image.finest_quality_code)
+            told = (coarseness + 1) // 4 * 4  # the rest is in how bits are weighed
+            qualities = np.clip(np.array(self._qualities) - told, 0, self._image.finest_quality_code)
             steps = [self._image.relative_steps(int(quality))[:, None] for quality in qualities]
             return encoder.encode([part / step for part, step in zip(latents, steps, strict=True)], coarseness)
 

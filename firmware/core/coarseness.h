@@ -6,7 +6,7 @@
 
 #include "common.h"
 
-/* Coarsenesses are within +-VC_MAX_COARSENESS: all octaves that steps have, 16 to an octave. */
+/* Coarsenesses are within +-VC_MAX_COARSENESS, in a unit that each codec has: all octaves of steps in 1/16 octave. */
 #define VC_MAX_COARSENESS (21 * 16)
 
 typedef struct {
@@ -23,6 +23,9 @@ void vc_coarseness_reset(vc_coarseness *coarseness);
 
 /* Both make the packet's coarseness the last one; `value`: what is beyond +-VC_MAX_COARSENESS counts as that. */
 void vc_coarseness_encode(vc_range_coder *coder, vc_coarseness *coarseness, int32_t value);
+/* Encodes the number of fours nearest `coarseness`, and returns `lambda`, the weight of a bit against squared error,
+ * moved by what is left, which need not be told. */
+uint32_t vc_coarseness_encode_fours(vc_range_coder *coder, vc_coarseness *coarseness, int32_t value, uint32_t lambda);
 void vc_coarseness_decode(vc_range_coder *coder, vc_coarseness *coarseness);
 
 #endif

@@ -50,7 +50,8 @@ static void encode_factorised(vc_range_coder *coder, const uint8_t *probabilitie
         vc_range_encode(coder, negative, vc_eva_probability(probabilities, VC_UNARY_LIMIT));
 }
 
-static void encode_column(vc_eva_encoder *encoder, vc_range_coder *coder, unsigned channel, const int32_t *latents)
+static void encode_column(vc_eva_encoder *encoder, vc_range_coder *coder, unsigned channel, const int32_t *latents,
+                          uint32_t lambda)
 {
     const vc_eva_model *model = &encoder->model;
     const uint32_t quality = vc_eva_packet_quality(model, &encoder->configuration, channel, encoder->coarseness.value);
@@ -63,7 +64,7 @@ static void encode_column(vc_eva_encoder *encoder, vc_range_coder *coder, unsign
     }
     if (model->adapts)
         vc_block_encode(coder, &encoder->prior, &encoder->channels[channel], &encoder->search, model->latents,
-                        magnitudes, latents, encoder->lambda);
+                        magnitudes, latents, lambda);
 }
 
 int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t coarseness, uint8_t *packet,
@@ -74,7 +75,7 @@ int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t c
         encoder->sequence == 0 || (encoder->refresh_packets != 0 && encoder->sequence % encoder->refresh_packets == 0);
     vc_range_coder coder;
     uint8_t *payload;
-    uint32_t column;
+    uint32_t column, lambda = encoder->lambda;
     unsigned channel;
     if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
@@ -87,10 +88,10 @@ int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t c
         vc_coarseness_reset(&encoder->coarseness);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
     if (configuration->steered)
-        vc_coarseness_encode(&coder, &encoder->coarseness, coarseness);
+        lambda = vc_coarseness_encode_fours(&coder, &encoder->coarseness, coarseness, lambda);
     for (channel = 0; channel < configuration->channels; channel++)
         for (column = 0; column < configuration->packet_columns; column++, latents += encoder->model.latents)
-            encode_column(encoder, &coder, channel, latents);
+            encode_column(encoder, &coder, channel, latents, lambda);
     encoder->sequence++;
     payload += vc_range_encoder_finish(&coder, payload);
     return coder.overflow ? VC_PACKET_TOO_LARGE : (int32_t)(payload - packet);

@@ -125,7 +125,7 @@ uint32_t vc_eva_packet_quality(const vc_eva_model *model, const vc_eva_configura
                                int32_t coarseness)
 {
     const int32_t finest = (int32_t)(QUALITY_PARTS * (model->rates - 1));
-    const int32_t quality = (int32_t)configuration->quality[channel] - coarseness;
+    const int32_t quality = (int32_t)configuration->quality[channel] - 4 * coarseness;
     return (uint32_t)(quality < 0 ? 0 : quality < finest ? quality : finest);
 }
 

@@ -49,7 +49,8 @@ int vc_eva_model_read(vc_eva_model *model, const uint8_t *bytes, size_t length);
 int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_model *model, const uint8_t *bytes,
                               size_t length, unsigned channels);
 
-/* The quality of a channel in a packet of this coarseness, within those that the model has. */
+/* The quality of a channel in a packet of this coarseness, in 1/4 of the way from one rate to the next; within those
+ * that the model has. */
 uint32_t vc_eva_packet_quality(const vc_eva_model *model, const vc_eva_configuration *configuration, unsigned channel,
                                int32_t coarseness);
 

@@ -76,11 +76,11 @@ static inline int32_t vc_step_of(uint32_t code)
     return (int32_t)((64 + (code & 63)) << (code >> 6));
 }
 
-/* The step of a channel, in 1/256 of a sample's least significant bit, in a packet of this coarseness: four codes to
- * one, within those that there are. */
+/* The step of a channel, in 1/256 of a sample's least significant bit, in a packet of this coarseness, in 1/4 octave;
+ * within the steps that there are. */
 static inline int32_t vc_packet_step(const vc_mdct_configuration *configuration, unsigned channel, int32_t coarseness)
 {
-    const int32_t code = configuration->step_code[channel] + 4 * coarseness;
+    const int32_t code = configuration->step_code[channel] + 16 * coarseness;
     return vc_step_of(code < 0 ? 0 : code < VC_STEP_CODES ? (uint32_t)code : VC_STEP_CODES - 1);
 }
 

@@ -62,13 +62,13 @@ static uint32_t magnitude_of(int32_t value)
 }
 
 static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, vc_block_state *channel,
-                         const int32_t *coefficients, int32_t step)
+                         const int32_t *coefficients, int32_t step, uint32_t lambda)
 {
     const uint32_t hop = encoder->configuration.hop;
     uint32_t magnitudes[VC_MAX_BINS], k;
     for (k = 0; k < hop; k++)
         magnitudes[k] = (uint32_t)(((uint64_t)magnitude_of(coefficients[k]) << 8) / (uint32_t)step);
-    vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, encoder->lambda);
+    vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, lambda);
 }
 
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t coarseness, uint8_t *packet,
@@ -79,7 +79,7 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, in
         encoder->sequence == 0 || (encoder->refresh_packets != 0 && encoder->sequence % encoder->refresh_packets == 0);
     vc_range_coder coder;
     uint8_t *payload;
-    uint32_t block;
+    uint32_t block, lambda = encoder->lambda;
     unsigned channel;
     if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
@@ -92,11 +92,11 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, in
         vc_block_reset(&encoder->channels[channel]);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
     if (configuration->steered)
-        vc_coarseness_encode(&coder, &encoder->coarseness, coarseness);
+        lambda = vc_coarseness_encode_fours(&coder, &encoder->coarseness, coarseness, lambda);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, coefficients += configuration->hop)
             encode_block(encoder, &coder, &encoder->channels[channel], coefficients,
-                         vc_packet_step(configuration, channel, encoder->coarseness.value));
+                         vc_packet_step(configuration, channel, encoder->coarseness.value), lambda);
     encoder->sequence++;
     payload += vc_range_encoder_finish(&coder, payload);
     return coder.overflow ? VC_PACKET_TOO_LARGE : (int32_t)(payload - packet);

@@ -96,7 +96,7 @@ class EvaReferenceDecoder:
             self.coarseness.decode(coder)
         levels = np.zeros((len(self.levels), self.columns, self.image.latents), dtype=np.int64)
         for channel, (known, asked) in enumerate(zip(self.known, self.qualities, strict=True)):
-            quality = min(max(asked - self.coarseness.value, 0), 16 * (self.image.rates - 1))
+            quality = min(max(asked - 4 * self.coarseness.value, 0), 16 * (self.image.rates - 1))
             for row in levels[channel]:
                 if self.model is not None:
                     decode_block(coder, self.model, known, row)

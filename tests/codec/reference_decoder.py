@@ -138,9 +138,7 @@ class Coarseness:
         self.same += (65535 - self.same) >> 2 if same else -(self.same >> 2)
         if not same:
             finer = coder.decode()
-            change = suffix(coder) * 4
-            change += 2 * coder.decode()
-            change += coder.decode() + 1
+            change = 2 * suffix(coder) + coder.decode() + 1
             self.value = clamp(self.value + (-change if finer else change), 336)
 
 
@@ -283,7 +281,7 @@ class ReferenceDecoder:
 
     def steps(self) -> list[float]:
         """Steps of the last packet, by channel."""
-        codes = [min(max(code + 4 * self.coarseness.value, 0), 1343) for code in self.codes]
+        codes = [min(max(code + 16 * self.coarseness.value, 0), 1343) for code in self.codes]
         return [(64 + code % 64) * 2.0 ** (code // 64) / 256 for code in codes]
 
     def fill(self, levels: NDArray[np.int64], spectra: NDArray[np.float64], steps: list[float], random: int) -> None:

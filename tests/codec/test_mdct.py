@@ -108,8 +108,8 @@ def test_a_constant_coarseness_is_that_of_the_step_and_costs_at_most_a_bit_a_pac
     steered = coded(signal, 0.125, Framing(128, 5), fill=1 / 8, steering=in_turn([coarseness]))
     np.testing.assert_array_equal(decoded(*plain, 1), decoded(*steered, 1))
     added_bits = 8 * (sum(map(len, steered[1])) - sum(map(len, plain[1])))
-    refreshes = len(plain[1]) / 5
-    assert 0 < added_bits <= len(plain[1]) + (0 if coarseness == 0 else 10 * refreshes)
+    at_refreshes = 0 if coarseness == 0 else 10 * len(plain[1]) / 5
+    assert 0 < added_bits <= len(plain[1]) + at_refreshes
 
 
 def test_steps_per_packet_save_the_bits_of_a_click_above_a_texture() -> None:
@@ -368,6 +368,6 @@ def test_golden_steered_stream() -> None:
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_steered.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 7)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "ad474f2bbbc58f24fd57c168ff0f181a"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "8dbc68071a1f5f355dc255ffff626084"
     ratio = codec.snr_db(golden_signal(), samples[16:416] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(25.53, abs=0.01)
+    assert ratio == pytest.approx(25.40, abs=0.01)
