@@ -209,6 +209,14 @@ def _differs_by_channel(source: Source, setting: Setting | None) -> bool:
     return source.format.channels > 1 and all(source.codec.parameters[name].per_channel for name in varied)
 
 
+def settings(source: Source, setting: Setting | None = None) -> list[Setting]:
+    """Return what a search for a quality tries: the rungs of the codec's first ladder and between, the coarsest first.
+
+    `setting`: what is given of the codec's setting and not searched for. Raises CodecError.
+    """
+    return _steps_between(source, _rungs(source, setting))[0]
+
+
 def _rungs(source: Source, setting: Setting | None) -> list[Setting]:
     """Return the settings of the codec's first ladder, what is given of a setting put in place of theirs.
 

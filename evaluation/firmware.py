@@ -20,6 +20,7 @@ from evaluation import trained
 from evaluation.page_parts import code, number, paragraphs, table
 from evaluation.points import write_rows
 from firmware.build import BuildError
+from firmware.build import size as firmware_size
 from host.controller import Controller
 from host.output_files import whole_file
 from host.player import play
@@ -42,6 +43,17 @@ LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "ev
 """Wanted: less than this load of a Cortex-M4F."""
 CHANNELS = (1, 2, 4)
 """For how many a decoder is compiled."""
+TABLES = Path(__file__).parent / "data"
+"""Folder of the figures as CSV, where an installed planner finds them too."""
+BOARD = "stm32f405"
+SMALL = {
+    "VC_BUFFER_SAMPLES": 4096,
+    "VC_BUFFER_PACKETS": 64,
+    "VC_BUFFER_BYTES": 8192,
+    "VC_PACKET_SAMPLES": 1024,
+    "VC_CAPTURE_SAMPLES": 0,
+}
+"""Buffers of a controller that plays streams as they come: half a second of 8 kHz, no captures."""
 _PORTABLE = {"DSP instructions": {}, "portable C": {"VC_PORTABLE": 1}}
 _FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
 
@@ -76,11 +88,17 @@ class Size:
 
 @dataclass(frozen=True)
 class ControllerLoad:
-    """Instructions of a whole controller on a Cortex-M4F in a second of a stream of `mdct`: all, and decoding alone."""
+    """What a whole controller takes on a Cortex-M4F.
+
+    `instructions`, `decoding`: in a second of a stream of `mdct`, all, and decoding alone. `flash_bytes`, `ram_bytes`:
+    of the board's firmware with the buffers of SMALL, but for the code and the state of its decoders.
+    """
 
     channels: int
     instructions: float
     decoding: float
+    flash_bytes: int
+    ram_bytes: int
 
 
 def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
@@ -159,7 +177,16 @@ def measure_controller(folder: Path, seconds: float) -> Iterator[ControllerLoad]
             played_s = (link.now_us - started_us) / 1e6
             instructions = (device.processor.instructions - before) / played_s
         decoding = decode(program, core, stream).instructions * RATE_HZ
-        yield ControllerLoad(channels, round(instructions), round(decoding))
+        flash_bytes, ram_bytes = _rest_bytes(folder, core, channels)
+        yield ControllerLoad(channels, round(instructions), round(decoding), flash_bytes, ram_bytes)
+
+
+def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:
+    """Return flash and RAM of a small controller but for its decoders, which share one memory. Raises BuildError."""
+    whole = firmware_size(BOARD, {**SMALL, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels})
+    names = {_codec_name(decoder) for decoder in DECODERS}
+    decoders = EmulatedCore(_program(folder, core, "DSP instructions", names, channels), core)
+    return whole.flash - decoders.flash_bytes, whole.ram - max(state_bytes(decoders, name) for name in names)
 
 
 def _program(folder: Path, core: Core, kernels: str, codecs: set[str], channels: int = 1) -> Path:
@@ -181,8 +208,14 @@ def _tables(decoder: str) -> bytes | None:
     return model.tables if model else None
 
 
-def write_page(out: Path, loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> None:
-    """Write OUT/firmware.md, and its figures as CSV and JSON in OUT/results. Raises OSError."""
+def write_page(
+    out: Path,
+    loads: Sequence[Load],
+    sizes: Sequence[Size],
+    controller: Sequence[ControllerLoad],
+    tables: Path = TABLES,
+) -> None:
+    """Write OUT/firmware.md, its figures as JSON in OUT/results, and as CSV in `tables`. Raises OSError."""
     results = out / "results"
     results.mkdir(parents=True, exist_ok=True)
     for stem, rows, kind in (
@@ -190,7 +223,7 @@ def write_page(out: Path, loads: Sequence[Load], sizes: Sequence[Size], controll
         ("firmware_sizes", sizes, Size),
         ("firmware_controller", controller, ControllerLoad),
     ):
-        with whole_file(results / f"{stem}.csv") as path:
+        with whole_file(tables / f"{stem}.csv") as path:
             write_rows(path, rows, kind)
     figures: dict[str, Sequence[Any]] = {"loads": loads, "sizes": sizes, "controller": controller}
     with whole_file(results / "firmware.json") as path:
@@ -212,8 +245,9 @@ def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[Con
         _cores_section(loads),
         _memory_section(loads, sizes),
         _controller_section(controller),
-        "Rows: [firmware_loads.csv](results/firmware_loads.csv), [firmware_sizes.csv](results/firmware_sizes.csv), "
-        "[firmware_controller.csv](results/firmware_controller.csv), all as [JSON](results/firmware.json).",
+        "Rows: [firmware_loads.csv](../evaluation/data/firmware_loads.csv), "
+        "[firmware_sizes.csv](../evaluation/data/firmware_sizes.csv), "
+        "[firmware_controller.csv](../evaluation/data/firmware_controller.csv), all as [JSON](results/firmware.json).",
     )
 
 
@@ -378,6 +412,8 @@ def _controller_section(controller: Sequence[ControllerLoad]) -> str:
             _percent(100 * load.instructions / clock_hz),
             f"{load.decoding / 1e6:.2f}",
             f"{(load.instructions - load.decoding) / 1e6 / load.channels:.2f}",
+            f"{load.flash_bytes:,}",
+            f"{load.ram_bytes:,}",
         )
         for load in controller
     ]
@@ -385,8 +421,9 @@ def _controller_section(controller: Sequence[ControllerLoad]) -> str:
         "## The whole controller",
         "A stream of `mdct` played on the firmware (`cortex-m4`) by the host's player: messages, buffer, "
         "decoding, and the output stage at the actuator's DAC rate, in millions of instructions a second; its "
-        "main loop is run every millisecond. *The rest*: all but decoding, for each channel.",
-        table(("channels", "all", "load at 168 MHz", "decoding", "the rest per channel"), rows),
+        "main loop is run every millisecond. *The rest*: all but decoding, for each channel. Flash and RAM: of the "
+        f"board's firmware (`{BOARD}`) but for its decoders, with the buffers of a small controller.",
+        table(("channels", "all", "load at 168 MHz", "decoding", "the rest per channel", "flash", "RAM"), rows),
     )
 
 

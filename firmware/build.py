@@ -214,9 +214,9 @@ class Size:
     stack: int
 
 
-def size(name: str) -> Size:
-    """Build an image for a microcontroller and return its size. Raises BuildError."""
-    image = Elf(build(name))
+def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
+    """Build an image for a microcontroller, as `build` does, and return its size. Raises BuildError."""
+    image = Elf(build(name, sizes))
     held = [image.sections[section].size_bytes for section in _IN_RAM if section in image.sections]
     return Size(sum(len(part.data) for part in image.segments), sum(held), image.sections[".stack"].size_bytes)
 

@@ -47,6 +47,7 @@ from host.options import (
 )
 from host.output_files import whole_file
 from host.plain import plain
+from host.plan_command import plan
 from host.report import Report
 from host.stability_command import stability
 from host.train_command import train
@@ -412,6 +413,7 @@ main.add_command(export)
 main.add_command(list_models)
 main.add_command(live)
 main.add_command(measure)
+main.add_command(plan)
 main.add_command(stability)
 main.add_command(train)
 

@@ -159,8 +159,8 @@ def prepared(
     """Return a texture at the stream's rate, and without what lies below its band. Raises TextureError.
 
     What is above the band goes with the resampling. Below `lowest`, a Butterworth high-pass of order LOW_CUT_ORDER
-    run in both directions, without delay, whose corner (-6 dB) lies half an octave lower, where it takes 0.1 dB at
-    `lowest`; 0 = nothing is taken away. A profile over position has its rate per metre for hertz.
+    run in both directions, without delay, whose corner (-6 dB) lies an octave lower: it takes 0.03 dB at `lowest`; 0 =
+    nothing is taken away. A profile over position has its rate per metre for hertz.
     """
     if isinstance(loaded, Profile):
         # Over position, a metre takes the place of a second: as if swept at 1000 mm/s.
@@ -168,7 +168,7 @@ def prepared(
     recording = textures.resample(loaded, rate)
     if lowest <= 0:
         return recording
-    sections = scipy.signal.butter(LOW_CUT_ORDER, lowest / np.sqrt(2), "highpass", fs=rate, output="sos")
+    sections = scipy.signal.butter(LOW_CUT_ORDER, lowest / 2, "highpass", fs=rate, output="sos")
     longest = len(recording.samples) - 1
     cut = scipy.signal.sosfiltfilt(
         sections, recording.samples, axis=0, padlen=min(longest, 3 * (2 * LOW_CUT_ORDER + 1))
@@ -226,7 +226,8 @@ def write_plan(path: Path, plan: Plan) -> None:
         parts.append("[[textures]]\n" + _lines(values))
         for key, table in (("options", source.options), ("setting", texture.setting)):
             parts.append(f"[textures.{key}]\n" + _lines(table))
-        parts.append("[textures.forecast]\n" + _lines(asdict(texture.forecast)))
+        forecast = {name: value and float(f"{value:.6g}") for name, value in asdict(texture.forecast).items()}
+        parts.append("[textures.forecast]\n" + _lines(forecast))
     with whole_file(path) as partial:
         partial.write_text("\n".join(parts), encoding="utf-8")
 

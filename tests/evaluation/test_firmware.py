@@ -24,7 +24,7 @@ from tests.codec.eva_models import random_image, with_extreme_weights
 pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler for microcontrollers")
 
 STREAMS = Path(__file__).parents[1] / "codec"
-SHIPPED = Path(__file__).parents[2] / "docs" / "results" / "firmware_loads.csv"
+SHIPPED = firmware.TABLES / "firmware_loads.csv"
 M4F = CORES["M4F"]
 BUILDS = [("M4F", 0), ("M4F", 1), ("M7", 0), ("M33", 0)]
 FUNCTIONS = [
@@ -219,8 +219,8 @@ def test_the_shipped_figures_are_what_is_counted(programs: dict[tuple[str, int],
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood", "rough"], 0.1))
     sizes = list(firmware.measure_sizes(tmp_path, ["mdct"]))
-    controller = [firmware.ControllerLoad(1, 6_000_000, 2_400_000)]
-    firmware.write_page(tmp_path, loads, sizes, controller)
+    controller = [firmware.ControllerLoad(1, 6_000_000, 2_400_000, 50_000, 40_000)]
+    firmware.write_page(tmp_path, loads, sizes, controller, tmp_path)
     page = (tmp_path / "firmware.md").read_text()
     dsp = [load for load in loads if (load.core, load.kernels) == ("M4F", "DSP instructions")]
     mean = np.mean([load.instructions for load in dsp])
@@ -228,7 +228,7 @@ def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     assert f"| {sizes[0].code_bytes:,} |" in page and "| 3.57 % |" in page
     assert all(load.cycles is None or load.cycles > load.instructions for load in loads)
     assert sizes[0].state_1_bytes < sizes[0].state_2_bytes < sizes[0].state_4_bytes
-    assert (tmp_path / "results" / "firmware_loads.csv").read_text().count("\n") == 1 + len(loads)
+    assert (tmp_path / "firmware_loads.csv").read_text().count("\n") == 1 + len(loads)
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,40 @@
+"""The subcommand `plan`: chooses how each texture of a scene is coded, writes the plan, and says why."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from host import progress
+from host.options import INPUT
+from host.plain import plain
+
+
+@click.command()
+@click.argument("scene_path", metavar="SCENE.toml", type=INPUT)
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for what is written."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the forecasts as JSON.")
+def plan(scene_path: Path, out: Path, as_json: bool) -> None:
+    """Choose how each texture of a scene is coded, with no more than it needs.
+
+    Writes plan.toml, a picture of all that was measured (plan.png), and its tables (candidates.csv, bands.csv).
+    """
+    from host.planner import choose, page, plan_file, scene
+
+    read = scene.read_scene(scene_path)
+    with progress.shown("planning") as update:
+        planned, choices = choose.plan(read, update)
+    out.mkdir(parents=True, exist_ok=True)
+    plan_file.write_plan(out / page.PLAN, planned)
+    page.write_tables(out, choices)
+    page.draw(out / page.PICTURE, read, choices)
+    if as_json:
+        click.echo(json.dumps({each.name: asdict(each.forecast) for each in planned.textures}, indent=2))
+        return
+    for choice, texture in zip(choices, planned.textures, strict=True):
+        for line in page.lines(choice, texture):
+            click.echo(plain(line))
+    click.echo(str(out / page.PLAN))

@@ -1,0 +1,215 @@
+"""The band worth coding: what of a texture the actuator renders within its limits, and a finger may feel."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+import textures
+from codec.threshold import threshold_amplitude
+from host.end_to_end import displacement_um
+from simulated_device.actuator import Actuator
+from textures import Profile, Recording
+
+Samples = NDArray[np.float64]
+
+MARGIN_DB = -8.0
+"""What is above the detection threshold less this margin is kept. In the listening test of the DCT paper on
+material-like textures nobody told wood from the original with components dropped below b0 = -8 dB (sandpaper -4,
+leather +4), while b0 = 0, at the threshold itself, was noticed: the strictest of the three holds for all."""
+BLOCK_S = 0.2
+"""Components are 1 / BLOCK_S = 5 Hz apart, as in the DCT paper, and the skin sums vibration over about that time
+(Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965)."""
+LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
+"""Where textures are felt; below, the hand moves as a whole, above, no channel of touch answers."""
+BANDS_PER_OCTAVE = 12
+PASS_BAND = 0.91
+"""Of half the stream's rate: as far as textures.resample leaves the band alone."""
+RATE_STEP = 100
+SPEEDS = 5
+"""Hand speeds that a profile over position is looked at with, from the least to the greatest."""
+SLOWEST_MM_S = 10.0
+"""A hand that is slower explores no texture: what it would make a profile's finest parts be is not coded for it."""
+
+
+class BandError(ValueError):
+    """Nothing of a texture is worth coding; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """One third octave of a texture at the skin. `level_db`: dB re the detection threshold, where it is loudest.
+
+    `reach_db`: the most that the actuator makes there within its limits, likewise.
+    """
+
+    frequency_hz: float
+    level_db: float
+    reach_db: float
+
+    @property
+    def worth(self) -> bool:
+        """Whether it may be felt, and the actuator can make it."""
+        return min(self.level_db, self.reach_db) >= MARGIN_DB
+
+
+@dataclass(frozen=True)
+class Band:
+    """The band worth coding of one texture.
+
+    `lowest`, `highest`: in Hz, or in periods per metre over position. `rate`: of the stream that follows from it, in
+    samples per second, or per metre. `levels`: of the texture, at the greatest hand speed.
+    """
+
+    lowest: float
+    highest: float
+    rate: int
+    levels: tuple[Level, ...]
+
+
+def band_of(
+    loaded: Recording | Profile,
+    actuator: Actuator,
+    threshold: Samples,
+    hand_speed_mm_s: tuple[float, float],
+    over_position: bool,
+) -> Band:
+    """Return the band worth coding. `threshold`: rows as of codec.threshold.read_threshold. Raises BandError."""
+    if not isinstance(loaded, Profile):
+        levels = levels_of(loaded, actuator, threshold)
+        lowest, highest = _edges(levels, loaded.name)
+        return Band(lowest, highest, _rate(highest, loaded.rate_hz), levels)
+    if not over_position:
+        return band_of(loaded.recording(hand_speed_mm_s[1]), actuator, threshold, hand_speed_mm_s, False)
+    slowest = min(max(hand_speed_mm_s[0], SLOWEST_MM_S), hand_speed_mm_s[1])
+    edges = []
+    for speed_mm_s in np.geomspace(slowest, hand_speed_mm_s[1], SPEEDS):
+        levels = levels_of(_within_reach(loaded.recording(speed_mm_s)), actuator, threshold)
+        if any(level.worth for level in levels):
+            lowest, highest = _edges(levels, loaded.name)
+            edges.append((1000 * lowest / speed_mm_s, 1000 * highest / speed_mm_s))
+    if not edges:
+        raise _nothing(levels, loaded.name)
+    highest = max(high for _, high in edges)
+    return Band(min(low for low, _ in edges), highest, _rate(highest, 1e6 / loaded.spacing_um), levels)
+
+
+def levels_of(recording: Recording, actuator: Actuator, threshold: Samples) -> tuple[Level, ...]:
+    """Return a recording's third octaves at the skin, of the channel that is loudest in each."""
+    frequencies_hz, felt_db = over_threshold_db(at_the_skin(recording, actuator), recording.rate_hz, threshold)
+    reach_um = largest_um(actuator, frequencies_hz)
+    reach_db = 20 * np.log10(reach_um / threshold_amplitude(threshold, frequencies_hz, "um"))
+    return tuple(
+        Level(float(f), float(level), float(reach))
+        for f, level, reach in zip(frequencies_hz, felt_db, reach_db, strict=True)
+    )
+
+
+def at_the_skin(recording: Recording, actuator: Actuator) -> Samples:
+    """Return the displacement at the skin, um (n, channels), without a delay, limits left aside.
+
+    What the recording asks for (host.end_to_end.displacement_um), times the gain from there: compensation, DAC, held
+    over each of its samples, and actuator.
+    """
+    displacement = displacement_um(recording.samples, recording.unit, recording.rate_hz, actuator)
+    samples = len(displacement)
+    gain = rendering_gain(actuator, np.asarray(np.fft.rfftfreq(samples, 1 / recording.rate_hz), np.float64))
+    return np.asarray(np.fft.irfft(np.fft.rfft(displacement, axis=0) * gain[:, None], samples, axis=0))
+
+
+def rendering_gain(actuator: Actuator, frequencies_hz: Samples) -> Samples:
+    """Return displacement at the skin over the displacement asked for; 0 above half the DAC's rate."""
+    passed = frequencies_hz < actuator.dac_rate_hz / 2
+    within_hz = frequencies_hz[passed]
+    _, inverse = scipy.signal.freqz(*actuator.inverse(), worN=within_hz, fs=actuator.dac_rate_hz)
+    gain = np.zeros(len(frequencies_hz))
+    gain[passed] = np.abs(inverse) * _response(actuator, within_hz)
+    return gain
+
+
+def largest_um(actuator: Actuator, frequencies_hz: Samples) -> Samples:
+    """Return the amplitude of the largest sine that the actuator makes within its stroke, voltage, slew and power."""
+    full_volts = actuator.volts / 2
+    with np.errstate(divide="ignore"):
+        by_slew = actuator.slew_volts_per_second / (2 * math.pi * frequencies_hz * full_volts)
+    constant = min(1.0, actuator.volts_limit / full_volts, math.sqrt(2 * actuator.power_limit))
+    drive = np.minimum(constant, by_slew)
+    passed = frequencies_hz < actuator.dac_rate_hz / 2
+    reached: Samples = np.maximum(actuator.excursion_um * drive * _response(actuator, frequencies_hz) * passed, 1e-30)
+    return reached
+
+
+def _response(actuator: Actuator, frequencies_hz: Samples) -> Samples:
+    """Return the gain from a DAC sample, held, to displacement in parts of the excursion."""
+    s = 1j * frequencies_hz / actuator.corner_hz
+    quality = actuator.quality
+    response = 1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s)
+    return np.asarray(np.abs(response) * np.sinc(frequencies_hz / actuator.dac_rate_hz))
+
+
+def over_threshold_db(displacement: Samples, rate_hz: float, threshold: Samples) -> tuple[Samples, Samples]:
+    """Return frequencies, and the level of the third octave about each re the detection threshold, where it is loudest.
+
+    `displacement`: um (n, channels). Hann windows of BLOCK_S that overlap by half; the amplitude of a sine of the same
+    power as all components of the third octave (IEC 61260: edges at 2^(+-1/6)), and at least of the nearest one, so
+    that noise counts as the skin sums it. The loudest block and channel count: what is felt once is felt.
+    """
+    block = min(len(displacement), max(2, round(BLOCK_S * rate_hz)))
+    window = np.hanning(block + 1)[:-1]
+    blocks = np.lib.stride_tricks.sliding_window_view(displacement, block, axis=0)[:: max(1, block // 2)]
+    # The largest of the blocks in each band is wanted: (blocks, channels, components) of power as mean square.
+    power = 2 * np.abs(np.fft.rfft(blocks * window)) ** 2 / (block * np.sum(window**2))
+    spacing_hz = rate_hz / block
+    highest_hz = min(HIGHEST_HZ, rate_hz / 2 / 2 ** (1 / 6))
+    lowest_hz = max(LOWEST_HZ, spacing_hz)
+    count = max(2, round(BANDS_PER_OCTAVE * math.log2(max(highest_hz / lowest_hz, 1.01))))
+    middle_hz = np.geomspace(lowest_hz, max(highest_hz, 1.01 * lowest_hz), count)
+    loudest = np.empty(count)
+    for index, hz in enumerate(middle_hz):
+        first = math.ceil(hz / 2 ** (1 / 6) / spacing_hz)
+        last = math.floor(hz * 2 ** (1 / 6) / spacing_hz)
+        if last < first:
+            first = last = round(hz / spacing_hz)
+        loudest[index] = np.max(np.sum(power[..., first : last + 1], axis=-1), initial=0.0)
+    amplitude = np.sqrt(2 * np.maximum(loudest, 1e-60))
+    return middle_hz, 20 * np.log10(amplitude / threshold_amplitude(threshold, middle_hz, "um"))
+
+
+def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Actuator, threshold: Samples) -> float:
+    """Return the level of the error at the skin in its loudest third octave, dB re the detection threshold."""
+    error = Recording(reference.samples - decoded, reference.rate_hz, reference.unit, reference.name)
+    return float(np.max(over_threshold_db(at_the_skin(error, actuator), reference.rate_hz, threshold)[1]))
+
+
+def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:
+    """Return the outer edges of the third octaves that are worth coding; 0 below where the lowest one is."""
+    worth = [level.frequency_hz for level in levels if level.worth]
+    if not worth:
+        raise _nothing(levels, name)
+    edge = 2 ** (1 / 6)
+    lowest = 0.0 if worth[0] == levels[0].frequency_hz else worth[0] / edge
+    return round(lowest, 2), round(worth[-1] * edge, 2)
+
+
+def _nothing(levels: tuple[Level, ...], name: str) -> BandError:
+    best = max(levels, key=lambda level: min(level.level_db, level.reach_db))
+    what = "the actuator makes" if best.reach_db < best.level_db else "the texture holds"
+    return BandError(
+        f"{name}: the band worth coding is empty: the most that {what} lies {-min(best.level_db, best.reach_db):.0f} "
+        f"dB below the detection threshold, at {best.frequency_hz:.0f} Hz; check unit and full_scale, or give another "
+        "actuator"
+    )
+
+
+def _rate(highest: float, recorded: float) -> int:
+    """Return the rate of a stream: in whole RATE_STEPs, and no more than was recorded."""
+    needed = math.ceil(2 * highest / PASS_BAND / RATE_STEP) * RATE_STEP
+    return max(1, min(needed, math.floor(recorded)))
+
+
+def _within_reach(recording: Recording) -> Recording:
+    """Return a recording at a rate that holds HIGHEST_HZ, so that what takes up a whole surface stays short."""
+    rate_hz = 2 * HIGHEST_HZ / PASS_BAND
+    return textures.resample(recording, rate_hz) if recording.rate_hz > rate_hz else recording

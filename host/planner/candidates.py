@@ -1,0 +1,380 @@
+"""The ways to code a texture, and what each costs and gives: measured on the texture itself, each coding only once."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+import codec
+import models
+import textures
+from codec import CodecError, Framing, Setting, Signal
+from codec.coding import LIVE_REFRESH_S, Source
+from codec.interface import AUTO
+from codec.rate_control import settings
+from codec.threshold import read_threshold
+from device_protocol.coded_stream import StreamHeader
+from device_protocol.frames import write_frame
+from device_protocol.messages import StreamData, pack
+from evaluation import metrics
+from host import coding
+from host.planner import costs
+from host.planner.band import MARGIN_DB, band_of, error_over_threshold_db
+from host.planner.costs import MOST_LOAD_PERCENT
+from host.planner.plan_file import Forecast, encode, prepared
+from host.planner.scene import Asked, Scene, SceneTexture, Weights
+from simulated_device.output import Drive
+from textures import Profile, Recording
+
+BLOCKS = {"mdct": "hop", "parametric": "hop", "dct": "block", "slp": "frame", "opus": "frame_samples"}
+"""The parameter of each codec that is the length of its block."""
+GIVEN: Mapping[str, Setting] = {"dct": {"entropy": "range"}}
+"""What is fixed beforehand: the range coder has taken fewer bits than Huffman's on every texture (docs/results.md)."""
+PACKET_BLOCKS = (1, 2, 4, 8, 16, 32)
+DEFAULT_BLOCK_SAMPLES = 32
+"""Where the codec has one length only; its packets are rounded up to whole blocks of its own."""
+LONGEST_PACKET_S = LIVE_REFRESH_S
+PHASE_BLIND = frozenset({"parametric"})
+"""Codecs that keep no waveform: only a measure that is blind to phase may choose them."""
+MEASURED_SAMPLES = 1 << 15
+"""Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
+SPQI_RATE_HZ = 2800
+"""SPQI counts its blocks and thresholds in samples: it is always measured at this rate, that of the reference data."""
+PROFILE_SAMPLE_BYTES = 4
+"""Of a decoded profile that a controller keeps: int16, and as much again for its octaves of lower bands."""
+BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
+"""Margins of packets, the usual one first; docs/latency.md has the least that is stable on each controller."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to code: all but the quality. `block`: samples, None where the codec has one length only."""
+
+    codec: str
+    model: str | None
+    block: str | None
+
+    @property
+    def name(self) -> str:
+        """What a person calls it."""
+        block = "" if self.block is None else f", {BLOCKS[self.codec]} {self.block}"
+        return (self.codec if self.model is None else f"{self.codec} with {self.model}") + block
+
+    @property
+    def decoder(self) -> str:
+        """Its name in the tables of what decoding costs; a model of tables alone costs as the codec does."""
+        return self.codec if self.model is None or self.model == "mdct-textures" else self.model
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One coding of a texture, measured; what the asked quality does not need may be None.
+
+    `peak_bps`: of the frames on the wire, the most in any second. `longest_frame_bytes`: of all frames.
+    `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the detection threshold.
+    """
+
+    way: Way
+    setting: Setting
+    packet_samples: int
+    refresh_packets: int
+    payload_bps: float
+    wire_bps: float
+    peak_bps: float
+    longest_frame_bytes: int
+    delay_samples: int
+    size_bytes: int
+    snr_db: float | None
+    spqi: float | None
+    spectral_distance_db: float | None
+    error_db: float | None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of the scene: what a candidate needs, and what there is, None = no limit.
+
+    `table`, `key`: where the scene says it; of a controller, it is the one that plays the texture.
+    """
+
+    table: str
+    key: str
+    needed: float
+    available: float | None
+
+    @property
+    def kept(self) -> bool:
+        """Whether there is enough."""
+        return self.available is None or self.needed <= self.available
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A coding as the scene sees it.
+
+    `quality`: in the asked measure, None for silence. `lack`: how far it is from what is asked, 0 or less where that is
+    met. `limits`: of the scene, all but the quality. `cost`: weighted sum.
+    """
+
+    measured: Measured
+    forecast: Forecast
+    buffer_ms: float
+    quality: float | None
+    lack: float
+    limits: tuple[Limit, ...]
+    cost: float
+
+    @property
+    def broken(self) -> tuple[Limit, ...]:
+        """The limits that are not kept."""
+        return tuple(limit for limit in self.limits if not limit.kept)
+
+    @property
+    def meets(self) -> bool:
+        """Whether it has the asked quality within all limits."""
+        return self.lack <= 0 and not self.broken
+
+
+class Workbench:
+    """One texture of a scene, ready to be coded every way; each coding is measured once.
+
+    `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises TextureError, CodecError,
+    BandError.
+    """
+
+    def __init__(self, scene: Scene, texture: SceneTexture) -> None:
+        self.texture = texture
+        self.actuator = scene.actuator(texture)
+        self._threshold = read_threshold(scene.threshold_path)
+        self._measure = scene.asked.measure
+        self.over_position = isinstance(texture.loaded, Profile) and scene.controller(texture.controller).reads_position
+        self.hand_speed_mm_s = scene.hand_speed_mm_s[1]
+        self.band = band_of(texture.loaded, self.actuator, self._threshold, scene.hand_speed_mm_s, self.over_position)
+        self.whole = prepared(
+            texture.loaded, self.hand_speed_mm_s, self.over_position, self.band.rate, self.band.lowest
+        )
+        self.excerpt = _strongest(self.whole)
+        self._settings: dict[Way, list[Setting]] = {}
+        self._measured: dict[tuple[Way, int, int, bool], Measured | None] = {}
+
+    @property
+    def measured(self) -> list[Measured]:
+        """All codings so far."""
+        return [each for each in self._measured.values() if each is not None]
+
+    @property
+    def samples_per_second(self) -> float:
+        """Of the stream; of one over position while the hand moves fastest."""
+        return self.band.rate * self.hand_speed_mm_s / 1000 if self.over_position else float(self.band.rate)
+
+    @cached_property
+    def drive_s(self) -> float:
+        """Delay of the controller's output: resampling to the DAC's rate, compensation, and one DAC sample."""
+        header = StreamHeader(1, self.band.rate, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
+        output: float = Drive(header, self.actuator, compensation=True).delay_seconds
+        return output + 1 / self.actuator.dac_rate_hz
+
+    def ways(self, core: str | None) -> list[Way]:
+        """Return the ways that a controller can decode, those first that are cheapest as a rule."""
+        found = []
+        for name, each in codec.CODECS.items():
+            if name in PHASE_BLIND and self._measure not in ("spqi", "spectral_distance_db"):
+                continue
+            shipped = [model.name for model in models.shipped() if model.codec_identifier == each.identifier]
+            if each.needs_model:
+                shipped = [model.name for model in coding.smallest_first(each)]
+            names = [*shipped] if each.needs_model else [None, *shipped]
+            parameter = BLOCKS.get(name)
+            blocks = (
+                [None]
+                if parameter is None
+                else [choice for choice in each.parameters[parameter].choices if choice != AUTO]
+            )
+            found += [Way(name, model, block) for model in names for block in blocks]
+        longest = LONGEST_PACKET_S * self.samples_per_second
+        found = [way for way in found if way.block is None or int(way.block) <= longest]
+        return [way for way in found if core is None or costs.decoder_cost(way.decoder, core) is not None]
+
+    def settings(self, way: Way) -> list[Setting]:
+        """Return the settings of a way, the coarsest first; empty where it has none for this texture."""
+        if way not in self._settings:
+            given = dict(GIVEN.get(way.codec, {}))
+            if way.block is not None:
+                given[BLOCKS[way.codec]] = way.block
+            chosen = codec.codec_by_name(way.codec)
+            part = self.excerpt
+            try:
+                source = Source(part.samples, round(part.rate_hz), way.codec, part.unit, True, _tables(way.model), None)
+                self._settings[way] = [chosen.complete(setting) for setting in settings(source, given)]
+            except CodecError:
+                self._settings[way] = []
+        return self._settings[way]
+
+    def packet_blocks(self, way: Way) -> list[int]:
+        """Return the packet lengths of a way, in blocks."""
+        longest = LONGEST_PACKET_S * self.samples_per_second / _block_samples(way)
+        return [blocks for blocks in PACKET_BLOCKS if blocks <= longest] or [1]
+
+    def code(self, way: Way, index: int, packet_blocks: int, whole: bool = False) -> Measured | None:
+        """Code by a setting of a way, in packets of so many blocks; None where the codec refuses.
+
+        `whole`: all of the texture, and every quality measured.
+        """
+        key = way, index, packet_blocks, whole
+        if key not in self._measured:
+            recording = self.whole if whole else self.excerpt
+            try:
+                self._measured[key] = self._coded(way, self.settings(way)[index], packet_blocks, recording, whole)
+            except CodecError:
+                self._measured[key] = None
+        return self._measured[key]
+
+    def _coded(self, way: Way, setting: Setting, packet_blocks: int, recording: Recording, every: bool) -> Measured:
+        rate_hz = self.samples_per_second
+        packet_samples = packet_blocks * _block_samples(way)
+        refresh_packets = max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples))
+        model = None if way.model is None else models.find(way.model)
+        encoding = encode(recording, way.codec, setting, model, Framing(packet_samples, refresh_packets))
+        decoder = encoding.stream.decoder()
+        decoded = encoding.stream.decode()
+        packets = encoding.stream.packets
+        frames = [len(write_frame(pack(StreamData(0, 0, (packet,))))) for packet in packets]
+        packet_s = decoder.packet_samples / rate_hz
+        seconds = len(packets) * packet_s
+        spectral = every or self._measure == "spectral_distance_db"
+        return Measured(
+            way=way,
+            setting=setting,
+            packet_samples=decoder.packet_samples,
+            refresh_packets=refresh_packets,
+            payload_bps=8 * sum(map(len, packets)) / seconds,
+            wire_bps=8 * sum(frames) / seconds,
+            peak_bps=_peak_bps(frames, packet_s),
+            longest_frame_bytes=max(frames),
+            delay_samples=decoder.delay_samples,
+            size_bytes=encoding.stream.size_bytes,
+            snr_db=encoding.snr_db,
+            spqi=spqi(recording, decoded) if every or self._measure == "spqi" else None,
+            spectral_distance_db=(
+                metrics.measure(recording.samples, decoded, recording.rate_hz).log_spectral_distance_db
+                if spectral
+                else None
+            ),
+            error_db=(
+                error_over_threshold_db(recording, decoded, self.actuator, self._threshold)
+                if every or self._measure == "imperceptible"
+                else None
+            ),
+        )
+
+    def judged(self, measured: Measured, scene: Scene) -> Candidate:
+        """Return a coding as a scene sees it, which may have other limits and wishes than that of the workbench."""
+        controller, asked = scene.controller(self.texture.controller), scene.asked
+        channels, rate_hz = self.texture.channels, self.samples_per_second
+        decoding = None if controller.core is None else costs.decoder_cost(measured.way.decoder, controller.core)
+        rest = costs.rest_cost(channels)
+        instructions = load_percent = flash_bytes = ram_bytes = None
+        if decoding is not None and controller.clock_hz is not None:
+            bits_per_sample = measured.payload_bps / rate_hz / channels
+            instructions = rest.instructions_per_second
+            flash_bytes = rest.flash_bytes + decoding.flash_bytes
+            ram_bytes = rest.ram_bytes + decoding.ram_bytes(channels)
+            if self.over_position:  # decoded once, and kept
+                ram_bytes += PROFILE_SAMPLE_BYTES * len(self.whole.samples)
+            else:
+                instructions += decoding.instructions_per_second(bits_per_sample, rate_hz, channels)
+            load_percent = 100 * instructions / controller.clock_hz
+        fixed_ms, buffer_ms = scene.link.delay_ms + 1e3 * self.drive_s, 0.0
+        if not self.over_position:  # then no packet is under way: the hand's position alone
+            samples = measured.packet_samples + measured.delay_samples
+            carried = scene.link.bytes_per_second or math.inf
+            fixed_ms += 1e3 * (samples / rate_hz + measured.longest_frame_bytes / carried)
+            most_ms = asked.delay_limit_ms or math.inf
+            buffer_ms = next((margin for margin in BUFFERS_MS if fixed_ms + margin <= most_ms), BUFFERS_MS[-1])
+        forecast = Forecast(
+            payload_bps=measured.payload_bps,
+            wire_bps=measured.wire_bps,
+            instructions_per_second=instructions,
+            load_percent=load_percent,
+            flash_bytes=flash_bytes,
+            ram_bytes=ram_bytes,
+            snr_db=measured.snr_db,
+            spqi=measured.spqi,
+            spectral_distance_db=measured.spectral_distance_db,
+            error_over_threshold_db=measured.error_db,
+            delay_ms=fixed_ms + buffer_ms,
+        )
+        quality, lack = quality_of(measured, asked)
+        senders = len({texture.controller for texture in scene.textures})
+        limits = (
+            Limit("asked", "rate_limit_bps", measured.peak_bps, asked.rate_limit_bps),
+            Limit("link", "bytes_per_second", senders * measured.peak_bps / 8, scene.link.bytes_per_second),
+            Limit("asked", "delay_limit_ms", forecast.delay_ms, asked.delay_limit_ms),
+            Limit("controllers", "clock_hz", 100 / MOST_LOAD_PERCENT * (instructions or 0.0), controller.clock_hz),
+            Limit("controllers", "flash_bytes", flash_bytes or 0, controller.flash_bytes),
+            Limit("controllers", "ram_bytes", ram_bytes or 0, controller.ram_bytes),
+        )
+        return Candidate(measured, forecast, buffer_ms, quality, lack, limits, weighted(forecast, scene.weights))
+
+
+def quality_of(measured: Measured, asked: Asked) -> tuple[float | None, float]:
+    """Return the quality in the asked measure, and how far it is from what is asked: 0 or less where it is met."""
+    if asked.snr_db is not None:
+        return measured.snr_db, 0.0 if measured.snr_db is None else asked.snr_db - measured.snr_db
+    if asked.spqi is not None:
+        return measured.spqi, 0.0 if measured.spqi is None else asked.spqi - measured.spqi
+    if asked.spectral_distance_db is not None:
+        distance_db = measured.spectral_distance_db
+        return distance_db, 0.0 if distance_db is None else distance_db - asked.spectral_distance_db
+    assert measured.error_db is not None, "it is measured where it is asked"
+    return measured.error_db, measured.error_db - MARGIN_DB
+
+
+def weighted(forecast: Forecast, weights: Weights) -> float:
+    """Return the weighted cost of what has been measured of it."""
+    memory_bytes = (forecast.flash_bytes or 0) + (forecast.ram_bytes or 0)
+    return (
+        weights.per_kilobit_per_second * forecast.wire_bps / 1e3
+        + weights.per_million_instructions_per_second * (forecast.instructions_per_second or 0.0) / 1e6
+        + weights.per_kilobyte * memory_bytes / 1e3
+        + weights.per_millisecond * forecast.delay_ms
+    )
+
+
+def spqi(reference: Recording, decoded: Signal) -> float | None:
+    """Return SPQI at SPQI_RATE_HZ, whatever the stream's rate."""
+    other = Recording(decoded, reference.rate_hz, reference.unit, reference.name)
+    x, y = (textures.resample(each, SPQI_RATE_HZ).samples for each in (reference, other))
+    return metrics.measure(x, y, SPQI_RATE_HZ).spqi
+
+
+def _strongest(recording: Recording) -> Recording:
+    """Return the stretch of most energy of MEASURED_SAMPLES, or all of a shorter recording."""
+    samples = recording.samples
+    count = max(1, MEASURED_SAMPLES // recording.channels)
+    if len(samples) <= count:
+        return recording
+    energy = np.concatenate([[0.0], np.cumsum(np.sum(np.square(samples), axis=1))])
+    start = int(np.argmax(energy[count:] - energy[:-count]))
+    part = np.ascontiguousarray(samples[start : start + count])
+    return Recording(part, recording.rate_hz, recording.unit, recording.name)
+
+
+def _peak_bps(frames: list[int], packet_s: float) -> float:
+    """Return the bits of the most frames that any second holds, whole packets counted."""
+    count = min(len(frames), max(1, round(1 / packet_s)))
+    sums = np.concatenate([[0], np.cumsum(frames)])
+    return float(8 * np.max(sums[count:] - sums[:-count]) / (count * packet_s))
+
+
+def _block_samples(way: Way) -> int:
+    return DEFAULT_BLOCK_SAMPLES if way.block is None else int(way.block)
+
+
+def _tables(name: str | None) -> codec.Model | None:
+    if name is None:
+        return None
+    model = models.find(name)
+    return codec.Model(model.tables, model.analysis)

@@ -1,0 +1,365 @@
+"""Chooses how each texture of a scene is coded: the least weighted cost that meets what is asked, and says why."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from host.input_files import InputFileError
+from host.planner.band import MARGIN_DB, BandError
+from host.planner.candidates import Candidate, Limit, Measured, Way, Workbench
+from host.planner.plan_file import SETTING_MODE, Plan, PlannedController, PlannedTexture
+from host.planner.scene import Asked, Scene, SceneController, SceneTexture
+
+Progress = Callable[[float, str], None]
+FIRST_PACKET_BLOCKS = 4
+"""With packets of so many blocks a way's setting is looked for."""
+_FINER, _FINER_ON_THE_WHOLE = 3, 16
+"""Settings that are tried beyond the one found, in other packets, and on the whole of a long texture."""
+_DIGITS = 3
+
+
+class Refusal(InputFileError):
+    """What a scene asks cannot be met; the message names the limit in the way, and the nearest scene that can."""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a way was not chosen. `best`: the nearest that it came; None where it has no setting at all."""
+
+    way: Way
+    best: Candidate | None
+    why: str
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen for a texture, among what, and why the others were not."""
+
+    workbench: Workbench
+    chosen: Candidate
+    candidates: tuple[Candidate, ...]
+    reasons: tuple[Reason, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the texture."""
+        return self.workbench.texture.name
+
+
+def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[Choice, ...]]:
+    """Plan every texture of a scene. Raises Refusal, and SceneError for a texture of which nothing can be felt."""
+    choices = []
+    for place, texture in enumerate(scene.textures):
+
+        def tell(part: float, details: str, place: int = place, name: str = texture.name) -> None:
+            progress((place + part) / len(scene.textures), f"{name}: {details}")
+
+        try:
+            bench = Workbench(scene, texture)
+        except BandError as error:
+            raise Refusal(f"{scene.path}: {error}") from error
+        choices.append(choose(bench, scene, tell))
+    planned = tuple(_planned(choice) for choice in choices)
+    controllers = tuple(PlannedController(each.name, each.address) for each in scene.controllers)
+    return Plan(scene.path, controllers, scene.actuators, planned), tuple(choices)
+
+
+def choose(bench: Workbench, scene: Scene, progress: Progress = lambda part, details: None) -> Choice:
+    """Choose for one texture. Raises Refusal."""
+    found = _search(bench, scene, progress)
+    if found is None:
+        raise _refusal(bench, scene)
+    chosen, bests = found
+    candidates = tuple(bench.judged(measured, scene) for measured in bench.measured)
+    reasons = tuple(
+        Reason(way, best, _why(bench, way, best, chosen, scene))
+        for way, best in bests.items()
+        if way != chosen.measured.way
+    )
+    return Choice(bench, chosen, candidates, (_coarser(bench, chosen, scene, candidates), *reasons))
+
+
+def _search(
+    bench: Workbench, scene: Scene, progress: Progress = lambda part, details: None
+) -> tuple[Candidate, dict[Way, Candidate | None]] | None:
+    """Return the cheapest candidate that meets all, and the nearest that each way came; None where none meets all.
+
+    A way is given up where it already costs more than the best one does without having the quality: finer costs more.
+    """
+    ways = bench.ways(scene.controller(bench.texture.controller).core)
+    meeting: list[tuple[Candidate, Way, int, int]] = []
+    bests: dict[Way, Candidate | None] = {}
+    for place, way in enumerate(ways):
+        progress(place / len(ways), way.name)
+        bound = min((candidate.cost for candidate, *_ in meeting), default=math.inf)
+        found = list(_of_way(bench, scene, way, bound))
+        bests[way] = min((candidate for candidate, *_ in found), key=_preference, default=None)
+        meeting += [(candidate, way, index, blocks) for candidate, index, blocks in found if candidate.meets]
+    for _, way, index, blocks in sorted(meeting, key=lambda each: each[0].cost):
+        whole = _on_the_whole(bench, scene, way, index, blocks)
+        if whole is not None:
+            return whole, {**bests, way: whole}
+    return None
+
+
+def _of_way(bench: Workbench, scene: Scene, way: Way, bound: float) -> Iterator[tuple[Candidate, int, int]]:
+    """Yield candidates of a way, each with the place of its setting and the blocks in its packets.
+
+    First the coarsest setting with the asked quality is found, by halving; then packets of other lengths are tried.
+    """
+    first_length = _first_length(bench, way)
+    low, high, found = 0, len(bench.settings(way)) - 1, None
+    while low <= high:
+        middle = (low + high) // 2
+        candidate = _candidate(bench, scene, way, middle, first_length)
+        if candidate is not None:
+            yield candidate, middle, first_length
+        if candidate is not None and candidate.lack <= 0:
+            found, high = candidate, middle - 1
+            place = middle
+        elif candidate is not None and candidate.cost >= bound:
+            return
+        else:
+            low = middle + 1
+    if found is None:
+        return
+    for blocks in bench.packet_blocks(way):
+        if blocks == first_length:
+            continue
+        # A packet's length moves the quality a little, as refreshes lie elsewhere.
+        for index in range(place, min(place + _FINER, len(bench.settings(way)))):
+            candidate = _candidate(bench, scene, way, index, blocks)
+            if candidate is not None:
+                yield candidate, index, blocks
+                if candidate.lack <= 0:
+                    break
+
+
+def _first_length(bench: Workbench, way: Way) -> int:
+    return min(bench.packet_blocks(way), key=lambda blocks: abs(blocks - FIRST_PACKET_BLOCKS))
+
+
+def _candidate(
+    bench: Workbench, scene: Scene, way: Way, index: int, blocks: int, whole: bool = False
+) -> Candidate | None:
+    measured = bench.code(way, index, blocks, whole)
+    return None if measured is None else bench.judged(measured, scene)
+
+
+def _on_the_whole(bench: Workbench, scene: Scene, way: Way, index: int, blocks: int) -> Candidate | None:
+    """Return the candidate measured on all of the texture, a little finer where that is needed; None where it fails."""
+    for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(bench.settings(way)))):
+        candidate = _candidate(bench, scene, way, finer, blocks, whole=True)
+        if candidate is not None and candidate.lack <= 0:
+            return candidate if candidate.meets else None
+    return None
+
+
+def _preference(candidate: Candidate) -> tuple[bool, int, float, float]:
+    """Order a way's candidates: what meets all first, the cheapest of those; else what is nearest to it."""
+    return not candidate.meets, len(candidate.broken), max(0.0, candidate.lack), candidate.cost
+
+
+def _coarser(bench: Workbench, chosen: Candidate, scene: Scene, candidates: tuple[Candidate, ...]) -> Reason:
+    """Return why no coarser setting of the chosen way was taken."""
+    way = chosen.measured.way
+    short = [each for each in candidates if each.measured.way == way and each.lack > 0 and each.cost < chosen.cost]
+    nearest = min(short, key=lambda each: each.lack, default=None)
+    if nearest is None:
+        return Reason(way, None, "it has no coarser setting")
+    return Reason(way, nearest, f"coarser: cheaper, but not enough: {reached(nearest, scene.asked)}")
+
+
+def _why(bench: Workbench, way: Way, best: Candidate | None, chosen: Candidate, scene: Scene) -> str:
+    """Return in a line why a way was not chosen."""
+    if best is None:
+        return "cannot code this signal at this rate"
+    if best.meets:
+        return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g} ({_differences(best, chosen, scene)})"
+    told = [reached(best, scene.asked)] if best.lack > 0 else []
+    told += [_told(limit) for limit in best.broken]
+    if best.cost >= chosen.cost:
+        return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g}, and is not enough: {'; '.join(told)}"
+    return f"cheaper, but not enough: {'; '.join(told)}"
+
+
+def _differences(best: Candidate, chosen: Candidate, scene: Scene) -> str:
+    """Return what differs most, by weight."""
+    a, b, weights = best.forecast, chosen.forecast, scene.weights
+    memory = [((each.flash_bytes or 0) + (each.ram_bytes or 0)) / 1e3 for each in (a, b)]
+    parts = (
+        (weights.per_kilobit_per_second, (a.wire_bps - b.wire_bps) / 1e3, "kbit/s"),
+        (
+            weights.per_million_instructions_per_second,
+            ((a.instructions_per_second or 0) - (b.instructions_per_second or 0)) / 1e6,
+            "million instructions/s",
+        ),
+        (weights.per_kilobyte, memory[0] - memory[1], "kB"),
+        (weights.per_millisecond, a.delay_ms - b.delay_ms, "ms"),
+    )
+    largest = sorted(parts, key=lambda part: -abs(part[0] * part[1]))[:2]
+    return ", ".join(f"{difference:+.3g} {unit}" for _, difference, unit in largest)
+
+
+def reached(candidate: Candidate, asked: Asked) -> str:
+    """Return the quality of a candidate beside the asked one."""
+    if candidate.quality is None:
+        return "silent"
+    if asked.measure == "imperceptible":
+        return f"its error is {candidate.quality:+.1f} dB re the detection threshold, {MARGIN_DB:g} are asked"
+    wanted = getattr(asked, asked.measure)
+    return f"{asked.measure} {candidate.quality:.3g}, {wanted:.3g} is asked"
+
+
+def _told(limit: Limit) -> str:
+    return f"needs {limit.key} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
+
+
+def _refusal(bench: Workbench, scene: Scene) -> Refusal:
+    """Return the error that names the limit in the way, and what single change of the scene would do.
+
+    Each change is tried by the same search before it is told.
+    """
+    candidates = [bench.judged(measured, scene) for measured in bench.measured]
+    name = bench.texture.name
+    if not candidates:
+        return Refusal(
+            f"{scene.path}: {name}: no codec that {bench.texture.controller} decodes takes this signal; give another "
+            "controller"
+        )
+    changes = [*_limit_changes(bench, scene, candidates), *_quality_changes(bench, scene)]
+    works = [change for change in changes if _search(bench, change.scene) is not None]
+    if not works:
+        nearest = min(candidates, key=_preference)
+        in_the_way = [reached(nearest, scene.asked)] if nearest.lack > 0 else []
+        in_the_way += [_told(limit) for limit in nearest.broken]
+        return Refusal(
+            f"{scene.path}: {name} cannot be planned: with {nearest.measured.way.name}, which comes nearest, "
+            f"{'; '.join(in_the_way)}; no single change is enough"
+        )
+    first, *others = sorted(works, key=lambda change: change.distance)
+    more = "".join(f"; or {other.text}" for other in others)
+    return Refusal(
+        f"{scene.path}: {name} cannot be planned: {first.limit} is in the way; the nearest scene that can: "
+        f"{first.text}{more}"
+    )
+
+
+@dataclass(frozen=True)
+class _Change:
+    """A scene with one value changed. `distance`: how far, in octaves."""
+
+    limit: str
+    text: str
+    scene: Scene
+    distance: float
+
+
+def _limit_changes(bench: Workbench, scene: Scene, candidates: list[Candidate]) -> Iterator[_Change]:
+    """Yield for each limit the least that would do, where it alone stands in the way of a candidate."""
+    least: dict[str, Limit] = {}
+    for candidate in candidates:
+        if candidate.lack <= 0 and len(candidate.broken) == 1:
+            (limit,) = candidate.broken
+            if limit.key not in least or limit.needed < least[limit.key].needed:
+                least[limit.key] = limit
+    for key, limit in least.items():
+        assert limit.available is not None, "it is broken"
+        value = _rounded(limit.needed, up=True)
+        yield _Change(
+            f"{key} = {limit.available:.6g}",
+            f"{key} = {value:.6g} in place of {limit.available:.6g}",
+            _with(scene, limit, bench.texture, value),
+            abs(math.log2(value / limit.available)),
+        )
+
+
+def _quality_changes(bench: Workbench, scene: Scene) -> Iterator[_Change]:
+    """Yield the scene with the best quality that the limits allow, where there is one."""
+    asked = scene.asked
+    if asked.measure == "imperceptible":
+        return
+    less_is_better = asked.measure == "spectral_distance_db"
+    allowed = [
+        found
+        for way in bench.ways(scene.controller(bench.texture.controller).core)
+        for blocks in bench.packet_blocks(way)
+        if (found := _finest_within_limits(bench, scene, way, blocks)) is not None
+    ]
+    if not allowed:
+        return
+    value = _rounded(min(allowed) if less_is_better else max(allowed), up=less_is_better)
+    wanted = getattr(asked, asked.measure)
+    # 6.02 dB of SNR are an octave of error.
+    distance = abs(value - wanted) / 6.02 if asked.measure == "snr_db" else abs(math.log2(max(value, 1e-3) / wanted))
+    given: dict[str, Any] = {asked.measure: value}
+    yield _Change(
+        f"{asked.measure} = {wanted:.6g}",
+        f"{asked.measure} = {value:.6g} in place of {wanted:.6g}",
+        replace(scene, asked=replace(asked, **given)),
+        distance,
+    )
+
+
+def _finest_within_limits(bench: Workbench, scene: Scene, way: Way, blocks: int) -> float | None:
+    """Return the best quality of a way that keeps all limits, by halving; None where not even the coarsest does.
+
+    It is what a search would find too, which begins with packets of another length.
+    """
+    low, high, found = 0, len(bench.settings(way)) - 1, None
+    while low <= high:
+        middle = (low + high) // 2
+        candidate = _candidate(bench, scene, way, middle, blocks)
+        if candidate is not None and not candidate.broken:
+            found, low = middle, middle + 1
+        else:
+            high = middle - 1
+    if found is None:
+        return None
+    lengths = {blocks, _first_length(bench, way)}
+    both = [_candidate(bench, scene, way, found, length) for length in lengths]
+    return max((each for each in both if each is not None), key=lambda each: each.lack).quality
+
+
+def _with(scene: Scene, limit: Limit, texture: SceneTexture, value: float) -> Scene:
+    """Return the scene with another value of a limit."""
+    given: dict[str, Any] = {limit.key: value}
+    if limit.table == "asked":
+        return replace(scene, asked=replace(scene.asked, **given))
+    if limit.table == "link":
+        return replace(scene, link=replace(scene.link, bytes_per_second=value))
+
+    def changed(controller: SceneController) -> SceneController:
+        return replace(controller, **given) if controller.name == texture.controller else controller
+
+    return replace(scene, controllers=tuple(map(changed, scene.controllers)))
+
+
+def _rounded(value: float, up: bool) -> float:
+    """Return a value of _DIGITS digits that is no less, or no more."""
+    digit = 10.0 ** (math.floor(math.log10(abs(value))) - _DIGITS + 1) if value else 1.0
+    return (math.ceil if up else math.floor)(value / digit) * digit
+
+
+def _planned(choice: Choice) -> PlannedTexture:
+    bench, chosen = choice.workbench, choice.chosen
+    measured: Measured = chosen.measured
+    return PlannedTexture(
+        name=bench.texture.name,
+        source=bench.texture.source,
+        controller=bench.texture.controller,
+        hand_speed_mm_s=bench.hand_speed_mm_s,
+        over_position=bench.over_position,
+        codec=measured.way.codec,
+        model=measured.way.model,
+        setting=measured.setting,
+        rate=bench.band.rate,
+        lowest=bench.band.lowest,
+        highest=bench.band.highest,
+        packet_samples=measured.packet_samples,
+        refresh_packets=measured.refresh_packets,
+        rate_mode=SETTING_MODE,
+        buffer_ms=chosen.buffer_ms,
+        forecast=chosen.forecast,
+    )

@@ -1,0 +1,200 @@
+"""What `vibrocast plan` shows besides the plan: the picture of all candidates, their tables, and lines for a person."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from evaluation.points import write_rows
+from host.output_files import whole_file
+from host.planner.band import MARGIN_DB
+from host.planner.candidates import Candidate
+from host.planner.choose import Choice
+from host.planner.plan_file import PlannedTexture
+from host.planner.scene import Scene
+
+CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "plan.toml"
+MOST_PANELS = 6
+LABELS = {
+    "snr_db": "SNR, dB",
+    "spqi": "SPQI",
+    "spectral_distance_db": "log-spectral distance, dB (less is better)",
+    "imperceptible": "error re detection threshold, dB (less is better)",
+}
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p", "h")
+_GREYS = ("0.0", "0.45", "0.7")
+
+
+@dataclass(frozen=True)
+class CandidateRow:
+    """A line of candidates.csv; costs and qualities as in plan_file.Forecast. `short_of`: what is not enough."""
+
+    texture: str
+    codec: str
+    model: str | None
+    setting: str
+    packet_samples: int
+    refresh_packets: int
+    buffer_ms: float
+    cost: float
+    quality: float | None
+    meets: bool
+    chosen: bool
+    short_of: str
+    payload_bps: float
+    wire_bps: float
+    instructions_per_second: float | None
+    load_percent: float | None
+    flash_bytes: int | None
+    ram_bytes: int | None
+    snr_db: float | None
+    spqi: float | None
+    spectral_distance_db: float | None
+    error_over_threshold_db: float | None
+    delay_ms: float
+
+
+@dataclass(frozen=True)
+class BandRow:
+    """A line of bands.csv: a third octave of a texture at the skin, levels in dB re the detection threshold."""
+
+    texture: str
+    frequency_hz: float
+    level_db: float
+    reach_db: float
+    worth_coding: bool
+
+
+def write_tables(folder: Path, choices: Sequence[Choice]) -> None:
+    """Write candidates.csv and bands.csv. Raises OSError."""
+    with whole_file(folder / CANDIDATES) as path:
+        write_rows(path, [row for choice in choices for row in _candidate_rows(choice)], CandidateRow)
+    with whole_file(folder / BANDS) as path:
+        rows = [
+            BandRow(
+                choice.name, round(each.frequency_hz, 2), round(each.level_db, 2), round(each.reach_db, 2), each.worth
+            )
+            for choice in choices
+            for each in choice.workbench.band.levels
+        ]
+        write_rows(path, rows, BandRow)
+
+
+def _candidate_rows(choice: Choice) -> Iterator[CandidateRow]:
+    for candidate in choice.candidates:
+        measured = candidate.measured
+        yield CandidateRow(
+            choice.name,
+            measured.way.codec,
+            measured.way.model,
+            json.dumps(measured.setting),
+            measured.packet_samples,
+            measured.refresh_packets,
+            candidate.buffer_ms,
+            round(candidate.cost, 4),
+            candidate.quality,
+            candidate.meets,
+            candidate == choice.chosen,
+            "; ".join(["quality"] * (candidate.lack > 0) + [limit.key for limit in candidate.broken]),
+            **vars(candidate.forecast),
+        )
+
+
+def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
+    """Draw cost against quality of all candidates, a panel for each texture, the choice marked. Raises OSError."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    shown = choices[:MOST_PANELS]
+    columns = 1 if len(shown) == 1 else 2
+    rows = -(-len(shown) // columns)
+    figure = Figure(figsize=(6.6 * columns, 4.2 * rows + 0.8), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    left = "" if len(shown) == len(choices) else f" (the first {len(shown)} of {len(choices)} textures)"
+    figure.suptitle(
+        f"{scene.path.name}: cost against quality of all candidates{left}", fontweight="bold", parse_math=False
+    )
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    codecs = list(dict.fromkeys(each.measured.way.codec for choice in shown for each in choice.candidates))
+    asked = scene.asked
+    for axes, choice in zip(panels, shown, strict=False):
+        points = [each for each in choice.candidates if each.quality is not None]
+        for place, name in enumerate(codecs):
+            of_codec = [each for each in points if each.measured.way.codec == name]
+            grey = _GREYS[place % len(_GREYS)]
+            axes.scatter(
+                [each.quality for each in of_codec],
+                [each.cost for each in of_codec],
+                marker=_MARKERS[place % len(_MARKERS)],
+                s=20,
+                facecolors=[grey if each.meets else "none" for each in of_codec],
+                edgecolors=grey,
+                linewidths=0.8,
+                label=name,
+            )
+        chosen = choice.chosen
+        if chosen.quality is not None:
+            axes.scatter(
+                [chosen.quality], [chosen.cost], marker="o", s=190, facecolors="none", edgecolors="black", linewidths=2
+            )
+            axes.annotate(
+                f"{chosen.measured.way.name}\n"
+                f"{chosen.forecast.wire_bps / 1e3:.2f} kbit/s, {chosen.forecast.delay_ms:.0f} ms",
+                (chosen.quality, chosen.cost),
+                textcoords="offset points",
+                xytext=(10, -24),
+                fontsize="small",
+                fontweight="bold",
+                parse_math=False,
+            )
+        axes.axvline(wanted(scene), color="0.5", linestyle=(0, (5, 2)), linewidth=1)
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.set_xlabel(f"{LABELS[asked.measure]}; dashed: what is asked")
+        axes.set_ylabel("weighted cost")
+        axes.set_title(choice.name, loc="left", fontsize="medium", parse_math=False)
+        axes.grid(alpha=0.3)
+    for axes in panels[len(shown) :]:
+        axes.set_visible(False)
+    panels[0].legend(
+        fontsize="x-small", ncols=2, title="filled: meets all that is asked; ringed: chosen", title_fontsize="x-small"
+    )
+    with whole_file(path) as partial:
+        figure.savefig(partial)
+
+
+def wanted(scene: Scene) -> float:
+    """Return the asked quality in its measure."""
+    asked = scene.asked
+    return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
+
+
+def lines(choice: Choice, planned: PlannedTexture) -> Iterator[str]:
+    """Yield what a person is told of one texture: what was chosen, what it costs, and why."""
+    unit = "/m" if planned.over_position else " Hz"
+    forecast = planned.forecast
+    yield (
+        f"{planned.name}: {choice.chosen.measured.way.name}, {planned.rate}{unit}, "
+        f"band {planned.lowest:.0f} to {planned.highest:.0f}{unit}, packets of {planned.packet_samples} samples"
+    )
+    told = [f"{forecast.wire_bps:.0f} bit/s on the wire ({forecast.payload_bps:.0f} in packets)"]
+    if forecast.load_percent is not None and forecast.flash_bytes is not None and forecast.ram_bytes is not None:
+        told.append(f"load {forecast.load_percent:.1f} %")
+        told.append(f"{forecast.flash_bytes / 1e3:.0f} kB flash, {forecast.ram_bytes / 1e3:.0f} kB RAM")
+    told.append(f"{forecast.delay_ms:.0f} ms to the skin")
+    yield f"  forecast: {', '.join(told)}"
+    yield f"  quality: {', '.join(_qualities(choice.chosen))}"
+    for reason in choice.reasons:
+        yield f"  {reason.way.name}: {reason.why}"
+
+
+def _qualities(chosen: Candidate) -> Iterator[str]:
+    forecast = chosen.forecast
+    for name, value, unit in (
+        ("SNR", forecast.snr_db, " dB"),
+        ("SPQI", forecast.spqi, ""),
+        ("spectral distance", forecast.spectral_distance_db, " dB"),
+        ("error re detection threshold", forecast.error_over_threshold_db, " dB"),
+    ):
+        yield f"{name} {'none' if value is None else f'{value:.3g}{unit}'}"

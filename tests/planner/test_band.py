@@ -1,0 +1,71 @@
+"""The band worth coding: what is felt, what can be made, and the rate that follows."""
+
+import numpy as np
+import pytest
+
+from codec.threshold import read_threshold, threshold_amplitude
+from host.planner.band import MARGIN_DB, BandError, band_of, error_over_threshold_db, largest_um, over_threshold_db
+from simulated_device.actuator import LRA, PIEZO_STACK
+from textures import Profile, Recording
+
+THRESHOLD = read_threshold()
+
+
+def tone(frequency_hz: float, over_db: float, rate_hz: float = 4000) -> Recording:
+    """A second of a tone so far above the detection threshold, in um."""
+    (least_um,) = threshold_amplitude(THRESHOLD, np.array([frequency_hz]), "um")
+    samples = least_um * 10 ** (over_db / 20) * np.sin(2 * np.pi * frequency_hz * np.arange(rate_hz) / rate_hz)
+    return Recording(samples[:, None], rate_hz, "um", "tone")
+
+
+@pytest.mark.parametrize("frequency_hz", [50.0, 200.0, 400.0])
+def test_a_tone_is_as_far_above_the_threshold_as_it_was_made(frequency_hz: float) -> None:
+    frequencies_hz, levels_db = over_threshold_db(tone(frequency_hz, 6.0).samples, 4000, THRESHOLD)
+    at = int(np.argmin(np.abs(frequencies_hz - frequency_hz)))
+    assert levels_db[at] == pytest.approx(6.0, abs=1.0)
+
+
+def test_what_is_below_the_margin_is_dropped_and_what_is_just_above_kept() -> None:
+    strong = tone(100.0, 20.0)
+    for over_db, kept in ((MARGIN_DB + 2, True), (MARGIN_DB - 2, False)):
+        both = Recording(strong.samples + tone(500.0, over_db).samples, 4000, "um", "both")
+        band = band_of(both, PIEZO_STACK, THRESHOLD, (50, 50), False)
+        assert (band.highest >= 500) == kept, over_db
+        assert band.rate >= 2 * band.highest and band.lowest < 100
+
+
+def test_the_rate_is_never_above_the_recordings() -> None:
+    noise = np.random.default_rng(0).normal(size=(1000, 1))
+    assert band_of(Recording(noise, 700, "um", "noise"), PIEZO_STACK, THRESHOLD, (50, 50), False).rate == 700
+
+
+def test_what_the_actuator_cannot_make_is_not_worth_coding() -> None:
+    felt = tone(40.0, 30.0)
+    assert band_of(felt, PIEZO_STACK, THRESHOLD, (50, 50), False).highest > 40
+    weak = type(LRA)(**{**vars(LRA), "stroke_um": 0.1})
+    with pytest.raises(BandError, match="the most that the actuator makes lies"):
+        band_of(felt, weak, THRESHOLD, (50, 50), False)
+
+
+def test_stroke_voltage_and_slew_limit_what_can_be_made() -> None:
+    frequencies_hz = np.array([20.0, 270.0, 1000.0])
+    free = largest_um(PIEZO_STACK, frequencies_hz)
+    assert free[0] == pytest.approx(40.0, rel=0.01) and free[1] == pytest.approx(40 / np.sqrt(2), rel=0.02)
+    slow = type(PIEZO_STACK)(**{**vars(PIEZO_STACK), "slew_volts_per_second": 75 * 2 * np.pi * 500})
+    assert largest_um(slow, frequencies_hz)[2] == pytest.approx(free[2] * 75 * 2 * np.pi * 500 / 300_000, rel=0.01)
+    half = type(PIEZO_STACK)(**{**vars(PIEZO_STACK), "volts_limit": 37.5})
+    assert largest_um(half, frequencies_hz)[0] == pytest.approx(20.0, rel=0.01)
+
+
+def test_the_error_is_measured_at_the_skin() -> None:
+    signal = tone(100.0, 40.0)
+    assert error_over_threshold_db(signal, 0.99 * signal.samples, PIEZO_STACK, THRESHOLD) == pytest.approx(0, abs=1)
+
+
+def test_a_profile_over_position_is_coded_for_its_slowest_and_its_fastest_hand() -> None:
+    positions_mm = np.arange(4000) * 0.005
+    heights_um = 5 * np.sin(2 * np.pi * positions_mm / 0.5)  # 2 periods per mm
+    profile = Profile(heights_um, 5.0, "grating")
+    band = band_of(profile, PIEZO_STACK, THRESHOLD, (20, 200), True)
+    assert band.lowest <= 2000 <= band.highest
+    assert 2 * band.highest <= band.rate <= 200_000

@@ -1,0 +1,103 @@
+"""Choosing: what is asked is met at the least cost, what cannot be is refused, and what is advised then works."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from host.planner.candidates import Workbench
+from host.planner.choose import Choice, Refusal, choose, plan
+from tests.planner.scenes import ASKED, CONTROLLER, scene
+
+
+@pytest.fixture(scope="module")
+def choice(tmp_path_factory: pytest.TempPathFactory) -> Choice:
+    read = scene(tmp_path_factory.mktemp("scene"))
+    return choose(Workbench(read, read.textures[0]), read)
+
+
+def test_the_choice_is_the_cheapest_that_meets_what_is_asked(choice: Choice) -> None:
+    assert choice.chosen.meets and choice.chosen.measured.snr_db is not None
+    assert choice.chosen.measured.snr_db >= 10
+    assert all(each.cost >= choice.chosen.cost for each in choice.candidates if each.meets)
+    assert len({each.measured.way.codec for each in choice.candidates}) >= 4
+
+
+def test_every_other_way_has_a_reason_that_fits_its_cost(choice: Choice) -> None:
+    coarser, *others = choice.reasons
+    assert coarser.way == choice.chosen.measured.way and "coarser" in coarser.why
+    assert len(others) == len(choice.workbench.ways("M4F")) - 1
+    for reason in others:
+        if reason.best is not None:
+            dearer = reason.best.cost >= choice.chosen.cost
+            assert reason.why.startswith("not needed" if dearer else "cheaper, but not enough")
+
+
+def test_a_plan_is_the_same_every_time_and_codes_as_it_forecasts(tmp_path: Path) -> None:
+    read = scene(tmp_path)
+    first, _ = plan(read)
+    assert plan(read)[0] == first
+    (texture,) = first.textures
+    encoding = texture.encode()
+    seconds = len(encoding.stream.packets) * texture.packet_samples / texture.rate
+    payload_bps = 8 * sum(map(len, encoding.stream.packets)) / seconds
+    assert payload_bps == pytest.approx(texture.forecast.payload_bps)
+    assert encoding.snr_db == pytest.approx(texture.forecast.snr_db)
+
+
+def test_weights_decide(tmp_path: Path) -> None:
+    def chosen(weights: str) -> Choice:
+        read = scene(tmp_path, weights="[weights]\n" + weights)
+        return choose(Workbench(read, read.textures[0]), read)
+
+    nothing_else = "per_kilobyte = 0\nper_million_instructions_per_second = 0\n"
+    few_bits = chosen(nothing_else + "per_millisecond = 0\n").chosen.forecast
+    quick = chosen(nothing_else + "per_kilobit_per_second = 0\n").chosen.forecast
+    assert few_bits.wire_bps < quick.wire_bps and few_bits.delay_ms > quick.delay_ms
+
+
+@pytest.mark.parametrize(
+    ("changed", "limit"),
+    [
+        ({"asked": ASKED + "rate_limit_bps = 900\n"}, "rate_limit_bps"),
+        ({"asked": ASKED + "delay_limit_ms = 20\n"}, "delay_limit_ms"),
+        ({"controller": CONTROLLER + "ram_bytes = 60_000\n"}, "ram_bytes"),
+        ({"controller": CONTROLLER + "flash_bytes = 50_000\n"}, "flash_bytes"),
+        ({"controller": CONTROLLER + "clock_hz = 1_000_000\n"}, "clock_hz"),
+        ({"link": '[link]\nkind = "serial"\nbaud = 1200\n'}, "bytes_per_second"),
+        ({"asked": "[asked]\nsnr_db = 89\n"}, "snr_db"),
+    ],
+)
+def test_a_refusal_names_the_limit_and_a_change_that_works(changed: dict[str, str], limit: str, tmp_path: Path) -> None:
+    read = scene(tmp_path, **changed)
+    bench = Workbench(read, read.textures[0])
+    with pytest.raises(Refusal) as raised:
+        choose(bench, read)
+    told = re.search(rf"{limit} = ([\d.e+]+) in place of", str(raised.value))
+    assert told is not None, str(raised.value)
+    value = float(told[1])
+    if limit in ("rate_limit_bps", "delay_limit_ms", "snr_db"):
+        mended = replace(read, asked=replace(read.asked, **{limit: value}))  # type: ignore[arg-type]
+    elif limit == "bytes_per_second":
+        mended = replace(read, link=replace(read.link, bytes_per_second=value))
+    else:
+        mended = replace(read, controllers=(replace(read.controllers[0], **{limit: value}),))  # type: ignore[arg-type]
+    assert choose(bench, mended).chosen.meets
+
+
+def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_path: Path) -> None:
+    read = scene(tmp_path, asked="[asked]\nimperceptible = true\n")
+    chosen = choose(Workbench(read, read.textures[0]), read).chosen
+    assert chosen.forecast.error_over_threshold_db is not None and chosen.forecast.error_over_threshold_db <= -8
+
+
+def test_a_texture_that_nobody_can_feel_is_told(tmp_path: Path) -> None:
+    import numpy as np
+
+    from textures import Recording, save_wav
+
+    save_wav(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
+    read = scene(tmp_path, texture='[[textures]]\nfile = "weak.wav"\nunit = "nm"\nfull_scale = 0.001\n')
+    with pytest.raises(Refusal, match="weak: the band worth coding is empty: the most that the texture holds lies"):
+        plan(read)
