@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 import textures
 from codec.threshold import threshold_amplitude
+from device_protocol.coded_stream import MAX_RATE_HZ
 from host.end_to_end import displacement_um
 from simulated_device.actuator import Actuator
 from textures import Profile, Recording
@@ -27,6 +28,8 @@ LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
 BANDS_PER_OCTAVE = 12
 PASS_BAND = 0.91
 """Of half the stream's rate: as far as textures.resample leaves the band alone."""
+PROFILE_PASS_BAND = 0.68
+"""Of half the rate of a profile over position: what is rendered of it (firmware/core/profile.h)."""
 RATE_STEP = 100
 SPEEDS = 5
 """Hand speeds that a profile over position is looked at with, from the least to the greatest."""
@@ -83,17 +86,22 @@ def band_of(
         return Band(lowest, highest, _rate(highest, loaded.rate_hz), levels)
     if not over_position:
         return band_of(loaded.recording(hand_speed_mm_s[1]), actuator, threshold, hand_speed_mm_s, False)
-    slowest = min(max(hand_speed_mm_s[0], SLOWEST_MM_S), hand_speed_mm_s[1])
     edges = []
-    for speed_mm_s in np.geomspace(slowest, hand_speed_mm_s[1], SPEEDS):
+    for speed_mm_s in np.geomspace(slowest_mm_s(hand_speed_mm_s), hand_speed_mm_s[1], SPEEDS):
         levels = levels_of(_within_reach(loaded.recording(speed_mm_s)), actuator, threshold)
         if any(level.worth for level in levels):
             lowest, highest = _edges(levels, loaded.name)
-            edges.append((1000 * lowest / speed_mm_s, 1000 * highest / speed_mm_s))
+            edges.append((round(1000 * lowest / speed_mm_s, 2), round(1000 * highest / speed_mm_s, 2)))
     if not edges:
         raise _nothing(levels, loaded.name)
     highest = max(high for _, high in edges)
-    return Band(min(low for low, _ in edges), highest, _rate(highest, 1e6 / loaded.spacing_um), levels)
+    recorded = min(1e6 / loaded.spacing_um, MAX_RATE_HZ)
+    return Band(min(low for low, _ in edges), highest, _rate(highest, recorded, PROFILE_PASS_BAND), levels)
+
+
+def slowest_mm_s(hand_speed_mm_s: tuple[float, float]) -> float:
+    """Return the least speed at which a hand still explores."""
+    return min(max(hand_speed_mm_s[0], SLOWEST_MM_S), hand_speed_mm_s[1])
 
 
 def levels_of(recording: Recording, actuator: Actuator, threshold: Samples) -> tuple[Level, ...]:
@@ -203,9 +211,9 @@ def _nothing(levels: tuple[Level, ...], name: str) -> BandError:
     )
 
 
-def _rate(highest: float, recorded: float) -> int:
+def _rate(highest: float, recorded: float, pass_band: float = PASS_BAND) -> int:
     """Return the rate of a stream: in whole RATE_STEPs, and no more than was recorded."""
-    needed = math.ceil(2 * highest / PASS_BAND / RATE_STEP) * RATE_STEP
+    needed = math.ceil(2 * highest / pass_band / RATE_STEP) * RATE_STEP
     return max(1, min(needed, math.floor(recorded)))
 
 

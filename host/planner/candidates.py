@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ import models
 import textures
 from codec import CodecError, Framing, Setting, Signal
 from codec.coding import LIVE_REFRESH_S, Source
+from codec.core import library
 from codec.interface import AUTO
 from codec.rate_control import settings
 from codec.threshold import read_threshold
@@ -21,11 +22,12 @@ from device_protocol.messages import StreamData, pack
 from evaluation import metrics
 from host import coding
 from host.planner import costs
-from host.planner.band import MARGIN_DB, band_of, error_over_threshold_db
+from host.planner.band import MARGIN_DB, BandError, band_of, error_over_threshold_db, slowest_mm_s
 from host.planner.costs import MOST_LOAD_PERCENT
 from host.planner.plan_file import Forecast, encode, prepared
 from host.planner.scene import Asked, Scene, SceneTexture, Weights
 from simulated_device.output import Drive
+from simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, least_samples
 from textures import Profile, Recording
 
 BLOCKS = {"mdct": "hop", "parametric": "hop", "dct": "block", "slp": "frame", "opus": "frame_samples"}
@@ -42,8 +44,6 @@ MEASURED_SAMPLES = 1 << 15
 """Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
 SPQI_RATE_HZ = 2800
 """SPQI counts its blocks and thresholds in samples: it is always measured at this rate, that of the reference data."""
-PROFILE_SAMPLE_BYTES = 4
-"""Of a decoded profile that a controller keeps: int16, and as much again for its octaves of lower bands."""
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
 """Margins of packets, the usual one first; docs/latency.md has the least that is stable on each controller."""
 
@@ -150,12 +150,20 @@ class Workbench:
         self._threshold = read_threshold(scene.threshold_path)
         self._measure = scene.asked.measure
         self.over_position = isinstance(texture.loaded, Profile) and scene.controller(texture.controller).reads_position
+        self._hand_speeds_mm_s = scene.hand_speed_mm_s
         self.hand_speed_mm_s = scene.hand_speed_mm_s[1]
         self.band = band_of(texture.loaded, self.actuator, self._threshold, scene.hand_speed_mm_s, self.over_position)
         self.whole = prepared(
             texture.loaded, self.hand_speed_mm_s, self.over_position, self.band.rate, self.band.lowest
         )
-        self.excerpt = _strongest(self.whole)
+        if self.over_position:
+            least = least_samples(self.band.rate, self.actuator.dac_rate_hz)
+            if not 0 < least <= len(self.whole.samples):
+                raise BandError(
+                    f"{texture.name}: {1e3 * len(self.whole.samples) / self.band.rate:.3g} mm are too short to be "
+                    f"rendered by position, {1e3 * least / self.band.rate:.3g} mm are needed; measure a longer profile"
+                )
+        self.excerpt = self.whole if self.over_position else _strongest(self.whole)
         self._settings: dict[Way, list[Setting]] = {}
         self._measured: dict[tuple[Way, int, int, bool], Measured | None] = {}
 
@@ -171,10 +179,15 @@ class Workbench:
 
     @cached_property
     def drive_s(self) -> float:
-        """Delay of the controller's output: resampling to the DAC's rate, compensation, and one DAC sample."""
-        header = StreamHeader(1, self.band.rate, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
+        """Delay of the controller's output: resampling to the DAC's rate, compensation, and one DAC sample.
+
+        Over position, of the heights that are rendered at the DAC's rate, and of the hand's positions before.
+        """
+        rate_hz = self.actuator.dac_rate_hz if self.over_position else self.band.rate
+        header = StreamHeader(1, rate_hz, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
         output: float = Drive(header, self.actuator, compensation=True).delay_seconds
-        return output + 1 / self.actuator.dac_rate_hz
+        hand_us = HAND_DELAY_US + 2 * HAND_SMOOTHING_US if self.over_position else 0
+        return output + 1 / self.actuator.dac_rate_hz + hand_us / 1e6
 
     def ways(self, core: str | None) -> list[Way]:
         """Return the ways that a controller can decode, those first that are cheapest as a rule."""
@@ -236,9 +249,17 @@ class Workbench:
         packet_samples = packet_blocks * _block_samples(way)
         refresh_packets = max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples))
         model = None if way.model is None else models.find(way.model)
-        encoding = encode(recording, way.codec, setting, model, Framing(packet_samples, refresh_packets))
+        encoding = encode(
+            recording, way.codec, setting, model, Framing(packet_samples, refresh_packets), self.over_position
+        )
         decoder = encoding.stream.decoder()
         decoded = encoding.stream.decode()
+        felt = [recording]
+        if self.over_position:
+            felt = [
+                replace(recording, rate_hz=recording.rate_hz * speed_mm_s / 1000)
+                for speed_mm_s in (self.hand_speed_mm_s, slowest_mm_s(self._hand_speeds_mm_s))
+            ]
         packets = encoding.stream.packets
         frames = [len(write_frame(pack(StreamData(0, 0, (packet,))))) for packet in packets]
         packet_s = decoder.packet_samples / rate_hz
@@ -256,14 +277,14 @@ class Workbench:
             delay_samples=decoder.delay_samples,
             size_bytes=encoding.stream.size_bytes,
             snr_db=encoding.snr_db,
-            spqi=spqi(recording, decoded) if every or self._measure == "spqi" else None,
+            spqi=spqi(felt[0], decoded) if every or self._measure == "spqi" else None,
             spectral_distance_db=(
-                metrics.measure(recording.samples, decoded, recording.rate_hz).log_spectral_distance_db
+                metrics.measure(recording.samples, decoded, felt[0].rate_hz).log_spectral_distance_db
                 if spectral
                 else None
             ),
             error_db=(
-                error_over_threshold_db(recording, decoded, self.actuator, self._threshold)
+                max(error_over_threshold_db(each, decoded, self.actuator, self._threshold) for each in felt)
                 if every or self._measure == "imperceptible"
                 else None
             ),
@@ -282,7 +303,7 @@ class Workbench:
             flash_bytes = rest.flash_bytes + decoding.flash_bytes
             ram_bytes = rest.ram_bytes + decoding.ram_bytes(channels)
             if self.over_position:  # decoded once, and kept
-                ram_bytes += PROFILE_SAMPLE_BYTES * len(self.whole.samples)
+                ram_bytes += int(library().vc_profile_size(len(self.whole.samples), channels))
             else:
                 instructions += decoding.instructions_per_second(bits_per_sample, rate_hz, channels)
             load_percent = 100 * instructions / controller.clock_hz
@@ -306,11 +327,12 @@ class Workbench:
             error_over_threshold_db=measured.error_db,
             delay_ms=fixed_ms + buffer_ms,
         )
+        peak_bps = 0.0 if self.over_position else measured.peak_bps  # a profile is loaded before
         quality, lack = quality_of(measured, asked)
         senders = len({texture.controller for texture in scene.textures})
         limits = (
-            Limit("asked", "rate_limit_bps", measured.peak_bps, asked.rate_limit_bps),
-            Limit("link", "bytes_per_second", senders * measured.peak_bps / 8, scene.link.bytes_per_second),
+            Limit("asked", "rate_limit_bps", peak_bps, asked.rate_limit_bps),
+            Limit("link", "bytes_per_second", senders * peak_bps / 8, scene.link.bytes_per_second),
             Limit("asked", "delay_limit_ms", forecast.delay_ms, asked.delay_limit_ms),
             Limit("controllers", "clock_hz", 100 / MOST_LOAD_PERCENT * (instructions or 0.0), controller.clock_hz),
             Limit("controllers", "flash_bytes", flash_bytes or 0, controller.flash_bytes),

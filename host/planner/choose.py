@@ -61,8 +61,8 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
             raise Refusal(f"{scene.path}: {error}") from error
         choices.append(choose(bench, scene, tell))
     planned = tuple(_planned(choice) for choice in choices)
-    controllers = tuple(PlannedController(each.name, each.address) for each in scene.controllers)
-    return Plan(scene.path, controllers, scene.actuators, planned), tuple(choices)
+    controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
+    return Plan(scene.path, controllers, scene.actuators, planned, scene.threshold_path), tuple(choices)
 
 
 def choose(bench: Workbench, scene: Scene, progress: Progress = lambda part, details: None) -> Choice:
@@ -362,4 +362,5 @@ def _planned(choice: Choice) -> PlannedTexture:
         rate_mode=SETTING_MODE,
         buffer_ms=chosen.buffer_ms,
         forecast=chosen.forecast,
+        sha256=bench.texture.source.sha256(),
     )

@@ -16,6 +16,7 @@ import models
 import textures
 from codec import Framing, Setting
 from codec.threshold import DETECTION_THRESHOLD
+from device_protocol.coded_stream import PROFILE_UNIT
 from host import coding
 from host.harness.bench_file import Bench, BenchActuator, BenchController, actuator_toml, read_actuator, read_address
 from host.input_files import InputFileError
@@ -113,7 +114,7 @@ class PlannedTexture:
         prepared_recording = recording or self.recording()
         model = None if self.model is None else models.find(self.model)
         framing = Framing(self.packet_samples, self.refresh_packets)
-        return encode(prepared_recording, self.codec, self.setting, model, framing)
+        return encode(prepared_recording, self.codec, self.setting, model, framing, self.over_position)
 
 
 @dataclass(frozen=True)
@@ -182,8 +183,9 @@ def encode(
     setting: Setting,
     model: models.Model | None,
     framing: Framing,
+    over_position: bool,
 ) -> coding.Encoding:
-    """Code a recording by a setting, cut into packets for a live stream. Raises CodecError."""
+    """Code a recording by a setting, cut into packets for a live stream, or for a profile. Raises CodecError."""
     coded = codec.encode(
         recording.samples,
         round(recording.rate_hz),
@@ -194,7 +196,8 @@ def encode(
         model=None if model is None else codec.Model(model.tables, model.analysis),
         framing=framing,
     )
-    return coding.measured(recording, coding.as_stream(coded, recording.unit, None if model is None else model.image))
+    unit = PROFILE_UNIT if over_position else recording.unit
+    return coding.measured(recording, coding.as_stream(coded, unit, None if model is None else model.image))
 
 
 def write_plan(path: Path, plan: Plan) -> None:
@@ -226,7 +229,10 @@ def write_plan(path: Path, plan: Plan) -> None:
         parts.append("[[textures]]\n" + _lines(values))
         for key, table in (("options", source.options), ("setting", texture.setting)):
             parts.append(f"[textures.{key}]\n" + _lines(table))
-        forecast = {name: value and float(f"{value:.6g}") for name, value in asdict(texture.forecast).items()}
+        forecast = {
+            name: float(f"{value:.6g}") if isinstance(value, float) else value
+            for name, value in asdict(texture.forecast).items()
+        }
         parts.append("[textures.forecast]\n" + _lines(forecast))
     with whole_file(path) as partial:
         partial.write_text("\n".join(parts), encoding="utf-8")

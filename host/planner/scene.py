@@ -33,6 +33,9 @@ _BITS_PER_SERIAL_BYTE = 10  # a start bit, eight bits of data, a stop bit
 HAND_SPEEDS_MM_S = (1.0, 2000.0)
 """Hands explore surfaces at some 10 to 300 mm/s; faster and slower ones are taken, metres for millimetres are not."""
 
+MOST_TRACKED_MM_S = 300.0
+"""To which hand speed profiles are rendered by position (firmware/core/profile.h)."""
+
 # What a value of the file means, and the range that it can have: beyond it lies a slip of units.
 _CONTROLLER_RANGES = {
     "clock_hz": (1e6, 5e9, "clock of the processor in Hz"),
@@ -473,6 +476,11 @@ def _texture(table: Table, scene: Scene, controller: str, name: str, source: Sou
         raise table.refuse(
             f"{name} is a height profile, and the hand moves at {low:g} to {high:g} mm/s: only a controller that knows "
             f"where the hand is can play it (reads_position = true of {controller}); or give one speed"
+        )
+    if isinstance(texture.loaded, Profile) and plays.reads_position and high > MOST_TRACKED_MM_S:
+        raise table.refuse(
+            f"{name} is rendered by the hand's position up to {MOST_TRACKED_MM_S:g} mm/s, and the hand moves at up to "
+            f"{high:g}: give a slower one"
         )
     if isinstance(texture.loaded, Profile) and not plays.reads_position and high == 0:
         raise table.refuse(f"{name} is a height profile under a hand that rests: give a speed above 0")

@@ -4,11 +4,14 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from host.planner.candidates import Workbench
 from host.planner.choose import Choice, Refusal, choose, plan
+from host.planner.scene import SceneError
 from tests.planner.scenes import ASKED, CONTROLLER, scene
+from textures import Recording, save_wav
 
 
 @pytest.fixture(scope="module")
@@ -93,11 +96,29 @@ def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_
 
 
 def test_a_texture_that_nobody_can_feel_is_told(tmp_path: Path) -> None:
-    import numpy as np
-
-    from textures import Recording, save_wav
-
     save_wav(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
     read = scene(tmp_path, texture='[[textures]]\nfile = "weak.wav"\nunit = "nm"\nfull_scale = 0.001\n')
     with pytest.raises(Refusal, match="weak: the band worth coding is empty: the most that the texture holds lies"):
         plan(read)
+
+
+def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
+    heights = "".join(f"{10 * place},{3 * np.sin(place / 8):.3f}\n" for place in range(4000))
+    (tmp_path / "profile.csv").write_text("position_um,height_um\n" + heights)
+    read = scene(
+        tmp_path,
+        texture='[[textures]]\nfile = "profile.csv"\n',
+        hand="[hand]\nspeed_mm_s = [0, 300]\n",
+        controller=CONTROLLER + "reads_position = true\n",
+    )
+    (planned,) = plan(read)[0].textures
+    assert planned.over_position and planned.buffer_ms == 0
+    assert planned.encode().stream.header.unit == "um over position"
+    assert planned.forecast.delay_ms < 50
+    with pytest.raises(SceneError, match="rendered by the hand's position up to 300 mm/s"):
+        scene(
+            tmp_path,
+            texture='[[textures]]\nfile = "profile.csv"\n',
+            hand="[hand]\nspeed_mm_s = [0, 500]\n",
+            controller=CONTROLLER + "reads_position = true\n",
+        )
