@@ -50,6 +50,7 @@ SETTINGS: tuple[tuple[str, Setting], ...] = (
     ("dct", {"levels": 14, "entropy": "huffman", "block": "64"}),
     ("dct", {"levels": 100, "entropy": "range", "quantiser": "log", "block": "64"}),
     ("slp", {"quality": 20}),
+    ("parametric", {"hop": "16", "frame": "4"}),
 )
 
 
