@@ -13,7 +13,7 @@ from host.controller import Controller
 _PROBE_BYTES = 128
 _PROBES = 3
 # A controller that plays sends a Status at least so often (docs/protocol.md, "Credit").
-_STATUS_INTERVAL_S = 0.1
+STATUS_INTERVAL_S = 0.1
 # A computer and a bus shift a frame by so much; what is later tells of the link's capacity.
 _JITTER_S = 0.005
 # The capacity is taken to double in so long while nothing speaks against it, and halves at most for each frame.
@@ -140,7 +140,7 @@ class Link:
 
     def wait(self, now_s: float) -> None:
         """Take in that nothing has come: a controller that plays tells often that it does."""
-        self._observe(now_s - self._round_trip_s - _STATUS_INTERVAL_S - _JITTER_S)
+        self._observe(now_s - self._round_trip_s - STATUS_INTERVAL_S - _JITTER_S)
 
     def _observe(self, device_s: float) -> None:
         """Hold what has arrived by a time against what should have."""

@@ -10,19 +10,18 @@ import numpy as np
 import codec
 import models
 from codec import Signal, SignalFormat
+from codec.steering import REFRESH_S as STEERED_REFRESH_S
 from device_protocol.coded_stream import StreamHeader, renumbered
 from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
 from device_protocol.transports import TransportError
 from host import coding
 from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
-from host.link import Link, frame_bytes
+from host.link import STATUS_INTERVAL_S, Link, frame_bytes
 from host.player import RECONNECT_S, check_limits
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
 MARGIN_S = 0.01
 REFRESH_S = 0.25
-# A steered stream refreshes when the controller tells of a loss; otherwise so often, which costs little.
-STEERED_REFRESH_S = 1.0
 # What a stream may take of the link's capacity, so that its packets do not queue.
 LINK_SHARE = 0.9
 # RMS value that a source is taken to have where nothing is known of it, relative to its full scale.
@@ -37,6 +36,9 @@ _END_S = 5.0
 _FLOOD_FACTOR = 1.5
 _MOST_FLOODS = 4
 _POLL_S = 0.005
+_END_ASK_S = 0.1
+# A link of so many times what is needed bears whatever happens to it without a longer margin.
+_AMPLE = 8
 # How much earlier than it is needed a steered packet has to come.
 _GUARD_S = 0.005
 
@@ -49,14 +51,30 @@ class LiveError(ValueError):
 class LiveResult:
     """What live streaming did.
 
-    `status`: the last one. `underruns`, `lost_packets`: of all streams. `streams`: more than one where it was begun
-    anew, as clocks had drifted apart, the source had paused or the connection was lost.
+    `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: those of the lost ones that
+    the host did not send, as they would have come too late. `streams`: more than one where it was begun anew, as clocks
+    had drifted apart, the source had paused or the connection was lost. `seconds`: of signal. `payload_bytes`: of all
+    packets that were sent. `wire_bytes`: all that went to the controller with them, frames and requests included.
     """
 
     status: Status
     underruns: int
     lost_packets: int
+    dropped_packets: int
     streams: int
+    seconds: float
+    payload_bytes: int
+    wire_bytes: int
+
+    @property
+    def payload_bps(self) -> float:
+        """Bits a second of the packets."""
+        return 8 * self.payload_bytes / self.seconds if self.seconds else 0.0
+
+    @property
+    def wire_bps(self) -> float:
+        """Bits a second of all that was sent."""
+        return 8 * self.wire_bytes / self.seconds if self.seconds else 0.0
 
 
 def live_format(
@@ -99,27 +117,29 @@ class LiveStream:
         model: models.Model | None = None,
         policy: codec.Policy | None = None,
         packet_samples: int | None = None,
-        margin_s: float = MARGIN_S,
+        longest_packet_s: float = math.inf,
+        margin_s: float | None = None,
         gain: float = 1.0,
         compensation: bool = True,
     ) -> None:
         check_limits(controller, signal_format.channels, signal_format.rate_hz)
         self.controller = controller
         self.format = signal_format
-        self.margin_s = margin_s
+        self._asked_margin_s = margin_s
         self.policy = policy
-        self.payload_bytes = self.dropped_packets = 0
+        self.payload_bytes = self.dropped_packets = self._sent_samples = 0
+        self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
         self._codec, self._model = coding.chosen_codec(codec_name, model), model
-        defaults = live_setting(self._codec.name, signal_format.rate_hz)
+        defaults = {} if policy else live_setting(self._codec.name, signal_format.rate_hz)
         self.setting = self._codec.complete({**defaults, **(setting or {})})
         self._asked_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
-        framing = self._framing(packet_samples)
-        # Rounded up to whole blocks: to how many samples, an encoder says.
-        encoder = self._make_encoder(framing)
+        # To how many samples it is rounded up, an encoder says.
+        encoder = self._make_encoder(codec.Framing(self._packet_samples(packet_samples, longest_packet_s), 1))
         self.packet_samples = encoder.packet_samples
         self.packet_s = self.packet_samples / signal_format.rate_hz
-        self._frames = self._framing(self.packet_samples)
+        refresh_s = REFRESH_S if policy is None else STEERED_REFRESH_S
+        self._framing = codec.Framing(self.packet_samples, max(1, math.floor(refresh_s / self.packet_s)))
         self._least_bytes = 0
         if isinstance(policy, codec.RatePolicy):
             self._least_bytes = round(policy.least_bits_per_second * self.packet_s / 8)
@@ -142,15 +162,12 @@ class LiveStream:
         self.earlier.append(self.status)
         self._configure()
 
-    def _framing(self, packet_samples: int | None) -> codec.Framing:
-        """Return the framing asked for; else that of the rate, or the shortest packets."""
-        if self.policy is None:
-            packet_samples = packet_samples or 1
-            return codec.Framing(packet_samples, max(1, math.floor(REFRESH_S * self.format.rate_hz / packet_samples)))
-        if packet_samples is None and self._asked_bps is not None:
-            return codec.steered_framing(self._asked_bps, self.format.rate_hz, added_bytes)
-        packet_samples = packet_samples or 1
-        return codec.Framing(packet_samples, max(1, round(STEERED_REFRESH_S * self.format.rate_hz / packet_samples)))
+    def _packet_samples(self, asked: int | None, longest_packet_s: float) -> int:
+        """Return the samples in a packet, to be rounded up to whole blocks: asked for, for the rate, or the fewest."""
+        if asked is None and self._asked_bps is not None:
+            rate_hz = self.format.rate_hz
+            return codec.steered_framing(self._asked_bps, rate_hz, added_bytes, longest_packet_s).packet_samples
+        return asked or 1
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
         """Make the stream's first encoder; what it learns of a policy's least holds for all later ones."""
@@ -162,7 +179,7 @@ class LiveStream:
     def _begin_encoder(self, first: int) -> None:
         """Make an encoder that begins with packet `first`, a refresh."""
         model = coding.encoder_model(self._model)
-        self._encoder = self._codec.make_encoder(self.setting, self.format, self._frames, model, self.policy)
+        self._encoder = self._codec.make_encoder(self.setting, self.format, self._framing, model, self.policy)
         if self.policy is not None:
             tables = None if model is None else model.tables
             decoder = codec.decoder(self._codec.identifier, self._encoder.configuration, self.format.channels, tables)
@@ -188,16 +205,29 @@ class LiveStream:
         )
         self.status = self.controller.request(configure, Status)
         self._link = Link(self.controller, self.stream)
+        self.carried_bps = math.inf
         if self._asked_bps is not None:
             self._link.needed = self._asked_bps / 8 / LINK_SHARE
+        self.margin_s = self._margin_s() if self._asked_margin_s is None else self._asked_margin_s
         self.packets_sent = 0
         self._plays_from_s: float | None = None
         self._began_s = self.controller.clock()
         self._out_of_step_since_s: float | None = None
 
+    def _margin_s(self) -> float:
+        """Return the margin by which packets stay in time if the link falls to half, as soon as that can be known.
+
+        A packet that is under way then takes up to its own duration longer, and it takes up to two Status to see it; a
+        link that is far faster than it needs to be leaves room for that.
+        """
+        if self.policy is None or self._link.bytes_per_second >= _AMPLE * self._link.needed:
+            return MARGIN_S
+        return self.packet_s + 2 * STATUS_INTERVAL_S
+
     def code(self, samples: Signal) -> list[bytes]:
         """Code samples (n, channels) in the format's unit; return the packets that they complete. Raises CodecError."""
         self._gathered = (self._gathered + len(samples)) % self.packet_samples
+        self._sent_samples += len(samples)
         packets = self._encoder.encode(samples / np.array(self.format.gains))
         return [renumbered(packet, self._refreshed_at) for packet in packets]
 
@@ -221,13 +251,8 @@ class LiveStream:
         """Code and send samples (n, channels), take in what has come; begin anew where the clocks are out of step."""
         start = 0
         while start < len(samples):
-            if self._refresh_is_due and not self._gathered:
-                self._begin_encoder(self.packets_sent)
-            end = start + self.packet_samples - self._gathered
-            if end <= len(samples) and not self._fits():
-                self._drop()
-            else:
-                self.send_packets(self.code(samples[start:end]))
+            end = start + self.left_samples
+            self.send_packets(self.coded(samples[start:end]))
             start = end
         self.poll(0)
         since_s = self._out_of_step_since_s
@@ -237,8 +262,22 @@ class LiveStream:
         if out_of_step or self.status.state == State.WATCHDOG:
             self.begin_anew()
 
-    def _fits(self) -> bool:
-        """Return whether the next packet can come in time; set the policy to the rate at which it does.
+    @property
+    def left_samples(self) -> int:
+        """How many samples complete the next packet."""
+        return self.packet_samples - self._gathered
+
+    def coded(self, samples: Signal) -> list[bytes]:
+        """Code what completes the next packet, or less; return that packet, unless it would come too late."""
+        if self._refresh_is_due and not self._gathered:
+            self._begin_encoder(self.packets_sent)
+        if len(samples) == self.left_samples and not self.fits():
+            self._drop()
+            return []
+        return self.code(samples)
+
+    def fits(self) -> bool:
+        """Return whether the next packet can come in time; set `carried_bps`, and the policy's rate, to what can.
 
         A packet may take LINK_SHARE of its own duration on the link, less half of what still waits there: so the queue
         shrinks by half with each packet, and packets come as early again as at the start.
@@ -250,15 +289,17 @@ class LiveStream:
             self._link.wait(now_s)
         queue_s = self._link.queue_s(now_s)
         left_s = self._plays_from_s + self.packets_sent * self.packet_s - now_s - queue_s
-        if self._asked_bps is None or not isinstance(self.policy, codec.RatePolicy):
+        if self.policy is None:
             return left_s > 0
         left_s -= min(_GUARD_S, self.margin_s / 2)
         least_s = self._link.seconds(self._least_bytes)
         if left_s <= least_s:
             return False
         seconds = min(left_s, max(least_s, LINK_SHARE * self.packet_s - queue_s / 2))
-        carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
-        self.policy.bits_per_second = min(self._asked_bps, max(self.policy.least_bits_per_second, carried_bps))
+        self.carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
+        if self._asked_bps is not None and isinstance(self.policy, codec.RatePolicy):
+            rate_bps = max(self.policy.least_bits_per_second, self.carried_bps)
+            self.policy.bits_per_second = min(self._asked_bps, rate_bps)
         return True
 
     def _drop(self) -> None:
@@ -301,30 +342,47 @@ class LiveStream:
         elif self._out_of_step_since_s is None:
             self._out_of_step_since_s = self.controller.clock()
 
-    def finish(self) -> LiveResult:
-        """Send the end, wait until it has been played, and return what happened."""
+    def end(self) -> None:
+        """Send what is left and the end, without waiting for it."""
         self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
         if self.packets_sent:
-            self.controller.request(EndStream(self.stream, self.packets_sent), Status)
-            self._wait_for_the_end()
+            self.status = self.controller.request(EndStream(self.stream, self.packets_sent), Status)
         else:
             self.status = self.controller.stop()
+        self._wire_bytes = self.controller.bytes_sent - self._wire_bytes_before
+
+    def finish(self) -> LiveResult:
+        """Send the end if it was not sent, wait until it has been played, and return what happened."""
+        if self._wire_bytes is None:
+            self.end()
+        assert self._wire_bytes is not None
+        if self.packets_sent:
+            self._wait_for_the_end()
         streams = [*self.earlier, self.status]
         return LiveResult(
             status=self.status,
             underruns=sum(status.underruns for status in streams),
             lost_packets=sum(status.lost_packets for status in streams),
+            dropped_packets=self.dropped_packets,
             streams=len(streams),
+            seconds=self._sent_samples / self.format.rate_hz,
+            payload_bytes=self.payload_bytes,
+            wire_bytes=self._wire_bytes,
         )
 
     def _wait_for_the_end(self) -> None:
-        left_samples = self.packets_sent * self.packet_samples - self.controller.request_status().position
+        left_samples = self.packets_sent * self.packet_samples - self.status.position
         deadline_s = self.controller.clock() + left_samples / self.format.rate_hz + _END_S
+        ask_s = 0.0
         while self.controller.clock() < deadline_s:
-            self.status = self.controller.request_status()
             if self.status.state in (State.FINISHED, State.STOPPED, State.WATCHDOG):
                 return
+            if self.controller.clock() >= ask_s:
+                self.controller.ask_status()
+                ask_s = self.controller.clock() + _END_ASK_S
             self.controller.poll(_POLL_S)
+            if self.controller.status is not None and self.controller.status.stream == self.stream:
+                self.status = self.controller.status
         raise ControllerError(
             f"the stream's end has not been played {_END_S:g} s after its time. Restart the controller."
         )
