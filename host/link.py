@@ -32,7 +32,7 @@ def frame_bytes(message: Message) -> int:
 
 def added_bytes(packet: bytes) -> int:
     """Return how many bytes a packet's frame, of its own, adds to it: 8 for up to 127 bytes, as policies count them."""
-    return len(write_frame(pack(StreamData(0, 0, (packet,))))) - len(packet)
+    return frame_bytes(StreamData(0, 0, (packet,))) - len(packet)
 
 
 @dataclass

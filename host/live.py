@@ -16,7 +16,7 @@ from device_protocol.messages import Configure, EndStream, Start, State, Status,
 from device_protocol.transports import TransportError
 from host import coding
 from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
-from host.link import STATUS_INTERVAL_S, Link, frame_bytes
+from host.link import STATUS_INTERVAL_S, Link, added_bytes, frame_bytes
 from host.player import RECONNECT_S, check_limits
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
@@ -72,6 +72,11 @@ class LiveResult:
         return 8 * self.payload_bytes / self.seconds if self.seconds else 0.0
 
     @property
+    def wire_adds(self) -> float:
+        """What the wire adds to the packets, relative to these."""
+        return self.wire_bytes / self.payload_bytes - 1 if self.payload_bytes else 0.0
+
+    @property
     def wire_bps(self) -> float:
         """Bits a second of all that was sent."""
         return 8 * self.wire_bytes / self.seconds if self.seconds else 0.0
@@ -92,17 +97,16 @@ def live_format(
     return SignalFormat(rate_hz, unit, gains, relative)
 
 
-def added_bytes(packet: bytes) -> int:
-    """Return what the frame of a packet that is sent by itself adds to it on the wire."""
-    return frame_bytes(StreamData(0, 0, (packet,))) - len(packet)
-
-
 class LiveStream:
     """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
 
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
-    `margin_s`: how long packets lie on the controller before they are needed. `packet_samples`: samples per channel in
-    a packet, at least those asked for and the codec's shortest block. `header`, `stream`, `packets_sent`, `status`:
+    `policy`: steers the quality, None = all packets are of the setting's. One with a rate is held to what the link
+    carries: quality falls before a packet is late, and rises again. `margin_s`: how long packets lie on the controller
+    before they are needed; None = MARGIN_S, a quarter of a packet if that is more or, with a policy on a link
+    not much faster than needed, what bears the link's fall to half. `packet_samples`: samples per channel in a packet, at least those asked for and the codec's
+    shortest block; None = for a rate the shortest to which frames add at most 15 %, within `longest_packet_s`, or else
+    one block. What would come too late is never sent. `header`, `stream`, `packets_sent`, `status`:
     of the stream under way. `begun`: streams so far; `earlier`: the last status of each of those before this one.
     Raises CodecError, LiveError, StreamError for what the controller does not take, ControllerError, TransportError.
     """
@@ -218,10 +222,11 @@ class LiveStream:
         """Return the margin by which packets stay in time if the link falls to half, as soon as that can be known.
 
         A packet that is under way then takes up to its own duration longer, and it takes up to two Status to see it; a
-        link that is far faster than it needs to be leaves room for that.
+        link that is far faster than it needs to be leaves room for that. Without, a long packet gets more than a short
+        one, for more is lost with it.
         """
         if self.policy is None or self._link.bytes_per_second >= _AMPLE * self._link.needed:
-            return MARGIN_S
+            return max(MARGIN_S, self.packet_s / 4)
         return self.packet_s + 2 * STATUS_INTERVAL_S
 
     def code(self, samples: Signal) -> list[bytes]:
