@@ -1,5 +1,6 @@
 """Speaks to a controller message by message and, where it answers otherwise than it must, says what was expected."""
 
+import math
 import random
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -49,7 +50,10 @@ _READ_S = 0.05
 _SHORTEST_READ_S = 0.001  # simulated time may not be able to pass for less
 _POLL_S = 0.01
 _RETRY_S = 0.1
-_RETRY_ANSWER_S = 0.5
+# Slower than that, a host sends copies of its requests, and each may be answered.
+_COPIED_S = 0.1
+# How long the first Hello waits, which a restart may have swallowed; each one after it waits for twice as long.
+_FIRST_ANSWER_S = 0.5
 
 _Answer = TypeVar("_Answer", bound=Message)
 
@@ -66,7 +70,8 @@ class Probe:
     """A session with a controller in which each request goes out once, and nothing that comes back is overlooked.
 
     `description`: the last answer to Hello, and `opened_by` its number. `sequence`: the number of the last request.
-    `last_answer`: the payload that answered it. `notified`: the notifications that came, oldest first.
+    `last_answer`: the payload that answered it. `answer_s`: the longest that an answer took, of a slot's aside.
+    `notified`: the notifications that came, oldest first.
     """
 
     description: HelloResponse
@@ -75,10 +80,12 @@ class Probe:
         self.line = line
         self.opened_by = self.sequence = NOTIFICATION
         self.last_answer = b""
+        self.answer_s = 0.0
         self.notified: list[Message] = []
         self._reader = FrameReader()
         self._inbox: deque[bytes] = deque()
         self._limit_bytes = 0  # of a payload; 0: not known yet
+        self._sent_s, self._longest_silence_s = 0.0, math.inf
 
     def open(self, within_s: float = RESTART_S) -> None:
         """Open a session, or open it anew. Raises Gone, NotConforming."""
@@ -89,6 +96,9 @@ class Probe:
         self.opened_by = self.sequence
         # What is less than the protocol allows is a fault of its own, and hides no other.
         self._limit_bytes = max(answer.limits.maximum_payload_bytes, SMALLEST_PAYLOAD_LIMIT_BYTES)
+        self._longest_silence_s = max(_POLL_S, answer.limits.watchdog_ms / 4000)
+        if self.answer_s > _COPIED_S:
+            self._overlook(ANSWER_S)  # answers to copies of requests of a session before
         self.notified.clear()
 
     def insist(self, message: Message, within_s: float = RESTART_S) -> Message:
@@ -97,6 +107,7 @@ class Probe:
         Raises Gone after `within_s`.
         """
         deadline_s = self.line.clock() + within_s
+        patience_s = _FIRST_ANSWER_S
         while True:
             reason = f"nothing answers {name(message)}"
             try:
@@ -104,7 +115,9 @@ class Probe:
                 # A number that means nothing to the controller yet.
                 self.sequence = random.randint(1, MAXIMUM_SEQUENCE)
                 self.send(pack(message, self.sequence))
-                answer_until_s = self.line.clock() + _RETRY_ANSWER_S
+                asked_s = self.line.clock()
+                answer_until_s = asked_s + patience_s
+                patience_s = min(2 * patience_s, ANSWER_S)
                 while (payload := self._next(answer_until_s)) is not None:
                     try:
                         sequence, answer = unpack(payload)
@@ -113,6 +126,7 @@ class Probe:
                         continue
                     if sequence == self.sequence:
                         self.last_answer = payload
+                        self.answer_s = max(self.answer_s, self.line.clock() - asked_s)
                         return answer
             except TransportError as error:
                 reason = str(error)
@@ -128,6 +142,7 @@ class Probe:
     def send(self, payload: bytes) -> None:
         """Send a payload in a frame. Raises TransportError."""
         self.line.write(write_frame(payload))
+        self._sent_s = self.line.clock()
 
     def ask(self, message: Message) -> Message:
         """Send a request under the next number and return its answer. Raises NotConforming, TransportError."""
@@ -150,11 +165,13 @@ class Probe:
         """Wait for the answer to this number and return it. Raises NotConforming, TransportError."""
         self.sequence = sequence
         bad_frames = self._reader.bad_frames
-        deadline_s = self.line.clock() + within_s
-        while (payload := self._next(deadline_s)) is not None:
+        asked_s = self.line.clock()
+        while (payload := self._next_while_alive(asked_s + within_s)) is not None:
             answered, message = self._read(payload)
             if answered == sequence:
                 self.last_answer = payload
+                if within_s == ANSWER_S:
+                    self.answer_s = max(self.answer_s, self.line.clock() - asked_s)
                 return message
             if answered != NOTIFICATION:
                 raise NotConforming(
@@ -189,13 +206,10 @@ class Probe:
         Raises NotConforming for anything else that comes, TransportError.
         """
         deadline_s = self.line.clock() + seconds
-        while (left_s := deadline_s - self.line.clock()) > 0:
-            self.send(pack(StreamData(0, 0, ())))  # without packets it does nothing, and is never answered
-            until_s = self.line.clock() + min(left_s, self.description.limits.watchdog_ms / 4000)
-            while (payload := self._next(until_s)) is not None:
-                answered, message = self._read(payload)
-                if answered != NOTIFICATION:
-                    raise NotConforming(f"expected notifications only, came {told(message)}")
+        while (payload := self._next_while_alive(deadline_s)) is not None:
+            answered, message = self._read(payload)
+            if answered != NOTIFICATION:
+                raise NotConforming(f"expected notifications only, came {told(message)}")
 
     def complaint(self, payload: bytes, code: ErrorCode, what: str) -> None:
         """Send stream data that must be answered by an Error without a number. Raises NotConforming, TransportError."""
@@ -306,6 +320,20 @@ class Probe:
         if (answer.tap, answer.channels) != (tap, channels):
             raise NotConforming(f"CaptureRead of tap {tap} with {channels} channels: came {told(answer)}")
         return answer
+
+    def _overlook(self, seconds: float) -> None:
+        """Drop all that comes for so long. Raises TransportError."""
+        deadline_s = self.line.clock() + seconds
+        while self._next_while_alive(deadline_s) is not None:
+            pass
+
+    def _next_while_alive(self, deadline_s: float) -> bytes | None:
+        """Return the next payload, None if there is none by then; keeps the watchdog content meanwhile."""
+        while (payload := self._next(min(deadline_s, self._sent_s + self._longest_silence_s))) is None:
+            if self.line.clock() >= deadline_s:
+                return None
+            self.send(pack(StreamData(0, 0, ())))  # without packets it does nothing, and is never answered
+        return payload
 
     def _next(self, deadline_s: float) -> bytes | None:
         """Return the next payload, None if there is none by then. Raises TransportError."""

@@ -1,5 +1,6 @@
 """Streams to play on the controller under test, within its limits, and what they decode to."""
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cache
@@ -62,6 +63,22 @@ def stream_for(
     stream = coded(made_by or texture, codec_name, rate_hz, channels, unit, peak, seconds, _packet_bytes(limits))
     if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
         pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
+    return stream
+
+
+def lasting_stream(
+    probe: Probe, requests: int, seconds: float = SECONDS, unit: str = "um", made_by: Made | None = None
+) -> Stream:
+    """Return a stream, as `stream_for`, that still plays when so many requests behind its Start have been answered.
+
+    It lasts for longer than `seconds` only where answers take long. Skips the test where the buffer does not hold it.
+    """
+    needed_s = (requests + 1) * probe.answer_s
+    if needed_s > seconds:
+        seconds = math.ceil(needed_s)
+    stream = stream_for(probe.description, unit=unit, seconds=seconds, made_by=made_by)
+    if stream.seconds < needed_s:
+        pytest.skip(f"what the buffer holds has been played before {requests} requests are answered")
     return stream
 
 

@@ -50,6 +50,11 @@ def host(probe: Probe) -> Controller:
     return Controller(probe.line, probe.line.clock, probe.line.sleep)
 
 
+def answered_s(probe: Probe) -> float:
+    """Return how much to buffer, so that a Start that waits for its answer, or goes out again, holds nothing up."""
+    return max(player.BUFFER_S, 2 * probe.answer_s)
+
+
 @section("Playing: Stream data")
 @pytest.mark.parametrize("fault", _CHANCES)
 def test_faults_on_the_line(probe: Probe, fault: str, record_property: Callable[[str, object], None]) -> None:
@@ -75,7 +80,7 @@ def play_with_faults(
     there = probe.line.to_controller = NotedLine(seed, chances)
     probe.line.to_host = FaultyLine(seed + 1, **chances)
     # Captures are read afterwards, and some packets lie ready, so that the host is not late with its data.
-    buffer_s = max(player.BUFFER_S, _PACKETS_READY * packet_samples / stream.header.rate_hz)
+    buffer_s = max(answered_s(probe), _PACKETS_READY * packet_samples / stream.header.rate_hz)
     result = player.play(controller, stream.header, stream.packets, packet_samples, buffer_s=buffer_s)
     probe.line.heal()
     probe.open()
@@ -124,7 +129,9 @@ def test_clocks(probe: Probe, record_property: Callable[[str, object], None]) ->
             seen.append((probe.line.clock(), progress.status))
 
     packet_samples = stream.decoder().packet_samples
-    result = player.play(host(probe), stream.header, stream.packets, packet_samples, progress=note)
+    result = player.play(
+        host(probe), stream.header, stream.packets, packet_samples, buffer_s=answered_s(probe), progress=note
+    )
     in_state(result.status, State.FINISHED, "the end of the stream")
     assert (result.underruns, result.lost_packets) == (0, 0), f"expected no loss, came {told(result.status)}"
     assert len(seen) > 2, f"expected a Status every 100 ms, came {len(seen)}"

@@ -33,7 +33,7 @@ from device_protocol.messages import (
 )
 from host.conformance.fixtures import section
 from host.conformance.probe import Probe, an_error, in_state, told
-from host.conformance.streams import stream_for
+from host.conformance.streams import lasting_stream, stream_for
 
 _KNOWN = {request.TYPE for request in REQUESTS}
 _REQUEST_TYPES = range(0x01, 0x40)
@@ -112,7 +112,7 @@ def test_lengths_of_tlvs_are_checked(probe: Probe, request_type: type[Message]) 
 )
 def test_unknown_tags_are_skipped(probe: Probe, request_type: type[Message]) -> None:
     """{request_type} with a tag that this version does not have is carried out as without it."""
-    stream = stream_for(probe.description)
+    stream = lasting_stream(probe, 3 if request_type in (Pause, Resume) else 0)
     number = probe.configure(stream, **({"packets": 0} if request_type is EndStream else {})).stream
     if request_type in (Pause, Resume):
         probe.feed(number, stream)

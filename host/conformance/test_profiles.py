@@ -21,7 +21,7 @@ _LATER_S = 0.01
 
 
 @pytest.fixture
-def stream(hello: HelloResponse) -> Stream:
+def profile(hello: HelloResponse) -> Stream:
     """A profile that can be rendered."""
     limits, dac_rate_hz = hello.limits, hello.actuator.dac_rate_hz
     if not limits.profile_samples:
@@ -34,9 +34,9 @@ def stream(hello: HelloResponse) -> Stream:
     return profile
 
 
-def played_at(probe: Probe, stream: Stream, position_nm: int) -> None:
+def played_at(probe: Probe, profile: Stream, position_nm: int) -> None:
     """Load a profile and play it under a hand that rests at a place, until the output has settled."""
-    probe.feed(probe.configure(stream).stream, stream)
+    probe.feed(probe.configure(profile).stream, profile)
     probe.expect(Start(), Status)
     probe.wait_for_state(State.PLAYING)
     rest_at(probe, position_nm)
@@ -50,59 +50,59 @@ def rest_at(probe: Probe, position_nm: int) -> None:
 
 
 @section("Playing: Profiles")
-def test_profile_is_loaded_without_gaps(probe: Probe, stream: Stream) -> None:
+def test_profile_is_loaded_without_gaps(probe: Probe, profile: Stream) -> None:
     """Status.position tells what is loaded of a profile without a gap, whatever the order of its packets."""
-    if len(stream.packets) < 3:
+    if len(profile.packets) < 3:
         pytest.skip("the profile has too few packets to leave one out")
-    packet_samples = stream.decoder().packet_samples
-    number = probe.configure(stream).stream
-    for sent, loaded in ((stream.packets[:1], 1), (stream.packets[2:], 1), (stream.packets, len(stream.packets))):
-        probe.feed(number, stream, sent)
+    packet_samples = profile.decoder().packet_samples
+    number = probe.configure(profile).stream
+    for sent, loaded in ((profile.packets[:1], 1), (profile.packets[2:], 1), (profile.packets, len(profile.packets))):
+        probe.feed(number, profile, sent)
         status = probe.status()
         assert status.position == loaded * packet_samples, f"expected {loaded} packets loaded, came {told(status)}"
-    decoded_as(probe, decoded(stream), "what was decoded of a profile")
+    decoded_as(probe, decoded(profile), "what was decoded of a profile")
 
 
 @long
 @section("Playing: Profiles")
-def test_profile_waits_for_all_of_it(probe: Probe, stream: Stream) -> None:
+def test_profile_waits_for_all_of_it(probe: Probe, profile: Stream) -> None:
     """A profile that was started is ARMED until all of it has come, then PLAYING until it is stopped."""
-    number = probe.configure(stream).stream
-    probe.feed(number, stream, stream.packets[1:])
+    number = probe.configure(profile).stream
+    probe.feed(number, profile, profile.packets[1:])
     probe.expect(Start(), Status)
     probe.listen(1.2)
     in_state(probe.status(), State.ARMED, "a profile without its first packet")
-    probe.feed(number, stream, stream.packets[:1])
+    probe.feed(number, profile, profile.packets[:1])
     probe.wait_for_state(State.PLAYING)
-    probe.listen(2 * stream.seconds)
+    probe.listen(2 * profile.seconds)
     in_state(probe.status(), State.PLAYING, "a profile, after a while")
     probe.stop()
 
 
 @section("Playing: Profiles")
-def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, stream: Stream) -> None:
+def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, profile: Stream) -> None:
     """Under a hand at rest the DAC holds the code of the height there, computed here, bit for bit."""
     need_capture(hello)
     actuator = known_actuator(hello.actuator)
     position_nm = 3_333_333
-    played_at(probe, stream, position_nm)
+    played_at(probe, profile, position_nm)
     probe.expect(Loop(1), Status)  # changes nothing
     end = probe.read_capture(Tap.DAC, (1 << 64) - 1, 0, 1).end
     held = probe.read_capture(Tap.DAC, end - min(end, _STILL_SAMPLES), _STILL_SAMPLES, 1)
-    delay_samples = stream.decoder().delay_samples
+    delay_samples = profile.decoder().delay_samples
     samples = round(_SETTLED_S * actuator.dac_rate_hz)
     hand = [(0, position_nm)]
-    _, codes = rendering.render(stream.header, decoded(stream), delay_samples, hand, samples, actuator)
+    _, codes = rendering.render(profile.header, decoded(profile), delay_samples, hand, samples, actuator)
     came = np.frombuffer(held.data, "<i2").astype(np.int16).reshape(-1, 1)
     assert len(came), "expected samples of the DAC, came none"
     same_samples(came, np.broadcast_to(codes[-1], came.shape), "DAC codes under a hand at rest")
 
 
 @section("Playing: Profiles")
-def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, stream: Stream) -> None:
+def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, profile: Stream) -> None:
     """Positions at any time and place are not answered, and moved back the hand finds the same height."""
     need_capture(hello)
-    played_at(probe, stream, 5_000_000)
+    played_at(probe, profile, 5_000_000)
     codes = []
     for _ in range(2):
         end = probe.read_capture(Tap.DAC, (1 << 64) - 1, 0, 1).end
@@ -115,11 +115,11 @@ def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, stream: Stream
 
 
 @section("Playing: Profiles")
-def test_profiles_that_are_refused(probe: Probe, stream: Stream) -> None:
+def test_profiles_that_are_refused(probe: Probe, profile: Stream) -> None:
     """A profile that is live, cut or looped is answered BAD_VALUE; one that is too long or too short BEYOND_LIMITS."""
-    packets, header = len(stream.packets), stream.header
+    packets, header = len(profile.packets), profile.header
     too_long = probe.description.limits.profile_samples + 1
-    packets_of_too_long = -(-(too_long + stream.decoder().delay_samples) // stream.decoder().packet_samples)
+    packets_of_too_long = -(-(too_long + profile.decoder().delay_samples) // profile.decoder().packet_samples)
     for changed, options, code in (
         (replace(header, samples=None), {"packets": 0}, ErrorCode.BAD_VALUE),
         (header, {"packets": packets - 1}, ErrorCode.BAD_VALUE),
@@ -129,6 +129,6 @@ def test_profiles_that_are_refused(probe: Probe, stream: Stream) -> None:
         (replace(header, samples=10), {"packets": 1}, ErrorCode.BEYOND_LIMITS),
         (replace(header, samples=too_long), {"packets": packets_of_too_long}, ErrorCode.BEYOND_LIMITS),
     ):
-        probe.refused(replace(probe.configuration(stream, **options), header=changed.pack()), code)
-    probe.configure(stream)
+        probe.refused(replace(probe.configuration(profile, **options), header=changed.pack()), code)
+    probe.configure(profile)
     probe.refused(Loop(2), ErrorCode.BAD_VALUE)

@@ -5,7 +5,7 @@ import pytest
 from device_protocol.messages import ErrorCode, Pause, Resume, Start, State, Status, StreamData, pack
 from host.conformance.fixtures import long, section
 from host.conformance.probe import Probe, in_state, told
-from host.conformance.streams import stream_for
+from host.conformance.streams import lasting_stream, stream_for
 
 _AN_HOUR_US = 3_600_000_000
 
@@ -24,7 +24,7 @@ def test_silence_is_noticed(probe: Probe, state: State) -> None:
     if state == State.ARMED:
         armed(probe)
     else:
-        stream = stream_for(probe.description)
+        stream = lasting_stream(probe, 3)
         probe.feed(probe.configure(stream).stream, stream)
         probe.expect(Start(), Status)
         probe.wait_for(lambda status: status.position > 0, "to play", 2.0)

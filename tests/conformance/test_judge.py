@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from device_protocol import messages
 from device_protocol.frames import FrameReader, write_frame
 from device_protocol.messages import (
+    NOTIFICATION,
     CaptureData,
     CaptureRead,
     ErrorCode,
@@ -37,7 +38,7 @@ from host.conformance.line import Line
 from host.conformance.report import Report
 from simulated_device.actuator import PIEZO_STACK
 from simulated_device.controller import Controller, Settings
-from simulated_device.memory_link import MemoryLink
+from simulated_device.memory_link import MemoryLink, SimulatedTime
 
 MODULES = sorted(Path(conformance.__file__).parent.glob("test_*.py"))
 PROTOCOL = page.PAGE.with_name("protocol.md")
@@ -100,6 +101,30 @@ def test_faults_are_found_and_told() -> None:
         assert reason in failed[test]
     assert "test_frame_is_found_after_noise" not in failed
     assert not any("please report" in reason for reason in failed.values())
+
+
+class Slow(Controller):
+    """Takes 300 ms for each answer, where the protocol allows 2 s; what it says unasked comes at once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._waiting: list[tuple[int, bytes]] = []  # until when, and the payload
+
+    def transmit(self) -> bytes:
+        for payload in FrameReader().feed(super().transmit()):
+            delay_us = 0 if unpack(payload)[0] == NOTIFICATION else 300_000
+            self._waiting.append((self._time_us + delay_us, payload))
+        due = [payload for until_us, payload in self._waiting if until_us <= self._time_us]
+        self._waiting = [(until_us, payload) for until_us, payload in self._waiting if until_us > self._time_us]
+        return b"".join(map(write_frame, due))
+
+
+def test_controller_that_takes_its_time_to_answer_conforms() -> None:
+    link = MemoryLink(Slow(), time=SimulatedTime(step_us=5000))
+    _, findings = judge(Line(link, link.clock, link.sleep), quick=True)
+    assert {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED} == {
+        "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
+    }
 
 
 class Altered(Controller):

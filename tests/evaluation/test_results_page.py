@@ -59,8 +59,8 @@ def curve(
             snr_db + 13,
             *(1 - 10 ** (-(snr_db + 1) / 10),) * 3,
             3.0,
-            delay_ms=20.0 * rate_factor,
-            source=source,
+            20.0 * rate_factor,
+            source,
         )
         for snr_db in snrs_db
     ]
