@@ -47,6 +47,9 @@ _HISTORY = HOP * _COLUMNS_BEFORE + _LOOK_AHEAD
 _CONTEXT_COLUMNS = 4
 """Columns before a packet that the synthesis in ONNX Runtime takes again: its first sample depends on three of them."""
 _MAX_LATENT = 2**30
+# Beyond the coarsest steps of a model, latents below so many sixteenths of an octave over half a step are left out, at
+# last all of them: at any rate there is something coarse enough.
+_DEAD_ZONES = 12 * 16
 _CHANNEL_FIELDS = np.dtype([("level", "<u2"), ("quality", "u1")])
 _CHUNK_SAMPLES = 1 << 16
 
@@ -153,7 +156,9 @@ class EvaEncoder:
         self._qualities = [round(quality * QUALITY_PARTS) for quality in qualities]
         self.configuration = configuration(self._columns, level_codes, self._qualities, steering is not None)
         self._steering = steering
-        self._coarsenesses = range(min(self._qualities) - image.finest_quality_code, max(self._qualities) + 1)
+        self._coarsenesses = range(
+            min(self._qualities) - image.finest_quality_code, max(self._qualities) + _DEAD_ZONES + 1
+        )
         self._coarseness = 0
         self._levels = [level_of(code) for code in level_codes]
         self._encoder = LatentEncoder(self.configuration, self._channels, model.tables, framing.refresh_packets, thrift)
@@ -196,7 +201,11 @@ class EvaEncoder:
             told = (coarseness + 1) // 4 * 4  # the rest is in how bits are weighed
             qualities = np.clip(np.array(self._qualities) - told, 0, self._image.finest_quality_code)
             steps = [self._image.relative_steps(int(quality))[:, None] for quality in qualities]
-            return encoder.encode([part / step for part, step in zip(latents, steps, strict=True)], coarseness)
+            scaled = [part / step for part, step in zip(latents, steps, strict=True)]
+            beyond = coarseness - max(self._qualities)
+            if beyond > 0:
+                scaled = [np.where(np.abs(part) < 2 ** (beyond / 16 - 1), 0.0, part) for part in scaled]
+            return encoder.encode(scaled, coarseness)
 
         if self._steering is None:
             return code(self._encoder, 0)

@@ -182,7 +182,8 @@ class Trial(Protocol):
 
     `samples`: what its decoded samples stand for, float64 (packet_samples, channels), full scale = 1: the input, as
     late as the codec's delay. `coarsenesses`: what may be chosen, the finest first; 0 is the stream's own setting, and
-    more is coarser, on the whole in fewer bytes. `previous`: that of the packet before, which costs least to say again.
+    more is coarser, on the whole in fewer bytes. `previous`: that of the packet before, which costs least to say again,
+    but in a refresh.
     """
 
     @property

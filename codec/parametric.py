@@ -47,8 +47,12 @@ _LINE_EXCESS = 12.0
 """Power of a spectral line over the median about it, which noise exceeds in one bin of 4000: exp(-12 ln 2)."""
 _SUBHARMONIC_WEIGHT = 0.84
 """Of each harmonic beside the one before: D. J. Hermes, "Measurement of pitch by subharmonic summation", 1988."""
+_SHORTEST_FIT = 512
+"""Samples that the harmonics' levels are fitted to, or as many as a frame has."""
 _RIDGE_SHARE = 0.25
 """Of the signal's energy that ridges must hold to be coded."""
+_BATCH = 64
+"""Frames that are searched for ridges at a time, so that no work needs much memory."""
 
 
 def band_edges(hop: int, bands: str) -> NDArray[np.intp]:
@@ -149,7 +153,8 @@ class _Analysis:
 
     def __init__(self, shape: Shape) -> None:
         self._shape = shape
-        self._window = max(_RIDGE_WINDOW, shape.frame_samples)
+        self._segment = shape.frame_samples + shape.hop  # what a frame's blocks reach over
+        self._window = max(_RIDGE_WINDOW, self._segment)
         self._before: Signal = np.zeros(self._window)
         self._edges = band_edges(shape.hop, shape.bands)
         self._levels = np.log2(amplitudes(shape.level_bits) / UNIT)
@@ -166,15 +171,12 @@ class _Analysis:
     def describe(self, signal: Signal) -> NDArray[np.int16]:
         """Return the frames of a signal of whole frames: pitch, levels over time, bands, harmonics."""
         shape = self._shape
-        frames = len(signal) // shape.frame_samples
         known = np.concatenate([self._before, signal])
         self._before = known[-self._window :]
-        spans = np.lib.stride_tricks.sliding_window_view(known, self._window)[
-            shape.frame_samples :: shape.frame_samples
-        ]
-        parts = np.lib.stride_tricks.sliding_window_view(known, shape.frame_samples + shape.hop)
-        segments = parts[self._window - shape.hop :: shape.frame_samples][:frames]
-        pitches, harmonics, ridges = self._ridges(spans[:frames], segments)
+        every = np.lib.stride_tricks.sliding_window_view(known, self._window)
+        spans = every[shape.frame_samples :: shape.frame_samples]
+        segments = spans[:, -self._segment :]
+        pitches, harmonics, ridges = self._ridges(spans)
         times = self._times(self._powers(segments))
         gains = np.repeat(np.exp2(times / (1 << shape.level_bits)), shape.interval, axis=1)
         energy = np.mean(np.square(gains), axis=1)
@@ -224,49 +226,68 @@ class _Analysis:
             self._last = frame
         return levels
 
-    def _ridges(self, spans: Signal, segments: Signal) -> tuple[NDArray[np.int16], Signal, Signal]:
+    def _ridges(self, spans: Signal) -> tuple[NDArray[np.int16], Signal, Signal]:
         """Return pitch codes (frames,), -1 = no ridges, harmonics' amplitudes, and what of the segments they make."""
-        shape = self._shape
+        harmonics = self._shape.harmonics
         pitches = np.full(len(spans), -1, dtype=np.int16)
-        amplitudes = np.zeros((len(spans), shape.harmonics))
-        ridges = np.zeros(segments.shape)
-        if shape.harmonics == 0:
-            return pitches, amplitudes, ridges
-        for frame, pitch in enumerate(pitches_of(spans, shape.harmonics)):
-            if pitch < 0:
-                continue
-            turn = turns()[pitch]
-            count = min(shape.harmonics, math.ceil(0.5 / turn) - 1)
-            angles = 2 * np.pi * turn * np.arange(1, count + 1) * np.arange(self._window + shape.hop)[:, None]
-            waves = np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
-            weights = np.linalg.lstsq(waves[-len(spans[frame]) :], spans[frame], rcond=None)[0]
-            fitted = waves @ weights
-            if np.sum(np.square(fitted[-len(spans[frame]) :])) < _RIDGE_SHARE * np.sum(np.square(spans[frame])):
-                continue
-            pitches[frame] = pitch
-            amplitudes[frame, :count] = np.hypot(weights[:count], weights[count:])
-            ridges[frame] = fitted[-segments.shape[1] :]
+        amplitudes = np.zeros((len(spans), harmonics))
+        ridges = np.zeros((len(spans), self._segment))
+        fitted_samples = max(self._segment, _SHORTEST_FIT)
+        for start in range(0, len(spans) if harmonics > 0 else 0, _BATCH):
+            found = turns_of(spans[start : start + _BATCH], harmonics)
+            for frame, turn in enumerate(found, start):
+                if turn == 0:
+                    continue
+                span = spans[frame, -fitted_samples:]
+                count = min(harmonics, math.ceil(0.5 / turn) - 1)
+                angles = 2 * np.pi * turn * np.arange(1, count + 1) * np.arange(fitted_samples)[:, None]
+                waves = np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
+                weights = np.linalg.lstsq(waves, span, rcond=None)[0]
+                fitted = waves @ weights
+                if np.sum(np.square(fitted)) >= _RIDGE_SHARE * np.sum(np.square(span)):
+                    pitches[frame] = np.argmin(np.abs(np.log(turns() / turn)))
+                    amplitudes[frame, :count] = np.hypot(weights[:count], weights[count:])
+                    ridges[frame] = fitted[-self._segment :]
         return pitches, amplitudes, ridges
 
 
-def pitches_of(spans: Signal, harmonics: int) -> NDArray[np.int16]:
-    """Return the pitch code of each span (spans, samples), -1 where no harmonics stand out of the noise."""
+def turns_of(spans: Signal, harmonics: int) -> Signal:
+    """Return the turns per sample of the ridges in each span (spans, samples): 0 where none stand out of the noise.
+
+    float64 (spans,). The pitch is that of the greatest weighted sum of harmonics (Hermes 1988), then moved to where the
+    peaks of those harmonics are.
+    """
     samples = spans.shape[1]
     padded = 4 * samples
     spectra = np.square(np.abs(np.fft.rfft(spans * np.hanning(samples + 1)[:-1], padded, axis=1)))
     reach = 64  # bins of the padded spectrum: eight main lobes of the window
-    neighbours = np.lib.stride_tricks.sliding_window_view(
-        np.pad(spectra, ((0, 0), (reach, reach)), "reflect"), 2 * reach + 1, axis=1
-    )
-    noise = np.median(neighbours[:, :, ::8], axis=2)
+    wide = np.pad(spectra, ((0, 0), (reach, reach)), "reflect")
+    noise = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * reach + 1, axis=1)[:, :, ::8], axis=2)
     lines = np.sqrt(np.where(spectra > _LINE_EXCESS * noise, spectra, 0))
-    each = turns()
-    bins = np.rint(each[:, None] * np.arange(1, harmonics + 1) * padded).astype(np.intp)
-    weights = np.where(bins < lines.shape[1], _SUBHARMONIC_WEIGHT ** np.arange(harmonics), 0)
+    each, numbers = turns(), np.arange(1, harmonics + 1)
+    bins = np.rint(each[:, None] * numbers * padded).astype(np.intp)
+    weights = np.where(bins < lines.shape[1], _SUBHARMONIC_WEIGHT ** (numbers - 1), 0)
     scores = np.sum(lines[:, np.minimum(bins, lines.shape[1] - 1)] * weights, axis=2)
     scores[:, (each < _LOWEST_TURN) | (each > _HIGHEST_TURN)] = 0
     best = np.argmax(scores, axis=1)
-    return np.where(np.max(scores, axis=1) > 0, best, -1).astype(np.int16)
+    found = [_refined(row, each[pitch], numbers) for row, pitch in zip(lines, best, strict=True)]
+    return np.where(np.max(scores, axis=1) > 0, found, 0)
+
+
+def _refined(lines: Signal, turn: float, numbers: NDArray[np.intp]) -> float:
+    """Return the turn per sample whose multiples lie nearest to the lines within 1.5 % of those of `turn`."""
+    bins_per_turn = 2 * (len(lines) - 1)
+    powers = products = 0.0
+    for harmonic, middle in zip(numbers, numbers * turn * bins_per_turn, strict=True):
+        first, last = math.ceil(0.985 * middle - 1), math.floor(1.015 * middle + 1)
+        around = np.power(lines[first : last + 1], 4)
+        if np.any(around):
+            # A fit to each peak's place counts by its power: where a turn is wrong by d, it is off by harmonic * d.
+            peak = first + np.sum(around * np.arange(len(around))) / np.sum(around)
+            power = math.sqrt(np.max(around))
+            powers += power * harmonic**2
+            products += power * harmonic * peak
+    return float(products / powers / bins_per_turn) if powers else turn
 
 
 def _log2(values: Signal) -> Signal:
@@ -308,9 +329,8 @@ def make_encoder(
 _POWERS = tuple(str(1 << exponent) for exponent in range(LARGEST_FRAME.bit_length()))
 
 
-def _rung(hop: int, bands: str, step_db: str, frame: int, interval: int, harmonics: int) -> Setting:
+def _rung(bands: str, step_db: str, frame: int, interval: int, harmonics: int) -> Setting:
     return {
-        "hop": str(hop),
         "bands": bands,
         "step_db": step_db,
         "frame": str(frame),
@@ -324,21 +344,21 @@ CODEC = Codec(
     identifier=IDENTIFIER,
     summary="a description from which the texture is synthesised: band levels, their course, ridges; no waveform",
     parameters={
-        "bands": Parameter("width of the bands of the spectral envelope", "third octave", choices=BANDS),
+        "bands": Parameter("width of the bands of the spectral envelope", "half octave", choices=BANDS),
         "step_db": Parameter("step of all levels, in dB", "3", choices=LEVEL_STEPS_DB),
-        "hop": Parameter("samples of a block", "32", choices=tuple(map(str, HOPS))),
+        "hop": Parameter("samples of a block", "64", choices=tuple(map(str, HOPS))),
         "frame": Parameter("blocks from one envelope to the next", "8", choices=_POWERS),
         "interval": Parameter("blocks for each level over time", "2", choices=_POWERS),
         "harmonics": Parameter("of ridges, 0 = none", MAX_HARMONICS, low=0, high=MAX_HARMONICS, whole=True),
     },
+    # From some 35 to some 400 bit/s at 2800 Hz.
     ladders={
         NAME: (
-            _rung(32, "octave", "6", 64, 64, 0),
-            _rung(32, "octave", "3", 64, 16, 4),
-            _rung(32, "half octave", "3", 32, 8, 4),
-            _rung(32, "third octave", "3", 16, 4, 8),
-            _rung(32, "third octave", "3", 8, 2, 8),
-            _rung(32, "third octave", "1.5", 8, 1, 8),
+            _rung("octave", "6", 32, 32, 0),
+            _rung("half octave", "6", 16, 8, 4),
+            _rung("half octave", "3", 16, 4, 8),
+            _rung("half octave", "3", 8, 2, 8),
+            _rung("third octave", "3", 8, 1, 8),
         )
     },
     make_encoder=make_encoder,

@@ -31,7 +31,7 @@ DEFAULT_BUCKET_S = 0.018
 """The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
 MOST_ADDED = 0.15
 """What frames may add to the packets in them, relative to these."""
-REFRESH_S = 1.0
+REFRESH_S = 2.0
 """From one refresh to the next, where the rate is steered."""
 
 FrameBytes: TypeAlias = Callable[[bytes], int]
@@ -536,8 +536,8 @@ def steered_framing(
     """Return the framing for a rate: the shortest packets to which their frames add at most 15 %, but none too long.
 
     `bits_per_second`: of all channels, frames included. `longest_s`: what the asked delay leaves for a packet. Encoders
-    round up to whole blocks. A refresh comes every second: a lost packet then silences the tactor for half of that on
-    average, and refreshes cost 1 to 2 % of the bits (every 0.25 s, 7 to 10 %; docs/rate_control.md).
+    round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the tactor for half of that on
+    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/rate_control.md).
     """
     packet = b"\xff"
     while frame_bytes(packet) > MOST_ADDED * len(packet):

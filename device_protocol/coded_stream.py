@@ -126,6 +126,13 @@ def packet_sequence(packet: bytes) -> tuple[int, bool]:
     return sequence, bool(refresh)
 
 
+def renumbered(packet: bytes, packets_before: int) -> bytes:
+    """Return a packet with its sequence number moved by so many packets. Raises StreamError on a malformed packet."""
+    reader = _Reader(packet)
+    head = reader.varint(_SEQUENCE_BITS + 1)
+    return pack_varint(head + 2 * packets_before) + packet[reader.position :]
+
+
 def pack_file(header: StreamHeader, packets: Iterable[bytes]) -> bytes:
     """Return the bytes of a .vct file: the header, then each packet with its length before and a CRC-16 behind it.
 

@@ -123,7 +123,7 @@ class Cell:
             delay_ms = cost.delay_ms(coder, settled, rate_hz, recording.channels, recording.unit, self.model)
             if self.repeats:
                 times = cost.time_coding(encode, decode, samples.size, self.repeats)
-        figures = {**asdict(metrics.measure(samples, decoded, rate_hz)), "delay_ms": delay_ms}
+        figures = {**asdict(metrics.measure(samples, decoded, rate_hz, recording.unit)), "delay_ms": delay_ms}
         rounded: dict[str, Any] = {
             name: None if value is None else round(value, DECIMALS) for name, value in figures.items()
         }

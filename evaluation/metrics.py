@@ -1,4 +1,4 @@
-"""Quality of a decoded signal against its reference, by six measures; docs/metrics.md has their rules side by side."""
+"""Quality of a decoded signal against its reference, by seven measures; docs/metrics.md has their rules."""
 
 import math
 from collections.abc import Iterable
@@ -12,6 +12,7 @@ from vibromaf.signal.transform import PerceptualSpectrumBuilder
 
 import codec
 from codec import Signal
+from codec.threshold import read_threshold, threshold_amplitude
 
 BLOCK_SAMPLES = 512
 """Block of ST-SIM and SPQI at every rate: vibromaf's own."""
@@ -23,6 +24,8 @@ TACTILE_BAND_HZ = (40.0, 800.0)
 FRAME_S = 0.1
 FLOOR = 1e-6
 """Floor of power spectra relative to the reference's mean power in the tactile band, -60 dB."""
+THIRD_OCTAVES = np.arange(-14, 0)
+"""Bands by their number x: 1000 * 10^(x / 10) Hz in the middle, 40 to 800 Hz. IEC 61260-1:2014, 5.2 to 5.5."""
 LARGEST_MAGNITUDE, SMALLEST_PEAK = 2.0**127, 2.0**-120
 """What the codecs take: between them, no square of a ratio overflows."""
 
@@ -46,6 +49,7 @@ class Quality:
     `psnr_db`: 10 log10(peak^2 / mean (x - y)^2); the peak is the largest magnitude of the reference channel.
     `st_sim_2800`, `st_sim_8000`: ST-SIM with its thresholds on an axis of 2800 Hz and of 8000 Hz, 1 for an exact copy.
     `spqi`: SPQI, 0 to 1, 1 for an exact copy. `log_spectral_distance_db`: in the tactile band, 0 for an exact copy.
+    `third_octave_distance_db`: likewise, of levels in third octaves that can be felt.
     """
 
     snr_db: float | None
@@ -54,10 +58,13 @@ class Quality:
     st_sim_8000: float | None
     spqi: float | None
     log_spectral_distance_db: float | None
+    third_octave_distance_db: float | None
 
 
-def measure(reference: Signal, decoded: Signal, rate_hz: float) -> Quality:
+def measure(reference: Signal, decoded: Signal, rate_hz: float, unit: str = "full scale") -> Quality:
     """Measure float64 arrays (n, channels) in the physical unit, the codec's delay removed.
+
+    `unit`: "full scale", or "um" or "m/s^2", for which it is known what can be felt.
 
     Every measure is the mean over the channels that have a value; one whose reference is silent has none. Raises
     ValueError on arrays of another or of differing shape, NaN, infinity, magnitudes that no codec takes, or a rate that
@@ -65,7 +72,7 @@ def measure(reference: Signal, decoded: Signal, rate_hz: float) -> Quality:
     """
     _check(reference, decoded, rate_hz)
     channels = [
-        _measure_channel(x, y, rate_hz, ratio)
+        _measure_channel(x, y, rate_hz, unit, ratio)
         for x, y, ratio in zip(reference.T, decoded.T, codec.channel_snrs_db(reference, decoded), strict=True)
         if ratio is not None
     ]
@@ -95,7 +102,7 @@ def _mean(values: Iterable[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _measure_channel(reference: Signal, decoded: Signal, rate_hz: float, snr_db: float) -> Quality:
+def _measure_channel(reference: Signal, decoded: Signal, rate_hz: float, unit: str, snr_db: float) -> Quality:
     """Measure one channel (n,) that is not all zero."""
     peak = np.max(np.abs(reference))
     x, y = _blocks_with_signal(reference, decoded, peak)
@@ -106,6 +113,7 @@ def _measure_channel(reference: Signal, decoded: Signal, rate_hz: float, snr_db:
         st_sim_8000=_similarity(_ST_SIM_8000, x, y),
         spqi=_similarity(_SPQI, x, y),
         log_spectral_distance_db=_log_spectral_distance_db(reference / peak, decoded / peak, rate_hz),
+        third_octave_distance_db=_third_octave_distance_db(reference / peak, decoded / peak, rate_hz, unit, peak),
     )
 
 
@@ -151,6 +159,42 @@ def _log_spectral_distance_db(reference: Signal, decoded: Signal, rate_hz: float
     x, y = x[kept], y[kept]
     floor = FLOOR * np.mean(x)
     differences_db = 10 * np.log10(np.maximum(x, floor) / np.maximum(y, floor))
+    return float(np.mean(np.sqrt(np.mean(np.square(differences_db), axis=1))))
+
+
+def _third_octave_distance_db(
+    reference: Signal, decoded: Signal, rate_hz: float, unit: str, peak: float
+) -> float | None:
+    """Return the mean over frames of the RMS difference of third-octave levels; peak of reference 1.
+
+    The measure d_2 as in `_log_spectral_distance_db`, of levels in bands as by D. H. Klatt, "Prediction of perceived
+    phonetic distance from critical-band spectra", ICASSP 1982; in third octaves, for touch tells frequencies apart by a
+    fifth or so (A. Israr, H. Z. Tan and C. M. Reed, "Frequency and amplitude discrimination along the
+    kinesthetic-cutaneous continuum", J. Acoust. Soc. Am. 120, 2006). A level that cannot be felt counts as the least
+    that can: the power of a sine at the detection threshold or, where the unit is not physical, FLOOR of the mean power
+    of the reference's bands. Frames in which neither signal is above that say nothing. None where none is left, where
+    the signal is shorter than a frame, and where the rate has room for no band.
+    """
+    frame = round(FRAME_S * rate_hz)
+    middles_hz = 1000 * 10 ** (THIRD_OCTAVES / 10)
+    lower_hz, upper_hz = middles_hz * 10**-0.05, middles_hz * 10**0.05
+    whole = upper_hz <= rate_hz / 2
+    if len(reference) < frame or not np.any(whole):
+        return None
+    bins_hz = np.fft.rfftfreq(frame, 1 / rate_hz)[:, None]
+    half_hz = rate_hz / frame / 2
+    # A bin's power lies evenly between its neighbours' and belongs to a band by the part that is within.
+    within = np.minimum(bins_hz + half_hz, upper_hz[whole]) - np.maximum(bins_hz - half_hz, lower_hz[whole])
+    parts = np.maximum(within, 0) / (2 * half_hz)
+    x, y = (_power_spectra(signal, frame) @ parts for signal in (reference, decoded))
+    if unit == "full scale":
+        floor = np.full(np.count_nonzero(whole), FLOOR * np.mean(x))
+    else:
+        floor = np.square(threshold_amplitude(read_threshold(), middles_hz[whole], unit) / peak) / 2
+    kept = np.any(np.maximum(x, y) > floor, axis=1)
+    if not np.any(kept):
+        return None
+    differences_db = 10 * np.log10(np.maximum(x[kept], floor) / np.maximum(y[kept], floor))
     return float(np.mean(np.sqrt(np.mean(np.square(differences_db), axis=1))))
 
 

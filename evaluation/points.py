@@ -39,6 +39,7 @@ class Point:
     st_sim_8000: float | None = None
     spqi: float | None = None
     log_spectral_distance_db: float | None = None
+    third_octave_distance_db: float | None = None
     delay_ms: float | None = None
     source: str = MEASURED
 

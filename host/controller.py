@@ -64,6 +64,7 @@ class _Asked:
 
     frame: bytes
     again_s: float
+    answer_timeout_s: float
     tries_left: int
 
 
@@ -172,11 +173,11 @@ class Controller:
         """Send stream data, which is never answered. Raises TransportError."""
         self._write(write_frame(pack(data)))
 
-    def ask(self, message: Message) -> None:
+    def ask(self, message: Message, answer_timeout_s: float = ANSWER_TIMEOUT_S) -> None:
         """Send a request without waiting for its answer: `poll` sends it again until it comes. Raises as `request`."""
         frame = self._next_request(message)
         self._write(frame)
-        self._asked = _Asked(frame, self.clock() + ANSWER_TIMEOUT_S, TRIES - 1)
+        self._asked = _Asked(frame, self.clock() + answer_timeout_s, answer_timeout_s, TRIES - 1)
 
     def ask_status(self) -> None:
         """Ask for the status without waiting for it; `poll` brings it. Raises TransportError.
@@ -199,7 +200,7 @@ class Controller:
             if not self._asked.tries_left:
                 raise _no_answer()
             self._write(self._asked.frame)
-            self._asked.again_s = self.clock() + ANSWER_TIMEOUT_S
+            self._asked.again_s = self.clock() + self._asked.answer_timeout_s
             self._asked.tries_left -= 1
         answer = self._receive(timeout_s)
         if answer is not None:

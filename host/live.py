@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -11,18 +10,20 @@ import numpy as np
 import codec
 import models
 from codec import Signal, SignalFormat
-from device_protocol.coded_stream import StreamHeader
-from device_protocol.frames import write_frame
-from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData, pack
+from codec.steering import REFRESH_S as STEERED_REFRESH_S
+from device_protocol.coded_stream import StreamHeader, renumbered
+from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
 from device_protocol.transports import TransportError
 from host import coding
-from host.controller import ConnectionLost, Controller, ControllerError
-from host.link import LinkModel
+from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
+from host.link import STATUS_INTERVAL_S, Link, added_bytes, frame_bytes
 from host.player import RECONNECT_S, check_limits
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
 MARGIN_S = 0.01
 REFRESH_S = 0.25
+# What a stream may take of the link's capacity, so that its packets do not queue.
+LINK_SHARE = 0.9
 # RMS value that a source is taken to have where nothing is known of it, relative to its full scale.
 EXPECTED_RMS = 0.2
 
@@ -35,6 +36,11 @@ _END_S = 5.0
 _FLOOD_FACTOR = 1.5
 _MOST_FLOODS = 4
 _POLL_S = 0.005
+_END_ASK_S = 0.1
+# A link of so many times what is needed bears whatever happens to it without a longer margin.
+_AMPLE = 8
+# How much earlier than it is needed a steered packet has to come.
+_GUARD_S = 0.005
 
 
 class LiveError(ValueError):
@@ -45,14 +51,35 @@ class LiveError(ValueError):
 class LiveResult:
     """What live streaming did.
 
-    `status`: the last one. `underruns`, `lost_packets`: of all streams. `streams`: more than one where it was begun
-    anew, as clocks had drifted apart, the source had paused or the connection was lost.
+    `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: those of the lost ones that
+    the host did not send, as they would have come too late. `streams`: more than one where it was begun anew, as clocks
+    had drifted apart, the source had paused or the connection was lost. `seconds`: of signal. `payload_bytes`: of all
+    packets that were sent. `wire_bytes`: all that went to the controller with them, frames and requests included.
     """
 
     status: Status
     underruns: int
     lost_packets: int
+    dropped_packets: int
     streams: int
+    seconds: float
+    payload_bytes: int
+    wire_bytes: int
+
+    @property
+    def payload_bps(self) -> float:
+        """Bits a second of the packets."""
+        return 8 * self.payload_bytes / self.seconds if self.seconds else 0.0
+
+    @property
+    def wire_adds(self) -> float:
+        """What the wire adds to the packets, relative to these."""
+        return self.wire_bytes / self.payload_bytes - 1 if self.payload_bytes else 0.0
+
+    @property
+    def wire_bps(self) -> float:
+        """Bits a second of all that was sent."""
+        return 8 * self.wire_bytes / self.seconds if self.seconds else 0.0
 
 
 def live_format(
@@ -74,8 +101,12 @@ class LiveStream:
     """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
 
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
-    `margin_s`: how long packets lie on the controller before they are needed. `packet_samples`: samples per channel in
-    a packet, at least those asked for and the codec's shortest block. `header`, `stream`, `packets_sent`, `status`:
+    `policy`: steers the quality, None = all packets are of the setting's. One with a rate is held to what the link
+    carries: quality falls before a packet is late, and rises again. `margin_s`: how long packets lie on the controller
+    before they are needed; None = MARGIN_S, a quarter of a packet if that is more or, with a policy on a link
+    not much faster than needed, what bears the link's fall to half. `packet_samples`: samples per channel in a packet, at least those asked for and the codec's
+    shortest block; None = for a rate the shortest to which frames add at most 15 %, within `longest_packet_s`, or else
+    one block. What would come too late is never sent. `header`, `stream`, `packets_sent`, `status`:
     of the stream under way. `begun`: streams so far; `earlier`: the last status of each of those before this one.
     Raises CodecError, LiveError, StreamError for what the controller does not take, ControllerError, TransportError.
     """
@@ -88,28 +119,42 @@ class LiveStream:
         codec_name: str | None = None,
         setting: codec.Setting | None = None,
         model: models.Model | None = None,
-        packet_samples: int = 1,
-        margin_s: float = MARGIN_S,
+        policy: codec.Policy | None = None,
+        packet_samples: int | None = None,
+        longest_packet_s: float = math.inf,
+        margin_s: float | None = None,
         gain: float = 1.0,
         compensation: bool = True,
     ) -> None:
         check_limits(controller, signal_format.channels, signal_format.rate_hz)
         self.controller = controller
         self.format = signal_format
-        self.margin_s = margin_s
+        self._asked_margin_s = margin_s
+        self.policy = policy
+        self.payload_bytes = self.dropped_packets = self._sent_samples = 0
+        self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
         self._codec, self._model = coding.chosen_codec(codec_name, model), model
-        self.setting = self._codec.complete(
-            {**live_setting(self._codec.name, signal_format.rate_hz), **(setting or {})}
-        )
-        # Rounded up to whole blocks: to how many samples, an encoder says.
-        encoder = self._make_encoder(codec.Framing(packet_samples, 1))
+        defaults = {} if policy else live_setting(self._codec.name, signal_format.rate_hz)
+        self.setting = self._codec.complete({**defaults, **(setting or {})})
+        self._asked_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
+        # To how many samples it is rounded up, an encoder says.
+        encoder = self._make_encoder(codec.Framing(self._packet_samples(packet_samples, longest_packet_s), 1))
         self.packet_samples = encoder.packet_samples
-        # The first block that is ever coded takes longer than others, and would make all of the stream that much later.
-        encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
+        self.packet_s = self.packet_samples / signal_format.rate_hz
+        refresh_s = REFRESH_S if policy is None else STEERED_REFRESH_S
+        self._framing = codec.Framing(self.packet_samples, max(1, math.floor(refresh_s / self.packet_s)))
+        self._least_bytes = 0
+        if isinstance(policy, codec.RatePolicy):
+            self._least_bytes = round(policy.least_bits_per_second * self.packet_s / 8)
+        if policy is None:
+            # The first block that is ever coded takes longer than others, and would make all of the stream later by
+            # that; what steers has coded some already.
+            encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
         self._gain, self._compensation = gain, compensation
         self._floods = 0  # streams in a row
         self._configure()
+        self._wire_bytes_before = controller.bytes_sent
 
     @property
     def begun(self) -> int:
@@ -121,13 +166,34 @@ class LiveStream:
         self.earlier.append(self.status)
         self._configure()
 
+    def _packet_samples(self, asked: int | None, longest_packet_s: float) -> int:
+        """Return the samples in a packet, to be rounded up to whole blocks: asked for, for the rate, or the fewest."""
+        if asked is None and self._asked_bps is not None:
+            rate_hz = self.format.rate_hz
+            return codec.steered_framing(self._asked_bps, rate_hz, added_bytes, longest_packet_s).packet_samples
+        return asked or 1
+
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
+        """Make the stream's first encoder; what it learns of a policy's least holds for all later ones."""
         model = coding.encoder_model(self._model)
-        return self._codec.make_encoder(self.setting, self.format, framing, model, None)
+        if self.policy is None:
+            return self._codec.make_encoder(self.setting, self.format, framing, model, None)
+        return codec.steered_encoder(self._codec, self.setting, self.format, framing, model, self.policy)
+
+    def _begin_encoder(self, first: int) -> None:
+        """Make an encoder that begins with packet `first`, a refresh."""
+        model = coding.encoder_model(self._model)
+        self._encoder = self._codec.make_encoder(self.setting, self.format, self._framing, model, self.policy)
+        if self.policy is not None:
+            tables = None if model is None else model.tables
+            decoder = codec.decoder(self._codec.identifier, self._encoder.configuration, self.format.channels, tables)
+            self.policy.begin(decoder, self._least_bytes, self.packet_s)
+        self._gathered = 0
+        self._refreshed_at = first
+        self._refresh_is_due = False
 
     def _configure(self) -> None:
-        refresh_packets = max(1, math.floor(REFRESH_S * self.format.rate_hz / self.packet_samples))
-        self._encoder = self._make_encoder(codec.Framing(self.packet_samples, refresh_packets))
+        self._begin_encoder(0)
         self.header = StreamHeader(
             self._codec.identifier,
             self.format.rate_hz,
@@ -142,31 +208,57 @@ class LiveStream:
             self.stream, self.header.pack(), self.packet_samples, compensation=self._compensation, gain=self._gain
         )
         self.status = self.controller.request(configure, Status)
-        self._link = LinkModel.measured(self.controller)
+        self._link = Link(self.controller, self.stream)
+        self.carried_bps = math.inf
+        if self._asked_bps is not None:
+            self._link.needed = self._asked_bps / 8 / LINK_SHARE
+        self.margin_s = self._margin_s() if self._asked_margin_s is None else self._asked_margin_s
         self.packets_sent = 0
-        self._on_the_way: deque[float] = deque()  # when each packet should arrive, by the controller's clock
+        self._plays_from_s: float | None = None
         self._began_s = self.controller.clock()
         self._out_of_step_since_s: float | None = None
 
+    def _margin_s(self) -> float:
+        """Return the margin by which packets stay in time if the link falls to half, as soon as that can be known.
+
+        A packet that is under way then takes up to its own duration longer, and it takes up to two Status to see it; a
+        link that is far faster than it needs to be leaves room for that. Without, a long packet gets more than a short
+        one, for more is lost with it.
+        """
+        if self.policy is None or self._link.bytes_per_second >= _AMPLE * self._link.needed:
+            return max(MARGIN_S, self.packet_s / 4)
+        return self.packet_s + 2 * STATUS_INTERVAL_S
+
     def code(self, samples: Signal) -> list[bytes]:
         """Code samples (n, channels) in the format's unit; return the packets that they complete. Raises CodecError."""
-        return self._encoder.encode(samples / np.array(self.format.gains))
+        self._gathered = (self._gathered + len(samples)) % self.packet_samples
+        self._sent_samples += len(samples)
+        packets = self._encoder.encode(samples / np.array(self.format.gains))
+        return [renumbered(packet, self._refreshed_at) for packet in packets]
 
     def send_packets(self, packets: Sequence[bytes]) -> None:
         """Send packets at once, each in a frame of its own; Start goes with the first, so that none waits for it."""
         for packet in packets:
             data = StreamData(self.stream, 0, (packet,))
-            arrives_s = self._link.arrival_s(self.controller.clock(), len(write_frame(pack(data))))
+            now_s = self._link.now_s(self.controller.clock())
             self.controller.send(data)
-            self._on_the_way.append(arrives_s)
-            self.packets_sent += 1
-            if self.packets_sent == 1:
+            start_bytes = frame_bytes(Start()) if self._plays_from_s is None else 0
+            arrives_s = self._link.send(self.packets_sent, len(packet) + added_bytes(packet) + start_bytes, now_s)
+            if self._plays_from_s is None:
                 # From here on the packets come as evenly as the samples do, so the margin stays as it begins.
-                self.controller.ask(Start(round(1e6 * (arrives_s + self.margin_s))))
+                self._plays_from_s = arrives_s - self._link.seconds(start_bytes) + self.margin_s
+                answer_s = ANSWER_TIMEOUT_S + self._link.answer_s(now_s)
+                self.controller.ask(Start(round(1e6 * self._plays_from_s)), answer_s)
+            self.packets_sent += 1
+            self.payload_bytes += len(packet)
 
     def send(self, samples: Signal) -> None:
         """Code and send samples (n, channels), take in what has come; begin anew where the clocks are out of step."""
-        self.send_packets(self.code(samples))
+        start = 0
+        while start < len(samples):
+            end = start + self.left_samples
+            self.send_packets(self.coded(samples[start:end]))
+            start = end
         self.poll(0)
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
@@ -174,6 +266,52 @@ class LiveStream:
             self._refuse_floods()
         if out_of_step or self.status.state == State.WATCHDOG:
             self.begin_anew()
+
+    @property
+    def left_samples(self) -> int:
+        """How many samples complete the next packet."""
+        return self.packet_samples - self._gathered
+
+    def coded(self, samples: Signal) -> list[bytes]:
+        """Code what completes the next packet, or less; return that packet, unless it would come too late."""
+        if self._refresh_is_due and not self._gathered:
+            self._begin_encoder(self.packets_sent)
+        if len(samples) == self.left_samples and not self.fits():
+            self._drop()
+            return []
+        return self.code(samples)
+
+    def fits(self) -> bool:
+        """Return whether the next packet can come in time; set `carried_bps`, and the policy's rate, to what can.
+
+        A packet may take LINK_SHARE of its own duration on the link, less half of what still waits there: so the queue
+        shrinks by half with each packet, and packets come as early again as at the start.
+        """
+        if self._plays_from_s is None:
+            return True
+        now_s = self._link.now_s(self.controller.clock())
+        if self.status.state == State.PLAYING:
+            self._link.wait(now_s)
+        queue_s = self._link.queue_s(now_s)
+        left_s = self._plays_from_s + self.packets_sent * self.packet_s - now_s - queue_s
+        if self.policy is None:
+            return left_s > 0
+        left_s -= min(_GUARD_S, self.margin_s / 2)
+        least_s = self._link.seconds(self._least_bytes)
+        if left_s <= least_s:
+            return False
+        seconds = min(left_s, max(least_s, LINK_SHARE * self.packet_s - queue_s / 2))
+        self.carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
+        if self._asked_bps is not None and isinstance(self.policy, codec.RatePolicy):
+            rate_bps = max(self.policy.least_bits_per_second, self.carried_bps)
+            self.policy.bits_per_second = min(self._asked_bps, rate_bps)
+        return True
+
+    def _drop(self) -> None:
+        """Leave out the next packet, which would come too late; the one behind it is a refresh."""
+        self.packets_sent += 1
+        self.dropped_packets += 1
+        self._begin_encoder(self.packets_sent)
 
     def _refuse_floods(self) -> None:
         """Raise LiveError for a source that does not keep its own rate: what is ahead of time would be lost."""
@@ -194,11 +332,14 @@ class LiveStream:
             return
         if status.state == State.FAULT:
             raise ControllerError("the controller reports a fault of its hardware and has stopped")
+        lost = status.lost_packets - self.status.lost_packets
         self.status = status
-        while self._on_the_way and self._on_the_way[0] <= status.device_time_us / 1e6:
-            self._on_the_way.popleft()
-        arrived = self.packets_sent - len(self._on_the_way)
-        behind = status.position > arrived * self.packet_samples
+        self._link.hear(status, self.packet_samples, self.controller.clock())
+        if status.state == State.PLAYING and status.position:
+            self._plays_from_s = status.device_time_us / 1e6 - status.position / self.format.rate_hz
+        if lost and self.policy is not None and status.position > self._refreshed_at * self.packet_samples:
+            self._refresh_is_due = True  # the controller is silent until one comes
+        behind = status.position > self._link.arrived_by(status.device_time_us / 1e6) * self.packet_samples
         longest_s = self.margin_s + self.packet_samples / self.format.rate_hz + _LARGEST_GROWTH_S
         too_long = status.buffered_samples > longest_s * self.format.rate_hz
         if status.state != State.PLAYING or not (behind or too_long):
@@ -206,30 +347,47 @@ class LiveStream:
         elif self._out_of_step_since_s is None:
             self._out_of_step_since_s = self.controller.clock()
 
-    def finish(self) -> LiveResult:
-        """Send the end, wait until it has been played, and return what happened."""
-        self.send_packets(self._encoder.finish())
+    def end(self) -> None:
+        """Send what is left and the end, without waiting for it."""
+        self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
         if self.packets_sent:
-            self.controller.request(EndStream(self.stream, self.packets_sent), Status)
-            self._wait_for_the_end()
+            self.status = self.controller.request(EndStream(self.stream, self.packets_sent), Status)
         else:
             self.status = self.controller.stop()
+        self._wire_bytes = self.controller.bytes_sent - self._wire_bytes_before
+
+    def finish(self) -> LiveResult:
+        """Send the end if it was not sent, wait until it has been played, and return what happened."""
+        if self._wire_bytes is None:
+            self.end()
+        assert self._wire_bytes is not None
+        if self.packets_sent:
+            self._wait_for_the_end()
         streams = [*self.earlier, self.status]
         return LiveResult(
             status=self.status,
             underruns=sum(status.underruns for status in streams),
             lost_packets=sum(status.lost_packets for status in streams),
+            dropped_packets=self.dropped_packets,
             streams=len(streams),
+            seconds=self._sent_samples / self.format.rate_hz,
+            payload_bytes=self.payload_bytes,
+            wire_bytes=self._wire_bytes,
         )
 
     def _wait_for_the_end(self) -> None:
-        left_samples = self.packets_sent * self.packet_samples - self.controller.request_status().position
+        left_samples = self.packets_sent * self.packet_samples - self.status.position
         deadline_s = self.controller.clock() + left_samples / self.format.rate_hz + _END_S
+        ask_s = 0.0
         while self.controller.clock() < deadline_s:
-            self.status = self.controller.request_status()
             if self.status.state in (State.FINISHED, State.STOPPED, State.WATCHDOG):
                 return
+            if self.controller.clock() >= ask_s:
+                self.controller.ask_status()
+                ask_s = self.controller.clock() + _END_ASK_S
             self.controller.poll(_POLL_S)
+            if self.controller.status is not None and self.controller.status.stream == self.stream:
+                self.status = self.controller.status
         raise ControllerError(
             f"the stream's end has not been played {_END_S:g} s after its time. Restart the controller."
         )

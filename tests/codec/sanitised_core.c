@@ -1,5 +1,5 @@
 /* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct`,
- * `core dct`, `core slp`, `core eva` or `core output`.
+ * `core dct`, `core slp`, `core eva`, `core parametric` or `core output`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
  * first record is the configuration, its kind the number of channels; of `eva` and `mdct` the model stands before it,
@@ -16,6 +16,7 @@
 #include "dct.h"
 #include "eva.h"
 #include "output.h"
+#include "parametric.h"
 #include "slp.h"
 #include "vibrocast_core.h"
 
@@ -214,6 +215,46 @@ static int run_eva(void)
     return 0;
 }
 
+static int run_parametric(void)
+{
+    vc_parametric_decoder *decoder = malloc(vc_parametric_decoder_size());
+    vc_parametric_encoder *encoder = malloc(vc_parametric_encoder_size());
+    uint8_t *bytes, packet[300];
+    int16_t *samples, *frames;
+    size_t length, count, values, i;
+    int kind;
+    unsigned channels;
+    if (!read_record(&kind, &bytes, &length))
+        return 2;
+    channels = (unsigned)kind;
+    if (vc_parametric_decoder_init(decoder, bytes, length, channels) != VC_OK ||
+        vc_parametric_encoder_init(encoder, bytes, length, channels, 3) != VC_OK)
+        return 0;
+    count = (size_t)vc_parametric_decoder_packet_samples(decoder) * channels;
+    values = (size_t)vc_parametric_frame_values(encoder) * (bytes[3] | (size_t)bytes[4] << 8) * channels;
+    free(bytes);
+    samples = malloc(count * sizeof *samples);
+    frames = malloc(values * sizeof *frames);
+    while (read_record(&kind, &bytes, &length)) {
+        size_t capacity = length * 13 % sizeof packet;
+        if (kind == 1 || vc_parametric_decode(decoder, bytes, length, samples) < 0)
+            vc_parametric_conceal(decoder, samples);
+        for (i = 0; i < values; i++) {
+            int byte = length > 0 ? bytes[i % length] : 0;
+            frames[i] = (int16_t)(byte == 255 ? INT16_MAX : byte == 254 ? INT16_MIN : byte - 50);
+        }
+        if (vc_parametric_encode(encoder, frames, packet, capacity) > (int32_t)capacity)
+            return 3;
+        free(bytes);
+    }
+    free(samples);
+    free(frames);
+    free(decoder);
+    free(encoder);
+    puts("done");
+    return 0;
+}
+
 /* A drive, its DAC and all codes so far. */
 typedef struct {
     uint32_t room; /* samples of drive at a time */
@@ -304,9 +345,10 @@ static int run_output(void)
 int main(int count, char **arguments)
 {
     const char *codec = count == 2 ? arguments[1] : "";
-    return strcmp(codec, "dct") == 0      ? run_dct()
-           : strcmp(codec, "slp") == 0    ? run_slp()
-           : strcmp(codec, "eva") == 0    ? run_eva()
-           : strcmp(codec, "output") == 0 ? run_output()
-                                          : run_mdct();
+    return strcmp(codec, "dct") == 0          ? run_dct()
+           : strcmp(codec, "slp") == 0        ? run_slp()
+           : strcmp(codec, "eva") == 0        ? run_eva()
+           : strcmp(codec, "parametric") == 0 ? run_parametric()
+           : strcmp(codec, "output") == 0     ? run_output()
+                                              : run_mdct();
 }

@@ -168,15 +168,19 @@ def test_a_constant_coarseness_is_that_of_the_quality_and_costs_at_most_a_bit_a_
     assert 0 < added_bits <= len(plain[1]) + at_refreshes
 
 
-def test_the_range_of_coarsenesses_is_that_of_the_model() -> None:
-    ranges = []
+def test_the_range_of_coarsenesses_is_that_of_the_model_and_on_to_nothing() -> None:
+    ranges, sizes = [], []
 
     def steering(trial: codec.Trial) -> Choice:
         ranges.append(trial.coarsenesses)
+        sizes.append([len(trial.packet(each)) for each in trial.coarsenesses[4 * 16 :]])
         return Choice(0)
 
     coded(texture(300), 3.0, steering=steering)
-    assert set(ranges) == {range(-4 * 16, 3 * 16 + 1)}
+    assert set(ranges) == {range(-4 * 16, 3 * 16 + 12 * 16 + 1)}
+    for of_packet in sizes:
+        assert of_packet[3 * 16] > of_packet[6 * 16] > of_packet[-1]
+        assert of_packet[-1] <= 4
 
 
 def snrs_db(signal: codec.Signal, setting: codec.Setting) -> tuple[float, float]:

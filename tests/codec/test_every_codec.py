@@ -11,6 +11,7 @@ import codec
 import textures
 from codec import CodecError, Decoder, Signal
 from codec.coding import Source
+from codec.core import CoreDecoder
 from host import coding, end_to_end, flasher
 from host.controller import Controller
 from simulated_device.controller import Controller as SimulatedController
@@ -206,6 +207,21 @@ def test_a_gap_fades_and_a_refresh_ends_it(name: str) -> None:
     assert np.any(played[(max(lost) + 1) * decoder.packet_samples :])
     end = slice(-2000, None)
     assert (codec.snr_db(clean[end].astype(float), played[end].astype(float)) or math.inf) > 10
+
+
+@pytest.mark.parametrize("runtime", codec.RUNTIMES)
+@pytest.mark.parametrize("name", ["mdct", "dct", "slp", "eva", "parametric"])
+def test_a_copied_decoder_goes_on_by_itself(name: str, runtime: str) -> None:
+    stream = coded(name, texture(3000, 2), live=True)
+    identifier = codec.codec_by_name(name).identifier
+    untouched, copied = (codec.decoder(identifier, stream.configuration, 2, tables_of(name), runtime) for _ in range(2))
+    assert isinstance(copied, CoreDecoder)
+    for packet in stream.packets[:7]:
+        np.testing.assert_array_equal(copied.decode(packet), untouched.decode(packet))
+    twin = copied.copy()
+    copied.conceal()
+    for packet in stream.packets[7:]:
+        np.testing.assert_array_equal(twin.decode(packet), untouched.decode(packet))
 
 
 @every_codec

@@ -191,6 +191,28 @@ def test_damaged_models_and_configurations_of_eva(program: Path) -> None:
         assert done.returncode == 0, done.stderr.decode()
 
 
+def test_parametric_streams_with_losses_and_noise(program: Path) -> None:
+    generator = np.random.default_rng(9)
+    for shape, frame, channels in ((0, b"\x00\x00", 16), (0x3F, b"\x68\x00", 1), (0x1A, b"\x38\x01", 3)):
+        records = record(channels, bytes((shape, *frame, 2, 0)))
+        records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(0, 256, 5))
+        for sequence in range(60):
+            payload = bytes((2 * sequence + (sequence % 5 == 0),)) + generator.bytes(int(generator.integers(300)))
+            records += record(int(generator.random() < 0.1), payload)
+        done = run(program, records, "parametric")
+        assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
+
+
+def test_random_configurations_of_parametric(program: Path) -> None:
+    generator = np.random.default_rng(10)
+    for _ in range(20):
+        configuration = generator.integers(0, [70, 128, 8, 9, 2]).astype(np.uint8).tobytes()
+        for length in (4, 5):
+            records = record(length - 4, configuration[:length]) + record(0, b"\x01" + generator.bytes(150))
+            done = run(program, records, "parametric")
+            assert done.returncode == 0, done.stderr.decode()
+
+
 def test_output_of_extreme_signals_scales_and_rates(program: Path) -> None:
     generator = np.random.default_rng(7)
     described = [PIEZO_STACK, LRA, VOICE_COIL]

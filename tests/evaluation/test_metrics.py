@@ -15,7 +15,7 @@ from codec import Signal
 from evaluation.metrics import BLOCK_SAMPLES, Quality, measure
 
 RATE_HZ = 2800
-NOTHING = Quality(None, None, None, None, None, None)
+NOTHING = Quality(*[None] * 7)
 
 
 def tones() -> Signal:
@@ -72,6 +72,35 @@ def test_spectral_distance_heeds_the_tactile_band_alone() -> None:
     assert measure(x, x + outside, 8000).log_spectral_distance_db == pytest.approx(0, abs=1e-3)
 
 
+def test_third_octave_distance_of_a_gain_is_the_gain_in_every_unit() -> None:
+    for unit in ("full scale", "um", "m/s^2"):
+        distance = measure(1e4 * noise(), 5e3 * noise(), RATE_HZ, unit).third_octave_distance_db
+        assert distance == pytest.approx(20 * math.log10(2))
+
+
+def test_third_octave_distance_heeds_bands_and_not_where_in_them() -> None:
+    """Two takes of one noise are far from each other in bins, not in bands; another band is far in both."""
+    t = np.arange(28_000)[:, None] / RATE_HZ
+    near, far = (np.sin(2 * np.pi * f * t) for f in (255, 330))
+    x = np.sin(2 * np.pi * 245 * t)
+    other_take = measure(noise(28_000), noise(28_000, 1), RATE_HZ)
+    other_tone, other_band = measure(x, near, RATE_HZ), measure(x, far, RATE_HZ)
+    assert other_take.log_spectral_distance_db is not None and other_take.third_octave_distance_db is not None
+    assert 3 < other_take.third_octave_distance_db < other_take.log_spectral_distance_db - 3
+    assert other_tone.third_octave_distance_db is not None and other_band.third_octave_distance_db is not None
+    assert other_tone.third_octave_distance_db < 0.6 * other_band.third_octave_distance_db
+
+
+def test_third_octave_distance_heeds_what_can_be_felt() -> None:
+    """A tone that is lost counts by what it is above the threshold, one below it not at all."""
+    t = np.arange(2800)[:, None] / RATE_HZ
+    felt, faint = np.sin(2 * np.pi * 250 * t), 0.003 * np.sin(2 * np.pi * 60 * t)
+    assert measure(felt + faint, felt, RATE_HZ, "um").third_octave_distance_db == pytest.approx(0, abs=0.01)
+    halves = [measure(level * felt, 0 * felt, RATE_HZ, "um").third_octave_distance_db for level in (1.0, 0.5)]
+    assert halves[0] is not None and halves[1] is not None and halves[0] > halves[1] > 0
+    assert measure(faint, felt * 0, RATE_HZ, "um").third_octave_distance_db is None
+
+
 @given(seed=st.integers(0, 1000), samples=st.integers(512, 1500), error=st.floats(0.01, 2))
 def test_as_the_authors_code_on_signals_without_silence(seed: int, samples: int, error: float) -> None:
     x = noise(samples, seed)
@@ -87,7 +116,8 @@ def test_a_copy_has_the_best_values(seed: int, samples: int, channels: int) -> N
     x = np.random.default_rng(seed).normal(size=(samples, channels))
     similarity = 1.0 if samples >= BLOCK_SAMPLES else None
     distance_db = 0.0 if samples >= 280 else None
-    assert measure(x, x, RATE_HZ) == Quality(math.inf, math.inf, similarity, similarity, similarity, distance_db)
+    scores = (math.inf, math.inf, similarity, similarity, similarity, distance_db, distance_db)
+    assert measure(x, x, RATE_HZ) == Quality(*scores)
 
 
 def test_sign_is_nothing_to_a_spectrum() -> None:
@@ -95,7 +125,7 @@ def test_sign_is_nothing_to_a_spectrum() -> None:
     flipped = measure(noise(), -noise(), RATE_HZ)
     assert (flipped.st_sim_2800, flipped.st_sim_8000) == (0.0, 0.0)
     assert flipped.spqi == pytest.approx(1)
-    assert flipped.log_spectral_distance_db == 0
+    assert flipped.log_spectral_distance_db == flipped.third_octave_distance_db == 0
 
 
 def test_silence_decoded_from_sound() -> None:
@@ -140,7 +170,7 @@ def test_channels_count_alike_and_silent_ones_not() -> None:
 def test_level_changes_only_what_is_held_against_thresholds(exponent: int, seed: int) -> None:
     x, y = noise(seed=seed), noise(seed=seed) + 0.3 * noise(seed=seed + 1)
     here, there = measure(x, y, RATE_HZ), measure(2.0**exponent * x, 2.0**exponent * y, RATE_HZ)
-    for name in ("snr_db", "psnr_db", "spqi", "log_spectral_distance_db"):
+    for name in ("snr_db", "psnr_db", "spqi", "log_spectral_distance_db", "third_octave_distance_db"):
         assert getattr(there, name) == pytest.approx(getattr(here, name))
     assert there.st_sim_8000 is not None and there.st_sim_8000 > 0.5
 

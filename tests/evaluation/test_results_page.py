@@ -59,8 +59,8 @@ def curve(
             snr_db + 13,
             *(1 - 10 ** (-(snr_db + 1) / 10),) * 3,
             3.0,
-            20.0 * rate_factor,
-            source,
+            delay_ms=20.0 * rate_factor,
+            source=source,
         )
         for snr_db in snrs_db
     ]

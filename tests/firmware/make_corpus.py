@@ -50,6 +50,7 @@ SETTINGS: tuple[tuple[str, Setting], ...] = (
     ("dct", {"levels": 14, "entropy": "huffman", "block": "64"}),
     ("dct", {"levels": 100, "entropy": "range", "quantiser": "log", "block": "64"}),
     ("slp", {"quality": 20}),
+    ("parametric", {"hop": "16", "frame": "4"}),
 )
 
 
@@ -104,7 +105,7 @@ def streams() -> list[bytes]:
         header = StreamHeader(identifier, RATE_HZ, 300, "um", coded.gains, coded.configuration)
         packets = [packet if number != 2 else b"" for number, packet in enumerate(coded.packets)]
         inputs.append(b"".join(map(record, [b"", header.pack(), *packets])))
-    inputs += [steered(name, setting) for name, setting in SETTINGS]
+    inputs += [steered(name, setting) for name, setting in SETTINGS if codec.codec_by_name(name).steers]
     generator = np.random.default_rng(1)
     for prior, is_steered in itertools.product(PRIOR_KINDS, (False, True)):
         configuration = eva.configuration(3, [700], [8], is_steered)

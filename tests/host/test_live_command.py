@@ -1,5 +1,8 @@
 """`vibrocast live`: a generated texture, and raw samples from standard input."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -54,3 +57,20 @@ def test_a_model_of_another_codec_is_refused() -> None:
     result = run("rough", "--model", "eva-16", "--codec", "dct")
     assert result.exit_code == 2
     assert "is not for the codec dct" in result.output
+
+
+def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
+    report = tmp_path / "live.json"
+    arguments = ["--constant-rate-bps", "4000", "--margin-ms", "300", "--report", str(report)]
+    result = run("rough", "--seconds", "0.6", *arguments)
+    assert result.exit_code == 0, result.output
+    figures = json.loads(report.read_text())
+    assert figures["payload_bits_per_second"] < figures["wire_bits_per_second"]
+    assert figures["margin_ms"] == 300
+    assert figures["underruns"] == figures["dropped_packets"] == 0
+
+
+def test_a_rate_out_of_reach_is_refused() -> None:
+    result = run("rough", "--constant-rate-bps", "20")
+    assert result.exit_code == 2
+    assert "cannot be held" in result.output
