@@ -161,8 +161,8 @@ def page(held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, comm
                 ["codec", *(f"{rate} bit/s" for rate in RATES_BPS)],
                 [[code(name), *(_cell(held, name, rate) for rate in RATES_BPS)] for name in _codecs(held)],
             ),
-            "Packet length, what frames add to the packets' bytes, padding: means over the recordings. *Refused*: on how "
-            "many recordings the packets of full-scale noise, which is tried first, are too long at the coarsest:",
+            "Packet length, what frames add to the packets' bytes, padding: means over the recordings. *Refused*: on "
+            "how many recordings the packets of full-scale noise, which is tried first, are too long at the coarsest:",
             _refusals(held),
             "## What a larger bucket buys",
             "![Evenness against the bucket's size](results/rate_control_buckets.png)",
