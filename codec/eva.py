@@ -198,14 +198,15 @@ class EvaEncoder:
         latents = [self._analyse(channel, level) for channel, level in zip(samples.T, self._levels, strict=True)]
 
         def code(encoder: LatentEncoder, coarseness: int) -> bytes:
-            told = (coarseness + 1) // 4 * 4  # the rest is in how bits are weighed
+            within = min(coarseness, max(self._qualities))  # what the model still has
+            told = (within + 1) // 4 * 4  # the rest is in how bits are weighed
             qualities = np.clip(np.array(self._qualities) - told, 0, self._image.finest_quality_code)
             steps = [self._image.relative_steps(int(quality))[:, None] for quality in qualities]
             scaled = [part / step for part, step in zip(latents, steps, strict=True)]
-            beyond = coarseness - max(self._qualities)
+            beyond = coarseness - within
             if beyond > 0:
                 scaled = [np.where(np.abs(part) < 2 ** (beyond / 16 - 1), 0.0, part) for part in scaled]
-            return encoder.encode(scaled, coarseness)
+            return encoder.encode(scaled, within)
 
         if self._steering is None:
             return code(self._encoder, 0)
