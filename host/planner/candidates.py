@@ -17,10 +17,9 @@ from codec.interface import AUTO
 from codec.rate_control import settings
 from codec.threshold import read_threshold
 from device_protocol.coded_stream import StreamHeader
-from device_protocol.frames import write_frame
-from device_protocol.messages import StreamData, pack
 from evaluation import metrics
 from host import coding
+from host.link import added_bytes
 from host.planner import costs
 from host.planner.band import MARGIN_DB, BandError, band_of, error_over_threshold_db, slowest_mm_s
 from host.planner.costs import MOST_LOAD_PERCENT
@@ -261,7 +260,7 @@ class Workbench:
                 for speed_mm_s in (self.hand_speed_mm_s, slowest_mm_s(self._hand_speeds_mm_s))
             ]
         packets = encoding.stream.packets
-        frames = [len(write_frame(pack(StreamData(0, 0, (packet,))))) for packet in packets]
+        frames = [len(packet) + added_bytes(packet) for packet in packets]
         packet_s = decoder.packet_samples / rate_hz
         seconds = len(packets) * packet_s
         spectral = every or self._measure == "spectral_distance_db"

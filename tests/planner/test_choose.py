@@ -49,10 +49,9 @@ def test_a_plan_is_the_same_every_time_and_codes_as_it_forecasts(tmp_path: Path)
     assert encoding.snr_db == pytest.approx(texture.forecast.snr_db)
 
 
-def test_weights_decide(tmp_path: Path) -> None:
+def test_weights_decide(choice: Choice, tmp_path: Path) -> None:
     def chosen(weights: str) -> Choice:
-        read = scene(tmp_path, weights="[weights]\n" + weights)
-        return choose(Workbench(read, read.textures[0]), read)
+        return choose(choice.workbench, scene(tmp_path, weights="[weights]\n" + weights))
 
     nothing_else = "per_kilobyte = 0\nper_million_instructions_per_second = 0\n"
     few_bits = chosen(nothing_else + "per_millisecond = 0\n").chosen.forecast
@@ -72,9 +71,11 @@ def test_weights_decide(tmp_path: Path) -> None:
         ({"asked": "[asked]\nsnr_db = 89\n"}, "snr_db"),
     ],
 )
-def test_a_refusal_names_the_limit_and_a_change_that_works(changed: dict[str, str], limit: str, tmp_path: Path) -> None:
+def test_a_refusal_names_the_limit_and_a_change_that_works(
+    changed: dict[str, str], limit: str, choice: Choice, tmp_path: Path
+) -> None:
     read = scene(tmp_path, **changed)
-    bench = Workbench(read, read.textures[0])
+    bench = choice.workbench  # of the same texture: what it has measured is measured already
     with pytest.raises(Refusal) as raised:
         choose(bench, read)
     told = re.search(rf"{limit} = ([\d.e+]+) in place of", str(raised.value))
