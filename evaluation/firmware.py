@@ -37,7 +37,7 @@ except ModuleNotFoundError as error:
 RATE_HZ = 2800
 SECONDS = 0.5
 TARGET_DB = 10.0
-DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128")
+DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128", "parametric")
 """Codecs, and models that ship."""
 LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
 """Wanted: less than this load of a Cortex-M4F."""
@@ -110,11 +110,19 @@ def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
 
 @cache
 def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
-    """Return a texture as it is streamed, near TARGET_DB or the next better quality there is, and its SNR in dB."""
+    """Return a texture as it is streamed, near TARGET_DB or the next better quality there is, and its SNR in dB.
+
+    By a codec that keeps no waveform, as finely as its ladder goes.
+    """
     model = _model(decoder)
     signal = texture(kind, seconds)
     for_encoder = trained.for_encoder(model) if model else None
-    stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, codec=_codec_name(decoder), live=True, model=for_encoder)
+    name = _codec_name(decoder)
+    if codec.CODECS[name].keeps_waveform:
+        stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, codec=name, live=True, model=for_encoder)
+    else:
+        finest = next(iter(codec.CODECS[name].ladders.values()))[-1]
+        stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True)
     snr_db = codec.snr_db(signal, codec.decode(stream, _tables(decoder)))
     assert snr_db is not None, "textures are not silent"
     return stream, snr_db
@@ -256,8 +264,9 @@ def _method(loads: Sequence[Load]) -> str:
     return paragraphs(
         f"The signals are {len(kinds)} generated textures ({', '.join(kinds)}) of one channel at {RATE_HZ} Hz, "
         f"coded as they are streamed (packets of 128 samples, a refresh every 0.25 s) at {TARGET_DB:g} dB of SNR "
-        "or, where no setting comes near, the next better. Each stream is decoded by the core as compiled for the "
-        "processor (`firmware/core` by ziglang, `-O2`), executed in Unicorn; the samples are those of the decoder "
+        "or, where no setting comes near, the next better (`parametric`, which keeps no waveform, as finely as its "
+        "ladder goes). Each stream is decoded by the core as compiled for the processor (`firmware/core` by ziglang, "
+        "`-O2`), executed in Unicorn; the samples are those of the decoder "
         "on the host, to the last bit, with DSP kernels and without, or the command fails. Given are means over "
         "the textures, refreshes included.",
         "A *load* is the part of the processor that one channel takes: instructions (or cycles) a sample times "

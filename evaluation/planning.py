@@ -1,11 +1,12 @@
 """What the planner saves at the quality of the fixed default: `python -m evaluation.planning FOLDER... --out docs`."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean, median
 
 import click
+import numpy as np
 
 import codec
 import textures
@@ -23,8 +24,8 @@ from host.planner.choose import Refusal, choose
 from host.planner.plan_file import prepared
 from host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from simulated_device.actuator import PIEZO_STACK
-from textures import Recording, TextureError
-from textures.dataset import DatasetError, Trace, load, traces
+from textures import Profile, Recording, TextureError
+from textures.dataset import DatasetError, Trace, traces
 
 CORE, CLOCK_HZ = "M4F", 168e6
 HAND_SPEED_MM_S = 50.0
@@ -115,12 +116,18 @@ def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
 
 
 def _loaded(trace: Trace, unit: str | None) -> Recording:
+    """Load a trace; one relative to full scale, whose level nobody knows, is brought to the actuator's full stroke."""
     try:
-        return load(trace, hand_speed_mm_s=HAND_SPEED_MM_S, stream_rate_hz=None)
+        loaded = Source((trace.path,), None, {}).load(HAND_SPEED_MM_S)
     except TextureError:
         if unit is None:
             raise
-        return load(trace, unit=unit)
+        loaded = Source((trace.path,), None, {"unit": unit}).load(HAND_SPEED_MM_S)
+    recording = loaded.recording(HAND_SPEED_MM_S) if isinstance(loaded, Profile) else loaded
+    if recording.unit != "full scale":
+        return recording
+    peak: float = np.max(np.abs(recording.samples)) or 1.0
+    return replace(recording, samples=recording.samples / peak)
 
 
 def _scene(trace: Trace, recording: Recording, snr_db: float, weights: Weights) -> Scene:
@@ -197,7 +204,8 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
         f"project; every row: [{ROWS}](results/{ROWS}).",
         f"The fixed default is what `vibrocast play` does unasked: `mdct`, {coding.DEFAULT_STREAM_RATE_HZ} Hz, "
         f"{coding.DEFAULT_SNR_DB:g} dB of SNR, packets of 4 blocks, a refresh every 0.25 s. The plan is for a piezo "
-        f"stack on a Cortex-M4F; of a height profile it is that of a hand at {HAND_SPEED_MM_S:g} mm/s. It is asked for "
+        f"stack on a Cortex-M4F; a height profile is swept at {HAND_SPEED_MM_S:g} mm/s, and a recording that states no "
+        "level is played at full stroke. It is asked for "
         "the SNR that the default has in the band worth coding, measured on the same samples, so that it saves "
         "nothing by being worse; what the default spends outside that band nobody can feel. Bits are those on the "
         "wire, frames included; instructions are of decoding, as measured in [firmware.md](firmware.md). Weights: the "

@@ -37,8 +37,6 @@ PACKET_BLOCKS = (1, 2, 4, 8, 16, 32)
 DEFAULT_BLOCK_SAMPLES = 32
 """Where the codec has one length only; its packets are rounded up to whole blocks of its own."""
 LONGEST_PACKET_S = LIVE_REFRESH_S
-PHASE_BLIND = frozenset({"parametric"})
-"""Codecs that keep no waveform: only a measure that is blind to phase may choose them."""
 MEASURED_SAMPLES = 1 << 15
 """Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
 SPQI_RATE_HZ = 2800
@@ -147,7 +145,7 @@ class Workbench:
         self.texture = texture
         self.actuator = scene.actuator(texture)
         self._threshold = read_threshold(scene.threshold_path)
-        self._measure = scene.asked.measure
+        self._measure, self._waveform = scene.asked.measure, scene.asked.waveform
         self.over_position = isinstance(texture.loaded, Profile) and scene.controller(texture.controller).reads_position
         self._hand_speeds_mm_s = scene.hand_speed_mm_s
         self.hand_speed_mm_s = scene.hand_speed_mm_s[1]
@@ -192,7 +190,7 @@ class Workbench:
         """Return the ways that a controller can decode, those first that are cheapest as a rule."""
         found = []
         for name, each in codec.CODECS.items():
-            if name in PHASE_BLIND and self._measure not in ("spqi", "spectral_distance_db"):
+            if self._waveform and not each.keeps_waveform:
                 continue
             shipped = [model.name for model in models.shipped() if model.codec_identifier == each.identifier]
             if each.needs_model:

@@ -1,0 +1,35 @@
+"""What planning saves: rows and page from generated recordings."""
+
+import csv
+from pathlib import Path
+
+from click.testing import CliRunner
+
+import textures
+from evaluation.planning import ROWS, WEIGHTS, main
+
+
+def test_the_page_and_its_rows(tmp_path: Path) -> None:
+    folder = tmp_path / "made"
+    folder.mkdir()
+    textures.save_wav(folder / "rough.wav", textures.GENERATORS["rough"](seconds=0.5, rate_hz=2800))
+    (folder / "bad.csv").write_text("no texture\n")
+    done = CliRunner().invoke(main, [str(folder), "--out", str(tmp_path / "docs")])
+    assert done.exit_code == 0, done.output
+    page = (tmp_path / "docs" / "planning_results.md").read_text()
+    assert "| rough | " in page and "bad.csv" in page
+    with (tmp_path / "docs" / "results" / ROWS).open() as file:
+        rows = {row["weights"]: row for row in csv.DictReader(file)}
+    assert list(rows) == list(WEIGHTS)
+    for row in rows.values():
+        assert float(row["planned_snr_db"]) >= float(row["default_snr_db"]) - 0.01
+    bits, instructions = rows["bits alone"], rows["instructions alone"]
+    assert float(bits["planned_wire_bps"]) <= float(instructions["planned_wire_bps"])
+    assert float(instructions["planned_instructions"]) <= float(bits["planned_instructions"])
+    assert float(bits["planned_wire_bps"]) < float(bits["default_wire_bps"])
+
+
+def test_a_folder_without_a_texture_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "bad.csv").write_text("no texture\n")
+    done = CliRunner().invoke(main, [str(tmp_path), "--out", str(tmp_path)])
+    assert done.exit_code == 1 and "none of the recordings can be planned" in done.output
