@@ -28,7 +28,7 @@ def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
     with (tmp_path / "planned" / "candidates.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert sum(row["chosen"] == "True" for row in rows) == 1
-    assert re.search(r"^wood: parametric", done.output) and "not needed: costs" in done.output
+    assert re.search(r"^wood: parametric", done.output, re.MULTILINE) and "not needed: costs" in done.output
     assert "quality: SNR -" in done.output or "quality: SNR 0" in done.output
 
 
