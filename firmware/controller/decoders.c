@@ -5,7 +5,8 @@ enum { MDCT = 1, DCT = 2, SLP = 3, EVA = 4, PARAMETRIC = 11 };
 
 #define EVA_LAYOUT_VERSION 1
 
-const vc_codec_description vc_codecs[VC_CODECS] = {{MDCT, "mdct"}, {DCT, "dct"}, {SLP, "slp"}, {EVA, "eva"}, {PARAMETRIC, "parametric"}};
+const vc_codec_description vc_codecs[VC_CODECS] = {
+    {MDCT, "mdct"}, {DCT, "dct"}, {SLP, "slp"}, {EVA, "eva"}, {PARAMETRIC, "parametric"}};
 
 /* Returns 0 if a codec's decoder takes the payload of a model image; else refuses with `code`. */
 static int check_tables(uint8_t codec, const uint8_t *tables, size_t length, enum vc_error_code code,
