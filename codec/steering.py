@@ -431,7 +431,8 @@ class Group:
         self.members = tuple(_Member(self, index, policy.sent_bytes) for index in range(streams))
         self._trials: dict[int, Trial] = {}
         self._choices: dict[int, Choice] = {}
-        self._least_bytes = [0] * streams
+        self._seconds = math.nan
+        self._least_bytes: dict[int, int] = {}
         self._code_next: Callable[[int], None] | None = None
 
     def code(self, coders: Sequence[Callable[[Signal], list[bytes]]], blocks: Sequence[Signal]) -> list[list[bytes]]:
@@ -460,9 +461,12 @@ class Group:
         return packets
 
     def begin(self, index: int, decoder: Decoder, least_bytes: int, seconds: float) -> None:
-        """Begin the stream of one member; see Policy."""
+        """Begin the stream of one member; see Policy. Raises CodecError where its packets last longer or less."""
+        if self._least_bytes and not math.isclose(seconds, self._seconds):
+            raise CodecError("streams that share a rate need packets of one duration; give all the same")
+        self._seconds = seconds
         self._least_bytes[index] = least_bytes
-        self.policy.begin(decoder, sum(self._least_bytes), seconds)
+        self.policy.begin(decoder, sum(self._least_bytes.values()), seconds)
 
     def choose(self, index: int, trial: Trial) -> Choice:
         """Choose for one member when all have made their trials. Raises CodecError outside `code`."""

@@ -164,6 +164,7 @@ def page(held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, comm
             "Packet length, what frames add to the packets' bytes, padding: means over the recordings. *Refused*: on "
             "how many recordings the packets of full-scale noise, which is tried first, are too long at the coarsest:",
             _refusals(held),
+            _silences(default),
             "## What a larger bucket buys",
             "![Evenness against the bucket's size](results/rate_control_buckets.png)",
             f"*Standard deviation of the packets' SNR, and worst deviation over 2 s, by {code(DEFAULT_CODEC)}: means "
@@ -210,6 +211,19 @@ def _cell(held: Sequence[Held], name: str, rate_bps: int) -> str:
     padding = fmean(row.padding_percent for row in done)
     text = f"{fmean(row.packet_ms for row in done):.0f} ms, +{added:.0f} %, padding {padding:.1f} %"
     return ", ".join(filter(None, (text, refused)))
+
+
+def _silences(rows: Sequence[Held]) -> str:
+    """Return which codecs send nothing but padding at which rates."""
+    silent = {(row.codec, row.bits_per_second) for row in rows}
+    silent -= {(row.codec, row.bits_per_second) for row in rows if row.snr_db > 0}
+    names = sorted({name for name, _ in silent})
+    highest = {name: max(rate for each, rate in silent if each == name) for name in names}
+    told = [
+        f"- {code(name)}: up to {highest[name]} bit/s what is coarse enough is silence, and the rest padding."
+        for name in names
+    ]
+    return "\n".join(told)
 
 
 def _refusals(held: Sequence[Held]) -> str:

@@ -183,8 +183,12 @@ def _furthest(sizes: Sequence[int], share_bytes: float, packet_s: float) -> floa
 
 def _packet_snrs_db(samples: Signal, decoded: Signal, decoder: codec.Decoder) -> list[float]:
     """Return the SNR over all channels of what each packet decodes to, quiet ones left out."""
+    # The last packet is seldom full, and then has bits to spare.
     first_end = decoder.packet_samples - decoder.delay_samples % decoder.packet_samples
-    cuts = [0, *range(first_end, len(samples), decoder.packet_samples)]
+    *cuts, end = [0, *range(first_end, len(samples) + 1, decoder.packet_samples)]
+    if not cuts:
+        cuts, end = [0], len(samples)
+    samples, decoded = samples[:end], decoded[:end]
     scale = np.sqrt(np.mean(np.square(samples), axis=0))
     normalised = np.where(scale > 0, scale, 1.0)
     power = np.add.reduceat(np.sum(np.square(samples / normalised), axis=1), cuts)

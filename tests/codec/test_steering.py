@@ -332,6 +332,13 @@ def test_a_group_of_real_encoders_shares_its_rate_by_need() -> None:
         encoders[0].encode(signals[0][:352])
 
 
+def test_a_group_has_packets_of_one_duration() -> None:
+    group = Group(ConstantRate(8000), 2)
+    begun(group.members[0])
+    with pytest.raises(CodecError, match="packets of one duration"):
+        group.members[1].begin(FakeDecoder(), 0, SECONDS / 2)
+
+
 def test_frames_add_at_most_15_percent_unless_the_delay_forbids() -> None:
     framing = steered_framing(4000, RATE_HZ, lambda packet: 8)
     sent = 4000 * framing.packet_samples / RATE_HZ / 8
