@@ -120,7 +120,7 @@ class Slow(Controller):
 
 
 def test_controller_that_takes_its_time_to_answer_conforms() -> None:
-    link = MemoryLink(Slow(), time=SimulatedTime(step_us=5000))
+    link = MemoryLink(Slow(), time=SimulatedTime(step_us=10_000))
     _, findings = judge(Line(link, link.clock, link.sleep), quick=True)
     assert {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED} == {
         "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
