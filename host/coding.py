@@ -82,12 +82,12 @@ class Stream:
 
     @property
     def seconds(self) -> float:
-        """Duration of the signal. Raises CodecError."""
+        """Duration of the signal; of a profile, its length in metres. Raises CodecError."""
         return self.samples / self.header.rate_hz
 
     @property
     def bits_per_second(self) -> float:
-        """Bits of the whole .vct file over its duration. Raises CodecError."""
+        """Bits of the whole .vct file over `seconds`. Raises CodecError."""
         return 8 * self.size_bytes / self.seconds
 
     @property
@@ -150,7 +150,7 @@ class Stream:
         """Return what a person or a program wants to know of the stream, ready for JSON. Raises CodecError."""
         decoder = self.decoder()
         refreshes = sum(refresh for _, refresh in map(coded_stream.packet_sequence, self.packets))
-        return {
+        facts = {
             "codec": self.codec_name,
             "rate_hz": self.header.rate_hz,
             "channels": self.header.channels,
@@ -168,6 +168,13 @@ class Stream:
             "model": self.model_name,
             "model_image": self.header.image_hash.hex() or None,
         }
+        if not self.header.spatial:
+            return facts
+        facts["length_mm"] = 1000 * self.seconds
+        facts["bits_per_mm"] = self.bits_per_second / 1000
+        spatial_names = {"rate_hz": "samples_per_metre"}
+        over_time = ("seconds", "bits_per_second")
+        return {spatial_names.get(name, name): value for name, value in facts.items() if name not in over_time}
 
 
 @dataclass(frozen=True)
@@ -396,12 +403,27 @@ def write(path: Path, stream: Stream) -> None:
         partial.write_bytes(coded_stream.pack_file(stream.header, stream.packets))
 
 
+def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] | None = None) -> textures.Profile:
+    """Decode a spatial stream into a CSV file of position_um and height_um; return it.
+
+    `progress` as in `Stream.decode`. Raises StreamError for any other stream or several channels, CodecError, OSError.
+    """
+    if not stream.header.spatial or stream.header.channels != 1:
+        raise StreamError(f"{path}: no height profile of one channel; decode it into a WAV file")
+    profile = textures.Profile(stream.decode(progress)[:, 0], 1e6 / stream.header.rate_hz, path.stem)
+    with whole_file(path) as partial:
+        textures.save_profile(partial, profile)
+    return profile
+
+
 def write_wav(path: Path, stream: Stream, sixteen_bit: bool, progress: Callable[[float], None] | None = None) -> float:
     """Decode a stream into a WAV file; return the physical value, in the header's unit, of 1.0 in that file.
 
-    As 32-bit float the file holds the physical values exactly. `progress` as in `Stream.decode`. Raises CodecError,
-    TextureError or OSError.
+    As 32-bit float the file holds the physical values exactly. `progress` as in `Stream.decode`. Raises StreamError for
+    a height profile, CodecError, TextureError or OSError.
     """
+    if stream.header.spatial:
+        raise StreamError(f"{path}: a height profile has no time; decode it into a CSV file")
     recording = textures.Recording(stream.decode(progress), stream.header.rate_hz, stream.header.unit, path.stem)
     with whole_file(path) as partial:
         try:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -21,7 +21,7 @@ from device_protocol.coded_stream import MAX_RATE_HZ, StreamError
 from device_protocol.messages import MessageError
 from device_protocol.model_image import ModelImageError
 from device_protocol.transports import TransportError
-from host import coding, devices, flasher, player, progress, steered
+from host import coding, devices, flasher, player, profiles, progress, steered
 from host.bench_command import bench
 from host.conformance_command import conformance
 from host.controller import ControllerError
@@ -54,6 +54,9 @@ from host.steered_options import steered_options, wish_of
 from host.train_command import train
 from simulated_device.actuator import ACTUATORS, PIEZO_STACK
 
+if TYPE_CHECKING:
+    from host import hand
+
 INPUT_ERRORS = (
     textures.TextureError,
     codec.CodecError,
@@ -65,6 +68,7 @@ INPUT_ERRORS = (
     MemoryError,
 )
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 DEVICE_ERRORS = (ControllerError, TransportError, MessageError)
 
 
@@ -179,23 +183,42 @@ main.add_command(bench)
 @click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
 @runtime_option
 @quality_options
+@click.option("--positions", "positions_path", type=INPUT, help="CSV file of time_s,position_mm: a hand on a profile.")
+@click.option("--stroke-mm", type=POSITIVE, help="A hand that strokes a profile, --loop times there and back.")
 @recording_options
 def play(
     file: Path,
     address: str,
     loops: int,
+    positions_path: Path | None,
+    stroke_mm: float | None,
     report_path: Path | None,
     plot_path: Path | None,
     runtime: str | None,
     **choices: Any,
 ) -> None:
-    """Play a recording or a .vct file on a controller."""
+    """Play a recording or a .vct file on a controller.
+
+    A height profile is played over time, as --hand-speed-mm-s passes it once, or by the position of a hand:
+    --positions, or --stroke-mm with --hand-speed-mm-s as its highest speed.
+    """
     from host import end_to_end, picture
 
     refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
     runtime = devices.decoding_runtime(address, runtime)
+    if positions_path or stroke_mm:
+        if report_path:
+            raise click.UsageError("a profile under a hand has no report: drop --report.")
+        from host import hand
+
+        movement = hand.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
+        play_profile(file, address, movement, plot_path, runtime, choices)
+        return
     if file.suffix.lower() == ".vct":
-        source: coding.Stream | textures.Recording = replace(coded_already(file, choices), runtime=runtime)
+        coded = coded_already(file, choices)
+        if coded.header.spatial:
+            raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
+        source: coding.Stream | textures.Recording = replace(coded, runtime=runtime)
     else:
         quality = quality_of(choices)
         source = textures.load(file, **choices)
@@ -226,14 +249,33 @@ def play(
 @main.command()
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".vct"))
+@click.option("--spatial", is_flag=True, help="Code a height profile to be played by the position of a hand.")
+@click.option(
+    "--slowest-hand-speed-mm-s",
+    type=POSITIVE,
+    default=profiles.SLOWEST_MM_S,
+    show_default=True,
+    help="With --spatial: the pitch is chosen for this speed.",
+)
 @quality_options
 @steered_options
 @recording_options
-def encode(file: Path, out: Path, **choices: Any) -> None:
+def encode(file: Path, out: Path, spatial: bool, slowest_hand_speed_mm_s: float, **choices: Any) -> None:
     """Code a recording into a .vct file."""
     refuse_overwriting([out], [file, *files_of(choices["model"])])
     wish = wish_of(choices)
     quality = quality_of(choices)
+    if spatial:
+        if wish is not None:
+            raise click.UsageError("a profile has no time: no rate or quality over time can be kept in it.")
+        encoding = encoded_profile(profiles.recording_of(file, **choices), quality, slowest_hand_speed_mm_s)
+        facts = encoding.stream.facts()
+        click.echo(
+            f"{out}: {facts['size_bytes']} bytes, {facts['length_mm']:.3f} mm, {facts['samples_per_metre']} samples "
+            f"per metre, {facts['bits_per_mm']:.0f} bit/mm"
+        )
+        coding.write(out, encoding.stream)
+        return
     if wish is not None:
         encode_steered(textures.load(file, **choices), out, wish, quality)
         return
@@ -267,18 +309,23 @@ def codecs(as_json: bool) -> None:
 
 @main.command()
 @click.argument("file", type=INPUT)
-@click.argument("out", type=OutputFile(".wav"))
+@click.argument("out", type=OutputFile(".wav", ".csv"))
 @click.option("--format", "sample_format", type=click.Choice(("float", "16-bit")), default="float", show_default=True)
 @model_option
 @runtime_option
 def decode(file: Path, out: Path, sample_format: str, model: models.Model | None, runtime: str | None) -> None:
-    """Decode a .vct file into a WAV file.
+    """Decode a .vct file into a WAV file, or into a CSV file where it is of a height profile.
 
     As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
     its unit and full scale in its comment, from which this program knows them again.
     """
     refuse_overwriting([out], [file, *files_of(model)])
     stream = replace(coding.read(file, model.image if model else None), runtime=runtime)
+    if out.suffix.lower() == ".csv":
+        with progress.shown("decoding") as update:
+            profile = coding.write_profile(out, stream, progress=update)
+        click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
+        return
     with progress.shown("decoding") as update:
         full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit", progress=update)
     header = stream.header
@@ -448,6 +495,57 @@ def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) 
     return encoding
 
 
+def encoded_profile(recording: textures.Recording, quality: dict[str, Any], slowest_mm_s: float) -> coding.Encoding:
+    """Encode a height profile as a spatial stream, show how far it is, and say what was not met."""
+    if quality["rate_bps"] is not None or quality.pop("stream_rate_hz") != coding.DEFAULT_STREAM_RATE_HZ:
+        raise click.UsageError("a profile has no time: give --snr-db and --slowest-hand-speed-mm-s instead of rates.")
+    with progress.shown("encoding") as update:
+        encoding = profiles.encode(recording, slowest_mm_s, progress=update, **quality)
+    if encoding.note:
+        click.echo(f"note: {encoding.note}", err=True)
+    return encoding
+
+
+def play_profile(
+    file: Path,
+    address: str,
+    movement: "hand.Movement",
+    plot_path: Path | None,
+    runtime: str | None,
+    choices: dict[str, Any],
+) -> None:
+    """Play a height profile, or a spatial stream, under a moving hand; tell what was played, and draw it."""
+    from host import end_to_end, hand, picture
+
+    if file.suffix.lower() == ".vct":
+        stream = coded_already(file, choices)
+    else:
+        quality = quality_of(choices)
+        stream = encoded_profile(profiles.recording_of(file, **choices), quality, profiles.SLOWEST_MM_S).stream
+    stream = replace(stream, runtime=runtime)
+    if not stream.header.spatial:
+        raise BadInput(f"{file}: coded over time, not over position; encode the profile with --spatial")
+    with devices.connect(address, runtime) as controller, progress.shown("playing") as update:
+        played = hand.play(controller, stream, movement, progress=update)
+        actuator = end_to_end.actuator_model(controller.description.actuator)
+    expected = hand.computed(stream, played, actuator)
+    status, facts = played.status, stream.facts()
+    if plot_path:
+        picture.draw(plot_path, f"{file.name} on {address}", *hand.pictured(played, expected, actuator))
+    show(
+        {
+            "played": f"{file.name}, {facts['length_mm']:.2f} mm, under a hand at up to "
+            f"{movement.fastest_mm_s:.0f} mm/s for {movement.seconds:.2f} s",
+            "stream": f"{facts['size_bytes']} bytes, {facts['bits_per_mm']:.0f} bit/mm, codec {facts['codec']}",
+            "actuator": f"{actuator.name}, clipped {status.compensation_clipped}, limited by voltage "
+            f"{status.voltage_limited}, slew {status.slew_limited}, power {status.power_limited} samples",
+            "DAC as computed": {**ANSWERS, False: "no, as where a position comes late"}[
+                hand.as_computed(played, expected, actuator)
+            ],
+        }
+    )
+
+
 def files_of(model: models.Model | None) -> list[Path]:
     """Return the files that a model was read from, as far as another could be written over them."""
     return [model.path] if model else []
@@ -469,7 +567,6 @@ def playing(update: progress.Update, bits_per_second: float) -> Callable[[player
 
 def summary(report: Report) -> dict[str, object]:
     """Return the lines that `play` prints at its end."""
-    answer = {True: "yes", False: "NO", None: "not compared"}
     latency, limits = report.latency_ms, report.actuator
     return {
         "played": f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {report.loops} time(s)",
@@ -483,8 +580,8 @@ def summary(report: Report) -> dict[str, object]:
         "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
         "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
         f"slew {limits.slew_limited}, power {limits.power_limited} samples",
-        "decoded as sent": answer[report.decoded_equals_offline],
-        "DAC as computed": answer[report.dac_equals_offline],
+        "decoded as sent": ANSWERS[report.decoded_equals_offline],
+        "DAC as computed": ANSWERS[report.dac_equals_offline],
     }
 
 

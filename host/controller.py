@@ -20,6 +20,7 @@ from device_protocol.messages import (
     HelloResponse,
     Message,
     MessageError,
+    Position,
     Status,
     StatusRequest,
     Stop,
@@ -169,7 +170,7 @@ class Controller:
                     raise ControllerError(f"the controller answers {asked} with {answered}: update its firmware")
         raise _no_answer()
 
-    def send(self, data: StreamData) -> None:
+    def send(self, data: StreamData | Position) -> None:
         """Send stream data, which is never answered. Raises TransportError."""
         self._write(write_frame(pack(data)))
 

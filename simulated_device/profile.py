@@ -71,13 +71,15 @@ def render(
     samples: int,
     actuator: Actuator,
     *,
+    start_us: int = 0,
     compensation: bool = True,
     gain: float = 1.0,
 ) -> tuple[NDArray[np.int16], Codes]:
     """Return the heights and the DAC codes, both int16 (samples, channels), of a profile under a moving hand.
 
-    `decoded`: int16, every packet; `delay_samples`: the decoder's. `positions`: time in us from the first DAC sample,
-    and place in nm, each there when it is needed. Bit for bit what a controller with this actuator puts out.
+    `decoded`: int16, every packet; `delay_samples`: the decoder's. `positions`: time in us and place in nm, each
+    there when it is needed; `start_us`: time of the first DAC sample. Bit for bit what a
+    controller with this actuator puts out.
     """
     assert header.samples is not None, "a profile has a length"
     profile = Profile(header.rate_hz, header.samples, header.channels, actuator.dac_rate_hz)
@@ -85,7 +87,7 @@ def render(
     heights = np.empty((samples, header.channels), np.int16)
     waiting = list(reversed(positions))
     for number in range(samples):
-        time_us = number * 1_000_000 // actuator.dac_rate_hz
+        time_us = start_us + number * 1_000_000 // actuator.dac_rate_hz
         while waiting and waiting[-1][0] <= time_us:
             profile.position(*waiting.pop())
         heights[number] = profile.render([max(0, time_us - HAND_DELAY_US)])[0]

@@ -1,0 +1,258 @@
+"""Plays height profiles by the position of a hand: its movement, loading, playing, and the same computed here."""
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device_protocol.messages import (
+    CaptureData,
+    CaptureRead,
+    Configure,
+    Position,
+    Start,
+    State,
+    Status,
+    StreamData,
+    Tap,
+)
+from host.coding import Stream
+from host.controller import Controller, ControllerError
+from host.input_files import InputFileError
+from host.picture import Trace
+from simulated_device import profile as rendering
+from simulated_device.actuator import Actuator, Codes
+
+_POSITION_RATE_HZ = 500
+_MOST_POSITIONS = 1_000_000
+_FARTHEST_MM = 1e6
+# Between Start and the first DAC sample, so that its time is known; and until the last position has been rendered.
+_AHEAD_S, _BEHIND_S = 0.2, 0.05
+_LOADING_S = 5.0
+_READ_S = 0.02
+_FRAME_BYTES = 12
+
+
+@dataclass(frozen=True)
+class Movement:
+    """Where a hand is: `times_s` from 0 on, rising, and `positions_mm`, both float64 (n,), n >= 2."""
+
+    times_s: NDArray[np.float64]
+    positions_mm: NDArray[np.float64]
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasts."""
+        return float(self.times_s[-1])
+
+    @property
+    def fastest_mm_s(self) -> float:
+        """Its highest speed from one position to the next."""
+        return float(np.max(np.abs(np.diff(self.positions_mm) / np.diff(self.times_s))))
+
+
+def back_and_forth(stroke_mm: float, speed_mm_s: float, strokes: int) -> Movement:
+    """Return a hand that goes there and back so many times along a cosine, at most as fast as this."""
+    seconds = strokes * math.pi * stroke_mm / speed_mm_s
+    if not seconds * _POSITION_RATE_HZ <= _MOST_POSITIONS:
+        raise InputFileError(f"a movement of {seconds:.0f} s: make it shorter, by --loop, --stroke-mm or a faster hand")
+    times_s = np.arange(math.ceil(seconds * _POSITION_RATE_HZ) + 2) / _POSITION_RATE_HZ
+    phase = np.minimum(2 * speed_mm_s / stroke_mm * times_s, 2 * math.pi * strokes)
+    return Movement(times_s, stroke_mm / 2 * (1 - np.cos(phase)))
+
+
+def read_movement(path: Path) -> Movement:
+    """Read a CSV file with the columns time_s and position_mm. Raises InputFileError, OSError."""
+    if path.exists() and not path.is_file():
+        raise InputFileError(f"{path}: no file; give a CSV file of time_s,position_mm")
+    rows: list[tuple[float, float]] = []
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        lines = csv.reader(file)
+        if [name.strip() for name in next(lines, [])] != ["time_s", "position_mm"]:
+            raise InputFileError(f"{path}: its first line must be time_s,position_mm")
+        for number, row in enumerate(lines, 2):
+            try:
+                time_s, position_mm = map(float, row)
+            except ValueError as error:
+                raise InputFileError(f"{path}: line {number} is not two numbers, time_s,position_mm") from error
+            if not (math.isfinite(time_s) and abs(position_mm) <= _FARTHEST_MM):
+                raise InputFileError(
+                    f"{path}: line {number}: a position is within {_FARTHEST_MM:g} mm, at a finite time"
+                )
+            if rows and time_s <= rows[-1][0]:
+                raise InputFileError(f"{path}: line {number}: times must rise; sort the lines and drop copies")
+            if len(rows) == _MOST_POSITIONS:
+                raise InputFileError(f"{path}: more than {_MOST_POSITIONS} positions; cut it into parts")
+            rows.append((time_s, position_mm))
+    if len(rows) < 2:
+        raise InputFileError(f"{path}: at least two positions make a movement")
+    times_s, positions_mm = np.array(rows).T
+    return Movement(times_s - times_s[0], positions_mm)
+
+
+def chosen_movement(
+    positions_path: Path | None, stroke_mm: float | None, speed_mm_s: float | None, strokes: int
+) -> Movement:
+    """Return the movement that a file holds, or so many strokes. Raises InputFileError, also if both are given."""
+    if positions_path is None and stroke_mm and speed_mm_s:
+        return back_and_forth(stroke_mm, speed_mm_s, strokes)
+    if positions_path is None:
+        raise InputFileError("a stroke of which speed? Give --hand-speed-mm-s with --stroke-mm")
+    if stroke_mm or speed_mm_s or strokes != 1:
+        raise InputFileError(
+            f"{positions_path} is a whole movement: drop --stroke-mm, --hand-speed-mm-s and --loop, or --positions"
+        )
+    return read_movement(positions_path)
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a controller did: `status` at the end; `dac_codes` int16 (n, channels) as far as it kept them, from sample
+    `captured_from` on; `positions` as they were sent, device time in us and place in nm; `start_us`: device time of the
+    first DAC sample.
+    """
+
+    status: Status
+    dac_codes: Codes
+    captured_from: int
+    start_us: int
+    positions: tuple[tuple[int, int], ...]
+
+
+def load(controller: Controller, stream: Stream) -> Status:
+    """Set a spatial stream up on a controller and send it until all of it has come. Raises ControllerError."""
+    limits, header = controller.description.limits, stream.header
+    if stream.samples * header.channels > limits.profile_samples:
+        raise ControllerError(
+            f"a profile of {stream.samples * header.channels} samples, the controller has room for "
+            f"{limits.profile_samples}: "
+            + ("it needs newer firmware" if not limits.profile_samples else "code a shorter one, or a coarser pitch")
+        )
+    packet_samples = stream.decoder().packet_samples
+    number = (controller.request_status().stream + 1) % 256
+    configure = Configure(number, header.pack(), 0, packets=len(stream.packets))
+    status = controller.request(configure, Status)
+    largest_bytes = min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - _FRAME_BYTES)
+    if max(map(len, stream.packets)) > largest_bytes:
+        raise ControllerError(f"the controller takes packets of {largest_bytes} bytes: encode at a lower quality")
+    until_s = controller.clock() + _LOADING_S
+    while (loaded := status.position // packet_samples) < len(stream.packets):
+        for packet in stream.packets[loaded : status.credit_until // packet_samples]:
+            controller.send(StreamData(number, 0, (packet,)))
+        status = controller.request_status()
+        if status.position // packet_samples > loaded:
+            until_s = controller.clock() + _LOADING_S
+        elif controller.clock() > until_s:
+            raise ControllerError("the profile does not get through to the controller: check the line")
+    if status.lost_packets:
+        raise ControllerError(f"the controller could not decode {status.lost_packets} packets of the profile")
+    return status
+
+
+def play(
+    controller: Controller,
+    stream: Stream,
+    movement: Movement,
+    progress: Callable[[float], None] | None = None,
+) -> Played:
+    """Load a spatial stream and play it under a hand that moves, in real time; read back what went to the DAC.
+
+    `progress` is called with the part done. Raises ControllerError, TransportError.
+    """
+    load(controller, stream)
+    status = controller.request_status()
+    # No earlier than the controller's clock has it, so that no position comes ahead of its time.
+    start_s = controller.clock() + _AHEAD_S
+    start_us = status.device_time_us + round(1e6 * _AHEAD_S)
+    positions = tuple(
+        (start_us + round(1e6 * time_s), round(1e6 * position_mm))
+        for time_s, position_mm in zip(movement.times_s, movement.positions_mm, strict=True)
+    )
+    # Where the hand is before it moves is known from the beginning.
+    positions = ((status.device_time_us, positions[0][1]), *positions)
+    controller.send(Position(*positions[0]))
+    controller.request(Start(start_us), Status)
+    sent = 1
+    end_s = start_s + movement.seconds + _BEHIND_S
+    ask_s = controller.clock()
+    try:
+        while (now_s := controller.clock()) < end_s:
+            while sent < len(positions) and start_s + movement.times_s[sent - 1] <= now_s:
+                controller.send(Position(*positions[sent]))
+                sent += 1
+            if now_s >= ask_s:
+                ask_s = now_s + min(0.1, controller.description.limits.watchdog_ms / 4000)
+                controller.ask_status()
+            due_s = start_s + movement.times_s[sent - 1] if sent < len(positions) else end_s
+            controller.poll(min(_READ_S, max(0.0, due_s - now_s)))
+            if controller.status is not None and controller.status.state not in (State.ARMED, State.PLAYING):
+                raise ControllerError(f"the controller stopped playing: {controller.status.state.name}")
+            if progress is not None:
+                progress(max(0.0, (now_s - start_s) / (end_s - start_s)))
+    finally:
+        status = controller.stop()
+    captured_from, codes = _read_back(controller, stream.header.channels)
+    return Played(status, codes, captured_from, start_us, positions)
+
+
+def _read_back(controller: Controller, channels: int) -> tuple[int, Codes]:
+    """Return what the controller has kept of the codes that went to its DAC, and the number of the first."""
+    kept = controller.request(CaptureRead(Tap.DAC, 0, 0), CaptureData)
+    pieces = [np.zeros((0, channels), np.int16)]
+    offset = kept.offset
+    while offset < kept.end:
+        captured = controller.read_capture(Tap.DAC, offset, controller.capture_room(channels), channels)
+        pieces.append(np.frombuffer(captured.data, "<i2").astype(np.int16).reshape(-1, channels))
+        if not len(pieces[-1]):
+            break
+        offset += len(pieces[-1])
+    return kept.offset, np.concatenate(pieces)
+
+
+@dataclass(frozen=True)
+class Computed:
+    """What the controller puts out where all positions come in time: heights in um and codes, both (n, channels)."""
+
+    heights_um: NDArray[np.float64]
+    codes: Codes
+
+
+def computed(stream: Stream, played: Played, actuator: Actuator) -> Computed:
+    """Return what a profile gives under the positions that were played, to the bit. Raises CodecError."""
+    samples = played.captured_from + len(played.dac_codes)
+    heights, codes = rendering.render(
+        stream.header,
+        stream.decode_integers(),
+        stream.decoder().delay_samples,
+        played.positions,
+        samples,
+        actuator,
+        start_us=played.start_us,
+    )
+    return Computed(heights * (np.array(stream.header.gains) / 32768), codes)
+
+
+def as_computed(played: Played, expected: Computed, actuator: Actuator) -> bool | None:
+    """Return whether the DAC's codes are those computed, up to the way to rest at the end; None without any."""
+    first = played.captured_from
+    # Stop comes when it comes: from there on the output goes to rest.
+    compared = len(played.dac_codes) - round(_BEHIND_S * actuator.dac_rate_hz)
+    if compared <= 0:
+        return None
+    return np.array_equal(played.dac_codes[:compared], expected.codes[first : first + compared])
+
+
+def pictured(played: Played, expected: Computed, actuator: Actuator) -> tuple[str, tuple[Trace, ...]]:
+    """Return the caption and the traces of a picture: the profile under the hand, and what the actuator makes of it."""
+    rate_hz = actuator.dac_rate_hz
+    heights_um = expected.heights_um[played.captured_from :]
+    skin_um = actuator.displacement_um(played.dac_codes)
+    caption = f"skin: the DAC's codes, read back, through the model of the actuator {actuator.name}"
+    return caption, (
+        Trace("profile under the hand", heights_um, rate_hz, "um", heights_um, rate_hz),
+        Trace("skin", skin_um, rate_hz, "um", skin_um, rate_hz),
+    )
