@@ -205,15 +205,18 @@ static int64_t towards(const vc_profile *profile, int64_t distance)
     return (distance * profile->share) >> SHARE_BITS;
 }
 
-/* Goes on to the place of this DAC sample; returns the magnitude of the step to it. */
+/* Goes on to the place of this DAC sample; returns the magnitude of the step to it. Until it is anchored it is where
+ * the hand is, and it is anchored as soon as that goes no faster than at 300 mm/s. */
 static int64_t follow(vc_profile *profile, int64_t target)
 {
     const int64_t period = profile->period * WHOLE_PLACE;
     int64_t step, turn;
     if (!profile->anchored) {
-        profile->place = profile->between = target % period + (target < 0 ? period : 0);
+        step = target - profile->origin - profile->place;
+        profile->place = profile->between = (target % period + period) % period;
         profile->origin = target - profile->place;
-        profile->anchored = 1;
+        profile->anchored = step <= profile->fastest / 2 && step >= -profile->fastest / 2;
+        return 0;
     }
     profile->between += towards(profile, target - profile->origin - profile->between);
     step = towards(profile, profile->between - profile->place);
@@ -225,12 +228,14 @@ static int64_t follow(vc_profile *profile, int64_t target)
     return step < 0 ? -step : step;
 }
 
-/* The fade of this DAC sample: on its way to what the speed asks for. At 0, of a speed that asks for 0, the place where
- * the hand is is taken up at once. */
+/* The fade of this DAC sample: on its way to what the speed asks for, 0 until the place is anchored. Where it has come
+ * down to 0 the place is so no more. */
 static void fade(vc_profile *profile, int64_t step)
 {
     const int64_t full = profile->fastest / 2;
     int32_t wanted = WHOLE_LEVEL, change;
+    if (!profile->anchored)
+        return;
     if (step > full)
         wanted = (int32_t)(((profile->fastest - step) << LEVEL_BITS) / (profile->fastest - full));
     if (wanted <= 0) {

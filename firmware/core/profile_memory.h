@@ -37,7 +37,7 @@ struct vc_profile {
     uint32_t share;           /* of its distance that each goes in a DAC sample, in 1/2^22 */
     int64_t furthest;         /* distance beyond which it goes no faster */
     int64_t fastest;          /* place per DAC sample at 600 mm/s */
-    int anchored;             /* there is a place */
+    int anchored;             /* `place` follows the hand; otherwise it is where the hand is, and `level` is 0 */
     int32_t level, most_rise; /* fade, in 1/2^16, and by how much it changes in a DAC sample at most */
     int16_t heights[];
 };
