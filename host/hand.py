@@ -33,7 +33,7 @@ _FARTHEST_MM = 1e6
 # Between Start and the first DAC sample, so that its time is known; and until the last position has been rendered.
 _AHEAD_S, _BEHIND_S = 0.2, 0.05
 _LOADING_S = 5.0
-_READ_S = 0.02
+_READ_S, _SHORTEST_READ_S = 0.02, 0.001
 _FRAME_BYTES = 12
 
 
@@ -188,7 +188,7 @@ def play(
                 ask_s = now_s + min(0.1, controller.description.limits.watchdog_ms / 4000)
                 controller.ask_status()
             due_s = start_s + movement.times_s[sent - 1] if sent < len(positions) else end_s
-            controller.poll(min(_READ_S, max(0.0, due_s - now_s)))
+            controller.poll(min(_READ_S, max(_SHORTEST_READ_S, due_s - now_s)))
             if controller.status is not None and controller.status.state not in (State.ARMED, State.PLAYING):
                 raise ControllerError(f"the controller stopped playing: {controller.status.state.name}")
             if progress is not None:

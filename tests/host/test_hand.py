@@ -1,0 +1,113 @@
+"""Profiles under a hand from the command line: coding, what is said of the stream, movements, playing, refusals."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import textures
+from host import coding, hand, profiles
+from host.command_line import main
+from host.controller import Controller, ControllerError
+from host.input_files import InputFileError
+from simulated_device.actuator import PIEZO_STACK
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
+from simulated_device.memory_link import FaultyLine, MemoryLink
+
+PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
+
+
+@pytest.fixture
+def stream() -> coding.Stream:
+    return profiles.encode(profiles.recording_of(PROFILE), snr_db=20.0).stream
+
+
+def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
+    for slowest_mm_s in (10.0, 40.0):
+        encoding = profiles.encode(profiles.recording_of(PROFILE), slowest_mm_s, snr_db=25.0)
+        header = encoding.stream.header
+        assert header.spatial and header.rate_hz == pytest.approx(400 / slowest_mm_s * 1000 / 0.34, rel=1e-3)
+        assert encoding.snr_db == pytest.approx(25.0, abs=0.5)
+        # Nothing is left that would be rendered with images.
+        samples = encoding.recording.samples[:, 0]
+        spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples))))
+        assert spectrum[np.fft.rfftfreq(len(samples)) > 0.45].max() < 1e-3 * spectrum.max()
+
+
+def test_too_slow_a_hand_is_refused_with_the_slowest_that_can_be() -> None:
+    fine = textures.Recording(np.random.default_rng(1).standard_normal((4000, 1)), 1e6, "um", "fine")
+    with pytest.raises(Exception, match=r"slowest hand speed of 5\.88 mm/s"):
+        profiles.encode(fine, 1.0)
+
+
+def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
+    coded, decoded = tmp_path / "a.vct", tmp_path / "a.csv"
+    run = CliRunner().invoke
+    done = run(main, ["encode", str(PROFILE), str(coded), "--spatial", "--snr-db", "20"])
+    assert done.exit_code == 0, done.output
+    assert "samples per metre" in run(main, ["info", str(coded)]).output
+    done = run(main, ["decode", str(coded), str(decoded)])
+    assert done.exit_code == 0, done.output
+    assert textures.load(decoded, hand_speed_mm_s=50).unit == "um"
+    for arguments, reason in (
+        (["decode", str(coded), str(tmp_path / "a.wav")], "into a CSV file"),
+        (["play", str(coded)], "give --positions"),
+        (["play", str(coded), "--stroke-mm", "3"], "--hand-speed-mm-s"),
+        (["encode", str(PROFILE), str(coded), "--spatial", "--rate-bps", "900"], "--snr-db"),
+        (["encode", str(PROFILE), str(coded), "--spatial", "--hand-speed-mm-s", "50"], "every hand speed"),
+    ):
+        done = run(main, arguments)
+        assert done.exit_code == 2 and reason in done.output, done.output
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "first line"),
+        ("time_s,position_mm\n0,1\n", "at least two"),
+        ("time_s,position_mm\n0,1\n0,2\n", "line 3: times must rise"),
+        ("time_s,position_mm\n0,1\n1,x\n", "line 3 is not two numbers"),
+        ("time_s,position_mm\n0,nan\n1,1\n", "within 1e"),
+        ("time_s,position_mm\n0,1,2\n", "line 2 is not two numbers"),
+    ],
+)
+def test_movements_that_cannot_be_read_are_refused(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text(text)
+    with pytest.raises(InputFileError, match=reason):
+        hand.read_movement(path)
+
+
+def test_movement_is_read_and_made(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    path.write_text("time_s,position_mm\n2,1\n2.5,3.5\n")
+    movement = hand.read_movement(path)
+    assert (movement.seconds, movement.fastest_mm_s) == (0.5, 5.0)
+    strokes = hand.back_and_forth(20.0, 100.0, 2)
+    assert strokes.fastest_mm_s == pytest.approx(100.0, rel=1e-3)
+    assert np.max(strokes.positions_mm) == pytest.approx(20.0, rel=1e-3)
+    assert strokes.positions_mm[-1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(stream: coding.Stream) -> None:
+    """Lost packets are sent again; where positions are lost as well, only they make a difference."""
+    movement = hand.back_and_forth(10.0, 120.0, 1)
+    for lost, alike in ((0.0, True), (0.2, False)):
+        link = MemoryLink(SimulatedController(), FaultyLine(seed=4, lost=lost))
+        with Controller(link, link.clock, link.sleep) as controller:
+            played = hand.play(controller, stream, movement)
+        expected = hand.computed(stream, played, PIEZO_STACK)
+        assert hand.as_computed(played, expected, PIEZO_STACK) is alike
+        first = PIEZO_STACK.dac_rate_hz // 20
+        codes = played.dac_codes[first : len(expected.codes) - 2 * first, 0]
+        assert np.corrcoef(codes, expected.codes[first : first + len(codes), 0])[0, 1] > 0.9
+        assert played.status.lost_packets == 0
+
+
+def test_controllers_that_cannot_are_named(stream: coding.Stream) -> None:
+    for samples, reason in ((0, "newer firmware"), (100, "room for 100")):
+        link = MemoryLink(SimulatedController(Settings(profile_samples=samples)))
+        with Controller(link, link.clock, link.sleep) as controller, pytest.raises(ControllerError, match=reason):
+            hand.load(controller, stream)
