@@ -59,7 +59,8 @@ def band_edges(hop: int, bands: str) -> NDArray[np.intp]:
     """Return the first bin of each band and, behind the last, the hop."""
     edges, spacing = [0], BANDS.index(bands)
     while edges[-1] < hop:
-        edges.append(min(edges[-1] + max(edges[-1] >> spacing, 1), hop))
+        following = edges[-1] + max(edges[-1] >> spacing, 1)
+        edges.append(following if 2 * (hop - following) >= following >> spacing else hop)
     return np.array(edges)
 
 
@@ -111,11 +112,15 @@ class ParametricEncoder(PacketwiseEncoder):
         self._shape = shape
         self.delay_samples = shape.hop
         self.configuration = shape.configuration(self._packet_blocks)
+        # As often in time where a frame is longer than the packets that were asked for.
+        refresh_packets = framing.refresh_packets * framing.packet_samples // self.packet_samples
+        if framing.refresh_packets > 0:
+            refresh_packets = max(refresh_packets, 1)
         core = library()
         self._state = Structure(core.vc_parametric_encoder_size(), "vc_parametric_encoder *")
         check_made(
             core.vc_parametric_encoder_init(
-                self._state.pointer, self.configuration, len(self.configuration), channels, framing.refresh_packets
+                self._state.pointer, self.configuration, len(self.configuration), channels, refresh_packets
             )
         )
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)

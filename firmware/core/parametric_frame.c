@@ -26,8 +26,12 @@ int vc_parametric_configuration_read(vc_parametric_configuration *configuration,
     if (read.packet_frames < 1 || read.packet_frames > VC_PARAMETRIC_MAX_PACKET_FRAMES ||
         read.packet_frames > VC_PARAMETRIC_MAX_PACKET_SAMPLES / vc_parametric_frame_samples(&read))
         return VC_BAD_CONFIGURATION;
-    for (; edge < read.hop; edge += edge >> spacing > 1 ? edge >> spacing : 1)
+    while (edge < read.hop) {
         read.edges[read.bands++] = (uint8_t)edge;
+        edge += edge >> spacing > 1 ? edge >> spacing : 1;
+        if (edge < read.hop && 2 * (read.hop - edge) < edge >> spacing)
+            edge = read.hop; /* what is left belongs to the last band */
+    }
     read.edges[read.bands] = (uint8_t)read.hop;
     *configuration = read;
     return VC_OK;

@@ -5,7 +5,7 @@
 #include "mdct.h"
 #include "parametric.h"
 
-#define VC_PARAMETRIC_MAX_BANDS 40 /* of 128 bins at an eighth of their frequency each */
+#define VC_PARAMETRIC_MAX_BANDS 35 /* of 128 bins at an eighth of their frequency each */
 #define VC_PARAMETRIC_MAX_HARMONICS 8
 #define VC_PARAMETRIC_MAX_TIMES 64 /* levels over time in a frame */
 #define VC_PARAMETRIC_MAX_PACKET_FRAMES 4095

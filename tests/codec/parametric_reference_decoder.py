@@ -66,7 +66,8 @@ class ParametricReferenceDecoder:
         self.packet_frames = configuration[3] | configuration[4] << 8
         self.edges = [0]
         while self.edges[-1] < self.hop:
-            self.edges.append(min(self.edges[-1] + max(1, self.edges[-1] >> width), self.hop))
+            edge = self.edges[-1] + max(1, self.edges[-1] >> width)
+            self.edges.append(self.hop if edge > self.hop or 2 * (self.hop - edge) < edge >> width else edge)
         self.top = 21 << self.level_bits
         self.channels = [Channel(overlap=np.zeros(self.hop)) for _ in range(channels)]
         self.model: dict[tuple[object, ...], int] = {}

@@ -29,7 +29,7 @@ M4F = CORES["M4F"]
 BUILDS = [("M4F", 0), ("M4F", 1), ("M7", 0), ("M33", 0)]
 FUNCTIONS = [
     f"vc_{name}_{function}"
-    for name in ("mdct", "dct", "slp", "eva")
+    for name in ("mdct", "dct", "slp", "parametric", "eva")
     for function in ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
 ]
 KERNELS = ["vc_dot_products", *(f"vc_eva_{name}" for name in ("products", "squares", "normalise", "scale"))]
@@ -65,7 +65,9 @@ def image(name: str) -> bytes:
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=str)
-@pytest.mark.parametrize("name", ["mdct", "dct_huffman", "dct_range", "slp", "eva_contexts", "eva_factorised"])
+@pytest.mark.parametrize(
+    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "eva_contexts", "eva_factorised"]
+)
 def test_golden_streams_decode_to_the_hosts_samples(
     name: str, build: tuple[str, int], programs: dict[tuple[str, int], Path]
 ) -> None:
