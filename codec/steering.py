@@ -217,6 +217,8 @@ class Policy(ABC):
         """`frame_bytes`: what the frame of a packet adds to it on the way."""
         self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
         self._seconds = math.nan
+        self.least_bytes = 0
+        """What a packet of the stream takes at the coarsest, as `begin` was told."""
 
     def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
         """Begin a stream of packets of so many seconds, which `decoder` decodes from its first one on.
@@ -227,6 +229,7 @@ class Policy(ABC):
         if self._ear is not None:
             self._ear.begin(decoder)
         self._seconds = seconds
+        self.least_bytes = least_bytes
 
     def sent_bytes(self, packet: bytes) -> int:
         """Return what a packet and its frame take on the way."""
@@ -486,6 +489,7 @@ class _Member(Policy):
 
     def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
         """Begin a stream; see Policy."""
+        super().begin(decoder, least_bytes, seconds)
         self._group.begin(self._index, decoder, least_bytes, seconds)
 
     def sent_bytes(self, packet: bytes) -> int:

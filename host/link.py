@@ -21,8 +21,8 @@ _DOUBLING_S = 2.0
 _LARGEST_FALL = 0.5
 # Over so long at most what arrives is counted: long enough for whole frames to do, and to follow a link that changes.
 _WINDOW_S = 2.0
-# Clocks drift apart: what the soonest Status of the last second says counts.
-_OFFSET_WINDOW_S = 1.0
+# Of the two clocks against each other.
+_LARGEST_DRIFT = 0.005
 
 
 def frame_bytes(message: Message) -> int:
@@ -37,7 +37,8 @@ def added_bytes(packet: bytes) -> int:
 
 @dataclass
 class _Frame:
-    """A frame under way: when it reached the link, when that begins to carry it, when it should have arrived.
+    """A frame under way: when it reached the link, when that begins to carry it, when it should arrive
+    (`due_s`) and when it is expected to, by now.
 
     `least`: below so many bytes a second the capacity does not fall because of this frame. `is_first`: all before it
     have arrived.
@@ -47,6 +48,7 @@ class _Frame:
     size: int
     reached_s: float
     begins_s: float
+    due_s: float
     arrives_s: float
     least: float
     is_first: bool = False
@@ -82,10 +84,10 @@ class Link:
         self._round_trip_s = min(round_trip_s for _, round_trip_s in trips[0])
         # The controller's time, less the host's, when what the host sends begins to arrive on an idle link.
         self._offset_s = alone_s - byte_s * frame_bytes(StatusRequest())
-        self._offsets: deque[tuple[float, float]] = deque()
+        self._heard_s = controller.clock()
         self._sent: deque[int] = deque()
         self._under_way: deque[_Frame] = deque()
-        self._packets = self._arrived = 0
+        self._packets = self._arrived = self._asked = self._decoded = self._lost = 0
         self._observed_s = self.now_s(controller.clock())
         # When, since it was last idle, the link was seen to be busy, and how many bytes had arrived before in all.
         self._busy: deque[tuple[float, int]] = deque()
@@ -112,7 +114,7 @@ class Link:
         begins_s = now_s + self.queue_s(now_s)
         arrives_s = begins_s + self.seconds(size)
         least = _LARGEST_FALL * min(self.bytes_per_second, self.needed)
-        self._under_way.append(_Frame(number, size, now_s, begins_s, arrives_s, least))
+        self._under_way.append(_Frame(number, size, now_s, begins_s, arrives_s, arrives_s, least))
         self._sent.append(number)
         self._packets = number + 1
         return arrives_s
@@ -121,22 +123,37 @@ class Link:
         """Return how many packets should have arrived at a time."""
         return next((frame.number for frame in self._under_way if frame.arrives_s > device_s), self._packets)
 
+    def is_late(self, device_s: float) -> bool:
+        """Return whether something that was sent should have arrived by a time and has not."""
+        return bool(self._under_way) and self._under_way[0].due_s + _JITTER_S < device_s
+
     def hear(self, status: Status, packet_samples: int, host_s: float) -> None:
         """Take in a Status that has come."""
         device_s = status.device_time_us / 1e6
-        self._offsets.append((host_s, device_s - host_s))
-        while self._offsets[0][0] < host_s - _OFFSET_WINDOW_S:
-            self._offsets.popleft()
-        self._offset_s = max(offset_s for _, offset_s in self._offsets) + self._round_trip_s
+        # A Status can come late, but not too early: what the soonest said holds, as far as clocks do not drift.
+        drifted_s = self._offset_s - _LARGEST_DRIFT * (host_s - self._heard_s)
+        self._offset_s = max(drifted_s, device_s - host_s + self._round_trip_s)
+        self._heard_s = host_s
         # Those that are buffered are the first that were sent from the one on that is decoded next.
         decoded = -(-status.position // packet_samples)
         buffered = (status.position + status.buffered_samples) // packet_samples - decoded
         while self._sent and self._sent[0] < decoded:
             self._sent.popleft()
-        self._arrived = max(self._arrived, decoded)
+        if decoded > self._decoded:
+            if status.lost_packets == self._lost:  # else what was passed over may still be under way
+                self._arrived = max(self._arrived, decoded)
+            self._decoded, self._lost = decoded, status.lost_packets
         if buffered > 0 and self._sent:
             self._arrived = max(self._arrived, self._sent[min(buffered, len(self._sent)) - 1] + 1)
         self._observe(device_s)
+
+    def flushed(self) -> None:
+        """Take in that a request has been answered: all that was sent before it is no longer under way."""
+        self._arrived = max(self._arrived, self._asked)
+
+    def asking(self) -> None:
+        """Note that a request is sent."""
+        self._asked = self._packets
 
     def wait(self, now_s: float) -> None:
         """Take in that nothing has come: a controller that plays tells often that it does."""
@@ -155,10 +172,10 @@ class Link:
             head.is_first = True
             if head.number >= self._arrived:
                 break
-            arrived_s = max(self._observed_s, min(head.arrives_s, device_s))
+            arrived_s = max(self._observed_s, min(head.due_s, device_s))
             self._carried += head.size
             self._under_way.popleft()
-        if self._under_way and head.arrives_s + _JITTER_S < device_s:
+        if self.is_late(device_s):
             carried = self._carried + head.size
             most = min((carried - before) / (device_s - busy_s) for busy_s, before in self._busy)
             self.bytes_per_second = min(self.bytes_per_second, max(head.least, most))
@@ -173,7 +190,9 @@ class Link:
         for frame in self._under_way:
             if frame is not head or math.isfinite(arrived_s):
                 frame.begins_s = max(frame.reached_s, free_s)
-            frame.arrives_s = max(device_s, frame.begins_s + self.seconds(frame.size))
+            frame.due_s = frame.begins_s + self.seconds(frame.size)
+            # What is late is taken to be as much later again: a link that stands still is found out so.
+            frame.arrives_s = frame.due_s + 2 * max(0.0, device_s - frame.due_s)
             free_s = frame.arrives_s
 
 

@@ -37,6 +37,7 @@ _FLOOD_FACTOR = 1.5
 _MOST_FLOODS = 4
 _POLL_S = 0.005
 _END_ASK_S = 0.1
+_ASK_S = 0.5
 # A link of so many times what is needed bears whatever happens to it without a longer margin.
 _AMPLE = 8
 # How much earlier than it is needed a steered packet has to come.
@@ -97,17 +98,25 @@ def live_format(
     return SignalFormat(rate_hz, unit, gains, relative)
 
 
+def limit_rate(policy: codec.RatePolicy, asked_bps: float, carried_bps: float) -> None:
+    """Set a policy to what is asked or, if that is less, to what a link carries, as far as the policy reaches."""
+    # A little above its least, which rounding would put out of reach.
+    policy.bits_per_second = min(asked_bps, max(1.001 * policy.least_bits_per_second, carried_bps))
+
+
 class LiveStream:
     """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
 
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
     `policy`: steers the quality, None = all packets are of the setting's. One with a rate is held to what the link
-    carries: quality falls before a packet is late, and rises again. `margin_s`: how long packets lie on the controller
-    before they are needed; None = MARGIN_S, a quarter of a packet if that is more or, with a policy on a link
-    not much faster than needed, what bears the link's fall to half. `packet_samples`: samples per channel in a packet, at least those asked for and the codec's
-    shortest block; None = for a rate the shortest to which frames add at most 15 %, within `longest_packet_s`, or else
-    one block. What would come too late is never sent. `header`, `stream`, `packets_sent`, `status`:
-    of the stream under way. `begun`: streams so far; `earlier`: the last status of each of those before this one.
+    carries: quality falls before a packet is late, and rises again. What would come too late is never sent.
+    `margin_s`: how long packets lie on the controller before they are needed; None = MARGIN_S, a quarter of a packet if
+    that is more or, with a policy on a link not much faster than needed, what bears the link's fall to half.
+    `packet_samples`: samples per channel in a packet, at least those asked for and the codec's shortest block; None =
+    for a rate the shortest to which frames add at most 15 %, within `longest_packet_s`, or else one block.
+    `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
+    `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
+    carries packets in time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
     Raises CodecError, LiveError, StreamError for what the controller does not take, ControllerError, TransportError.
     """
 
@@ -122,6 +131,7 @@ class LiveStream:
         policy: codec.Policy | None = None,
         packet_samples: int | None = None,
         longest_packet_s: float = math.inf,
+        needed_bps: float | None = None,
         margin_s: float | None = None,
         gain: float = 1.0,
         compensation: bool = True,
@@ -138,15 +148,13 @@ class LiveStream:
         defaults = {} if policy else live_setting(self._codec.name, signal_format.rate_hz)
         self.setting = self._codec.complete({**defaults, **(setting or {})})
         self._asked_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
+        self._needed_bps = needed_bps or self._asked_bps or math.inf
         # To how many samples it is rounded up, an encoder says.
         encoder = self._make_encoder(codec.Framing(self._packet_samples(packet_samples, longest_packet_s), 1))
         self.packet_samples = encoder.packet_samples
         self.packet_s = self.packet_samples / signal_format.rate_hz
         refresh_s = REFRESH_S if policy is None else STEERED_REFRESH_S
         self._framing = codec.Framing(self.packet_samples, max(1, math.floor(refresh_s / self.packet_s)))
-        self._least_bytes = 0
-        if isinstance(policy, codec.RatePolicy):
-            self._least_bytes = round(policy.least_bits_per_second * self.packet_s / 8)
         if policy is None:
             # The first block that is ever coded takes longer than others, and would make all of the stream later by
             # that; what steers has coded some already.
@@ -187,7 +195,7 @@ class LiveStream:
         if self.policy is not None:
             tables = None if model is None else model.tables
             decoder = codec.decoder(self._codec.identifier, self._encoder.configuration, self.format.channels, tables)
-            self.policy.begin(decoder, self._least_bytes, self.packet_s)
+            self.policy.begin(decoder, self.policy.least_bytes, self.packet_s)
         self._gathered = 0
         self._refreshed_at = first
         self._refresh_is_due = False
@@ -210,11 +218,11 @@ class LiveStream:
         self.status = self.controller.request(configure, Status)
         self._link = Link(self.controller, self.stream)
         self.carried_bps = math.inf
-        if self._asked_bps is not None:
-            self._link.needed = self._asked_bps / 8 / LINK_SHARE
+        self._link.needed = self._needed_bps / 8 / LINK_SHARE
         self.margin_s = self._margin_s() if self._asked_margin_s is None else self._asked_margin_s
         self.packets_sent = 0
         self._plays_from_s: float | None = None
+        self._ask_s = 0.0
         self._began_s = self.controller.clock()
         self._out_of_step_since_s: float | None = None
 
@@ -259,6 +267,10 @@ class LiveStream:
             end = start + self.left_samples
             self.send_packets(self.coded(samples[start:end]))
             start = end
+        self.keep_up()
+
+    def keep_up(self) -> None:
+        """Take in what has come; begin anew where the clocks are out of step."""
         self.poll(0)
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
@@ -287,30 +299,34 @@ class LiveStream:
         A packet may take LINK_SHARE of its own duration on the link, less half of what still waits there: so the queue
         shrinks by half with each packet, and packets come as early again as at the start.
         """
-        if self._plays_from_s is None:
-            return True
         now_s = self._link.now_s(self.controller.clock())
         if self.status.state == State.PLAYING:
             self._link.wait(now_s)
         queue_s = self._link.queue_s(now_s)
-        left_s = self._plays_from_s + self.packets_sent * self.packet_s - now_s - queue_s
+        left_s = math.inf
+        if self._plays_from_s is not None:
+            left_s = self._plays_from_s + self.packets_sent * self.packet_s - now_s - queue_s
         if self.policy is None:
             return left_s > 0
         left_s -= min(_GUARD_S, self.margin_s / 2)
-        least_s = self._link.seconds(self._least_bytes)
+        least_s = self._link.seconds(self.policy.least_bytes)
         if left_s <= least_s:
             return False
         seconds = min(left_s, max(least_s, LINK_SHARE * self.packet_s - queue_s / 2))
         self.carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
         if self._asked_bps is not None and isinstance(self.policy, codec.RatePolicy):
-            rate_bps = max(self.policy.least_bits_per_second, self.carried_bps)
-            self.policy.bits_per_second = min(self._asked_bps, rate_bps)
+            limit_rate(self.policy, self._asked_bps, self.carried_bps)
         return True
 
     def _drop(self) -> None:
         """Leave out the next packet, which would come too late; the one behind it is a refresh."""
         self.packets_sent += 1
         self.dropped_packets += 1
+        if self.controller.clock() >= self._ask_s:
+            # Nothing else would tell when what is under way has come, as it comes too late to be played.
+            self._ask_s = self.controller.clock() + _ASK_S
+            self._link.asking()
+            self.controller.ask_status()
         self._begin_encoder(self.packets_sent)
 
     def _refuse_floods(self) -> None:
@@ -326,7 +342,8 @@ class LiveStream:
 
     def poll(self, timeout_s: float) -> None:
         """Take in what the controller sends, waiting for it at most `timeout_s`."""
-        self.controller.poll(timeout_s)
+        if isinstance(self.controller.poll(timeout_s), Status):
+            self._link.flushed()
         status = self.controller.status
         if status is None or status is self.status or status.stream != self.stream:
             return
@@ -339,7 +356,9 @@ class LiveStream:
             self._plays_from_s = status.device_time_us / 1e6 - status.position / self.format.rate_hz
         if lost and self.policy is not None and status.position > self._refreshed_at * self.packet_samples:
             self._refresh_is_due = True  # the controller is silent until one comes
-        behind = status.position > self._link.arrived_by(status.device_time_us / 1e6) * self.packet_samples
+        device_s = status.device_time_us / 1e6
+        behind = status.position > self._link.arrived_by(device_s) * self.packet_samples
+        behind = behind and not self._link.is_late(device_s)  # that is the link's doing, not the clocks'
         longest_s = self.margin_s + self.packet_samples / self.format.rate_hz + _LARGEST_GROWTH_S
         too_long = status.buffered_samples > longest_s * self.format.rate_hz
         if status.state != State.PLAYING or not (behind or too_long):
@@ -347,9 +366,8 @@ class LiveStream:
         elif self._out_of_step_since_s is None:
             self._out_of_step_since_s = self.controller.clock()
 
-    def end(self) -> None:
-        """Send what is left and the end, without waiting for it."""
-        self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
+    def say_end(self) -> None:
+        """Tell the controller that what was sent is all, and do not wait until it has been played."""
         if self.packets_sent:
             self.status = self.controller.request(EndStream(self.stream, self.packets_sent), Status)
         else:
@@ -357,9 +375,10 @@ class LiveStream:
         self._wire_bytes = self.controller.bytes_sent - self._wire_bytes_before
 
     def finish(self) -> LiveResult:
-        """Send the end if it was not sent, wait until it has been played, and return what happened."""
+        """Send what is left and the end, unless that was said; wait until it has been played; return what happened."""
         if self._wire_bytes is None:
-            self.end()
+            self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
+            self.say_end()
         assert self._wire_bytes is not None
         if self.packets_sent:
             self._wait_for_the_end()

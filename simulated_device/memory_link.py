@@ -84,7 +84,7 @@ class MemoryLink:
         self.time.links.append(self)
         self._to_controller = to_controller or FaultyLine()
         self._to_host = to_host or FaultyLine()
-        self._cable_out_until_us = 0
+        self._cable_out_until_us = 0.0
 
     @property
     def now_us(self) -> int:
@@ -116,7 +116,7 @@ class MemoryLink:
 
     def unplug(self, seconds: float) -> None:
         """Pull the cable, to be plugged in again after so long; what is sent meanwhile is lost."""
-        self._cable_out_until_us = self.now_us + round(seconds * 1e6)
+        self._cable_out_until_us = self.now_us + seconds * 1e6
 
     def reopen(self) -> None:
         """Open the port anew. Raises TransportError while the cable is out."""

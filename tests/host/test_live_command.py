@@ -71,6 +71,6 @@ def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
 
 
 def test_a_rate_out_of_reach_is_refused() -> None:
-    result = run("rough", "--constant-rate-bps", "20")
+    result = run("rough", "--constant-rate-bps", "300", "--packet-ms", "20")
     assert result.exit_code == 2
     assert "cannot be held" in result.output

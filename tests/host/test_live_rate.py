@@ -1,0 +1,208 @@
+"""Live streams at a rate, in simulated time: links that slow down, stall and lose; several controllers on one link."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+import codec
+from codec import Signal
+from host import live
+from host.controller import Controller
+from host.link import added_bytes
+from host.live import LiveResult, LiveStream
+from host.live_group import LiveGroup
+from simulated_device.controller import Controller as SimulatedController
+from simulated_device.controller import Settings
+from simulated_device.memory_link import FaultyLine, MemoryLink, SimulatedTime
+from simulated_device.slow_line import SlowLine, Wire
+
+RATE_HZ = 2800
+BLOCK_SAMPLES = 28
+
+
+def noise(seconds: float, channels: int = 1, rms: float = 2.0) -> Signal:
+    return rms * np.random.default_rng(7).standard_normal((round(seconds * RATE_HZ), channels))
+
+
+@dataclass
+class Run:
+    """A stream of noise at a rate over a wire; what was seen of it after each packet."""
+
+    rate_bps: float
+    wire: Wire
+    channels: int = 1
+    to_controller: FaultyLine | None = None
+    times_s: list[float] = field(default_factory=list)
+    rates_bps: list[float] = field(default_factory=list)
+    early_s: list[float] = field(default_factory=list)
+    waiting_bytes: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.link = MemoryLink(SlowLine(SimulatedController(), self.wire), self.to_controller)
+        controller = Controller(self.link, self.link.clock, self.link.sleep)
+        self.policy = codec.ConstantRate(self.rate_bps, added_bytes)
+        self.stream = LiveStream(
+            controller, live.live_format(RATE_HZ, "um", [10.0] * self.channels), policy=self.policy
+        )
+
+    def play(self, seconds: float, changes: dict[float, float] | None = None) -> LiveResult:
+        """Stream; `changes`: to how many bits a second the wire changes, by the time."""
+        began_s = self.link.clock()
+        for _, block in live.paced(self.stream, noise(seconds, self.channels), BLOCK_SAMPLES):
+            now_s = self.link.clock() - began_s
+            for at_s in [at_s for at_s in changes or {} if at_s <= now_s]:
+                self.wire.bits_per_second = (changes or {}).pop(at_s)
+            before = self.stream.packets_sent
+            self.stream.send(block)
+            if self.stream.packets_sent > before:
+                self.times_s.append(now_s)
+                self.rates_bps.append(self.policy.bits_per_second)
+                self.waiting_bytes.append(self.wire.waiting_bytes)
+            if self.stream.status.position:
+                self.early_s.append(self.stream.status.buffered_samples / RATE_HZ)
+        return self.stream.finish()
+
+    def mean_bps(self, from_s: float, to_s: float) -> float:
+        """Return the mean rate that was asked of the policy in a time."""
+        return float(
+            np.mean([rate for at, rate in zip(self.times_s, self.rates_bps, strict=True) if from_s <= at < to_s])
+        )
+
+
+def test_four_channels_at_1_kbit_per_second_each_cost_at_most_15_percent_on_the_wire() -> None:
+    run = Run(4000, Wire(), channels=4)
+    result = run.play(20.0)
+    assert result.wire_bps == pytest.approx(4000, rel=0.01)
+    assert result.wire_adds <= 0.15
+    assert result.lost_packets == 0
+
+
+@pytest.mark.parametrize("rate_bps", [1000, 8000])
+def test_a_link_that_falls_to_half_makes_no_packet_late_and_quality_comes_back(rate_bps: float) -> None:
+    run = Run(rate_bps, Wire(1.25 * rate_bps))
+    result = run.play(13.0, {4.0: 0.625 * rate_bps, 8.0: 1.25 * rate_bps})
+    assert (result.lost_packets, result.underruns, result.dropped_packets) == (0, 0, 0)
+    assert run.mean_bps(2.0, 4.0) == rate_bps
+    assert 0.4 * rate_bps < run.mean_bps(5.0, 8.0) < 0.8 * rate_bps
+    assert run.mean_bps(11.0, 13.0) > 0.95 * rate_bps
+    assert max(run.waiting_bytes) < 2.5 * rate_bps / 8 * run.stream.packet_s
+
+
+def test_what_a_link_that_stands_still_would_bring_too_late_is_not_sent() -> None:
+    run = Run(4000, Wire(5000))
+    result = run.play(8.0, {3.0: 0.0, 4.5: 5000.0})
+    assert result.dropped_packets > 5
+    # What was under way when it stopped is late; all that came behind was never sent.
+    assert result.lost_packets <= result.dropped_packets + 5
+    assert result.streams == 1
+    assert run.mean_bps(7.0, 8.0) > 3600
+    assert run.early_s[-1] > 0.1
+
+
+def test_a_slow_serial_line_keeps_its_queue_short() -> None:
+    baud = 9600
+    run = Run(20_000, Wire(0.8 * baud))  # far more than it carries
+    result = run.play(6.0)
+    assert max(run.waiting_bytes[20:]) < 0.25 * 0.8 * baud / 8
+    assert result.lost_packets <= result.dropped_packets + 10
+    assert 0.6 * 0.8 * baud < run.mean_bps(3.0, 6.0) < 0.8 * baud * 1.2
+
+
+def test_a_reported_loss_is_followed_by_a_refresh() -> None:
+    run = Run(4000, Wire())
+    packets: list[bytes] = []
+    send_packets = run.stream.send_packets
+
+    def noted(made: list[bytes]) -> None:
+        for packet in made:
+            packets.append(packet)
+            if len(packets) == 10:
+                run.stream.packets_sent += 1  # it is lost on the way
+            else:
+                send_packets([packet])
+
+    run.stream.send_packets = noted  # type: ignore[method-assign, assignment]
+    result = run.play(3.0)
+    assert result.lost_packets == 1
+    refreshes = [number for number, packet in enumerate(packets) if packet[0] & 1]
+    assert any(10 < number <= 14 for number in refreshes)
+
+
+@dataclass
+class Desk:
+    """Two controllers on one wire: the texture of the second is the weaker."""
+
+    rate_bps: float
+    wire: Wire
+
+    def __post_init__(self) -> None:
+        time = SimulatedTime()
+        self.links = [MemoryLink(SlowLine(SimulatedController(Settings()), self.wire), time=time) for _ in range(2)]
+        self.policy = codec.ConstantRate(self.rate_bps, added_bytes)
+        group = codec.Group(self.policy, 2)
+        signal_format = live.live_format(RATE_HZ, "um", [10.0])
+        streams = [
+            LiveStream(
+                Controller(link, link.clock, link.sleep),
+                signal_format,
+                policy=member,
+                packet_samples=352,
+                needed_bps=self.rate_bps,
+            )
+            for link, member in zip(self.links, group.members, strict=True)
+        ]
+        self.group = LiveGroup(streams, group)
+
+    def play(self, from_s: float, to_s: float) -> None:
+        """Stream a part of the textures."""
+        both = [noise(to_s), noise(to_s, rms=0.2)]
+        began_s = self.links[0].clock()
+        for start in range(round(from_s * RATE_HZ), len(both[0]), BLOCK_SAMPLES):
+            done_s = (start + BLOCK_SAMPLES) / RATE_HZ - from_s
+            self.links[0].sleep(max(0.0, began_s + done_s - self.links[0].clock()))
+            self.group.send([samples[start : start + BLOCK_SAMPLES] for samples in both])
+
+
+def test_controllers_on_one_link_share_its_rate_by_need() -> None:
+    desk = Desk(4000, Wire(5000))
+    desk.play(0.0, 4.0)
+    results = desk.group.finish()
+    assert [(result.lost_packets, result.underruns) for result in results.values()] == [(0, 0), (0, 0)]
+    # The last packets, which silence fills, and what begins and ends the streams are in it.
+    assert sum(result.wire_bps for result in results.values()) == pytest.approx(4000, rel=0.05)
+    assert results[0].payload_bytes > 2 * results[1].payload_bytes
+
+
+@pytest.mark.parametrize("stalled", [False, True])
+def test_a_controller_that_is_unplugged_or_stalls_does_not_hurt_the_other(stalled: bool) -> None:
+    desk = Desk(4000, Wire(5000))
+    desk.play(0.0, 2.0)
+    before = desk.group.streams[1].payload_bytes
+    if stalled:
+        line = desk.links[0].controller
+        assert isinstance(line, SlowLine)
+        line.back.bits_per_second = 0.0
+        line.there = Wire(0.0)
+    else:
+        desk.links[0].unplug(math.inf)
+    desk.play(2.0, 6.0)
+    assert set(desk.group.failed) == {0}
+    results = desk.group.finish()
+    assert (results[1].lost_packets, results[1].underruns) == (0, 0)
+    assert desk.group.streams[1].payload_bytes - before > 4 * before  # the other's share has come to it
+
+
+def test_the_rate_of_a_group_follows_the_link() -> None:
+    desk = Desk(4000, Wire(5000))
+    desk.play(0.0, 3.0)
+    desk.wire.bits_per_second = 2500.0
+    desk.play(3.0, 6.0)
+    assert desk.policy.bits_per_second < 3000
+    desk.wire.bits_per_second = 5000.0
+    desk.play(6.0, 10.0)
+    assert desk.policy.bits_per_second > 3800
+    results = desk.group.finish()
+    assert results[0].lost_packets == 0
+    assert results[1].lost_packets < 8
