@@ -64,7 +64,7 @@ class Quality:
 def measure(reference: Signal, decoded: Signal, rate_hz: float, unit: str = "full scale") -> Quality:
     """Measure float64 arrays (n, channels) in the physical unit, the codec's delay removed.
 
-    `unit`: "full scale", or "um" or "m/s^2", for which it is known what can be felt.
+    `unit`: of "um" and "m/s^2" it is known what can be felt, of others not.
 
     Every measure is the mean over the channels that have a value; one whose reference is silent has none. Raises
     ValueError on arrays of another or of differing shape, NaN, infinity, magnitudes that no codec takes, or a rate that
@@ -187,10 +187,10 @@ def _third_octave_distance_db(
     within = np.minimum(bins_hz + half_hz, upper_hz[whole]) - np.maximum(bins_hz - half_hz, lower_hz[whole])
     parts = np.maximum(within, 0) / (2 * half_hz)
     x, y = (_power_spectra(signal, frame) @ parts for signal in (reference, decoded))
-    if unit == "full scale":
-        floor = np.full(np.count_nonzero(whole), FLOOR * np.mean(x))
-    else:
+    if unit in ("um", "m/s^2"):
         floor = np.square(threshold_amplitude(read_threshold(), middles_hz[whole], unit) / peak) / 2
+    else:
+        floor = np.full(np.count_nonzero(whole), FLOOR * np.mean(x))
     kept = np.any(np.maximum(x, y) > floor, axis=1)
     if not np.any(kept):
         return None
