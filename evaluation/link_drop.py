@@ -111,7 +111,7 @@ def section(recordings: Sequence[textures.Recording], out: Path) -> str:
     return paragraphs(
         "## A link that falls to half",
         f"{len(recordings)} recordings, streamed live in simulated time to the simulated controller at a constant rate "
-        f"that takes {LINK_SHARE:.0%} of the link, which falls to half at {FALLS_S:g} s and is whole again at "
+        f"that takes {100 * LINK_SHARE:.0f} % of the link, which falls to half at {FALLS_S:g} s and is whole again at "
         f"{RECOVERS_S:g} s. What the host does: `host/link.py`. Late: sent and not there in time. Not sent: it would "
         "have come too late. Least early: how much later the packet that came latest could still have come. Rate: the "
         f"mean from {FALLS_S + 1:g} s to {RECOVERS_S:g} s, relative to what was asked. Back: how long the slowest "

@@ -13,6 +13,7 @@ import numpy as np
 
 import codec
 import textures
+from evaluation import link_drop
 from evaluation import rate_control_charts as charts
 from evaluation.page_parts import code, count, paragraphs, table
 from evaluation.points import write_rows
@@ -57,7 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command = shlex.join(
         ["python", "-m", "evaluation.rate_control", *(sys.argv[1:] if arguments is None else arguments)]
     )
-    write(chosen.out, held, refreshes, dataset.printable(chosen.recordings.name), command)
+    link_drop_section = link_drop.section(list(recordings.values()), chosen.out)
+    write(chosen.out, held, refreshes, dataset.printable(chosen.recordings.name), command, link_drop_section)
 
 
 def _repeated(recording: textures.Recording) -> textures.Recording:
@@ -113,7 +115,14 @@ def measure_refreshes(recordings: Sequence[textures.Recording], rate_bps: int, r
     return RefreshCost(rate_bps, refresh_s, fmean(ratio for ratio in ratios_db if ratio is not None))
 
 
-def write(out: Path, held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, command: str) -> None:
+def write(
+    out: Path,
+    held: Sequence[Held],
+    refreshes: Sequence[RefreshCost],
+    data: str,
+    command: str,
+    link_drop_section: str,
+) -> None:
     """Write OUT/rate_control.md, and OUT/results/rate_control*.csv and *.png. Raises OSError."""
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
@@ -129,11 +138,13 @@ def write(out: Path, held: Sequence[Held], refreshes: Sequence[RefreshCost], dat
     by_bucket = [row for row in done if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS]
     charts.plot_buckets(folder / "rate_control_buckets.png", by_bucket)
     with whole_file(out / "rate_control.md") as partial:
-        partial.write_text(page(held, refreshes, data, command, (folder / "link_drop.png").exists()), encoding="utf-8")
+        partial.write_text(page(held, refreshes, data, command, link_drop_section), encoding="utf-8")
 
 
-def page(held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, command: str, has_link_drop: bool) -> str:
-    """Return the page. `has_link_drop`: whether its chart of a link that falls to half has been drawn."""
+def page(
+    held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, command: str, link_drop_section: str
+) -> str:
+    """Return the page; `link_drop_section`: as `evaluation.link_drop.section` has it."""
     done = [row for row in held if not row.refused]
     default = [row for row in done if row.bucket_s == BUCKETS_S[0]]
     recordings = len({row.recording for row in held})
@@ -182,10 +193,7 @@ def page(held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, comm
             f"SNR in dB by {code(DEFAULT_CODEC)} with the default bucket, mean over the recordings. A refresh is a "
             "packet at least: where packets are longer, each is one. Streams at a rate have one every "
             f"{codec.steering.REFRESH_S:g} s.",
-            "## A link that falls to half",
-            "![A link that falls to half for five seconds](results/link_drop.png)"
-            if has_link_drop
-            else "`python -m evaluation.link_drop` draws it.",
+            link_drop_section,
         )
         + "\n"
     )
