@@ -30,7 +30,8 @@ PASS_BAND = 0.91
 """Of half the stream's rate: as far as textures.resample leaves the band alone."""
 PROFILE_PASS_BAND = 0.68
 """Of half the rate of a profile over position: what is rendered of it (firmware/core/profile.h)."""
-RATE_STEP = 100
+RATE_STEP = LOWEST_RATE_HZ = 100
+"""Rates of streams; no controller plays slower ones."""
 SPEEDS = 5
 """Hand speeds that a profile over position is looked at with, from the least to the greatest."""
 SLOWEST_MM_S = 10.0
@@ -81,6 +82,7 @@ def band_of(
 ) -> Band:
     """Return the band worth coding. `threshold`: rows as of codec.threshold.read_threshold. Raises BandError."""
     if not isinstance(loaded, Profile):
+        _check_recorded(loaded.rate_hz, loaded.name)
         levels = levels_of(loaded, actuator, threshold)
         lowest, highest = _edges(levels, loaded.name)
         return Band(lowest, highest, _rate(highest, loaded.rate_hz), levels)
@@ -164,7 +166,9 @@ def over_threshold_db(displacement: Samples, rate_hz: float, threshold: Samples)
     power as all components of the third octave (IEC 61260: edges at 2^(+-1/6)), and at least of the nearest one, so
     that noise counts as the skin sums it. The loudest block and channel count: what is felt once is felt.
     """
-    block = min(len(displacement), max(2, round(BLOCK_S * rate_hz)))
+    block = max(4, round(BLOCK_S * rate_hz))
+    # Silence before and after, so that windows cover the very first and last sample too.
+    displacement = np.pad(displacement, ((block // 2, block), (0, 0)))
     window = np.hanning(block + 1)[:-1]
     blocks = np.lib.stride_tricks.sliding_window_view(displacement, block, axis=0)[:: max(1, block // 2)]
     # The largest of the blocks in each band is wanted: (blocks, channels, components) of power as mean square.
@@ -209,6 +213,11 @@ def _nothing(levels: tuple[Level, ...], name: str) -> BandError:
         f"dB below the detection threshold, at {best.frequency_hz:.0f} Hz; check unit and full_scale, or give another "
         "actuator"
     )
+
+
+def _check_recorded(recorded: float, name: str) -> None:
+    if recorded < LOWEST_RATE_HZ:
+        raise BandError(f"{name}: recorded at {recorded:g} Hz; controllers play {LOWEST_RATE_HZ} Hz at least")
 
 
 def _rate(highest: float, recorded: float, pass_band: float = PASS_BAND) -> int:

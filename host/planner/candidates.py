@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +36,7 @@ PACKET_BLOCKS = (1, 2, 4, 8, 16, 32)
 DEFAULT_BLOCK_SAMPLES = 32
 """Where the codec has one length only; its packets are rounded up to whole blocks of its own."""
 LONGEST_PACKET_S = LIVE_REFRESH_S
-MEASURED_SAMPLES = 1 << 15
+MEASURED_SAMPLES = 1 << 14
 """Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
 SPQI_RATE_HZ = 2800
 """SPQI counts its blocks and thresholds in samples: it is always measured at this rate, that of the reference data."""
@@ -161,6 +160,7 @@ class Workbench:
                     f"rendered by position, {1e3 * least / self.band.rate:.3g} mm are needed; measure a longer profile"
                 )
         self.excerpt = self.whole if self.over_position else _strongest(self.whole)
+        self.drive_s = self._drive_s()
         self._settings: dict[Way, list[Setting]] = {}
         self._measured: dict[tuple[Way, int, int, bool], Measured | None] = {}
 
@@ -174,15 +174,17 @@ class Workbench:
         """Of the stream; of one over position while the hand moves fastest."""
         return self.band.rate * self.hand_speed_mm_s / 1000 if self.over_position else float(self.band.rate)
 
-    @cached_property
-    def drive_s(self) -> float:
+    def _drive_s(self) -> float:
         """Delay of the controller's output: resampling to the DAC's rate, compensation, and one DAC sample.
 
         Over position, of the heights that are rendered at the DAC's rate, and of the hand's positions before.
         """
         rate_hz = self.actuator.dac_rate_hz if self.over_position else self.band.rate
         header = StreamHeader(1, rate_hz, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
-        output: float = Drive(header, self.actuator, compensation=True).delay_seconds
+        try:
+            output: float = Drive(header, self.actuator, compensation=True).delay_seconds
+        except ValueError as error:
+            raise BandError(f"{self.texture.name}: {error}") from error
         hand_us = HAND_DELAY_US + 2 * HAND_SMOOTHING_US if self.over_position else 0
         return output + 1 / self.actuator.dac_rate_hz + hand_us / 1e6
 

@@ -69,3 +69,10 @@ def test_a_profile_over_position_is_coded_for_its_slowest_and_its_fastest_hand()
     band = band_of(profile, PIEZO_STACK, THRESHOLD, (20, 200), True)
     assert band.lowest <= 2000 <= band.highest
     assert 2 * band.highest <= band.rate <= 200_000
+
+
+def test_what_is_too_short_or_too_slow_is_no_trouble() -> None:
+    click = Recording(np.ones((1, 1)), 2800, "full scale", "click")
+    assert band_of(click, PIEZO_STACK, THRESHOLD, (50, 50), False).rate >= 100
+    with pytest.raises(BandError, match="recorded at 25 Hz; controllers play 100 Hz at least"):
+        band_of(Recording(np.ones((9, 1)), 25, "full scale", "slow"), PIEZO_STACK, THRESHOLD, (50, 50), False)
