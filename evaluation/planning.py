@@ -209,8 +209,8 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
         "the SNR that the default has in the band worth coding, measured on the same samples, so that it saves "
         "nothing by being worse; what the default spends outside that band nobody can feel. Bits are those on the "
         "wire, frames included; instructions are of decoding, as measured in [firmware.md](firmware.md). Weights: the "
-        "planner's own, and bits or instructions alone: the most that can be saved of each. Delay "
-        "is not held to the default's: it is weighed as any other cost, and some of the bits are saved by longer packets.",
+        "planner's own, and bits or instructions alone: the most that can be saved of each. Delay is not held to the "
+        "default's: it is weighed as any other cost, and some of the bits are saved by longer packets.",
         "## By kind of recording",
         "Means over recordings, and the range.",
         table(header, summary),
