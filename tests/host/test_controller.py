@@ -164,7 +164,7 @@ def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
 def test_another_major_version_is_refused_naming_both() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, major=7)
-    with pytest.raises(ControllerError, match=r"protocol 7\.0, this host 1\.0"):
+    with pytest.raises(ControllerError, match=r"protocol 7\.1, this host 1\.1"):
         connect(scripted)
 
 
