@@ -293,11 +293,12 @@ class LiveStream:
             return []
         return self.code(samples)
 
-    def fits(self) -> bool:
+    def fits(self, drained: float = 0.25) -> bool:
         """Return whether the next packet can come in time; set `carried_bps`, and the policy's rate, to what can.
 
-        A packet may take LINK_SHARE of its own duration on the link, less half of what still waits there: so the queue
-        shrinks by half with each packet, and packets come as early again as at the start.
+        A packet may take LINK_SHARE of its own duration on the link, less the part `drained` of what still waits there:
+        a quarter, so that the queue shrinks over some packets without a jump in quality, and they come as early again
+        as at the start.
         """
         now_s = self._link.now_s(self.controller.clock())
         if self.status.state == State.PLAYING:
@@ -312,7 +313,7 @@ class LiveStream:
         least_s = self._link.seconds(self.policy.least_bytes)
         if left_s <= least_s:
             return False
-        seconds = min(left_s, max(least_s, LINK_SHARE * self.packet_s - queue_s / 2))
+        seconds = min(left_s, max(least_s, LINK_SHARE * self.packet_s - drained * queue_s))
         self.carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
         if self._asked_bps is not None and isinstance(self.policy, codec.RatePolicy):
             limit_rate(self.policy, self._asked_bps, self.carried_bps)

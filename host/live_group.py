@@ -16,6 +16,8 @@ from host.live import LiveResult, LiveStream, limit_rate
 _Done = TypeVar("_Done")
 
 _SILENCE_S = 1.0
+# More than of a lone stream: what waits of the others is not seen.
+_DRAINED = 0.5
 
 
 class LiveGroup:
@@ -76,7 +78,7 @@ class LiveGroup:
         carried = [
             self.streams[number].carried_bps / self._sent_bps[number]
             for number in alive
-            if self.streams[number].fits() and self._sent_bps[number]
+            if self.streams[number].fits(_DRAINED) and self._sent_bps[number]
         ]
         if carried:
             carried_bps = min(carried) * sum(self._sent_bps[number] for number in alive)
