@@ -15,6 +15,7 @@ import numpy as np
 import codec
 import models
 from codec import CodedSignal, Signal
+from codec.interface import AUTO
 from device_protocol.coded_stream import StreamHeader
 from evaluation import trained
 from evaluation.page_parts import code, number, paragraphs, table
@@ -23,6 +24,7 @@ from firmware.build import BuildError
 from firmware.build import size as firmware_size
 from host.controller import Controller
 from host.output_files import whole_file
+from host.planner.costs import quiet_part
 from host.player import play
 from models import Model
 from simulated_device.memory_link import MemoryLink
@@ -39,6 +41,9 @@ SECONDS = 0.5
 TARGET_DB = 10.0
 DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128", "parametric")
 """Codecs, and models that ship."""
+BLOCKS = {"mdct": "hop", "dct": "block", "slp": "frame", "parametric": "hop"}
+"""The parameter of a codec that is the length of its block."""
+QUALITIES_DB = (5.0, 10.0, 20.0)
 LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
 """Wanted: less than this load of a Cortex-M4F."""
 CHANNELS = (1, 2, 4)
@@ -71,6 +76,22 @@ class Load:
     instructions: float
     cycles: float | None
     stack_bytes: int
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What decoding one texture takes a Cortex-M4F with DSP kernels, in instructions per sample.
+
+    `block`: the codec's parameter of BLOCKS, empty where it has one length only. `bits_per_sample`, `quiet`: what that
+    depends on; the latter as host.planner.costs.quiet_part.
+    """
+
+    decoder: str
+    block: str
+    texture: str
+    bits_per_sample: float
+    quiet: float
+    instructions: float
 
 
 @dataclass(frozen=True)
@@ -153,6 +174,41 @@ def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], s
                         round(run.cycles, 1) if core_name == "M4F" else None,
                         run.stack_bytes,
                     )
+
+
+def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Decoding]:
+    """Yield what decoding takes at every length of block and some qualities. Raises BuildError."""
+    core = CORES["M4F"]
+    for decoder in decoders:
+        name, model = _codec_name(decoder), _model(decoder)
+        program = _program(folder, core, "DSP instructions", {name})
+        parameter = BLOCKS.get(name)
+        choices = codec.CODECS[name].parameters[parameter].choices if parameter else ("",)
+        for block in choices:
+            if block == AUTO:
+                continue
+            for kind, stream in _qualities(name, model, {parameter: block} if parameter else {}, kinds, seconds):
+                run = decode(program, core, stream, _tables(decoder))
+                bits_per_sample = 8 * sum(map(len, stream.packets)) / len(run.decoded)
+                quiet = quiet_part(run.decoded)
+                yield Decoding(
+                    decoder, block, kind, round(bits_per_sample, 4), round(quiet, 4), round(run.instructions, 1)
+                )
+
+
+def _qualities(
+    name: str, model: Model | None, given: codec.Setting, kinds: Sequence[str], seconds: float
+) -> Iterator[tuple[str, CodedSignal]]:
+    """Yield textures as they are streamed at QUALITIES_DB, or at each rung of a codec that keeps no waveform."""
+    how: dict[str, Any] = {"codec": name, "live": True, "model": trained.for_encoder(model) if model else None}
+    for kind in kinds:
+        signal = texture(kind, seconds)
+        if codec.CODECS[name].keeps_waveform:
+            for snr_db in QUALITIES_DB:
+                yield kind, codec.encode_to_snr(signal, RATE_HZ, snr_db, setting=given, **how)
+        else:
+            for rung in next(iter(codec.CODECS[name].ladders.values())):
+                yield kind, codec.encode(signal, RATE_HZ, {**rung, **given}, **how)
 
 
 def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
@@ -446,7 +502,10 @@ def main(out: Path) -> None:
             loads = list(measure_loads(folder, DECODERS, list(GENERATORS), SECONDS))
             sizes = list(measure_sizes(folder, DECODERS))
             controller = list(measure_controller(folder, 2.0))
+            decoding = list(measure_decoding(folder, DECODERS, list(GENERATORS), SECONDS))
         write_page(out, loads, sizes, controller)
+        with whole_file(TABLES / "firmware_decoding.csv") as path:
+            write_rows(path, decoding, Decoding)
     except BuildError as error:
         raise click.ClickException(str(error)) from error
     except OSError as error:

@@ -10,6 +10,7 @@ import numpy as np
 
 import codec
 import textures
+from codec import mdct
 from codec.threshold import DETECTION_THRESHOLD, read_threshold
 from evaluation.page_parts import code, paragraphs, table
 from evaluation.points import write_rows
@@ -152,12 +153,13 @@ def _default_costs(default: coding.Encoding) -> tuple[float, float, float]:
     seconds = len(packets) * default.stream.decoder().packet_samples / header.rate_hz
     payload_bytes = sum(map(len, packets))
     wire_bytes = payload_bytes + sum(map(added_bytes, packets))
-    decoding = costs.decoder_cost(coding.DEFAULT_CODEC, CORE)
+    decoding = costs.decoder_cost(coding.DEFAULT_CODEC, CORE, str(mdct.hop_samples(header.rate_hz)))
     assert decoding is not None, "the tables have the default codec"
     bits_per_sample = 8 * payload_bytes / seconds / header.rate_hz / header.channels
+    quiet = costs.quiet_part(default.stream.decode_integers())
     return (
         8 * wire_bytes / seconds,
-        decoding.instructions_per_second(bits_per_sample, header.rate_hz, header.channels),
+        decoding.instructions_per_second(bits_per_sample, quiet, header.rate_hz, header.channels),
         (decoding.flash_bytes + decoding.ram_bytes(header.channels)) / 1e3,
     )
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
@@ -21,7 +21,7 @@ from device_protocol.coded_stream import MAX_RATE_HZ, StreamError
 from device_protocol.messages import MessageError
 from device_protocol.model_image import ModelImageError
 from device_protocol.transports import TransportError
-from host import coding, devices, flasher, player, profiles, progress, steered
+from host import coding, devices, flasher, planned_command, player, profiles, progress, steered
 from host.bench_command import bench
 from host.conformance_command import conformance
 from host.controller import ControllerError
@@ -42,6 +42,7 @@ from host.options import (
     device_option,
     model_option,
     options,
+    plan_option,
     recording_options,
     setting_option,
 )
@@ -67,6 +68,8 @@ INPUT_ERRORS = (
     OSError,
     MemoryError,
 )
+_Argument = TypeVar("_Argument")
+
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 DEVICE_ERRORS = (ControllerError, TransportError, MessageError)
@@ -176,7 +179,8 @@ main.add_command(bench)
 
 
 @main.command()
-@click.argument("file", type=INPUT)
+@click.argument("file", type=INPUT, required=False)
+@plan_option
 @device_option
 @click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
@@ -187,7 +191,8 @@ main.add_command(bench)
 @click.option("--stroke-mm", type=POSITIVE, help="A hand that strokes a profile, --loop times there and back.")
 @recording_options
 def play(
-    file: Path,
+    file: Path | None,
+    plan_path: Path | None,
     address: str,
     loops: int,
     positions_path: Path | None,
@@ -201,9 +206,17 @@ def play(
 
     A height profile is played over time, as --hand-speed-mm-s passes it once, or by the position of a hand:
     --positions, or --stroke-mm with --hand-speed-mm-s as its highest speed.
+
+    With --plan, play the texture that FILE names, or all, live and as planned, on the plan's controllers, or on
+    --device where it has one, and hold what is measured against the forecast: what is off by more than 10 % fails.
     """
     from host import end_to_end, picture
 
+    if plan_path is not None:
+        plan = planned_command.read(plan_path, ("file", "address", "report_path"))
+        planned_command.play(plan, [str(file)] if file else [], report_path)
+        return
+    file = needed(file, "FILE")
     refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
     runtime = devices.decoding_runtime(address, runtime)
     if positions_path or stroke_mm:
@@ -257,11 +270,17 @@ def play(
     show_default=True,
     help="With --spatial: the pitch is chosen for this speed.",
 )
+@plan_option
 @quality_options
 @steered_options
 @recording_options
-def encode(file: Path, out: Path, spatial: bool, slowest_hand_speed_mm_s: float, **choices: Any) -> None:
-    """Code a recording into a .vct file."""
+def encode(
+    file: Path, out: Path, spatial: bool, slowest_hand_speed_mm_s: float, plan_path: Path | None, **choices: Any
+) -> None:
+    """Code a recording, or with --plan the texture that FILE names, into a .vct file."""
+    if plan_path is not None:
+        tell_encoded(out, planned_command.read(plan_path, ("file", "out")).texture(str(file)).encode())
+        return
     refuse_overwriting([out], [file, *files_of(choices["model"])])
     wish = wish_of(choices)
     quality = quality_of(choices)
@@ -279,7 +298,11 @@ def encode(file: Path, out: Path, spatial: bool, slowest_hand_speed_mm_s: float,
     if wish is not None:
         encode_steered(textures.load(file, **choices), out, wish, quality)
         return
-    encoding = encoded(textures.load(file, **choices), quality, live=False)
+    tell_encoded(out, encoded(textures.load(file, **choices), quality, live=False))
+
+
+def tell_encoded(out: Path, encoding: coding.Encoding) -> None:
+    """Write a .vct file, and tell its size and quality."""
     coding.write(out, encoding.stream)
     snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
     stream = encoding.stream
@@ -385,17 +408,34 @@ def list_devices() -> None:
 
 
 @main.command()
-@click.argument("model", callback=chosen_model)
+@click.argument("model", callback=chosen_model, required=False)
+@plan_option
 @device_option
-def flash(model: models.Model, address: str) -> None:
-    """Flash a model into a controller: by its name, from its folder, or a model image.
+def flash(model: models.Model | None, plan_path: Path | None, address: str) -> None:
+    """Flash a model into a controller: by its name, from its folder, or a model image; with --plan, what it needs.
 
     It is transferred, verified by reading it back, started on trial and confirmed. Cut off, the same command goes on
     where it stopped, and the controller keeps running the image before.
     """
+    if plan_path is not None:
+        for name, planned_address, needed_model in planned_command.needed_models(plan_path):
+            click.echo(f"{name}: {flashed(needed_model, planned_address)}")
+        return
+    click.echo(flashed(needed(model, "MODEL"), address))
+
+
+def flashed(model: models.Model, address: str) -> str:
+    """Flash a model into the controller at an address; return what it runs then."""
     with devices.connect(address) as controller, progress.shown("flashing") as update:
         slot = flasher.flash(controller, model.image, progress=lambda done, total: update(done / total))
-    click.echo(f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed")
+    return f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed"
+
+
+def needed(argument: _Argument | None, name: str) -> _Argument:
+    """Return an argument that only --plan makes up for. Raises click.UsageError."""
+    if argument is None:
+        raise click.UsageError(f"{name} is missing: give it, or --plan.")
+    return argument
 
 
 @main.command()

@@ -25,7 +25,9 @@ from host.controller import Controller
 
 if TYPE_CHECKING:
     from simulated_device.actuator import Actuator
-    from simulated_device.device import Device
+    from simulated_device.controller import Controller as SimulatedController
+    from simulated_device.cortex_m import CortexM
+    from simulated_device.stm32f405 import Stm32F405
 
 FIRMWARE = {
     "host": "the firmware as a process of this machine",
@@ -35,12 +37,16 @@ FIRMWARE = {
     "stm32f405": "the firmware of the Feather STM32F405 board, emulated",
 }
 """Controllers made of the C firmware; they last as long as a session, and have their actuator compiled in."""
+EMULATED = tuple(name for name in FIRMWARE if name != "host")
+"""Those whose processor is emulated."""
 SIMULATED = {
     "sim": "simulated controller behind a pseudo-terminal",
     "sim-usb": "simulated controller behind a simulated USB device",
     **FIRMWARE,
 }
 """All that need no hardware."""
+IN_PROCESS = ("sim", "sim-usb", *EMULATED)
+"""Those that this program itself simulates, and so could in simulated time."""
 ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
 
 
@@ -64,22 +70,26 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
             decoding_runtime(address, runtime)
             transport = SerialTransport(stack.enter_context(_firmware(address)))
         elif address in SIMULATED:
-            # Takes longer to load than all the rest, and only here is it needed.
-            from simulated_device.controller import Controller as SimulatedController
-            from simulated_device.controller import Settings
             from simulated_device.pty_port import PtyPort
             from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
-            settings = Settings(runtime=runtime)
-            settings = settings if actuator is None else replace(settings, actuator=actuator)
             if address == "sim":
-                transport = SerialTransport(stack.enter_context(PtyPort(SimulatedController(settings))).name)
+                transport = SerialTransport(stack.enter_context(PtyPort(simulated(runtime, actuator))).name)
             else:
-                port = UsbPort(SimulatedController(settings))
+                port = UsbPort(simulated(runtime, actuator))
                 transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(port))
         else:
             transport = open_transport(address)
         yield stack.enter_context(transport)
+
+
+def simulated(runtime: str | None = None, actuator: "Actuator | None" = None) -> "SimulatedController":
+    """Return the simulated controller, decoding by `runtime` and with `actuator`, as in `reach`."""
+    # Takes longer to load than all the rest, and only here is it needed.
+    from simulated_device.controller import Controller, Settings
+
+    settings = Settings(runtime=runtime)
+    return Controller(settings if actuator is None else replace(settings, actuator=actuator))
 
 
 def decoding_runtime(address: str, runtime: str | None) -> str | None:
@@ -102,20 +112,28 @@ def _firmware(address: str) -> Iterator[str]:
     from simulated_device.pty_port import PtyPort
 
     try:
-        port = HostProcess() if address == "host" else PtyPort(_emulated(address))
+        port = HostProcess() if address == "host" else PtyPort(emulated(address))
     except BuildError as error:
         raise TransportError(str(error)) from error
     with port:
         yield port.name
 
 
-def _emulated(address: str) -> "Device":
+def emulated(address: str, count_instructions: bool = False) -> "CortexM | Stm32F405":
+    """Return one of EMULATED; `count_instructions`: as simulated_device.emulator.Processor. Raises TransportError."""
+    from firmware.build import BuildError
+
     try:
         from simulated_device.cortex_m import CortexM
         from simulated_device.stm32f405 import Stm32F405
     except ModuleNotFoundError as error:
         raise TransportError('processors are emulated by unicorn: pip install "vibrocast[firmware]"') from error
-    return Stm32F405() if address == "stm32f405" else CortexM(address)
+    try:
+        if address == "stm32f405":
+            return Stm32F405(count_instructions=count_instructions)
+        return CortexM(address, count_instructions=count_instructions)
+    except BuildError as error:
+        raise TransportError(str(error)) from error
 
 
 def available() -> dict[str, str]:

@@ -114,9 +114,10 @@ class LiveStream:
     that is more or, with a policy on a link not much faster than needed, what bears the link's fall to half.
     `packet_samples`: samples per channel in a packet, at least those asked for and the codec's shortest block; None =
     for a rate the shortest to which frames add at most 15 %, within `longest_packet_s`, or else one block.
-    `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
-    `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
-    carries packets in time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
+    `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of STEERED_REFRESH_S. `needed_bps`:
+    the most that the stream can use of the link; None = the policy's rate. `header`, `stream`, `packets_sent` (dropped
+    ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link carries packets in
+    time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
     Raises CodecError, LiveError, StreamError for what the controller does not take, ControllerError, TransportError.
     """
 
@@ -131,6 +132,7 @@ class LiveStream:
         policy: codec.Policy | None = None,
         packet_samples: int | None = None,
         longest_packet_s: float = math.inf,
+        refresh_packets: int | None = None,
         needed_bps: float | None = None,
         margin_s: float | None = None,
         gain: float = 1.0,
@@ -154,7 +156,9 @@ class LiveStream:
         self.packet_samples = encoder.packet_samples
         self.packet_s = self.packet_samples / signal_format.rate_hz
         refresh_s = REFRESH_S if policy is None else STEERED_REFRESH_S
-        self._framing = codec.Framing(self.packet_samples, max(1, math.floor(refresh_s / self.packet_s)))
+        if refresh_packets is None:
+            refresh_packets = max(1, math.floor(refresh_s / self.packet_s))
+        self._framing = codec.Framing(self.packet_samples, refresh_packets)
         if policy is None:
             # The first block that is ever coded takes longer than others, and would make all of the stream later by
             # that; what steers has coded some already.

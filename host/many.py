@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from host.controller import Controller
 
+_Session = TypeVar("_Session", bound=Controller)
 _Result = TypeVar("_Result")
 
 _JOIN_S = 0.1
@@ -17,8 +18,8 @@ class Interrupted(RuntimeError):
 
 
 def on_all(
-    sessions: Mapping[str, Callable[[], AbstractContextManager[Controller]]],
-    work: Callable[[str, Controller, Callable[[], None]], _Result],
+    sessions: Mapping[str, Callable[[], AbstractContextManager[_Session]]],
+    work: Callable[[str, _Session, Callable[[], None]], _Result],
 ) -> dict[str, _Result | Exception]:
     """Open a session with each controller and do the work with all at once; return by name what it gave or raised.
 

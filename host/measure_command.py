@@ -13,7 +13,7 @@ from device_protocol.messages import MessageError
 from device_protocol.transports import TransportError
 from host import progress
 from host.controller import ConnectionLost, ControllerError
-from host.options import INPUT
+from host.options import INPUT, plan_option
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
     from host.harness.bench_file import Bench
@@ -40,6 +40,7 @@ def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) 
 @click.option(
     "--bench", "bench_path", type=INPUT, help="Bench file in TOML: controllers, actuators, sensors, textures."
 )
+@plan_option
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
@@ -52,16 +53,25 @@ def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) 
 )
 @click.option("--only", "names", callback=chosen_names, metavar="NAME,...", help=f"Some of {', '.join(NAMES)}.")
 def measure(
-    device: str | None, bench_path: Path | None, out: Path, earlier: Path | None, names: tuple[str, ...]
+    device: str | None,
+    bench_path: Path | None,
+    plan_path: Path | None,
+    out: Path,
+    earlier: Path | None,
+    names: tuple[str, ...],
 ) -> None:
     """Measure a controller: latency, load, fidelity, frequency response.
 
-    What has been measured is written also when the run is cut. The exit code is 1 where something could not be measured
-    or has become worse than in the earlier run.
+    With --plan, on the plan's actuators and textures. What has been measured is written also when the run is cut. The
+    exit code is 1 where something could not be measured or has become worse than in the earlier run.
     """
     from host.harness import bench_file, results
+    from host.planner.plan_file import read_plan
 
-    bench = bench_file.chosen(None if bench_path is None else bench_file.read_bench(bench_path), device)
+    if plan_path is not None and bench_path is not None:
+        raise click.UsageError("a plan and a bench file both say what is there: drop one of them.")
+    bench = None if bench_path is None else bench_file.read_bench(bench_path)
+    bench = bench_file.chosen(bench if plan_path is None else read_plan(plan_path).bench(), device)
     before = None if earlier is None else results.read(earlier)
     out.mkdir(parents=True, exist_ok=True)
     run = results.Results({}, {})

@@ -132,6 +132,10 @@ setting_option = click.option(
     help="Parameter of the codec, instead of searching for it; `vibrocast codecs` lists them.",
 )
 
+plan_option = click.option(
+    "--plan", "plan_path", type=INPUT, help="Plan file, as `vibrocast plan` writes it: it says how, and where."
+)
+
 recording_options = options(
     click.option("--rate-hz", type=POSITIVE, help="Sample rate, where the file does not state it."),
     click.option(

@@ -30,18 +30,28 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "the first one of the bench file if not given, and the simulated one without a bench file",
     )
     group.addoption("--bench", metavar="FILE.toml", help="bench file: controllers, actuators, sensors, textures")
+    group.addoption("--plan", metavar="PLAN.toml", help="plan of `vibrocast plan`, in place of a bench file")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Read the bench file, so that a mistake in it is told before any test runs."""
-    path = config.getoption("bench")
-    if path is None:
+    """Read the bench file or the plan, so that a mistake in it is told before any test runs."""
+    path, plan_path = config.getoption("bench"), config.getoption("plan")
+    if path is None and plan_path is None:
         return
-    from host.harness.bench_file import BenchFileError, read_bench
+    if path is not None and plan_path is not None:
+        raise pytest.UsageError("a plan and a bench file both say what is there: drop one of them")
+    from host.input_files import InputFileError
 
     try:
-        config.stash[_BENCH] = read_bench(Path(path))
-    except (BenchFileError, OSError) as error:
+        if path is not None:
+            from host.harness.bench_file import read_bench
+
+            config.stash[_BENCH] = read_bench(Path(path))
+        else:
+            from host.planner.plan_file import read_plan
+
+            config.stash[_BENCH] = read_plan(Path(plan_path)).bench()
+    except (InputFileError, OSError) as error:
         raise pytest.UsageError(str(error)) from error
 
 

@@ -1,7 +1,7 @@
 """The band worth coding: what of a texture the actuator renders within its limits, and a finger may feel."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 import textures
 from codec.threshold import threshold_amplitude
 from device_protocol.coded_stream import MAX_RATE_HZ
+from host import coding
 from host.end_to_end import displacement_um
-from simulated_device.actuator import Actuator
+from simulated_device.actuator import Actuator, Codes
+from simulated_device.output import Drive, render
 from textures import Profile, Recording
 
 Samples = NDArray[np.float64]
@@ -176,8 +178,11 @@ def over_threshold_db(displacement: Samples, rate_hz: float, threshold: Samples)
     spacing_hz = rate_hz / block
     highest_hz = min(HIGHEST_HZ, rate_hz / 2 / 2 ** (1 / 6))
     lowest_hz = max(LOWEST_HZ, spacing_hz)
-    count = max(2, round(BANDS_PER_OCTAVE * math.log2(max(highest_hz / lowest_hz, 1.01))))
-    middle_hz = np.geomspace(lowest_hz, max(highest_hz, 1.01 * lowest_hz), count)
+    # The same middles at every rate, so that what has one can be compared with what has another.
+    steps = np.arange(1 + math.floor(BANDS_PER_OCTAVE * math.log2(HIGHEST_HZ / LOWEST_HZ)))
+    middle_hz = LOWEST_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
+    middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
+    count = len(middle_hz)
     loudest = np.empty(count)
     for index, hz in enumerate(middle_hz):
         first = math.ceil(hz / 2 ** (1 / 6) / spacing_hz)
@@ -193,6 +198,44 @@ def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Ac
     """Return the level of the error at the skin in its loudest third octave, dB re the detection threshold."""
     error = Recording(reference.samples - decoded, reference.rate_hz, reference.unit, reference.name)
     return float(np.max(over_threshold_db(at_the_skin(error, actuator), reference.rate_hz, threshold)[1]))
+
+
+def played_codes(stream: coding.Stream, decoded: Codes, actuator: Actuator) -> Codes:
+    """Return the DAC's codes (n, channels) of a stream's decoded samples, int16 (samples, channels), played live."""
+    header = replace(stream.header, samples=None)
+    return render(header, decoded, stream.decoder().delay_samples, actuator)[0]
+
+
+def rendering_s(stream: coding.Stream, actuator: Actuator) -> float:
+    """Return how long a sample that is due takes to the skin: decoding, output stage, DAC."""
+    drive_s: float = Drive(stream.header, actuator, compensation=True).delay_seconds
+    return stream.decoder().delay_samples / stream.header.rate_hz + drive_s + 1 / actuator.dac_rate_hz
+
+
+def played_error_over_threshold_db(
+    stream: coding.Stream,
+    recording: Recording,
+    codes: Codes,
+    driven: Actuator,
+    skin_model: Actuator,
+    threshold: Samples,
+) -> float:
+    """Return the level of the error at the skin in its loudest third octave, dB re the detection threshold.
+
+    The error is what the skin gets of the DAC's `codes`, less what it would get of the recording without a codec: both
+    through the output stage, limits included, of a controller that works with `driven`, and through `skin_model`.
+    """
+    decoder = stream.decoder()
+    delay = decoder.delay_samples
+    exact = np.zeros((len(stream.packets) * decoder.packet_samples, recording.channels), np.int16)
+    full_scale = recording.samples / np.array(stream.header.gains)
+    exact[delay : delay + len(full_scale)] = np.clip(np.round(32768 * full_scale), -32768, 32767)
+    wanted = played_codes(stream, exact, driven)
+    length, rate_hz = min(len(wanted), len(codes)), driven.dac_rate_hz
+    error = skin_model.displacement_um(codes[:length]) - skin_model.displacement_um(wanted[:length])
+    late = round(rendering_s(stream, driven) * rate_hz)
+    error = error[late : late + math.ceil(recording.seconds * rate_hz)]
+    return float(np.max(over_threshold_db(error, rate_hz, threshold)[1]))
 
 
 def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:

@@ -20,7 +20,15 @@ from evaluation import metrics
 from host import coding
 from host.link import added_bytes
 from host.planner import costs
-from host.planner.band import MARGIN_DB, BandError, band_of, error_over_threshold_db, slowest_mm_s
+from host.planner.band import (
+    MARGIN_DB,
+    BandError,
+    band_of,
+    error_over_threshold_db,
+    played_codes,
+    played_error_over_threshold_db,
+    slowest_mm_s,
+)
 from host.planner.costs import MOST_LOAD_PERCENT
 from host.planner.plan_file import Forecast, encode, prepared
 from host.planner.scene import Asked, Scene, SceneTexture, Weights
@@ -70,6 +78,7 @@ class Measured:
 
     `peak_bps`: of the frames on the wire, the most in any second. `longest_frame_bytes`: of all frames.
     `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the detection threshold.
+    `quiet`: as costs.quiet_part.
     """
 
     way: Way
@@ -86,6 +95,7 @@ class Measured:
     spqi: float | None
     spectral_distance_db: float | None
     error_db: float | None
+    quiet: float
 
 
 @dataclass(frozen=True)
@@ -282,18 +292,30 @@ class Workbench:
                 if spectral
                 else None
             ),
-            error_db=(
-                max(error_over_threshold_db(each, decoded, self.actuator, self._threshold) for each in felt)
-                if every or self._measure == "imperceptible"
-                else None
-            ),
+            error_db=self._error_db(encoding, felt) if every or self._measure == "imperceptible" else None,
+            quiet=costs.quiet_part(encoding.stream.decode_integers()),
+        )
+
+    def _error_db(self, encoding: coding.Encoding, felt: list[Recording]) -> float:
+        """Return the level of the error at the skin re the detection threshold; over position at several speeds."""
+        stream = encoding.stream
+        if self.over_position:
+            decoded = stream.decode()
+            return max(error_over_threshold_db(each, decoded, self.actuator, self._threshold) for each in felt)
+        codes = played_codes(stream, stream.decode_integers(), self.actuator)
+        return played_error_over_threshold_db(
+            stream, encoding.recording, codes, self.actuator, self.actuator, self._threshold
         )
 
     def judged(self, measured: Measured, scene: Scene) -> Candidate:
         """Return a coding as a scene sees it, which may have other limits and wishes than that of the workbench."""
         controller, asked = scene.controller(self.texture.controller), scene.asked
         channels, rate_hz = self.texture.channels, self.samples_per_second
-        decoding = None if controller.core is None else costs.decoder_cost(measured.way.decoder, controller.core)
+        decoding = (
+            None
+            if controller.core is None
+            else costs.decoder_cost(measured.way.decoder, controller.core, measured.way.block)
+        )
         rest = costs.rest_cost(channels)
         instructions = load_percent = flash_bytes = ram_bytes = None
         if decoding is not None and controller.clock_hz is not None:
@@ -304,7 +326,7 @@ class Workbench:
             if self.over_position:  # decoded once, and kept
                 ram_bytes += int(library().vc_profile_size(len(self.whole.samples), channels))
             else:
-                instructions += decoding.instructions_per_second(bits_per_sample, rate_hz, channels)
+                instructions += decoding.instructions_per_second(bits_per_sample, measured.quiet, rate_hz, channels)
             load_percent = 100 * instructions / controller.clock_hz
         fixed_ms, buffer_ms = scene.link.delay_ms + 1e3 * self.drive_s, 0.0
         if not self.over_position:  # then no packet is under way: the hand's position alone

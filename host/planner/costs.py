@@ -7,35 +7,50 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import scipy
+from numpy.typing import NDArray
 
 import evaluation
 
 _TABLES = Path(evaluation.__file__).parent / "data"
 _KERNELS = "DSP instructions"
+_MEASURED_CORE = "M4F"
 MOST_LOAD_PERCENT = 60.0
 """Of a processor, by instructions: on a Cortex-M4 an instruction of these decoders takes some 1.3 cycles, flash memory
 adds wait states, and frames come when they come."""
+
+
+QUIET_SAMPLES = 16
+
+
+def quiet_part(decoded: NDArray[np.int16]) -> float:
+    """Return the part of the stretches of QUIET_SAMPLES of decoded samples (n, channels) that are all 0.
+
+    Decoders pass over blocks without a signal quickly.
+    """
+    whole = len(decoded) // QUIET_SAMPLES * QUIET_SAMPLES
+    stretches = decoded[:whole].reshape(-1, QUIET_SAMPLES, decoded.shape[1])
+    return float(np.mean(~stretches.any(axis=1))) if whole else 0.0
 
 
 @dataclass(frozen=True)
 class DecoderCost:
     """Of one decoder on one core.
 
-    `bits`, `instructions`: a line through what was measured on textures, instructions per sample of one channel =
-    instructions[0] + instructions[1] * bits per sample, and at least `least_instructions`. `flash_bytes`: code and
-    model. `state_bytes`: RAM of a decoder for 1, 2 and 4 channels. `stack_bytes`: the most that was used.
+    `instructions`: per sample of one channel, what a quiet sample takes, what another takes, and each bit, fitted to
+    what was measured on textures. `flash_bytes`: code and model. `state_bytes`: RAM of a decoder for 1, 2 and 4
+    channels. `stack_bytes`: the most that was used.
     """
 
-    instructions: tuple[float, float]
-    least_instructions: float
+    instructions: tuple[float, float, float]
     flash_bytes: int
     state_bytes: tuple[int, int, int]
     stack_bytes: int
 
-    def instructions_per_second(self, bits_per_sample: float, rate_hz: float, channels: int) -> float:
-        """Return what decoding takes, where a sample of each channel takes so many bits."""
-        offset, slope = self.instructions
-        return max(self.least_instructions, offset + slope * bits_per_sample) * rate_hz * channels
+    def instructions_per_second(self, bits_per_sample: float, quiet: float, rate_hz: float, channels: int) -> float:
+        """Return what decoding takes, where a sample of each channel takes so many bits; `quiet`: as quiet_part."""
+        of_quiet, of_other, of_bit = self.instructions
+        return (of_quiet * quiet + of_other * (1 - quiet) + of_bit * bits_per_sample) * rate_hz * channels
 
     def ram_bytes(self, channels: int) -> int:
         """Return state and stack; state grows by what each channel adds."""
@@ -52,25 +67,43 @@ class RestCost:
 
 
 @cache
-def decoder_cost(decoder: str, core: str) -> DecoderCost | None:
-    """Return the cost of a codec or model by its name, None where it has not been measured on that core."""
-    loads = [
-        row for row in _rows("loads") if (row["decoder"], row["core"], row["kernels"]) == (decoder, core, _KERNELS)
-    ]
+def decoder_cost(decoder: str, core: str, block: str | None = None) -> DecoderCost | None:
+    """Return the cost of a codec or model by its name, None where it has not been measured on that core.
+
+    `block`: the length of its blocks, None = of all that were measured together.
+    """
+    loads = {core: [row for row in _rows("loads") if _is(row, decoder, core)] for core in (core, _MEASURED_CORE)}
     sizes = [row for row in _rows("sizes") if (row["decoder"], row["kernels"]) == (decoder, _KERNELS)]
-    if not loads or not sizes:
+    decoding = [row for row in _rows("decoding") if row["decoder"] == decoder and block in (None, row["block"])]
+    if not loads[core] or not sizes or not decoding:
         return None
-    bits = [float(row["bits_per_sample"]) for row in loads]
-    instructions = [float(row["instructions"]) for row in loads]
-    slope, offset = np.polyfit(bits, instructions, 1)
+    # Blocks of all lengths were measured on one core; another takes so much more for the same.
+    ratio = _mean_instructions(loads[core]) / _mean_instructions(loads[_MEASURED_CORE])
     one, two, four = (int(sizes[0][f"state_{channels}_bytes"]) for channels in (1, 2, 4))
     return DecoderCost(
-        instructions=(float(offset), float(slope)),
-        least_instructions=min(instructions),
+        instructions=_fitted(decoding, ratio),
         flash_bytes=int(sizes[0]["code_bytes"]) + int(sizes[0]["image_bytes"]),
         state_bytes=(one, two, four),
-        stack_bytes=max(int(row["stack_bytes"]) for row in loads),
+        stack_bytes=max(int(row["stack_bytes"]) for row in loads[core]),
     )
+
+
+def _is(row: dict[str, str], decoder: str, core: str) -> bool:
+    return (row["decoder"], row["core"], row["kernels"]) == (decoder, core, _KERNELS)
+
+
+def _mean_instructions(rows: list[dict[str, str]]) -> float:
+    return float(np.mean([float(row["instructions"]) for row in rows]))
+
+
+def _fitted(rows: list[dict[str, str]], ratio: float) -> tuple[float, float, float]:
+    """Return what a quiet sample, another, and each bit takes: the least squares of relative errors, none below 0."""
+    measured, quiet, bits = (
+        np.array([float(row[name]) for row in rows]) for name in ("instructions", "quiet", "bits_per_sample")
+    )
+    terms = np.stack([quiet, 1 - quiet, bits], axis=1) / measured[:, None]
+    of_quiet, of_other, of_bit = ratio * scipy.optimize.nnls(terms, np.ones(len(rows)))[0]
+    return float(of_quiet), float(of_other), float(of_bit)
 
 
 @cache

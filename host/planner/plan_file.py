@@ -149,9 +149,10 @@ class Plan:
         )
 
     def bench(self) -> Bench:
-        """Return the plan's controllers, actuators and textures as a bench; a texture raises as its `recording`."""
+        """Return controllers, actuators and the textures over time as a bench; a texture raises as its `recording`."""
         controllers = tuple(BenchController(each.name, each.address) for each in self.controllers)
-        return Bench(controllers, self.actuators, textures=tuple(each.recording for each in self.textures))
+        over_time = tuple(each.recording for each in self.textures if not each.over_position)
+        return Bench(controllers, self.actuators, textures=over_time)
 
 
 def prepared(

@@ -18,7 +18,7 @@ def run(*arguments: object) -> Result:
 
 
 def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
-    done = run(written(tmp_path, asked="[asked]\nspectral_distance_db = 10\n"), "--out", tmp_path / "planned")
+    done = run(written(tmp_path, asked="[asked]\nspectral_distance_db = 10.5\n"), "--out", tmp_path / "planned")
     assert done.exit_code == 0, done.output
     names = {path.name for path in (tmp_path / "planned").iterdir()}
     assert names == {"plan.toml", "plan.png", "candidates.csv", "bands.csv"}

@@ -1,0 +1,83 @@
+"""A plan that is played gives what it forecast; what does not fit what is there, and what is off, is told."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from host.planner import choose, comparison, playing
+from host.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
+from tests.planner.scenes import CONTROLLER, scene
+
+SIMULATED = CONTROLLER.replace("cortex-m4", "sim-usb")
+TWO = (
+    '[[controllers]]\nname = "left"\naddress = "sim"\n[[controllers]]\nname = "right"\naddress = "sim-usb"\n'
+    '[[actuators]]\nmodel = "piezo-stack"\ncontroller = "left"\n'
+)
+LRA = '[[actuators]]\nmodel = "lra"\ncontroller = "right"\n'
+
+
+def texture(kind: str, controller: str) -> str:
+    return f'[[textures]]\ngenerate = "{kind}"\nseconds = 0.6\nrate_hz = 2800\ncontroller = "{controller}"\n'
+
+
+def planned(folder: Path, **changed: str) -> Plan:
+    """Plan a small scene, and read the plan from its file."""
+    plan, _ = choose.plan(scene(folder, **changed))
+    write_plan(folder / "plan.toml", plan)
+    return read_plan(folder / "plan.toml")
+
+
+def test_what_an_emulated_processor_plays_is_what_was_forecast(tmp_path: Path) -> None:
+    pytest.importorskip("unicorn")
+    played = playing.play(planned(tmp_path))
+    rows = {row.quantity.name: row for row in comparison.rows(played)}
+    assert comparison.failures(played, list(rows.values())) == []
+    assert played[0].as_decoded and played[0].as_computed
+    for name in ("payload_bps", "wire_bps", "instructions_per_second", "load_percent", "snr_db"):
+        assert rows[name].within, name
+    assert rows["delay_ms"].measured == pytest.approx(rows["delay_ms"].forecast, rel=0.03)
+    assert rows["flash_bytes"].measured is None and rows["flash_bytes"].within is None
+
+
+def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path) -> None:
+    plan = planned(tmp_path, texture=texture("wood", "left") + texture("ridges", "right"), controller=TWO, actuator=LRA)
+    played = playing.play(plan)
+    assert [each.texture.name for each in played] == ["wood", "ridges"]
+    rows = comparison.rows(played)
+    assert comparison.failures(played, rows) == []
+    # A computer's load is not forecast, and so not compared.
+    assert {row.quantity.name for row in rows} >= {"wire_bps", "snr_db", "error_over_threshold_db", "delay_ms"}
+    assert "load_percent" not in {row.quantity.name for row in rows}
+    assert [each.texture.name for each in playing.play(plan, ["ridges"])] == ["ridges"]
+
+
+def test_what_is_off_its_forecast_is_told_and_written(tmp_path: Path) -> None:
+    plan = planned(tmp_path, controller=SIMULATED)
+    (wood,) = plan.textures
+    wrong = replace(wood.forecast, wire_bps=1.2 * wood.forecast.wire_bps, snr_db=(wood.forecast.snr_db or 0) - 0.5)
+    played = playing.play(replace(plan, textures=(replace(wood, forecast=wrong),)))
+    rows = comparison.rows(played)
+    assert comparison.failures(played, rows) == ["wood: on the wire is -16.7 % off the forecast"]
+    assert sum("OFF" in line for line in comparison.lines(rows)) == 1
+    comparison.write_csv(tmp_path / "forecast.csv", rows)
+    lines = (tmp_path / "forecast.csv").read_text().splitlines()
+    assert lines[0] == "texture,quantity,forecast,measured,deviation,within"
+    assert [line for line in lines if line.endswith("False")] == [line for line in lines if "wire_bps" in line]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda texture: replace(texture, codec="opus", setting={}), "wood is planned for the codec opus, one decodes"),
+        (lambda texture: replace(texture, packet_samples=1 << 20), "packets of 1048576 samples, the buffer of one"),
+    ],
+)
+def test_a_plan_for_another_controller_is_refused(
+    tmp_path: Path, change: Callable[[PlannedTexture], PlannedTexture], message: str
+) -> None:
+    pytest.importorskip("unicorn")
+    plan = planned(tmp_path)
+    with pytest.raises(PlanError, match=message):
+        playing.play(replace(plan, textures=(change(plan.textures[0]),)))
