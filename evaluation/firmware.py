@@ -311,7 +311,9 @@ def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[Con
         _controller_section(controller),
         "Rows: [firmware_loads.csv](../evaluation/data/firmware_loads.csv), "
         "[firmware_sizes.csv](../evaluation/data/firmware_sizes.csv), "
-        "[firmware_controller.csv](../evaluation/data/firmware_controller.csv), all as [JSON](results/firmware.json).",
+        "[firmware_controller.csv](../evaluation/data/firmware_controller.csv), all as [JSON](results/firmware.json). "
+        "[firmware_decoding.csv](../evaluation/data/firmware_decoding.csv) has decoding at every length of block and "
+        "some qualities, from which `vibrocast plan` forecasts loads.",
     )
 
 
