@@ -306,7 +306,7 @@ class _Player:
             wire_bps=8 * controller.frame_bytes[stream.stream] / seconds,
             instructions_per_second=load.instructions_per_second,
             error_over_threshold_db=error_db,
-            delay_ms=1e3 * self._delay_s(sent, clock, began_s),
+            delay_ms=self._delay_ms(sent, clock, began_s),
         )
         return Played(texture, measured, result.underruns, result.lost_packets, as_decoded, as_computed)
 
@@ -374,15 +374,17 @@ class _Player:
         taken[first : first + len(kept)] = kept[: len(computed) - first]
         return equal, taken
 
-    def _delay_s(self, sent: coding.Stream, clock: DeviceClock, began_s: float) -> float:
-        """Return the delay from a sample at the host, the first of which came at `began_s`, to the skin."""
+    def _delay_ms(self, sent: coding.Stream, clock: DeviceClock, began_s: float) -> float | None:
+        """Return the delay from a sample at the host, the first of which came at `began_s`, to the skin.
+
+        None for a texture that is over before the controller was heard to play.
+        """
+        playing = [status for _, _, status in clock.trips.values() if status.state == State.PLAYING and status.position]
+        if not playing:
+            return None
         fit = clock.fit()
         # Positions are whole samples that have been played: the earliest estimate is the best.
-        starts_s = [
-            fit.host_time_s(status.device_time_us / 1e6) - status.position / sent.header.rate_hz
-            for _, _, status in clock.trips.values()
-            if status.state == State.PLAYING and status.position
-        ]
-        if not starts_s:
-            raise ControllerError("the stream never played: no packet came in time. Plan for a longer buffer")
-        return min(starts_s) - began_s + band.rendering_s(sent, self._driven)
+        starts_s = (
+            fit.host_time_s(status.device_time_us / 1e6) - status.position / sent.header.rate_hz for status in playing
+        )
+        return 1e3 * (min(starts_s) - began_s + band.rendering_s(sent, self._driven))

@@ -67,6 +67,13 @@ def test_what_is_off_its_forecast_is_told_and_written(tmp_path: Path) -> None:
     assert [line for line in lines if line.endswith("False")] == [line for line in lines if "wire_bps" in line]
 
 
+def test_a_texture_that_is_over_at_once_has_no_delay_to_be_measured(tmp_path: Path) -> None:
+    short = texture("wood", "one").replace("0.6", "0.1")
+    (played,) = playing.play(planned(tmp_path, texture=short, controller=SIMULATED))
+    assert played.measured.delay_ms is None and played.in_time and played.as_computed
+    assert played.measured.wire_bps == pytest.approx(played.texture.forecast.wire_bps, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
