@@ -275,7 +275,7 @@ class Source:
     def settled(self, setting: Setting) -> Setting:
         """Return the setting, complete, with what is left to the codec as it chooses. Raises CodecError."""
         setting = self.codec.complete(setting)
-        if self._live or AUTO not in setting.values():
+        if self._live or self.codec.settle is None or AUTO not in setting.values():
             return setting
         return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, does_not_fit, ffi, library
 from codec.huffman import canonical_codes, code_lengths, pack_bits
 from codec.interface import (
+    AUTO,
     Codec,
     CodecError,
     Framing,
@@ -100,7 +101,8 @@ class DctEncoder(PacketwiseEncoder):
         most_blocks = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
         super().__init__(signal_format.channels, framing, self._block, most_blocks)
         self._logarithmic = word(setting, "quantiser") == "log"
-        self._range_coded = word(setting, "entropy") == "range"
+        entropy = word(setting, "entropy")
+        self._range_coded = entropy == "range" or (entropy == AUTO and steering is not None)
         self._levels = int(number(setting, "levels"))
         self._steering, self._coarseness = steering, 0
         self._bins = _kept_bins(setting, signal_format, self._block)
@@ -318,7 +320,7 @@ CODEC = Codec(
             text=True,
         ),
         "b0_db": Parameter("where the cut is, relative to the detection threshold", -8.0, low=-200, high=200),
-        "entropy": Parameter("entropy coder", "huffman", choices=("huffman", "range")),
+        "entropy": Parameter("entropy coder; auto: range where steered", AUTO, choices=(AUTO, "huffman", "range")),
         "block": Parameter("samples in a block", "512", choices=tuple(map(str, BLOCKS))),
         "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um, none in other units", 0.0, low=0),
         "dc": Parameter("the mean of each block", "keep", choices=("keep", "drop")),

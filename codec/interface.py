@@ -15,7 +15,7 @@ Setting: TypeAlias = Mapping[str, Value]
 """A codec's parameters by name; a tuple is a number for each channel, of those that may differ between them."""
 
 AUTO = "auto"
-"""The value of a parameter that the codec chooses by the signal."""
+"""The value of a parameter that the codec chooses."""
 MAX_CHANNELS = 16
 """Channels in one stream."""
 RUNTIMES = ("core", "onnx")
@@ -278,7 +278,7 @@ class Codec:
     `make_encoder(setting, format, framing, model, steering)`: the setting complete and checked; `steering` chooses the
     quality of each packet, None = all are of the setting's; a codec that does not steer refuses it.
     `settle(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
-    unit; None where none can be at AUTO.
+    unit; None where no signal decides on it.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
 

@@ -174,6 +174,15 @@ def test_packets_of_a_number_of_levels_that_is_none_are_refused(code: int) -> No
             decoder.decode(packet)
 
 
+def test_left_open_streams_are_huffman_coded_and_steered_ones_range_coded() -> None:
+    """Steered, since Huffman's code of a bit a coefficient at least leaves low rates nothing but silence."""
+    signal = texture(4096)
+    assert coded(signal, {}) == coded(signal, {"entropy": "huffman"})
+    policy, framing = codec.ConstantRate(500), Framing(2048, 2)
+    stream = codec.encode_steered(signal, RATE_HZ, policy, framing, codec="dct", unit="m/s^2")
+    assert (codec.snr_db(signal, codec.decode(stream)) or 0.0) > 1.0
+
+
 def test_small_coefficients_of_steered_packets_are_zero() -> None:
     """At an even number of levels too, where without steering each of them is half a step off."""
     signal = sine(0.9, 175.0) + sine(0.05, 350.0)
