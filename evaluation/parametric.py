@@ -11,14 +11,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import codec
-from codec import CodedSignal, Setting, Signal
-from evaluation.metrics import measure
+from codec import CodedSignal, Setting
+from evaluation.metrics import Quality, measure
 from evaluation.page_parts import code, count, number, paragraphs, table
 from evaluation.points import write_rows
 from host.coding import DEFAULT_STREAM_RATE_HZ
 from host.output_files import whole_file
 from textures import Recording, TextureError
-from textures.dataset import DatasetError, load, traces
+from textures.dataset import DatasetError, load, printable, traces
 
 DESCRIPTION, WAVEFORM = "parametric", "mdct"
 RATES = (1, 10)
@@ -98,12 +98,13 @@ def _bits_per_second(coded: CodedSignal) -> float:
 
 
 def means(rows: Sequence[Row]) -> list[Row]:
-    """Return the mean over the traces of each rung and curve; None where a trace has no value."""
+    """Return the mean over the traces of each rung and curve that all have; None where a trace has no value."""
     found = []
+    traces = len({row.trace for row in rows})
     for rung in dict.fromkeys(row.rung for row in rows):
         for name in CURVES:
             some = [row for row in rows if (row.rung, row.codec) == (rung, name)]
-            if some:
+            if len(some) == traces:
                 values = {each: _mean([getattr(row, each) for row in some]) for each in MEASURES}
                 found.append(Row("mean", rung, name, fmean(row.bits_per_second for row in some), **values))
     return found
@@ -114,8 +115,8 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return fmean(known) if len(known) == len(values) else None
 
 
-def write(out: Path, rows: Sequence[Row]) -> None:
-    """Write OUT/parametric.md, and its figures and chart in OUT/results. Raises OSError."""
+def write(out: Path, rows: Sequence[Row], data: str) -> None:
+    """Write OUT/parametric.md, and its figures and chart in OUT/results. `data`: the folder's name. Raises OSError."""
     results = out / "results"
     results.mkdir(parents=True, exist_ok=True)
     with whole_file(results / "parametric.csv") as path:
@@ -123,7 +124,7 @@ def write(out: Path, rows: Sequence[Row]) -> None:
     with whole_file(results / "parametric.png") as path:
         draw(path, means(rows))
     with whole_file(out / "parametric.md") as path:
-        path.write_text(_page(rows) + "\n", encoding="utf-8")
+        path.write_text(_page(rows, data) + "\n", encoding="utf-8")
 
 
 def draw(path: Path, rows: Sequence[Row]) -> None:
@@ -143,23 +144,25 @@ def draw(path: Path, rows: Sequence[Row]) -> None:
     figure.savefig(path, format="png")
 
 
-def _page(rows: Sequence[Row]) -> str:
+def _page(rows: Sequence[Row], data: str) -> str:
     recordings = len({row.trace for row in rows})
+    another_take, silence = _of_noise()
     return paragraphs(
         "# A description instead of a waveform",
         f"What {code(DESCRIPTION)} keeps of {count(recordings, 'recording')}, beside {code(WAVEFORM)} at the same rate "
         "and at ten times that. Written by",
-        "    python -m evaluation.parametric RECORDINGS --out docs",
+        f"    python -m evaluation.parametric {data} --out docs",
         f"with a folder of recordings, resampled to {DEFAULT_STREAM_RATE_HZ} Hz. Rates are of all packets, without the "
         "file's header and the framing of its packets, which are alike. Means over the recordings, where all have a "
         "value; each by itself is in [parametric.csv](results/parametric.csv). Measures: [metrics.md](metrics.md).",
         *(_rung_section(place, rung, rows) for place, rung in enumerate(dict.fromkeys(row.rung for row in rows), 1)),
         "![third-octave distance, SPQI and SNR over the rate](results/parametric.png)",
         "How to read it:",
-        f"- Two takes of one steady noise are {_takes_db():.1f} dB apart in third octaves, in frames of 0.1 s. What is "
-        "that near can be another take; only what is said of the course of the levels brings a description nearer.",
-        "- SPQI compares bins of 2.7 Hz, and gives another take of the same noise as little as silence, 0.018: it says "
-        "that a description is no copy.",
+        f"- Two takes of one steady noise are {number(another_take.third_octave_distance_db)} dB apart in third "
+        "octaves, in frames of 0.1 s. What is that near can be another take; only what is said of the course of the "
+        "levels brings a description nearer.",
+        f"- SPQI compares bins of 2.7 Hz, and gives another take of that noise {number(another_take.spqi)}, less than "
+        f"silence, {number(silence.spqi)}: it cannot judge a description.",
         "- SNR: of a signal as strong as the recording, and otherwise independent of it, it is -3 dB.",
     )
 
@@ -174,12 +177,12 @@ def _rung_section(place: int, rung: str, rows: Sequence[Row]) -> str:
     return paragraphs(f"## Setting {place}", code(rung), table(header, cells))
 
 
-def _takes_db() -> float:
+def _of_noise() -> tuple[Quality, Quality]:
+    """Return how near another take of a steady noise is to it, and how near silence is."""
     generator = np.random.default_rng(1)
-    takes: list[Signal] = [generator.standard_normal((100_000, 1)) for _ in range(2)]
-    distance_db = measure(takes[0], takes[1], DEFAULT_STREAM_RATE_HZ).third_octave_distance_db
-    assert distance_db is not None, "noise is not silent"
-    return distance_db
+    noise, other = (generator.standard_normal((100_000, 1)) for _ in range(2))
+    near, silent = (measure(noise, each, DEFAULT_STREAM_RATE_HZ) for each in (other, np.zeros_like(noise)))
+    return near, silent
 
 
 @click.command()
@@ -195,7 +198,7 @@ def main(folder: Path, out: Path) -> None:
             for trace in traces(folder)
             for row in rows_of(trace.name, load(trace, stream_rate_hz=DEFAULT_STREAM_RATE_HZ))
         ]
-        write(out, rows)
+        write(out, rows, printable(folder.name))
     except (TextureError, DatasetError, codec.CodecError) as error:
         raise click.ClickException(str(error)) from error
     except OSError as error:

@@ -23,7 +23,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_writes_page_table_and_chart(folder: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(parametric.main, [str(folder), "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
-    assert "2 recordings" in (tmp_path / "parametric.md").read_text()
+    page = (tmp_path / "parametric.md").read_text()
+    assert "2 recordings" in page
+    assert f"evaluation.parametric {folder.name} --out" in page
     assert (tmp_path / "results" / "parametric.png").stat().st_size > 5000
     with (tmp_path / "results" / "parametric.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -36,6 +38,15 @@ def test_the_command_writes_page_table_and_chart(folder: Path, tmp_path: Path) -
     )
     assert described[0] < 0.5 * same[0]
     assert described[1] < 0 < same[1]
+
+
+def test_means_are_of_curves_that_every_recording_has() -> None:
+    rows = [
+        parametric.Row(trace, "coarsest", name, 30.0, 5.0, None, 0.01, -3.0)
+        for trace, name in (("one", "parametric"), ("two", "parametric"), ("two", parametric.curve_name(1)))
+    ]
+    (mean,) = parametric.means(rows)
+    assert mean == parametric.Row("mean", "coarsest", "parametric", 30.0, 5.0, None, 0.01, -3.0)
 
 
 def test_a_folder_without_recordings_is_told(tmp_path: Path) -> None:
