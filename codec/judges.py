@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codec.interface import Signal, SignalFormat
-from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
+from codec.threshold import DETECTION_THRESHOLD, band_parts, read_threshold, threshold_amplitude
 
 # Forward masking of vibration at the fingertip fades within some 0.25 s (Gescheider, Bolanowski and Verrillo,
 # "Vibrotactile masking: effects of stimulus onset asynchrony and stimulus frequency", JASA 85, 1989).
@@ -78,7 +78,7 @@ class ThresholdJudge:
         highest = math.floor(3 * math.log2(signal_format.rate_hz / 2 / 1000) - 0.5)
         middle_hz = 1000 * 2 ** (np.arange(_LOWEST_BAND, max(highest, _LOWEST_BAND) + 1) / 3)
         amplitude = threshold_amplitude(read_threshold(threshold), middle_hz, signal_format.unit)
-        self._edges_hz = middle_hz[:, None] * 2 ** (np.array([-1, 1]) / 6)
+        self._edges_hz = middle_hz * 2 ** -(1 / 6), middle_hz * 2 ** (1 / 6)
         self._least_power = np.square(amplitude)[:, None] / 2
         self._gains = np.array(signal_format.gains)
         self._rate_hz = signal_format.rate_hz
@@ -87,13 +87,8 @@ class ThresholdJudge:
         """Return the level of the threshold over that of the error; see Judge."""
         spectrum = np.abs(np.fft.rfft((samples - decoded) * self._gains, axis=0)) / len(samples)
         spectrum[1:] *= math.sqrt(2)
-        below = np.concatenate([np.zeros((1, len(self._gains))), np.cumsum(np.square(spectrum), axis=0)])
-        bin_edges_hz = (np.arange(len(below)) - 0.5) * self._rate_hz / len(samples)
-        low, high = (
-            np.stack([np.interp(edge_hz, bin_edges_hz, channel) for channel in below.T], axis=1)
-            for edge_hz in self._edges_hz.T
-        )
-        power = np.maximum(high - low, _NOTHING * self._least_power)
+        parts = band_parts(len(spectrum), self._rate_hz / len(samples), *self._edges_hz)
+        power = np.maximum(parts.T @ np.square(spectrum), _NOTHING * self._least_power)
         return float(np.min(10 * np.log10(self._least_power / power)))
 
     def hear(self, samples: Signal, decoded: Signal) -> None:

@@ -35,6 +35,19 @@ def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
     return values
 
 
+def band_parts(
+    bins: int, spacing_hz: float, lower_hz: NDArray[np.float64], upper_hz: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return which part of each bin of a spectrum lies in each band: float64 (bins, bands).
+
+    The bins are `spacing_hz` apart, the first at 0 Hz; what a bin holds lies evenly between its neighbours'. A power
+    spectrum (..., bins) @ these parts is the power in the bands.
+    """
+    bins_hz = spacing_hz * np.arange(bins)[:, None]
+    within_hz = np.minimum(bins_hz + spacing_hz / 2, upper_hz) - np.maximum(bins_hz - spacing_hz / 2, lower_hz)
+    return np.maximum(within_hz, 0) / spacing_hz
+
+
 def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.float64], unit: str) -> NDArray[np.float64]:
     """Return the least felt amplitude, in `unit` ("um" or "m/s^2"), of vibrations at each frequency.
 

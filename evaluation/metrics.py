@@ -12,7 +12,7 @@ from vibromaf.signal.transform import PerceptualSpectrumBuilder
 
 import codec
 from codec import Signal
-from codec.threshold import read_threshold, threshold_amplitude
+from codec.threshold import band_parts, read_threshold, threshold_amplitude
 
 BLOCK_SAMPLES = 512
 """Block of ST-SIM and SPQI at every rate: vibromaf's own."""
@@ -181,11 +181,7 @@ def _third_octave_distance_db(
     whole = upper_hz <= rate_hz / 2
     if len(reference) < frame or not np.any(whole):
         return None
-    bins_hz = np.fft.rfftfreq(frame, 1 / rate_hz)[:, None]
-    half_hz = rate_hz / frame / 2
-    # A bin's power lies evenly between its neighbours' and belongs to a band by the part that is within.
-    within = np.minimum(bins_hz + half_hz, upper_hz[whole]) - np.maximum(bins_hz - half_hz, lower_hz[whole])
-    parts = np.maximum(within, 0) / (2 * half_hz)
+    parts = band_parts(frame // 2 + 1, rate_hz / frame, lower_hz[whole], upper_hz[whole])
     x, y = (_power_spectra(signal, frame) @ parts for signal in (reference, decoded))
     if unit in ("um", "m/s^2"):
         floor = np.square(threshold_amplitude(read_threshold(), middles_hz[whole], unit) / peak) / 2

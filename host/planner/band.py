@@ -8,7 +8,7 @@ import scipy
 from numpy.typing import NDArray
 
 import textures
-from codec.threshold import threshold_amplitude
+from codec.threshold import band_parts, threshold_amplitude
 from device_protocol.coded_stream import MAX_RATE_HZ
 from host import coding
 from host.end_to_end import displacement_um
@@ -183,13 +183,9 @@ def over_threshold_db(displacement: Samples, rate_hz: float, threshold: Samples)
     middle_hz = LOWEST_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
     middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
     count = len(middle_hz)
-    loudest = np.empty(count)
-    for index, hz in enumerate(middle_hz):
-        first = math.ceil(hz / 2 ** (1 / 6) / spacing_hz)
-        last = math.floor(hz * 2 ** (1 / 6) / spacing_hz)
-        if last < first:
-            first = last = round(hz / spacing_hz)
-        loudest[index] = np.max(np.sum(power[..., first : last + 1], axis=-1), initial=0.0)
+    parts = band_parts(power.shape[-1], spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
+    nearest = np.rint(middle_hz / spacing_hz).astype(int)
+    loudest = np.max(np.maximum(power @ parts, power[..., nearest]), axis=(0, 1), initial=0.0)
     amplitude = np.sqrt(2 * np.maximum(loudest, 1e-60))
     return middle_hz, 20 * np.log10(amplitude / threshold_amplitude(threshold, middle_hz, "um"))
 

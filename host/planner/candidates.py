@@ -93,7 +93,7 @@ class Measured:
     size_bytes: int
     snr_db: float | None
     spqi: float | None
-    spectral_distance_db: float | None
+    third_octave_distance_db: float | None
     error_db: float | None
     quiet: float
 
@@ -273,7 +273,7 @@ class Workbench:
         frames = [len(packet) + added_bytes(packet) for packet in packets]
         packet_s = decoder.packet_samples / rate_hz
         seconds = len(packets) * packet_s
-        spectral = every or self._measure == "spectral_distance_db"
+        spectral = every or self._measure == "third_octave_distance_db"
         return Measured(
             way=way,
             setting=setting,
@@ -287,8 +287,8 @@ class Workbench:
             size_bytes=encoding.stream.size_bytes,
             snr_db=encoding.snr_db,
             spqi=spqi(felt[0], decoded) if every or self._measure == "spqi" else None,
-            spectral_distance_db=(
-                metrics.measure(recording.samples, decoded, felt[0].rate_hz).log_spectral_distance_db
+            third_octave_distance_db=(
+                metrics.measure(recording.samples, decoded, felt[0].rate_hz, recording.unit).third_octave_distance_db
                 if spectral
                 else None
             ),
@@ -344,7 +344,7 @@ class Workbench:
             ram_bytes=ram_bytes,
             snr_db=measured.snr_db,
             spqi=measured.spqi,
-            spectral_distance_db=measured.spectral_distance_db,
+            third_octave_distance_db=measured.third_octave_distance_db,
             error_over_threshold_db=measured.error_db,
             delay_ms=fixed_ms + buffer_ms,
         )
@@ -368,9 +368,9 @@ def quality_of(measured: Measured, asked: Asked) -> tuple[float | None, float]:
         return measured.snr_db, 0.0 if measured.snr_db is None else asked.snr_db - measured.snr_db
     if asked.spqi is not None:
         return measured.spqi, 0.0 if measured.spqi is None else asked.spqi - measured.spqi
-    if asked.spectral_distance_db is not None:
-        distance_db = measured.spectral_distance_db
-        return distance_db, 0.0 if distance_db is None else distance_db - asked.spectral_distance_db
+    if asked.third_octave_distance_db is not None:
+        distance_db = measured.third_octave_distance_db
+        return distance_db, 0.0 if distance_db is None else distance_db - asked.third_octave_distance_db
     assert measured.error_db is not None, "it is measured where it is asked"
     return measured.error_db, measured.error_db - MARGIN_DB
 

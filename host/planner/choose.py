@@ -280,7 +280,7 @@ def _quality_changes(bench: Workbench, scene: Scene) -> Iterator[_Change]:
     asked = scene.asked
     if asked.measure == "imperceptible":
         return
-    less_is_better = asked.measure == "spectral_distance_db"
+    less_is_better = asked.measure == "third_octave_distance_db"
     allowed = [
         found
         for way in bench.ways(scene.controller(bench.texture.controller).core)

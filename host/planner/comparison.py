@@ -38,7 +38,7 @@ QUANTITIES = (
     Quantity("load_percent", "load", "%", True, 2),
     Quantity("snr_db", "SNR", "dB", True, 2),
     Quantity("spqi", "SPQI", "", True, 3),
-    Quantity("spectral_distance_db", "spectral distance", "dB", True, 2),
+    Quantity("third_octave_distance_db", "third-octave distance", "dB", True, 2),
     Quantity("error_over_threshold_db", "error re threshold", "dB", True, 2),
     Quantity("delay_ms", "delay", "ms", False, 1),
     Quantity("flash_bytes", "flash", "bytes", False, 0),

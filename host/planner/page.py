@@ -18,7 +18,7 @@ MOST_PANELS = 6
 LABELS = {
     "snr_db": "SNR, dB",
     "spqi": "SPQI",
-    "spectral_distance_db": "log-spectral distance, dB (less is better)",
+    "third_octave_distance_db": "third-octave distance, dB (less is better)",
     "imperceptible": "error re detection threshold, dB (less is better)",
 }
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p", "h")
@@ -49,7 +49,7 @@ class CandidateRow:
     ram_bytes: int | None
     snr_db: float | None
     spqi: float | None
-    spectral_distance_db: float | None
+    third_octave_distance_db: float | None
     error_over_threshold_db: float | None
     delay_ms: float
 
@@ -194,7 +194,7 @@ def _qualities(chosen: Candidate) -> Iterator[str]:
     for name, value, unit in (
         ("SNR", forecast.snr_db, " dB"),
         ("SPQI", forecast.spqi, ""),
-        ("spectral distance", forecast.spectral_distance_db, " dB"),
+        ("third-octave distance", forecast.third_octave_distance_db, " dB"),
         ("error re detection threshold", forecast.error_over_threshold_db, " dB"),
     ):
         yield f"{name} {'none' if value is None else f'{value:.3g}{unit}'}"

@@ -42,7 +42,7 @@ class Forecast:
 
     `payload_bps`, `wire_bps`: packets alone, and in their frames. `instructions_per_second`, `load_percent`,
     `flash_bytes`, `ram_bytes`: of the decoder, from this project's tables (docs/firmware.md), None where they were not
-    measured; load is of the whole controller's processor. `snr_db`, `spqi`, `spectral_distance_db`: as
+    measured; load is of the whole controller's processor. `snr_db`, `spqi`, `third_octave_distance_db`: as
     evaluation.metrics measures the decoded signal in the band worth coding. `error_over_threshold_db`: the loudest
     part of the error at the skin, relative to the detection threshold. `delay_ms`: from a sample at the host to the
     skin, packet, codec, buffer, link and compensation together.
@@ -56,7 +56,7 @@ class Forecast:
     ram_bytes: int | None
     snr_db: float | None
     spqi: float | None
-    spectral_distance_db: float | None
+    third_octave_distance_db: float | None
     error_over_threshold_db: float | None
     delay_ms: float
 

@@ -79,7 +79,7 @@ class Measured:
     load_percent: float | None
     snr_db: float | None
     spqi: float | None
-    spectral_distance_db: float | None
+    third_octave_distance_db: float | None
     error_over_threshold_db: float | None
     delay_ms: float | None
 
@@ -330,7 +330,7 @@ class _Player:
         delay_ms: float | None = None,
     ) -> Measured:
         """Return what was measured; `heard`: what was decoded, in the recording's unit and of its length."""
-        quality = metrics.measure(recording.samples, heard, recording.rate_hz)
+        quality = metrics.measure(recording.samples, heard, recording.rate_hz, recording.unit)
         clock_hz = self._planned.clock_hz
         load = None if instructions_per_second is None or clock_hz is None else 100 * instructions_per_second / clock_hz
         return Measured(
@@ -341,7 +341,7 @@ class _Player:
             snr_db=quality.snr_db,
             # It takes long, so only where it was forecast.
             spqi=None if texture.forecast.spqi is None else spqi(recording, heard),
-            spectral_distance_db=quality.log_spectral_distance_db,
+            third_octave_distance_db=quality.third_octave_distance_db,
             error_over_threshold_db=error_over_threshold_db,
             delay_ms=delay_ms,
         )

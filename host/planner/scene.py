@@ -59,7 +59,7 @@ _ACTUATOR_RANGES = {
 _ASKED_RANGES = {
     "snr_db": (0, 90, "signal-to-noise ratio in dB"),
     "spqi": (0.01, 1, "SPQI, 1 for an exact copy"),
-    "spectral_distance_db": (0.01, 60, "log-spectral distance in dB, 0 for an exact copy"),
+    "third_octave_distance_db": (0.01, 60, "third-octave distance in dB, 0 for an exact copy"),
     "rate_limit_bps": (50, 1e9, "bits per second on the wire, of one stream"),
     "delay_limit_ms": (1, 10_000, "delay to the skin in ms"),
 }
@@ -149,14 +149,14 @@ class Asked:
     """What is asked of every texture. Of the first four, one is given.
 
     `snr_db`: of the decoded signal in the band worth coding, in its own unit, as `vibrocast play` tells it. `spqi`,
-    `spectral_distance_db`: as evaluation.metrics measures them; blind to phase. `imperceptible`: the error at the skin
+    `third_octave_distance_db`: as evaluation.metrics measures them. `imperceptible`: the error at the skin
     is below the detection threshold by the margin of host.planner.band. `waveform`: whether a description will not do.
     `rate_limit_bps`: of the bytes on the wire, of each stream. `delay_limit_ms`: to the skin.
     """
 
     snr_db: float | None
     spqi: float | None
-    spectral_distance_db: float | None
+    third_octave_distance_db: float | None
     imperceptible: bool
     waveform: bool
     rate_limit_bps: float | None
@@ -164,8 +164,8 @@ class Asked:
 
     @property
     def measure(self) -> str:
-        """Name of the quality that is asked: "snr_db", "spqi", "spectral_distance_db" or "imperceptible"."""
-        given = (name for name in ("snr_db", "spqi", "spectral_distance_db") if getattr(self, name) is not None)
+        """Name of the quality that is asked: "snr_db", "spqi", "third_octave_distance_db" or "imperceptible"."""
+        given = (name for name in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, name) is not None)
         return next(given, "imperceptible")
 
 
@@ -359,21 +359,22 @@ def _actuators(tables: list[Table], controllers: tuple[SceneController, ...]) ->
 def _asked(table: Table, link: Link) -> Asked:
     given = {key: table.within(key, low, high, meaning, None) for key, (low, high, meaning) in _ASKED_RANGES.items()}
     imperceptible = table.switch("imperceptible", False)
-    blind = given["spqi"] is not None or given["spectral_distance_db"] is not None
+    # SPQI takes another take of the same noise for no better than silence (docs/metrics.md).
+    blind = given["third_octave_distance_db"] is not None
     waveform = table.switch("waveform", not blind)
     table.end()
-    wishes = [key for key in ("snr_db", "spqi", "spectral_distance_db") if given[key] is not None]
+    wishes = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if given[key] is not None]
     wishes += ["imperceptible"] * imperceptible
     if len(wishes) != 1:
         said = " and ".join(wishes) if wishes else "none"
         raise table.refuse(
-            f"one quality must be asked, and {said} is given: keep one of snr_db, spqi, spectral_distance_db and "
+            f"one quality must be asked, and {said} is given: keep one of snr_db, spqi, third_octave_distance_db and "
             "imperceptible = true (as little as nobody can feel)"
         )
     if not waveform and not blind:
         raise table.refuse(
-            f"waveform = false contradicts {wishes[0]}, which compares waveforms: ask for spqi or "
-            "spectral_distance_db, or leave waveform out"
+            f"waveform = false contradicts {wishes[0]}, which no description meets: ask for third_octave_distance_db, "
+            "or leave waveform out"
         )
     asked = Asked(**given, imperceptible=imperceptible, waveform=waveform)
     if asked.delay_limit_ms is not None and asked.delay_limit_ms <= link.delay_ms:

@@ -18,7 +18,7 @@ def run(*arguments: object) -> Result:
 
 
 def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
-    done = run(written(tmp_path, asked="[asked]\nspectral_distance_db = 10.5\n"), "--out", tmp_path / "planned")
+    done = run(written(tmp_path, asked="[asked]\nthird_octave_distance_db = 4.5\n"), "--out", tmp_path / "planned")
     assert done.exit_code == 0, done.output
     names = {path.name for path in (tmp_path / "planned").iterdir()}
     assert names == {"plan.toml", "plan.png", "candidates.csv", "bands.csv"}
@@ -33,7 +33,7 @@ def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
 
 
 def test_a_waveform_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
-    scene = written(tmp_path, asked="[asked]\nspectral_distance_db = 9.5\nwaveform = true\n")
+    scene = written(tmp_path, asked="[asked]\nthird_octave_distance_db = 4.5\nwaveform = true\n")
     done = run(scene, "--out", tmp_path / "planned", "--json")
     assert done.exit_code == 0, done.output
     forecast = json.loads(done.stdout)["wood"]

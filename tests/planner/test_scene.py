@@ -76,7 +76,7 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
         ({"actuator": ACTUATOR + "channel = 2\n"}, "wood moves the actuator on channel 1 of one, which the scene does"),
         ({"asked": ""}, "[asked]: one quality must be asked, and none is given"),
         ({"asked": ASKED + "imperceptible = true\n"}, "snr_db and imperceptible is given: keep one of"),
-        ({"asked": ASKED + "waveform = false\n"}, "waveform = false contradicts snr_db, which compares waveforms"),
+        ({"asked": ASKED + "waveform = false\n"}, "waveform = false contradicts snr_db, which no description meets"),
         ({"asked": ASKED + "delay_limit_ms = 3\n", "link": "[link]\ndelay_ms = 5\n"}, "delay_limit_ms = 3 cannot be"),
         (
             {"asked": ASKED + "rate_limit_bps = 1e6\n", "link": '[link]\nkind = "serial"\nbaud = 9600\n'},
