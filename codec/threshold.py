@@ -45,7 +45,8 @@ def band_parts(
     """
     bins_hz = spacing_hz * np.arange(bins)[:, None]
     within_hz = np.minimum(bins_hz + spacing_hz / 2, upper_hz) - np.maximum(bins_hz - spacing_hz / 2, lower_hz)
-    return np.maximum(within_hz, 0) / spacing_hz
+    parts: NDArray[np.float64] = np.maximum(within_hz, 0) / spacing_hz
+    return parts
 
 
 def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.float64], unit: str) -> NDArray[np.float64]:

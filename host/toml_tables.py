@@ -10,6 +10,7 @@ from typing import Any
 from host.input_files import InputFileError
 
 MAX_BYTES = 1 << 20
+_MOST_SHOWN = 80
 
 
 def read_toml(path: Path, kind: str, error: type[InputFileError]) -> dict[str, Any]:
@@ -55,11 +56,11 @@ class Table:
         try:
             return read(value)
         except (TypeError, ValueError) as reason:
-            raise self.refuse(f"{key} must be {expected}, not {value!r}") from reason
+            raise self.refuse(f"{key} must be {expected}, not {_shown(value)}") from reason
 
     def text(self, key: str, default: Any = MISSING) -> Any:
         """Return a text that is not empty."""
-        return self.take(key, text, "a text", default)
+        return self.take(key, text, "a text in one line", default)
 
     def number(self, key: str, default: Any = MISSING) -> Any:
         """Return a positive number."""
@@ -104,9 +105,15 @@ class Table:
             raise self.refuse(f"there is no key {key}; choose from {', '.join(self._known)}")
 
 
+def _shown(value: Any) -> str:
+    """Return what a file says in a form short enough for an error."""
+    shown = repr(value)
+    return shown if len(shown) <= _MOST_SHOWN else f"{shown[:_MOST_SHOWN]}..."
+
+
 def text(value: Any) -> str:
-    """Return a text that is not empty. Raises TypeError."""
-    if not isinstance(value, str) or not value.strip() or "\0" in value:
+    """Return a text that is not empty, without control characters. Raises TypeError."""
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
         raise TypeError(value)
     return value
 

@@ -182,7 +182,6 @@ def over_threshold_db(displacement: Samples, rate_hz: float, threshold: Samples)
     steps = np.arange(1 + math.floor(BANDS_PER_OCTAVE * math.log2(HIGHEST_HZ / LOWEST_HZ)))
     middle_hz = LOWEST_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
     middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
-    count = len(middle_hz)
     parts = band_parts(power.shape[-1], spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
     nearest = np.rint(middle_hz / spacing_hz).astype(int)
     loudest = np.max(np.maximum(power @ parts, power[..., nearest]), axis=(0, 1), initial=0.0)

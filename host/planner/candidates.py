@@ -40,7 +40,7 @@ BLOCKS = {"mdct": "hop", "parametric": "hop", "dct": "block", "slp": "frame", "o
 """The parameter of each codec that is the length of its block."""
 GIVEN: Mapping[str, Setting] = {"dct": {"entropy": "range"}}
 """What is fixed beforehand: the range coder has taken fewer bits than Huffman's on every texture (docs/results.md)."""
-PACKET_BLOCKS = (1, 2, 4, 8, 16, 32)
+PACKET_BLOCKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 DEFAULT_BLOCK_SAMPLES = 32
 """Where the codec has one length only; its packets are rounded up to whole blocks of its own."""
 LONGEST_PACKET_S = LIVE_REFRESH_S
@@ -109,6 +109,12 @@ class Limit:
     key: str
     needed: float
     available: float | None
+
+    def place(self, controller: str) -> str:
+        """Return where the scene says it; `controller`: the one that plays the texture."""
+        return (
+            f"[[controllers]] {controller}: {self.key}" if self.table == "controllers" else f"[{self.table}] {self.key}"
+        )
 
     @property
     def kept(self) -> bool:

@@ -17,6 +17,10 @@ FIRST_PACKET_BLOCKS = 4
 _FINER, _FINER_ON_THE_WHOLE = 3, 16
 """Settings that are tried beyond the one found, in other packets, and on the whole of a long texture."""
 _DIGITS = 3
+_JOINT_CHANGES = 8
+"""So many changes of several values are tried, where no single one is enough."""
+_DB_PER_OCTAVE = 6.02
+"""Of an error's amplitude."""
 
 
 class Refusal(InputFileError):
@@ -69,7 +73,7 @@ def choose(bench: Workbench, scene: Scene, progress: Progress = lambda part, det
     """Choose for one texture. Raises Refusal."""
     found = _search(bench, scene, progress)
     if found is None:
-        raise _refusal(bench, scene)
+        raise _refusal(bench, scene, progress)
     chosen, bests = found
     candidates = tuple(bench.judged(measured, scene) for measured in bench.measured)
     reasons = tuple(
@@ -177,8 +181,7 @@ def _why(bench: Workbench, way: Way, best: Candidate | None, chosen: Candidate, 
         return "cannot code this signal at this rate"
     if best.meets:
         return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g} ({_differences(best, chosen, scene)})"
-    told = [reached(best, scene.asked)] if best.lack > 0 else []
-    told += [_told(limit) for limit in best.broken]
+    told = _short_of(best, scene)
     if best.cost >= chosen.cost:
         return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g}, and is not enough: {'; '.join(told)}"
     return f"cheaper, but not enough: {'; '.join(told)}"
@@ -216,8 +219,8 @@ def _told(limit: Limit) -> str:
     return f"needs {limit.key} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
 
 
-def _refusal(bench: Workbench, scene: Scene) -> Refusal:
-    """Return the error that names the limit in the way, and what single change of the scene would do.
+def _refusal(bench: Workbench, scene: Scene, progress: Progress) -> Refusal:
+    """Return the error that names the limit in the way, and what change of the scene would do, the least one first.
 
     Each change is tried by the same search before it is told.
     """
@@ -228,15 +231,15 @@ def _refusal(bench: Workbench, scene: Scene) -> Refusal:
             f"{scene.path}: {name}: no codec that {bench.texture.controller} decodes takes this signal; give another "
             "controller"
         )
-    changes = [*_limit_changes(bench, scene, candidates), *_quality_changes(bench, scene)]
+    changes = [*_limit_changes(bench, scene, candidates), *_quality_changes(bench, scene, progress)]
     works = [change for change in changes if _search(bench, change.scene) is not None]
     if not works:
+        works = [change for change in _joint_changes(bench, scene, candidates) if _search(bench, change.scene)][:1]
+    if not works:
         nearest = min(candidates, key=_preference)
-        in_the_way = [reached(nearest, scene.asked)] if nearest.lack > 0 else []
-        in_the_way += [_told(limit) for limit in nearest.broken]
         return Refusal(
             f"{scene.path}: {name} cannot be planned: with {nearest.measured.way.name}, which comes nearest, "
-            f"{'; '.join(in_the_way)}; no single change is enough"
+            f"{'; '.join(_short_of(nearest, scene))}; nothing that was tried is enough: ask for less"
         )
     first, *others = sorted(works, key=lambda change: change.distance)
     more = "".join(f"; or {other.text}" for other in others)
@@ -246,9 +249,14 @@ def _refusal(bench: Workbench, scene: Scene) -> Refusal:
     )
 
 
+def _short_of(candidate: Candidate, scene: Scene) -> list[str]:
+    """Return what a candidate lacks: quality, and the limits that it breaks."""
+    return [reached(candidate, scene.asked)] * (candidate.lack > 0) + [_told(limit) for limit in candidate.broken]
+
+
 @dataclass(frozen=True)
 class _Change:
-    """A scene with one value changed. `distance`: how far, in octaves."""
+    """A scene with a value changed, or several. `limit`: what is in the way. `distance`: how far, in octaves."""
 
     limit: str
     text: str
@@ -264,46 +272,100 @@ def _limit_changes(bench: Workbench, scene: Scene, candidates: list[Candidate]) 
             (limit,) = candidate.broken
             if limit.key not in least or limit.needed < least[limit.key].needed:
                 least[limit.key] = limit
-    for key, limit in least.items():
+    for limit in least.values():
+        yield _raised(bench, scene, (limit,))
+
+
+def _joint_changes(bench: Workbench, scene: Scene, candidates: list[Candidate]) -> Iterator[_Change]:
+    """Yield the scene with all limits raised that a candidate breaks, and the quality that it has, the nearest first.
+
+    Of the candidates with the asked quality; where there is none, of those that come nearest to it.
+    """
+    least_lack = max(0.0, min(candidate.lack for candidate in candidates))
+    changes = []
+    for candidate in candidates:
+        if candidate.lack <= least_lack and candidate.broken:
+            change = _raised(bench, scene, candidate.broken)
+            if candidate.lack > 0:
+                lower = _with_quality(bench, change.scene, candidate)
+                change = _joined(change, lower)
+            changes.append(change)
+    yield from sorted(changes, key=lambda change: change.distance)[:_JOINT_CHANGES]
+
+
+def _raised(bench: Workbench, scene: Scene, limits: tuple[Limit, ...]) -> _Change:
+    """Return the scene with what limits must be."""
+    change: _Change | None = None
+    for limit in limits:
         assert limit.available is not None, "it is broken"
         value = _rounded(limit.needed, up=True)
-        yield _Change(
-            f"{key} = {limit.available:.6g}",
-            f"{key} = {value:.6g} in place of {limit.available:.6g}",
-            _with(scene, limit, bench.texture, value),
+        baud = f", {10 * value:.6g} baud" if limit.table == "link" and scene.link.kind == "serial" else ""
+        one = _Change(
+            f"{limit.place(bench.texture.controller)} = {limit.available:.6g}",
+            f"{limit.key} = {value:.6g} in place of {limit.available:.6g}{baud}",
+            _with(change.scene if change else scene, limit, bench.texture, value),
             abs(math.log2(value / limit.available)),
         )
+        change = _joined(change, one) if change else one
+    assert change is not None
+    return change
 
 
-def _quality_changes(bench: Workbench, scene: Scene) -> Iterator[_Change]:
+def _joined(first: _Change, second: _Change) -> _Change:
+    """Return two changes, the second made after the first."""
+    return _Change(
+        f"{first.limit} is in the way, and {second.limit}",
+        f"{first.text} and {second.text}",
+        second.scene,
+        first.distance + second.distance,
+    )
+
+
+def _quality_changes(bench: Workbench, scene: Scene, progress: Progress) -> Iterator[_Change]:
     """Yield the scene with the best quality that the limits allow, where there is one."""
+    allowed = []
+    ways = bench.ways(scene.controller(bench.texture.controller).core)
+    for place, way in enumerate(ways):
+        progress(place / len(ways), f"{way.name}, for the nearest scene")
+        lengths = bench.packet_blocks(way)
+        # The usual packets, the quickest, and those with the fewest frames.
+        for blocks in sorted({_first_length(bench, way), lengths[0], lengths[-1]}):
+            found = _finest_within_limits(bench, scene, way, blocks)
+            if found is not None:
+                allowed.append(found)
+    if allowed:
+        yield _with_quality(bench, scene, min(allowed, key=lambda candidate: candidate.lack))
+
+
+def _with_quality(bench: Workbench, scene: Scene, candidate: Candidate) -> _Change:
+    """Return the scene with the quality that a candidate has; an SNR where nothing that can be felt was to be lost."""
     asked = scene.asked
     if asked.measure == "imperceptible":
-        return
-    less_is_better = asked.measure == "third_octave_distance_db"
-    allowed = [
-        found
-        for way in bench.ways(scene.controller(bench.texture.controller).core)
-        for blocks in bench.packet_blocks(way)
-        if (found := _finest_within_limits(bench, scene, way, blocks)) is not None
-    ]
-    if not allowed:
-        return
-    value = _rounded(min(allowed) if less_is_better else max(allowed), up=less_is_better)
+        snr_db = _rounded(candidate.measured.snr_db or 0.0, up=False)
+        return _Change(
+            "[asked] imperceptible = true",
+            f"snr_db = {snr_db:.6g} in place of imperceptible = true, {reached(candidate, asked)}",
+            replace(scene, asked=replace(asked, imperceptible=False, snr_db=snr_db)),
+            candidate.lack / _DB_PER_OCTAVE,
+        )
     wanted = getattr(asked, asked.measure)
-    # 6.02 dB of SNR are an octave of error.
-    distance = abs(value - wanted) / 6.02 if asked.measure == "snr_db" else abs(math.log2(max(value, 1e-3) / wanted))
+    assert candidate.quality is not None, "silence has any quality"
+    value = _rounded(candidate.quality, up=asked.measure == "third_octave_distance_db")
+    if asked.measure == "snr_db":
+        distance = abs(value - wanted) / _DB_PER_OCTAVE
+    else:
+        distance = abs(math.log2(max(value, 1e-3) / wanted))
     given: dict[str, Any] = {asked.measure: value}
-    yield _Change(
-        f"{asked.measure} = {wanted:.6g}",
+    return _Change(
+        f"[asked] {asked.measure} = {wanted:.6g}",
         f"{asked.measure} = {value:.6g} in place of {wanted:.6g}",
         replace(scene, asked=replace(asked, **given)),
         distance,
     )
 
 
-def _finest_within_limits(bench: Workbench, scene: Scene, way: Way, blocks: int) -> float | None:
-    """Return the best quality of a way that keeps all limits, by halving; None where not even the coarsest does.
+def _finest_within_limits(bench: Workbench, scene: Scene, way: Way, blocks: int) -> Candidate | None:
+    """Return the finest of a way that keeps all limits, by halving; None where not even the coarsest does.
 
     It is what a search would find too, which begins with packets of another length.
     """
@@ -319,7 +381,7 @@ def _finest_within_limits(bench: Workbench, scene: Scene, way: Way, blocks: int)
         return None
     lengths = {blocks, _first_length(bench, way)}
     both = [_candidate(bench, scene, way, found, length) for length in lengths]
-    return max((each for each in both if each is not None), key=lambda each: each.lack).quality
+    return max((each for each in both if each is not None), key=lambda each: each.lack)
 
 
 def _with(scene: Scene, limit: Limit, texture: SceneTexture, value: float) -> Scene:

@@ -366,9 +366,9 @@ def _asked(table: Table, link: Link) -> Asked:
     wishes = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if given[key] is not None]
     wishes += ["imperceptible"] * imperceptible
     if len(wishes) != 1:
-        said = " and ".join(wishes) if wishes else "none"
+        said = f"{' and '.join(wishes)} are" if wishes else "none is"
         raise table.refuse(
-            f"one quality must be asked, and {said} is given: keep one of snr_db, spqi, third_octave_distance_db and "
+            f"one quality must be asked, and {said} given: keep one of snr_db, spqi, third_octave_distance_db and "
             "imperceptible = true (as little as nobody can feel)"
         )
     if not waveform and not blind:

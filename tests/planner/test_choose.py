@@ -123,3 +123,29 @@ def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
             hand="[hand]\nspeed_mm_s = [0, 500]\n",
             controller=CONTROLLER + "reads_position = true\n",
         )
+
+
+def test_a_refusal_of_what_cannot_be_imperceptible_names_an_snr_that_can(choice: Choice, tmp_path: Path) -> None:
+    read = scene(tmp_path, asked="[asked]\nimperceptible = true\nrate_limit_bps = 2000\n")
+    with pytest.raises(Refusal) as raised:
+        choose(Workbench(read, read.textures[0]), read)
+    told = re.search(r"snr_db = ([\d.]+) in place of imperceptible = true", str(raised.value))
+    assert told is not None, str(raised.value)
+    mended = replace(read, asked=replace(read.asked, imperceptible=False, snr_db=float(told[1])))
+    assert choose(Workbench(mended, mended.textures[0]), mended).chosen.meets
+
+
+def test_where_no_single_change_is_enough_the_nearest_of_several_is_told(choice: Choice, tmp_path: Path) -> None:
+    read = scene(tmp_path, controller=CONTROLLER + "flash_bytes = 20_000\n", asked=ASKED + "rate_limit_bps = 100\n")
+    with pytest.raises(Refusal, match=r"rate_limit_bps = 100 is in the way, and .*one: flash_bytes = 20000") as raised:
+        choose(choice.workbench, read)
+    rate_bps, flash_bytes = (
+        float(re.search(rf"{key} = ([\d.e+]+) in place of", str(raised.value))[1])  # type: ignore[index]
+        for key in ("rate_limit_bps", "flash_bytes")
+    )
+    mended = replace(
+        read,
+        asked=replace(read.asked, rate_limit_bps=rate_bps),
+        controllers=(replace(read.controllers[0], flash_bytes=flash_bytes),),
+    )
+    assert choose(choice.workbench, mended).chosen.meets

@@ -75,7 +75,7 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
         ({"actuator": ACTUATOR + "channel = 9\n"}, "channel 9, but one has 4 channels"),
         ({"actuator": ACTUATOR + "channel = 2\n"}, "wood moves the actuator on channel 1 of one, which the scene does"),
         ({"asked": ""}, "[asked]: one quality must be asked, and none is given"),
-        ({"asked": ASKED + "imperceptible = true\n"}, "snr_db and imperceptible is given: keep one of"),
+        ({"asked": ASKED + "imperceptible = true\n"}, "snr_db and imperceptible are given: keep one of"),
         ({"asked": ASKED + "waveform = false\n"}, "waveform = false contradicts snr_db, which no description meets"),
         ({"asked": ASKED + "delay_limit_ms = 3\n", "link": "[link]\ndelay_ms = 5\n"}, "delay_limit_ms = 3 cannot be"),
         (
@@ -95,6 +95,8 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
         ),
         ({"more": "[sound]\n"}, "there is no sound; choose from textures"),
         ({"more": "a = " + 9999 * "["}, "not a TOML file"),
+        ({"hand": "[hand]\nspeed_mm_s = [" + 9999 * "1, " + "]\n"}, "[20, 100], not [" + 26 * "1, " + "1..."),
+        ({"texture": TEXTURE + 'name = "a\\u001b[31m"\n'}, "name must be a text in one line"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_told_with_its_place(changed: dict[str, str], message: str, tmp_path: Path) -> None:
