@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from statistics import fmean, median
 
@@ -19,8 +20,8 @@ from host.harness.bench_file import BenchActuator
 from host.link import added_bytes
 from host.output_files import whole_file
 from host.planner import costs
-from host.planner.band import BandError, band_of
-from host.planner.candidates import Workbench
+from host.planner.band import BandError, band_of, rendering_s
+from host.planner.candidates import BUFFERS_MS, Workbench
 from host.planner.choose import Refusal, choose
 from host.planner.plan_file import prepared
 from host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
@@ -36,20 +37,25 @@ WEIGHTS = {
     "instructions alone": Weights(0.0, 1.0, 0.0, 0.0),
 }
 """The planner's own, and what can be saved where one cost is all that counts."""
+_ALL_COSTS = next(iter(WEIGHTS))
+FREE, HELD = "any", "as the default's"
+"""Delays: weighed as any other cost; or no longer than that of the default, both with the least margin."""
 PAGE, ROWS = "planning_results.md", "planning.csv"
 
 
 @dataclass(frozen=True)
 class Saving:
-    """One texture, planned with one of WEIGHTS, beside the fixed default.
+    """One texture, planned with one of WEIGHTS, beside the fixed default. `delay`: FREE or HELD.
 
     `snr_db`: of both in the band worth coding, default first. `wire_bps`: frames included. `instructions`: of decoding
-    on a Cortex-M4F, in a second. `kilobytes`: flash and RAM of the decoder.
+    on a Cortex-M4F, in a second. `kilobytes`: flash and RAM of the decoder. `delay_ms`: from a sample at the host to
+    the skin, without a link.
     """
 
     group: str
     texture: str
     weights: str
+    delay: str
     highest_hz: float
     rate_hz: int
     chosen: str
@@ -61,6 +67,8 @@ class Saving:
     planned_instructions: float
     default_kilobytes: float
     planned_kilobytes: float
+    default_delay_ms: float
+    planned_delay_ms: float
 
     @property
     def bits_percent(self) -> float:
@@ -86,9 +94,14 @@ def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
     length = min(len(reference.samples), len(in_band.samples))
     default_snr_db = codec.snr_db(reference.samples[:length], in_band.samples[:length])
     assert default_snr_db is not None, "what is silent has no band worth coding"
+    header = default.stream.header
+    default_delay_s = default.stream.decoder().packet_samples / header.rate_hz + rendering_s(
+        default.stream, PIEZO_STACK
+    )
+    limits_ms = {FREE: None, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
     bench: Workbench | None = None
-    for name, weights in WEIGHTS.items():
-        scene = _scene(trace, recording, default_snr_db, weights)
+    for (delay, limit_ms), (name, weights) in product(limits_ms.items(), WEIGHTS.items()):
+        scene = _scene(trace, recording, default_snr_db, limit_ms, weights)
         bench = bench or Workbench(scene, scene.textures[0])
         chosen = choose(bench, scene).chosen
         forecast = chosen.forecast
@@ -100,6 +113,7 @@ def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
             group=group,
             texture=trace.name,
             weights=name,
+            delay=delay,
             highest_hz=band.highest,
             rate_hz=band.rate,
             chosen=chosen.measured.way.name,
@@ -113,6 +127,8 @@ def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
             planned_kilobytes=round(
                 (forecast.flash_bytes + forecast.ram_bytes - rest.flash_bytes - rest.ram_bytes) / 1e3, 1
             ),
+            default_delay_ms=round(1e3 * default_delay_s + BUFFERS_MS[0], 1),
+            planned_delay_ms=round(forecast.delay_ms - chosen.buffer_ms + BUFFERS_MS[0], 1),
         )
 
 
@@ -131,8 +147,8 @@ def _loaded(trace: Trace, unit: str | None) -> Recording:
     return replace(recording, samples=recording.samples / peak)
 
 
-def _scene(trace: Trace, recording: Recording, snr_db: float, weights: Weights) -> Scene:
-    """Return a scene of a piezo stack on a Cortex-M4F that asks for an SNR."""
+def _scene(trace: Trace, recording: Recording, snr_db: float, delay_limit_ms: float | None, weights: Weights) -> Scene:
+    """Return a scene of a piezo stack on a Cortex-M4F that asks for an SNR, and for a delay where one is given."""
     controller = SceneController("controller", "cortex-m4", CORE, CLOCK_HZ, None, None, 4, False)
     return Scene(
         path=trace.path,
@@ -141,7 +157,7 @@ def _scene(trace: Trace, recording: Recording, snr_db: float, weights: Weights) 
         controllers=(controller,),
         actuators=(BenchActuator(PIEZO_STACK, "controller", None),),
         link=Link("simulated", None, 0.0),
-        asked=Asked(snr_db, None, None, False, True, None, None),
+        asked=Asked(snr_db, None, None, False, True, None, delay_limit_ms),
         weights=weights,
         threshold_path=DETECTION_THRESHOLD,
     )
@@ -168,13 +184,14 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
     """Return the page."""
     groups = list(dict.fromkeys(row.group for row in rows))
     summary = []
-    for weights in WEIGHTS:
-        for group in groups:
-            of = [row for row in rows if (row.group, row.weights) == (group, weights)]
+    for delay, weights, group in product((FREE, HELD), WEIGHTS, groups):
+        of = [row for row in rows if (row.group, row.weights, row.delay) == (group, weights, delay)]
+        if of:
             bits, instructions = [row.bits_percent for row in of], [row.instructions_percent for row in of]
             summary.append(
                 (
                     weights,
+                    delay,
                     group,
                     str(len(of)),
                     f"{median(row.rate_hz for row in of):.0f}",
@@ -185,7 +202,8 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
                     f"{fmean(row.planned_kilobytes - row.default_kilobytes for row in of):+.1f}",
                 )
             )
-    header = ("weights", "recordings", "number", "median rate, Hz", "bits", "", "instructions", "", "kB")
+    header = ("weights", "delay", "recordings", "number", "median rate, Hz", "bits", "", "instructions", "", "kB")
+    held = {(row.group, row.texture): row for row in rows if (row.delay, row.weights) == (HELD, _ALL_COSTS)}
     each = [
         (
             row.texture,
@@ -195,11 +213,25 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
             f"{row.default_wire_bps:.0f}, {row.planned_wire_bps:.0f}",
             f"{row.bits_percent:+.1f} %",
             f"{row.instructions_percent:+.1f} %",
+            f"{row.default_delay_ms:.0f}, {row.planned_delay_ms:.0f}",
+            *_held_cells(held.get((row.group, row.texture))),
         )
         for row in rows
-        if row.weights == next(iter(WEIGHTS))
+        if (row.delay, row.weights) == (FREE, _ALL_COSTS)
     ]
-    columns = ("texture", "band up to, Hz", "planned", "SNR dB, default and plan", "bit/s", "bits", "instructions")
+    columns = (
+        "texture",
+        "band up to, Hz",
+        "planned",
+        "SNR dB, default and plan",
+        "bit/s",
+        "bits",
+        "instructions",
+        "delay, ms",
+        "planned, delay held",
+        "bits",
+        "instructions",
+    )
     return paragraphs(
         "# What planning saves",
         "Written by `python -m evaluation.planning FOLDER... --out docs` from recordings that are not part of this "
@@ -211,8 +243,9 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
         "the SNR that the default has in the band worth coding, measured on the same samples, so that it saves "
         "nothing by being worse; what the default spends outside that band nobody can feel. Bits are those on the "
         "wire, frames included; instructions are of decoding, as measured in [firmware.md](firmware.md). Weights: the "
-        "planner's own, and bits or instructions alone: the most that can be saved of each. Delay is not held to the "
-        "default's: it is weighed as any other cost, and some of the bits are saved by longer packets.",
+        "planner's own, and bits or instructions alone: the most that can be saved of each. Delay is weighed as any "
+        "other cost, so that some of the bits are saved by longer packets; or it is held to that of the default, which "
+        "sends packets of 4 blocks at once: then nothing is saved by waiting.",
         "## By kind of recording",
         "Means over recordings, and the range.",
         table(header, summary),
@@ -220,6 +253,13 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
         table(columns, each),
         paragraphs("Left out:", *(f"- {reason}" for reason in left_out)) if left_out else "",
     )
+
+
+def _held_cells(row: Saving | None) -> tuple[str, str, str]:
+    """Return what is planned at the default's delay, and what it saves."""
+    if row is None:
+        return "", "", ""
+    return code(row.chosen), f"{row.bits_percent:+.1f} %", f"{row.instructions_percent:+.1f} %"
 
 
 @click.command()

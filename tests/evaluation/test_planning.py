@@ -1,12 +1,13 @@
 """What planning saves: rows and page from generated recordings."""
 
 import csv
+from itertools import product
 from pathlib import Path
 
 from click.testing import CliRunner
 
 import textures
-from evaluation.planning import ROWS, WEIGHTS, main
+from evaluation.planning import FREE, HELD, ROWS, WEIGHTS, main
 
 
 def test_the_page_and_its_rows(tmp_path: Path) -> None:
@@ -19,10 +20,12 @@ def test_the_page_and_its_rows(tmp_path: Path) -> None:
     page = (tmp_path / "docs" / "planning_results.md").read_text()
     assert "| rough | " in page and "bad.csv" in page
     with (tmp_path / "docs" / "results" / ROWS).open() as file:
-        rows = {row["weights"]: row for row in csv.DictReader(file)}
-    assert list(rows) == list(WEIGHTS)
-    for row in rows.values():
+        every = list(csv.DictReader(file))
+    assert [(row["delay"], row["weights"]) for row in every] == list(product((FREE, HELD), WEIGHTS))
+    for row in every:
         assert float(row["planned_snr_db"]) >= float(row["default_snr_db"]) - 0.01
+        assert row["delay"] == FREE or float(row["planned_delay_ms"]) <= float(row["default_delay_ms"]) + 0.1
+    rows = {row["weights"]: row for row in every if row["delay"] == FREE}
     bits, instructions = rows["bits alone"], rows["instructions alone"]
     assert float(bits["planned_wire_bps"]) <= float(instructions["planned_wire_bps"])
     assert float(instructions["planned_instructions"]) <= float(bits["planned_instructions"])
