@@ -30,12 +30,16 @@ from codec.judges import Judge
 DEFAULT_BUCKET_S = 0.018
 """The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
 MOST_ADDED = 0.15
-"""What frames may add to the packets in them, relative to these."""
+"""What the wire may add to packets, relative to these."""
+FRAMES_ADD = 0.135
+"""What the frames of packets may add of that; the rest begins and ends a stream of 5 s at 4 kbit/s."""
+LONGEST_PACKET_S = 2.0
+"""A rate is held over any 2 s, so a packet must not last longer."""
 REFRESH_S = 2.0
 """From one refresh to the next, where the rate is steered."""
 
 FrameBytes: TypeAlias = Callable[[bytes], int]
-"""Bytes that the frame of a packet adds to it on the way."""
+"""Bytes that the frame of a packet adds to it on the way. Raises CodecError for a packet that no frame carries."""
 
 _FIRST_STRIDE = 2
 # A constant rate aims at the mean quality of the last _MEMORY_BUCKETS times of the bucket, and up to half _SWING_DB
@@ -140,7 +144,10 @@ class _Attempts:
     def size_bytes(self, coarseness: int) -> float:
         """Return what all packets take on the way, infinity where one would be too long."""
         packets = self.packets(coarseness)
-        return math.inf if packets is None else sum(map(self._sent_bytes, packets))
+        try:
+            return math.inf if packets is None else sum(map(self._sent_bytes, packets))
+        except CodecError:
+            return math.inf  # no frame carries one of them
 
     def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
         """Return a coarseness at which `holds`, and not at the next finer one; None where it holds at none.
@@ -240,24 +247,6 @@ class Policy(ABC):
         """Choose how the next packet is coded. Raises OutOfReach where nothing will do."""
 
 
-class ConstantQuality(Policy):
-    """Every packet as coarse as the asked quality allows, whatever bytes that takes."""
-
-    _ear: _Ear
-
-    def __init__(self, quality_db: float, judge: Judge) -> None:
-        super().__init__()
-        self.quality_db = quality_db
-        self._ear = _Ear(judge)
-
-    def __call__(self, trial: Trial) -> Choice:
-        """Choose the coarsest packet that has the quality; the finest where none has."""
-        attempts = _Attempts([trial], self.sent_bytes)
-        coarseness = self._ear.coarsest_with(attempts, self.quality_db)
-        self._ear.hear(attempts, coarseness)
-        return Choice(coarseness)
-
-
 class RatePolicy(Policy):
     """A policy whose packets, frames included, a leaky bucket holds."""
 
@@ -339,6 +328,18 @@ class CappedRate(RatePolicy):
         self._send(attempts.coded(coarseness))
         self.bucket.fullness_bytes = max(0.0, self.bucket.fullness_bytes)
         return Choice(coarseness)
+
+
+class ConstantQuality(CappedRate):
+    """Every packet as coarse as the asked quality allows, whatever bytes that takes.
+
+    `bits_per_second`: more than it ever takes. Live, it falls to what the link carries, as that of a capped rate does.
+    """
+
+    def __init__(
+        self, quality_db: float, judge: Judge, bits_per_second: float = 1e9, frame_bytes: FrameBytes | int = 0
+    ) -> None:
+        super().__init__(quality_db, judge, bits_per_second, frame_bytes)
 
 
 class ConstantRate(RatePolicy):
@@ -541,14 +542,21 @@ def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
 def steered_framing(
     bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, longest_s: float = math.inf
 ) -> Framing:
-    """Return the framing for a rate: the shortest packets to which their frames add at most 15 %, but none too long.
+    """Return the framing for a rate: the shortest packets to which the wire adds at most 15 %, but none too long.
 
     `bits_per_second`: of all channels, frames included. `longest_s`: what the asked delay leaves for a packet. Encoders
     round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the tactor for half of that on
-    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/rate_control.md).
+    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/rate_control.md). Raises OutOfReach for a rate
+    whose packets would last longer than the time over which it is held.
     """
     packet = b"\xff"
-    while frame_bytes(packet) > MOST_ADDED * len(packet):
+    while frame_bytes(packet) > FRAMES_ADD * len(packet):
         packet += b"\xff"
-    seconds = min(8 * (len(packet) + frame_bytes(packet)) / bits_per_second, longest_s)
+    sent_bits = 8 * (len(packet) + frame_bytes(packet))
+    seconds = min(sent_bits / bits_per_second, longest_s)
+    if seconds > LONGEST_PACKET_S:
+        raise OutOfReach(
+            f"{bits_per_second:g} bit/s cannot be held over {LONGEST_PACKET_S:g} s: one packet, with its frame, takes "
+            f"{seconds:.1f} s; ask for {math.ceil(sent_bits / LONGEST_PACKET_S)} bit/s or more, or for shorter packets"
+        )
     return Framing(max(1, math.ceil(seconds * rate_hz)), max(1, round(REFRESH_S / seconds)))

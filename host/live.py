@@ -17,7 +17,7 @@ from device_protocol.transports import TransportError
 from host import coding
 from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 from host.link import STATUS_INTERVAL_S, Link, added_bytes, frame_bytes
-from host.player import RECONNECT_S, check_limits
+from host.player import RECONNECT_S, check_limits, check_packet
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
 MARGIN_S = 0.01
@@ -113,7 +113,7 @@ class LiveStream:
     `margin_s`: how long packets lie on the controller before they are needed; None = MARGIN_S, a quarter of a packet if
     that is more or, with a policy on a link not much faster than needed, what bears the link's fall to half.
     `packet_samples`: samples per channel in a packet, at least those asked for and the codec's shortest block; None =
-    for a rate the shortest to which frames add at most 15 %, within `longest_packet_s`, or else one block.
+    for a rate the shortest to which the wire adds at most 15 %, within `longest_packet_s`, or else one block.
     `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of STEERED_REFRESH_S. `needed_bps`:
     the most that the stream can use of the link; None = the policy's rate. `header`, `stream`, `packets_sent` (dropped
     ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link carries packets in
@@ -156,6 +156,7 @@ class LiveStream:
         self.packet_samples = encoder.packet_samples
         self.packet_s = self.packet_samples / signal_format.rate_hz
         refresh_s = REFRESH_S if policy is None else STEERED_REFRESH_S
+        check_packet(controller, self.packet_samples)
         if refresh_packets is None:
             refresh_packets = max(1, math.floor(refresh_s / self.packet_s))
         self._framing = codec.Framing(self.packet_samples, refresh_packets)
@@ -233,13 +234,14 @@ class LiveStream:
     def _margin_s(self) -> float:
         """Return the margin by which packets stay in time if the link falls to half, as soon as that can be known.
 
-        A packet that is under way then takes up to its own duration longer, and it takes up to two Status to see it; a
-        link that is far faster than it needs to be leaves room for that. Without, a long packet gets more than a short
-        one, for more is lost with it.
+        A packet that is under way then takes 2 LINK_SHARE of its duration. So does one that is sent behind it before
+        that can be seen, which takes up to two Status, and it is needed a duration after the first one would have come.
+        A link that is far faster than it needs to be leaves room for that. Without a policy, a long packet gets more
+        than a short one, for more is lost with it.
         """
         if self.policy is None or self._link.bytes_per_second >= _AMPLE * self._link.needed:
             return max(MARGIN_S, self.packet_s / 4)
-        return self.packet_s + 2 * STATUS_INTERVAL_S
+        return max(self.packet_s + 2 * STATUS_INTERVAL_S, (3 * LINK_SHARE - 1) * self.packet_s)
 
     def code(self, samples: Signal) -> list[bytes]:
         """Code samples (n, channels) in the format's unit; return the packets that they complete. Raises CodecError."""

@@ -143,6 +143,16 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
         )
 
 
+def check_packet(controller: Controller, packet_samples: int) -> None:
+    """Raise ControllerError if the controller's buffer does not hold a packet of so many samples."""
+    buffer_samples = controller.description.limits.buffer_samples
+    if packet_samples > buffer_samples:
+        raise ControllerError(
+            f"a packet has {packet_samples} samples, the controller's buffer {buffer_samples}: "
+            "encode with shorter packets"
+        )
+
+
 class _Source:
     """The packets over all loops: packet k is number k % n of iteration k // n.
 
@@ -158,11 +168,7 @@ class _Source:
         check_limits(controller, header.channels, header.rate_hz)
         if not packets or header.samples == 0:
             raise StreamError("the stream has no packets or no samples: there is nothing to play")
-        if packet_samples > limits.buffer_samples:
-            raise ControllerError(
-                f"a packet has {packet_samples} samples, the controller's buffer {limits.buffer_samples}: "
-                "encode with shorter packets"
-            )
+        check_packet(controller, packet_samples)
         self.header = header
         self.packets = packets
         self.packet_samples = packet_samples

@@ -18,6 +18,8 @@ from host.live import live_format
 WINDOW_S = 2.0
 """A rate is held over any run of whole packets that lasts so long."""
 _QUIET_DB = 20.0
+# Twice what it has before it is coded: beyond that no quality is finer.
+_MOST_BITS_A_SAMPLE = 32.0
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Wish:
     `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`, `error_db`: the quality; the
     latter is the error's level relative to the detection threshold. `bucket_s`: size of the bucket, None = that which
     holds a rate within 1 % over any 2 s; with a larger one SNR is more even. `packet_s`: length of packets, None = the
-    shortest to which frames add at most 15 %, or 4 blocks without a rate. `equal_error`: in place of an equal SNR.
+    shortest to which the wire adds at most 15 %, or 4 blocks without a rate. `equal_error`: in place of an equal SNR.
     """
 
     constant_rate_bps: float | None = None
@@ -52,7 +54,8 @@ class Wish:
             return codec.ConstantRate(self.constant_rate_bps, added_bytes, bucket_s, judge)
         quality_db, quality_judge = self._quality(signal_format)
         if self.capped_rate_bps is None:
-            return codec.ConstantQuality(quality_db, quality_judge)
+            most_bps = _MOST_BITS_A_SAMPLE * signal_format.rate_hz * signal_format.channels
+            return codec.ConstantQuality(quality_db, quality_judge, most_bps, added_bytes)
         return codec.CappedRate(quality_db, quality_judge, self.capped_rate_bps, added_bytes, bucket_s)
 
     def framing(self, rate_hz: int) -> codec.Framing:

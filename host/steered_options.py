@@ -25,7 +25,7 @@ steered_options = options(
     click.option(
         "--bucket-s", type=POSITIVE, help="Let a rate wander by so many seconds' bits, for a more even quality."
     ),
-    click.option("--packet-ms", type=POSITIVE, help="Length of packets; if not given, frames add at most 15 %."),
+    click.option("--packet-ms", type=POSITIVE, help="Length of packets; if not given, the wire adds at most 15 %."),
     click.option("--equal-error", is_flag=True, help="The same error in all channels, rather than the same SNR."),
 )
 

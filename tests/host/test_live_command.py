@@ -70,7 +70,15 @@ def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
     assert figures["underruns"] == figures["dropped_packets"] == 0
 
 
-def test_a_rate_out_of_reach_is_refused() -> None:
-    result = run("rough", "--constant-rate-bps", "300", "--packet-ms", "20")
-    assert result.exit_code == 2
-    assert "cannot be held" in result.output
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "told"),
+    [
+        (["--constant-rate-bps", "300", "--packet-ms", "20"], 2, "cannot be held"),
+        (["--constant-rate-bps", "20"], 2, "ask for 272 bit/s or more"),
+        (["--constant-rate-bps", "50", "--packet-ms", "20000"], 1, "encode with shorter packets"),
+    ],
+)
+def test_a_rate_out_of_reach_is_refused(arguments: list[str], exit_code: int, told: str) -> None:
+    result = run("rough", *arguments)
+    assert result.exit_code == exit_code
+    assert told in result.output
