@@ -39,7 +39,6 @@ COARSENESSES_OF_STEP_CODE = 2
 """By how much the coarseness of a packet is more where its steps are larger by one code."""
 LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
-
 _ANALYSIS_SAMPLES = 512
 """Samples that a predictor is fitted to: those up to the end of its frame."""
 _CHUNK_FRAMES = 256
@@ -80,10 +79,9 @@ class SlpEncoder(PacketwiseEncoder):
         self._frame, self._order = frame, order
         step_codes = [step_code(step * rms) for rms in signal_format.rms]
         self._steering, self._coarseness = steering, 0
-        self._coarsenesses = range(
-            -COARSENESSES_OF_STEP_CODE * max(step_codes),
-            COARSENESSES_OF_STEP_CODE * (STEP_CODES - 1 - min(step_codes)) + 1,
-        )
+        # What is loud has levels at the largest steps too; one more is silence, which fits any rate.
+        self._silent = COARSENESSES_OF_STEP_CODE * (STEP_CODES - 1 - min(step_codes)) + 1
+        self._coarsenesses = range(-COARSENESSES_OF_STEP_CODE * max(step_codes), self._silent + 1)
         self.configuration = bytes(
             (
                 FRAMES.index(frame) << 5 | order,
@@ -138,7 +136,7 @@ class SlpEncoder(PacketwiseEncoder):
                 state.pointer,
                 ffi.cast("const int32_t *", units.ctypes.data),
                 ffi.cast("const int8_t *", codes.ctypes.data),
-                coarseness,
+                library().VC_SLP_SILENT if coarseness == self._silent else coarseness,
                 self._packet,
                 MAX_PACKET_BYTES,
             )

@@ -79,7 +79,7 @@ static int32_t quantised(int32_t value, int32_t step)
 }
 
 static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigned number, const int32_t *samples,
-                         const int8_t *reflections)
+                         const int8_t *reflections, int silent)
 {
     const vc_slp_configuration *configuration = &encoder->configuration;
     vc_slp_channel *channel = &encoder->channels[number];
@@ -100,7 +100,7 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     memcpy(frame.reflections, chosen->reflections, sizeof frame.reflections);
     frame.silent = 1;
     for (k = 0; k < configuration->frame; k++) {
-        frame.levels[k] = quantised(chosen->spectrum[k], chosen->steps[k]);
+        frame.levels[k] = silent ? 0 : quantised(chosen->spectrum[k], chosen->steps[k]);
         frame.silent &= frame.levels[k] == 0;
     }
     vc_slp_code_frame(coder, 1, &encoder->model, channel, configuration, number, &frame);
@@ -121,6 +121,7 @@ int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int
     uint8_t *payload;
     uint32_t index;
     unsigned channel;
+    const int silent = configuration->steered && coarseness == VC_SLP_SILENT;
     if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
     payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
@@ -132,10 +133,10 @@ int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int
         vc_slp_channel_reset(&encoder->channels[channel], configuration, channel);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
     if (configuration->steered)
-        vc_coarseness_encode(&coder, &encoder->coarseness, coarseness);
+        vc_coarseness_encode(&coder, &encoder->coarseness, silent ? encoder->coarseness.value : coarseness);
     for (index = 0; index < configuration->packet_frames; index++)
         for (channel = 0; channel < configuration->channels; channel++) {
-            encode_frame(encoder, &coder, channel, samples, reflections);
+            encode_frame(encoder, &coder, channel, samples, reflections, silent);
             samples += configuration->frame;
             reflections += configuration->order;
         }

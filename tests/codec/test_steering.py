@@ -26,7 +26,7 @@ from codec import (
     steered_encoder,
     steered_framing,
 )
-from codec.interface import Choice, Decoded
+from codec.interface import Choice, Decoded, Trial
 
 RATE_HZ = 2800
 SECONDS = 0.1
@@ -356,6 +356,23 @@ def test_packets_that_no_frame_carries_are_not_chosen(name: str) -> None:
     for policy in (ConstantRate(800, frame_bytes), CappedRate(90, SnrJudge(RATE_HZ), 100_000, frame_bytes)):
         coded = codec.encode_steered(texture(4), RATE_HZ, policy, Framing(RATE_HZ, 2), codec=name)
         assert max(map(len, coded.packets)) <= 300
+
+
+@pytest.mark.parametrize("name", ["dct", "mdct", "slp"])
+def test_the_coarsest_packet_is_short_whatever_came_before(name: str) -> None:
+    """A loud signal that stops, after packets at the stream's own quality, which entropy coders have become used to."""
+    time_s = np.arange(4 * RATE_HZ) / RATE_HZ
+    signal = np.sign(np.sin(2 * np.pi * 11.0 * time_s))[:, None] * (time_s < 3.7)[:, None]
+    coarsest: list[int] = []
+
+    def steer(trial: Trial) -> Choice:
+        coarsest.append(len(trial.packet(trial.coarsenesses[-1])))
+        return Choice(0)
+
+    known, signal_format = codec.codec_by_name(name), SignalFormat(RATE_HZ, "um", (1.0,), (0.28,))
+    known.make_encoder(known.complete({}), signal_format, Framing(1400, 0), None, steer).encode(signal)
+    assert len(coarsest) > 5
+    assert max(coarsest) < 24
 
 
 def test_frames_add_at_most_15_percent_unless_the_delay_forbids() -> None:
