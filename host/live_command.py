@@ -135,6 +135,9 @@ def live(
             f"{1000 * stream.margin_s:.0f} ms after they come; {result.dropped_packets} not sent, as too late"
         )
     anew = f", begun anew {result.streams - 1} times" if result.streams > 1 else ""
+    if result.lost_packets or result.dropped_packets:
+        margin = f"{1000 * stream.margin_s:.0f} ms"
+        click.echo(f"packets came too late or not at all: a --margin-ms of more than {margin} bears a busier computer")
     click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{anew}")
 
 
