@@ -31,7 +31,7 @@ _MEMORY, _DECODED, _HEIGHTS = 0x2000_0000, 0x6000_0000, 0x6008_0000
 
 def periodic(decoded_um: NDArray[np.float64], samples_per_metre: int) -> NDArray[np.float64]:
     """Return one period, um, of what a profile repeats: its end crossfaded into its beginning, as profile.h says."""
-    octaves_step = rendering.least_samples(samples_per_metre, PIEZO_STACK.dac_rate_hz) // 18
+    octaves_step = rendering.octaves_step(samples_per_metre, PIEZO_STACK.dac_rate_hz)
     period = (len(decoded_um) - len(decoded_um) // 16) // octaves_step * octaves_step
     faded = len(decoded_um) - period
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(faded) / faded)

@@ -579,7 +579,9 @@ def play_profile(
             "stream": f"{facts['size_bytes']} bytes, {facts['bits_per_mm']:.0f} bit/mm, codec {facts['codec']}",
             "actuator": f"{actuator.name}, clipped {status.compensation_clipped}, limited by voltage "
             f"{status.voltage_limited}, slew {status.slew_limited}, power {status.power_limited} samples",
-            "DAC as computed": {**ANSWERS, False: "no, as where a position comes late"}[
+            "positions": f"{len(played.positions)} sent, {status.underruns} came too late, frames damaged "
+            f"{played.damaged}",
+            "DAC as computed": {**ANSWERS, False: "no, as where a position is lost"}[
                 hand.as_computed(played, expected, actuator)
             ],
         }

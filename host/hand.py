@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,11 +30,15 @@ from simulated_device.actuator import Actuator, Codes
 
 _POSITION_RATE_HZ = 500
 _MOST_POSITIONS = 1_000_000
+_LONGEST_S = _MOST_POSITIONS / _POSITION_RATE_HZ
 _FARTHEST_MM = 1e6
 # Between Start and the first DAC sample, so that its time is known; and until the last position has been rendered.
 _AHEAD_S, _BEHIND_S = 0.2, 0.05
 _LOADING_S = 5.0
 _READ_S, _SHORTEST_READ_S = 0.02, 0.001
+# The controller's clock is no earlier than the last Status said, ten a second: of so many the soonest holds. Sent
+# so much later than that, no position comes before its time, also where that clock is slow by 1 %.
+_HEARD, _SENT_AFTER_S = 2, 0.003
 _FRAME_BYTES = 12
 
 
@@ -58,7 +63,7 @@ class Movement:
 def back_and_forth(stroke_mm: float, speed_mm_s: float, strokes: int) -> Movement:
     """Return a hand that goes there and back so many times along a cosine, at most as fast as this."""
     seconds = strokes * math.pi * stroke_mm / speed_mm_s
-    if not seconds * _POSITION_RATE_HZ <= _MOST_POSITIONS:
+    if not seconds <= _LONGEST_S:
         raise InputFileError(f"a movement of {seconds:.0f} s: make it shorter, by --loop, --stroke-mm or a faster hand")
     times_s = np.arange(math.ceil(seconds * _POSITION_RATE_HZ) + 2) / _POSITION_RATE_HZ
     phase = np.minimum(2 * speed_mm_s / stroke_mm * times_s, 2 * math.pi * strokes)
@@ -91,6 +96,8 @@ def read_movement(path: Path) -> Movement:
     if len(rows) < 2:
         raise InputFileError(f"{path}: at least two positions make a movement")
     times_s, positions_mm = np.array(rows).T
+    if not times_s[-1] - times_s[0] <= _LONGEST_S:
+        raise InputFileError(f"{path}: a movement of more than {_LONGEST_S:.0f} s; cut it into parts")
     return Movement(times_s - times_s[0], positions_mm)
 
 
@@ -111,12 +118,13 @@ def chosen_movement(
 
 @dataclass(frozen=True)
 class Played:
-    """What a controller did: `status` at the end; `dac_codes` int16 (n, channels) as far as it kept them, from sample
-    `captured_from` on; `positions` as they were sent, device time in us and place in nm; `start_us`: device time of the
-    first DAC sample.
+    """What a controller did: `status` at the end; `damaged`: frames that came so meanwhile; `dac_codes` int16
+    (n, channels) as far as it kept them, from sample `captured_from` on; `positions` as they were sent, device time in
+    us and place in nm; `start_us`: device time of the first DAC sample.
     """
 
     status: Status
+    damaged: int
     dac_codes: Codes
     captured_from: int
     start_us: int
@@ -161,42 +169,49 @@ def play(
 ) -> Played:
     """Load a spatial stream and play it under a hand that moves, in real time; read back what went to the DAC.
 
-    `progress` is called with the part done. Raises ControllerError, TransportError.
+    The hand goes straight from each position to the next: the controller is told of it 500 times a second, by the
+    controller's own clock. `progress` is called with the part done. Raises ControllerError, TransportError.
     """
     load(controller, stream)
-    status = controller.request_status()
-    # No earlier than the controller's clock has it, so that no position comes ahead of its time.
-    start_s = controller.clock() + _AHEAD_S
+    status = begun = controller.request_status()
+    heard = deque([status.device_time_us / 1e6 - controller.clock()], _HEARD)
     start_us = status.device_time_us + round(1e6 * _AHEAD_S)
+    times_s = np.arange(math.ceil(movement.seconds * _POSITION_RATE_HZ) + 1) / _POSITION_RATE_HZ
     positions = tuple(
         (start_us + round(1e6 * time_s), round(1e6 * position_mm))
-        for time_s, position_mm in zip(movement.times_s, movement.positions_mm, strict=True)
+        for time_s, position_mm in zip(
+            times_s, np.interp(times_s, movement.times_s, movement.positions_mm), strict=True
+        )
     )
     # Where the hand is before it moves is known from the beginning.
     positions = ((status.device_time_us, positions[0][1]), *positions)
     controller.send(Position(*positions[0]))
     controller.request(Start(start_us), Status)
     sent = 1
-    end_s = start_s + movement.seconds + _BEHIND_S
+    whole_s = movement.seconds + _BEHIND_S
     ask_s = controller.clock()
     try:
-        while (now_s := controller.clock()) < end_s:
-            while sent < len(positions) and start_s + movement.times_s[sent - 1] <= now_s:
+        while (passed_s := (now_s := controller.clock()) + max(heard) - start_us / 1e6) < whole_s:
+            while sent < len(positions) and times_s[sent - 1] + _SENT_AFTER_S <= passed_s:
                 controller.send(Position(*positions[sent]))
                 sent += 1
             if now_s >= ask_s:
                 ask_s = now_s + min(0.1, controller.description.limits.watchdog_ms / 4000)
                 controller.ask_status()
-            due_s = start_s + movement.times_s[sent - 1] if sent < len(positions) else end_s
-            controller.poll(min(_READ_S, max(_SHORTEST_READ_S, due_s - now_s)))
-            if controller.status is not None and controller.status.state not in (State.ARMED, State.PLAYING):
-                raise ControllerError(f"the controller stopped playing: {controller.status.state.name}")
+            due_s = times_s[sent - 1] + _SENT_AFTER_S if sent < len(positions) else whole_s
+            controller.poll(min(_READ_S, max(_SHORTEST_READ_S, due_s - passed_s)))
+            if controller.status is not None and controller.status is not status:
+                status = controller.status
+                heard.append(status.device_time_us / 1e6 - controller.clock())
+                if status.state not in (State.ARMED, State.PLAYING):
+                    raise ControllerError(f"the controller stopped playing: {status.state.name}")
             if progress is not None:
-                progress(max(0.0, (now_s - start_s) / (end_s - start_s)))
+                progress(max(0.0, passed_s / whole_s))
     finally:
         status = controller.stop()
     captured_from, codes = _read_back(controller, stream.header.channels)
-    return Played(status, codes, captured_from, start_us, positions)
+    damaged = status.bad_frames - begun.bad_frames
+    return Played(status, damaged, codes, captured_from, start_us, positions)
 
 
 def _read_back(controller: Controller, channels: int) -> tuple[int, Codes]:
@@ -237,13 +252,18 @@ def computed(stream: Stream, played: Played, actuator: Actuator) -> Computed:
 
 
 def as_computed(played: Played, expected: Computed, actuator: Actuator) -> bool | None:
-    """Return whether the DAC's codes are those computed, up to the way to rest at the end; None without any."""
+    """Return whether the DAC's codes are those computed, up to the way to rest at the end.
+
+    None without any, and where they differ and positions came too late or damaged.
+    """
     first = played.captured_from
     # Stop comes when it comes: from there on the output goes to rest.
     compared = len(played.dac_codes) - round(_BEHIND_S * actuator.dac_rate_hz)
     if compared <= 0:
         return None
-    return np.array_equal(played.dac_codes[:compared], expected.codes[first : first + compared])
+    if np.array_equal(played.dac_codes[:compared], expected.codes[first : first + compared]):
+        return True
+    return None if played.status.underruns or played.damaged else False
 
 
 def pictured(played: Played, expected: Computed, actuator: Actuator) -> tuple[str, tuple[Trace, ...]]:

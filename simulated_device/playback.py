@@ -153,7 +153,7 @@ class Playback:
     def position(self, hand_us: int, position_nm: int, time_us: int) -> None:
         """Take where the hand was at a time of the controller's clock, at most the present one; 0: now."""
         if self._profile is not None and self.state in _TAKING_DATA:
-            self._profile.position(min(hand_us or time_us, time_us), position_nm)
+            self._underruns += self._profile.position(min(hand_us or time_us, time_us), position_nm)
 
     def start(self, start_us: int, time_us: int) -> None:
         """Arm: play from `start_us` on, or as soon as the prebuffer is there if that is later."""

@@ -23,6 +23,11 @@ def least_samples(samples_per_metre: int, dac_rate_hz: int) -> int:
     return int(library().vc_profile_least_samples(samples_per_metre, dac_rate_hz))
 
 
+def octaves_step(samples_per_metre: int, dac_rate_hz: int) -> int:
+    """Return how many samples of a profile a sample of its coarsest octave stands for: its period is a multiple."""
+    return 1 << (least_samples(samples_per_metre, dac_rate_hz).bit_length() - 1)
+
+
 def rendered(header: StreamHeader, actuator: Actuator) -> StreamHeader:
     """Return what a profile's header says of the heights that are rendered from it: um, at the DAC's rate."""
     return replace(header, unit="um", rate_hz=actuator.dac_rate_hz)
@@ -50,9 +55,12 @@ class Profile:
         """State that the output is at rest: rendering fades in at the place where the hand then is."""
         library().vc_profile_begin(self._profile.pointer)
 
-    def position(self, time_us: int, position_nm: int) -> None:
-        """Take where the hand was at a time; dropped unless later than the last one and within 2^40 nm."""
-        library().vc_profile_position(self._profile.pointer, time_us, position_nm)
+    def position(self, time_us: int, position_nm: int) -> bool:
+        """Take where the hand was at a time; dropped unless later than the last one and within 2^40 nm.
+
+        Return whether it came too late: the hand had moved on, and has been rendered as at rest.
+        """
+        return bool(library().vc_profile_position(self._profile.pointer, time_us, position_nm))
 
     def render(self, times_us: Iterable[int]) -> NDArray[np.int16]:
         """Return the heights int16 (n, channels) at the times of DAC samples that follow each other."""

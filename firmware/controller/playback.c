@@ -337,8 +337,9 @@ void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet,
 
 void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us)
 {
-    if (playback->spatial && playback->state >= VC_STATE_BUFFERING && playback->state <= VC_STATE_PAUSED)
-        vc_profile_position(playback->profile, hand_us > 0 ? least(hand_us, time_us) : time_us, position_nm);
+    if (playback->spatial && playback->state >= VC_STATE_BUFFERING && playback->state <= VC_STATE_PAUSED &&
+        vc_profile_position(playback->profile, hand_us > 0 ? least(hand_us, time_us) : time_us, position_nm))
+        count_one(&playback->underruns);
 }
 
 /* ---- what the host asks ---- */

@@ -41,10 +41,12 @@ static uint32_t octaves_of(uint32_t samples_per_metre, uint32_t dac_rate_hz)
 
 uint32_t vc_profile_least_samples(uint32_t samples_per_metre, uint32_t dac_rate_hz)
 {
+    uint32_t step;
     if (samples_per_metre == 0 || samples_per_metre > MAX_SAMPLES_PER_METRE || dac_rate_hz < MIN_DAC_RATE_HZ)
         return 0;
-    /* What is left of them by the crossfade has the interpolator's taps in the coarsest octave. */
-    return (TAPS + 2u) << (octaves_of(samples_per_metre, dac_rate_hz) - 1);
+    /* What is left of them by the crossfade is a sample of the coarsest octave: a step, or a sixteenth of it more. */
+    step = 1u << (octaves_of(samples_per_metre, dac_rate_hz) - 1);
+    return step + step / (CROSSFADE_PART - 1);
 }
 
 size_t vc_profile_size(uint32_t samples, uint32_t channels)
@@ -81,19 +83,22 @@ static int16_t limited_sample(int64_t value)
     return (int16_t)(value > INT16_MAX ? INT16_MAX : value < INT16_MIN ? INT16_MIN : value);
 }
 
-/* Repeats the beginning of an octave behind its end, for the interpolator. */
+/* Repeats an octave behind its end, as far as the interpolator reaches: more than once where that is longer. */
 static void continue_end(vc_profile *profile, uint32_t octave)
 {
     const size_t count = (size_t)(profile->period >> octave) * profile->channels;
     int16_t *heights = profile->heights + (size_t)profile->first[octave] * profile->channels;
-    memcpy(heights + count, heights, (size_t)TAPS * profile->channels * sizeof *heights);
+    size_t at;
+    for (at = 0; at < (size_t)TAPS * profile->channels; at++)
+        heights[count + at] = heights[at];
 }
 
 /* Makes the profile periodic: what lies behind the period is faded out over its beginning, which fades in. */
 static void join_ends(vc_profile *profile)
 {
-    const uint32_t channels = profile->channels, fade = profile->samples - profile->period;
-    const int16_t *behind = profile->heights + (size_t)profile->period * channels;
+    const uint32_t channels = profile->channels, period = profile->period;
+    const uint32_t fade = profile->samples - period < period ? profile->samples - period : period;
+    const int16_t *behind = profile->heights + (size_t)period * channels;
     uint32_t n, i;
     for (n = 0; n < fade; n++) {
         const int64_t rise = vc_raised_cosine(n, fade);
@@ -159,19 +164,19 @@ void vc_profile_begin(vc_profile *profile)
     profile->level = 0;
 }
 
-void vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_nm)
+int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_nm)
 {
     const int64_t rate = profile->samples_per_metre;
     vc_hand_position *last = &profile->hand[(profile->positions - 1) % VC_KEPT_POSITIONS];
     vc_hand_position *next = &profile->hand[profile->positions % VC_KEPT_POSITIONS];
     int64_t part;
     if (position_nm > FARTHEST_NM || position_nm < -FARTHEST_NM || (profile->positions > 0 && time_us <= last->time_us))
-        return;
+        return 0;
     part = position_nm % NM_PER_METRE * rate;
     next->time_us = time_us;
     next->place = (position_nm / NM_PER_METRE * rate + part / NM_PER_METRE) * WHOLE_PLACE +
                   part % NM_PER_METRE * WHOLE_PLACE / NM_PER_METRE;
-    profile->positions++;
+    return profile->positions++ > 0 && profile->rendered_us > last->time_us && next->place != last->place;
 }
 
 /* Where the hand was at a time: between the positions before and behind it, or at the last one. */
@@ -256,13 +261,13 @@ static void add_heights(const vc_profile *profile, uint32_t octave, int32_t weig
     const uint32_t channels = profile->channels, length = profile->period >> octave;
     const uint64_t place = (uint64_t)profile->place >> octave;
     const uint32_t fraction = (uint32_t)place >> (PLACE_BITS - CROSSING_BITS);
-    const uint32_t at = (uint32_t)(place >> PLACE_BITS) + length - (HALF_TAPS - 1);
+    const uint32_t at = ((uint32_t)(place >> PLACE_BITS) + HALF_TAPS * length - (HALF_TAPS - 1)) % length;
     const int16_t *heights;
     int32_t taps[TAPS];
     const uint32_t whole = vc_kernel_taps(taps, HALF_TAPS, 1u << CROSSING_BITS, (1u << CROSSING_BITS) - fraction);
     const int64_t reciprocal = UINT32_MAX / (whole >> 8); /* 2^40 / whole, to 1/30 000 */
     uint32_t i, tap;
-    heights = profile->heights + (size_t)(profile->first[octave] + (at < length ? at : at - length)) * channels;
+    heights = profile->heights + (size_t)(profile->first[octave] + at) * channels;
     for (i = 0; i < channels; i++) {
         int64_t sum = 0;
         for (tap = 0; tap < TAPS; tap++)
@@ -281,6 +286,7 @@ void vc_profile_render(vc_profile *profile, uint64_t time_us, int16_t *heights)
         memset(heights, 0, profile->channels * sizeof *heights);
         return;
     }
+    profile->rendered_us = time_us;
     step = follow(profile, place_at(profile, time_us));
     fade(profile, step);
     /* An octave is there alone until its band ends at 3/4 of half the DAC's rate, and is gone when it ends there. */

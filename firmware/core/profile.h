@@ -17,7 +17,8 @@
  * fades to 0; at 0, which a jump of the position leads to, it goes on at the new place and fades in, 20 ms each.
  *
  * The ends. The profile repeats in both directions: a sixteenth of it (at most 4096 samples, and what makes the period
- * a multiple of the coarsest octave's step) is crossfaded from its end to its beginning.
+ * a multiple of the coarsest octave's step) is crossfaded from its end to its beginning. So does one that is shorter
+ * than what the interpolator reaches.
  *
  * Samples of several channels, all under the one hand, are interleaved. Numbers of samples are per channel.
  */
@@ -54,8 +55,9 @@ void vc_profile_load(vc_profile *profile, const int16_t *decoded, uint32_t sampl
 void vc_profile_begin(vc_profile *profile);
 
 /* Takes where the hand was at a time, in nanometres from any origin. One that is not later than the last, or farther
- * than 2^40 nm (1.1 km) from the origin, is dropped; of those ahead of what is rendered the last 64 are kept. */
-void vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_nm);
+ * than 2^40 nm (1.1 km) from the origin, is dropped; of those ahead of what is rendered the last 64 are kept. Returns
+ * nonzero where it came too late: the hand moved on after the position before it, and has been rendered as at rest. */
+int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_nm);
 
 /* Writes one sample of each channel: the heights under where the smoothed hand is at this time, a DAC sample after the
  * last one. Without a position they are 0; all samples must have been loaded. */

@@ -30,6 +30,7 @@ struct vc_profile {
     /* The hand's way. */
     vc_hand_position hand[VC_KEPT_POSITIONS]; /* by number modulo VC_KEPT_POSITIONS */
     uint64_t positions, behind;               /* that have come; the number of the last one before the present time */
+    uint64_t rendered_us;                     /* up to when the hand's way has been followed */
     uint64_t sloped;                          /* `slope` leads from `behind` on where this is one more */
     int64_t slope;                            /* place per microsecond */
     /* The low-passes: places of both, less `origin`, a multiple of the period, so that `place` lies within it. */

@@ -13,7 +13,7 @@ from host.conformance.probe import Probe, in_state, same_samples, told
 from host.conformance.streams import decoded, decoded_as, known_actuator, need_capture, stream_for
 from simulated_device import profile as rendering
 
-_SAMPLES_PER_METRE = 20_000
+_SAMPLES_PER_METRE, _FINEST_PER_METRE = 20_000, 200_000
 # Until the fade-in is over, positions are rendered, and their smoothing has come to rest.
 _SETTLED_S = 0.3
 _STILL_SAMPLES = 100
@@ -115,9 +115,21 @@ def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, profile: Strea
 
 
 @section("Playing: Profiles")
+def test_late_positions_are_counted(probe: Probe, profile: Stream) -> None:
+    """A position of a hand that moved on while the output held still counts as an underrun; one at rest does not."""
+    played_at(probe, profile, 1_000_000)
+    for position_nm, underruns in ((1_000_000, 0), (2_000_000, 1), (2_000_000, 1)):
+        rest_at(probe, position_nm)
+        status = probe.status()
+        assert status.underruns == underruns, f"expected {underruns} underruns, came {told(status)}"
+
+
+@section("Playing: Profiles")
 def test_profiles_that_are_refused(probe: Probe, profile: Stream) -> None:
     """A profile that is live, cut or looped is answered BAD_VALUE; one that is too long or too short BEYOND_LIMITS."""
     packets, header = len(profile.packets), profile.header
+    least = rendering.least_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)
+    too_short = replace(header, rate_hz=_FINEST_PER_METRE, samples=least - 1)
     too_long = probe.description.limits.profile_samples + 1
     packets_of_too_long = -(-(too_long + profile.decoder().delay_samples) // profile.decoder().packet_samples)
     for changed, options, code in (
@@ -126,7 +138,7 @@ def test_profiles_that_are_refused(probe: Probe, profile: Stream) -> None:
         (header, {"first_packet": packets - 1}, ErrorCode.BAD_VALUE),
         (header, {"loops": 0}, ErrorCode.BAD_VALUE),
         (header, {"loops": 2}, ErrorCode.BAD_VALUE),
-        (replace(header, samples=10), {"packets": 1}, ErrorCode.BEYOND_LIMITS),
+        (too_short, {"packets": 1}, ErrorCode.BEYOND_LIMITS),
         (replace(header, samples=too_long), {"packets": packets_of_too_long}, ErrorCode.BEYOND_LIMITS),
     ):
         probe.refused(replace(probe.configuration(profile, **options), header=changed.pack()), code)

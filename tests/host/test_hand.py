@@ -1,5 +1,6 @@
 """Profiles under a hand from the command line: coding, what is said of the stream, movements, playing, refusals."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,22 @@ def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(s
         codes = played.dac_codes[first : len(expected.codes) - 2 * first, 0]
         assert np.corrcoef(codes, expected.codes[first : first + len(codes), 0])[0, 1] > 0.9
         assert played.status.lost_packets == 0
+
+
+@pytest.mark.parametrize("drift_ppm", [-10_000, 10_000])
+def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: coding.Stream, drift_ppm: int) -> None:
+    times_s = np.arange(0, 4, 0.05)
+    movement = hand.Movement(times_s, 10 * np.sin(6 * times_s))
+    link = MemoryLink(SimulatedController(Settings(drift_ppm=drift_ppm)))
+    with Controller(link, link.clock, link.sleep) as controller:
+        played = hand.play(controller, stream, movement)
+    expected = hand.computed(stream, played, PIEZO_STACK)
+    assert hand.as_computed(played, expected, PIEZO_STACK) is True
+    assert played.status.underruns == 0
+    other = replace(played, dac_codes=played.dac_codes + 1)
+    assert hand.as_computed(other, expected, PIEZO_STACK) is False
+    late = replace(other, status=replace(played.status, underruns=1))
+    assert hand.as_computed(late, expected, PIEZO_STACK) is None
 
 
 def test_controllers_that_cannot_are_named(stream: coding.Stream) -> None:

@@ -16,7 +16,7 @@ from device_protocol.messages import Loop, Message, Pause, Position, Resume, Sta
 from simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
 from simulated_device.controller import Controller, Settings
 from simulated_device.firmware import Firmware
-from simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, Profile, least_samples, render
+from simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, Profile, least_samples, octaves_step, render
 from tests.simulated_device.bench import Bench, Stream
 
 SAMPLES_PER_METRE = 100_000
@@ -48,12 +48,12 @@ def loaded(profile: NDArray[np.int16], dac_rate_hz: int = RATE_HZ) -> Profile:
 
 def periodic(profile: NDArray[np.int16], dac_rate_hz: int) -> NDArray[np.float64]:
     """Return one period of what the profile repeats: as firmware/core/profile.h says."""
-    octaves = least_samples(SAMPLES_PER_METRE, dac_rate_hz) // 18
-    period = (len(profile) - len(profile) // 16) // octaves * octaves
-    faded = len(profile) - period
+    step = octaves_step(SAMPLES_PER_METRE, dac_rate_hz)
+    period = (len(profile) - len(profile) // 16) // step * step
+    faded = min(len(profile) - period, period)
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(faded) / faded)
     made = profile[:period].astype(np.float64)
-    made[:faded] = rise * profile[:faded] + (1 - rise) * profile[period:]
+    made[:faded] = rise * profile[:faded] + (1 - rise) * profile[period:][:faded]
     return made
 
 
@@ -95,6 +95,34 @@ def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: in
     inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
     error, signal = (np.fft.rfft(values * window)[inside] for values in (made[first:] - expected, expected))
     assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 50
+
+
+@pytest.mark.parametrize("samples", [34, 60, 66, 100, 575])
+def test_short_profile_repeats(samples: int) -> None:
+    """One from the shortest on, shorter than what the interpolator reaches in the coarser octaves."""
+    assert samples >= least_samples(SAMPLES_PER_METRE, RATE_HZ) > 33
+    profile, speed_mm_s = heights()[:samples], 50
+    made = rendered_along(loaded(profile), lambda t: speed_mm_s * t, 0.5)[600:]
+    time_s = np.arange(600, 600 + len(made)) / RATE_HZ
+    highest = EXACT * RATE_HZ / (speed_mm_s / 1000 * SAMPLES_PER_METRE)
+    expected = exact(periodic(profile, RATE_HZ), speed_mm_s * (time_s - DELAY_S), highest)
+    window = np.blackman(len(expected))
+    inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
+    error, signal = (np.fft.rfft(values * window)[inside] for values in (made - expected, expected))
+    assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 50
+
+
+def test_positions_that_come_too_late_are_told() -> None:
+    profile = loaded(heights())
+    assert not profile.position(1000, 0)
+    profile.render([1000])
+    assert not profile.position(2000, 50_000)  # in time
+    profile.render([2500])
+    assert not profile.position(3000, 50_000)  # late, of a hand at rest
+    profile.render([3500])
+    assert profile.position(4000, 90_000)
+    assert not profile.position(5000, 99_000)  # nothing was rendered meanwhile
+    assert not profile.position(4500, 0)  # dropped
 
 
 @pytest.mark.parametrize("per_dac_sample", [0.53, 0.7, 1.01, 1.9, 3.3])
