@@ -17,6 +17,7 @@ from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, does_not_fit, ffi, l
 from codec.huffman import canonical_codes, code_lengths, pack_bits
 from codec.interface import (
     AUTO,
+    OVER_POSITION,
     Codec,
     CodecError,
     Framing,
@@ -254,7 +255,7 @@ def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
 def _smallest(setting: Setting, signal_format: SignalFormat, block: int) -> list[float]:
     """Return S of the logarithmic quantiser for each channel, in the core's unit."""
     smallest = number(setting, "smallest")
-    if smallest == 0 and signal_format.unit != "um":
+    if smallest == 0 and signal_format.unit not in ("um", OVER_POSITION):
         return [SMALLEST_OF_RMS * rms * UNIT for rms in signal_format.rms]
     return [(smallest or SMALLEST_HEIGHT_UM) * _coefficients_of(gain, block) for gain in signal_format.gains]
 
@@ -322,7 +323,7 @@ CODEC = Codec(
         "b0_db": Parameter("where the cut is, relative to the detection threshold", -8.0, low=-200, high=200),
         "entropy": Parameter("entropy coder; auto: range where steered", AUTO, choices=(AUTO, "huffman", "range")),
         "block": Parameter("samples in a block", "512", choices=tuple(map(str, BLOCKS))),
-        "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um, none in other units", 0.0, low=0),
+        "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um over time, else none", 0.0, low=0),
         "dc": Parameter("the mean of each block", "keep", choices=("keep", "drop")),
     },
     ladders={

@@ -134,12 +134,16 @@ def varint(value: int) -> bytes:
     return bytes((value,)) if value < 0x80 else bytes((value & 0x7F | 0x80,)) + varint(value >> 7)
 
 
+OVER_POSITION = "um over position"
+"""The unit of a height profile whose rate is in samples per metre: its frequencies are not those of a vibration."""
+
+
 @dataclass(frozen=True)
 class SignalFormat:
     """What an encoder is told before the samples come.
 
     `gains`: physical value, in `unit`, of full scale of each channel. `rms`: RMS value of each channel relative to
-    full scale, 1 for silence. `unit`: "full scale", "m/s^2" or "um".
+    full scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or OVER_POSITION.
     """
 
     rate_hz: int

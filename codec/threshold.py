@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.interface import CodecError
+from codec.interface import OVER_POSITION, CodecError
 
 DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
 
@@ -56,6 +56,8 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
     nearest row. An amplitude a of displacement is (2 pi F)^2 a of acceleration. Raises CodecError for a signal
     without a physical unit.
     """
+    if unit == OVER_POSITION:
+        raise CodecError("the detection threshold is one over time, and a spatial stream has none; leave it off")
     if unit not in ("um", "m/s^2"):
         raise CodecError(
             "the detection threshold is one of displacement, which a signal relative to full scale does not state; "

@@ -203,6 +203,7 @@ def encode(
     runtime: str | None = None,
     live: bool = False,
     progress: Callable[[float], None] | None = None,
+    unit: str | None = None,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
@@ -212,8 +213,9 @@ def encode(
     `setting`: what is given of the codec's setting; one that leaves nothing to search for is used as it is. `model`:
     None = the tables built in or, for a codec without such, the smallest model that ships and can do what is asked.
     `runtime`: as in `Stream`. `live` adds refresh packets, for a link that may lose some. `progress` is called with the
-    part of the search that is done, from 0 to 1. Raises CodecError (also when the asked rate or SNR cannot be met),
-    ModelError, ModelImageError, StreamError or TextureError, with what to do.
+    part of the search that is done, from 0 to 1. `unit`: the stream's, None = the recording's. Raises CodecError
+    (also when the asked rate or SNR cannot be met), ModelError, ModelImageError, StreamError or TextureError, with what
+    to do.
     """
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
@@ -232,7 +234,9 @@ def encode(
     return first_in_reach(
         chosen,
         model,
-        lambda candidate, tell: _encode(resampled, chosen, given, rate_bps, snr_db, candidate, runtime, live, tell),
+        lambda candidate, tell: _encode(
+            resampled, unit or resampled.unit, chosen, given, rate_bps, snr_db, candidate, runtime, live, tell
+        ),
         progress,
     )
 
@@ -292,6 +296,7 @@ def _tell_of_part(progress: Callable[[float], None], number: int, count: int, do
 
 def _encode(
     recording: textures.Recording,
+    unit: str,
     chosen: codec.Codec,
     given: codec.Setting,
     rate_bps: float | None,
@@ -306,14 +311,14 @@ def _encode(
     image = None if model is None else model.image
     how: _How = {
         "codec": chosen.name,
-        "unit": recording.unit,
+        "unit": unit,
         "live": live,
         "model": encoder_model(model),
         "progress": progress,
     }
 
     def size_bytes(coded: codec.CodedSignal) -> int:
-        return as_stream(coded, recording.unit, image).size_bytes
+        return as_stream(coded, unit, image).size_bytes
 
     if rate_bps is not None:
         coded = codec.encode_to_rate(samples, rate_hz, rate_bps, size_bytes, setting=given, **how)
@@ -321,7 +326,7 @@ def _encode(
         coded = codec.encode_to_snr(samples, rate_hz, snr_db, setting=given, **how)
     else:
         coded = codec.encode(samples, rate_hz, given, **how)
-    stream = replace(as_stream(coded, recording.unit, image), runtime=runtime)
+    stream = replace(as_stream(coded, unit, image), runtime=runtime)
     return measured(recording, stream, rate_bps, snr_db)
 
 

@@ -1,7 +1,6 @@
 """Height profiles coded once for every hand speed: the band worth coding and the pitch that follows from it."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +52,4 @@ def encode(
     narrow_hz = 2 * _BAND_PART * samples_per_metre
     if recording.rate_hz > narrow_hz:
         recording = textures.resample(recording, narrow_hz)
-    encoding = coding.encode(recording, stream_rate_hz=samples_per_metre, live=True, **quality)
-    header = replace(encoding.stream.header, unit=PROFILE_UNIT)
-    return replace(encoding, stream=replace(encoding.stream, header=header))
+    return coding.encode(recording, stream_rate_hz=samples_per_metre, live=True, unit=PROFILE_UNIT, **quality)

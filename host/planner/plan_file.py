@@ -187,17 +187,17 @@ def encode(
     over_position: bool,
 ) -> coding.Encoding:
     """Code a recording by a setting, cut into packets for a live stream, or for a profile. Raises CodecError."""
+    unit = PROFILE_UNIT if over_position else recording.unit
     coded = codec.encode(
         recording.samples,
         round(recording.rate_hz),
         setting,
         codec=codec_name,
-        unit=recording.unit,
+        unit=unit,
         live=True,
         model=None if model is None else codec.Model(model.tables, model.analysis),
         framing=framing,
     )
-    unit = PROFILE_UNIT if over_position else recording.unit
     return coding.measured(recording, coding.as_stream(coded, unit, None if model is None else model.image))
 
 

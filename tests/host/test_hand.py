@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import codec
 import textures
 from host import coding, hand, profiles
 from host.command_line import main
@@ -35,6 +36,16 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
         samples = encoding.recording.samples[:, 0]
         spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples))))
         assert spectrum[np.fft.rfftfreq(len(samples)) > 0.45].max() < 1e-3 * spectrum.max()
+
+
+@pytest.mark.parametrize("setting", [{}, {"smallest": 0.05, "levels": 14}])
+def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
+    """Its limit at 400 Hz is one over time, as its threshold is, which is refused."""
+    recording = profiles.recording_of(PROFILE)
+    snr_db = profiles.encode(recording, codec_name="dct", setting=setting).snr_db
+    assert snr_db is not None and snr_db > 13
+    with pytest.raises(codec.CodecError, match="over time"):
+        profiles.encode(recording, codec_name="dct", setting={"threshold": "on", "levels": 14})
 
 
 def test_too_slow_a_hand_is_refused_with_the_slowest_that_can_be() -> None:
