@@ -185,6 +185,13 @@ def lines(choice: Choice, planned: PlannedTexture) -> Iterator[str]:
     told.append(f"{forecast.delay_ms:.0f} ms to the skin")
     yield f"  forecast: {', '.join(told)}"
     yield f"  quality: {', '.join(_qualities(choice.chosen))}"
+    band = choice.workbench.band
+    left_out_db = [min(each.level_db, each.reach_db) for each in band.levels if not each.worth]
+    if left_out_db and not planned.over_position:
+        yield (
+            f"  left out, and no part of that quality: what is outside the band, at most {max(left_out_db):.1f} dB re "
+            "detection threshold in a third octave at the skin"
+        )
     for reason in choice.reasons:
         yield f"  {reason.way.name}: {reason.why}"
 

@@ -31,6 +31,8 @@ def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert sum(row["chosen"] == "True" for row in rows) == 1
     assert re.search(r"^wood: parametric", done.output, re.MULTILINE) and "not needed: costs" in done.output
+    left_out = re.search(r"left out, .* at most (-[\d.]+) dB re detection threshold", done.output)
+    assert left_out is not None and float(left_out[1]) < -8
     assert "quality: SNR -" in done.output or "quality: SNR 0" in done.output
 
 
