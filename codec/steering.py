@@ -29,10 +29,9 @@ from codec.judges import Judge
 
 DEFAULT_BUCKET_S = 0.018
 """The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
-MOST_ADDED = 0.15
-"""What the wire may add to packets, relative to these."""
 FRAMES_ADD = 0.135
-"""What the frames of packets may add of that; the rest begins and ends a stream of 5 s at 4 kbit/s."""
+"""What frames may add to the packets in them, relative to these: with what begins and ends a stream of 5 s at 4 kbit/s,
+the wire then adds at most 15 %."""
 LONGEST_PACKET_S = 2.0
 """A rate is held over any 2 s, so a packet must not last longer."""
 REFRESH_S = 2.0
