@@ -7,7 +7,7 @@ from typing import Any
 
 from host.input_files import InputFileError
 from host.planner.band import MARGIN_DB, BandError
-from host.planner.candidates import Candidate, Limit, Measured, Way, Workbench
+from host.planner.candidates import BUFFERS_MS, Candidate, Limit, Measured, Way, Workbench
 from host.planner.plan_file import SETTING_MODE, Plan, PlannedController, PlannedTexture
 from host.planner.scene import Asked, Scene, SceneController, SceneTexture
 
@@ -128,9 +128,7 @@ def _of_way(bench: Workbench, scene: Scene, way: Way, bound: float) -> Iterator[
             low = middle + 1
     if found is None:
         return
-    for blocks in bench.packet_blocks(way):
-        if blocks == first_length:
-            continue
+    for blocks in _other_lengths(bench, scene, way, found, first_length):
         # A packet's length moves the quality a little, as refreshes lie elsewhere.
         for index in range(place, min(place + _FINER, len(bench.settings(way)))):
             candidate = _candidate(bench, scene, way, index, blocks)
@@ -138,6 +136,21 @@ def _of_way(bench: Workbench, scene: Scene, way: Way, bound: float) -> Iterator[
                 yield candidate, index, blocks
                 if candidate.lack <= 0:
                     break
+
+
+def _other_lengths(bench: Workbench, scene: Scene, way: Way, found: Candidate, blocks: int) -> list[int]:
+    """Return the packet lengths left to try, in blocks, where `found` has so many: the usual ones, and the longest that
+    the asked delay leaves room for, which have the fewest frames.
+    """
+    lengths = set(bench.packet_blocks(way))
+    if scene.asked.delay_limit_ms is not None and not bench.over_position:
+        block_ms = 1e3 * found.measured.packet_samples / blocks / bench.samples_per_second
+        for buffer_ms in BUFFERS_MS:
+            left_ms = scene.asked.delay_limit_ms - (found.forecast.delay_ms - found.buffer_ms) - buffer_ms
+            longest = blocks + math.floor(left_ms / block_ms)
+            if 0 < longest <= max(lengths):
+                lengths.add(longest)
+    return sorted(lengths - {blocks})
 
 
 def _first_length(bench: Workbench, way: Way) -> int:
