@@ -16,23 +16,23 @@ import codec
 import models
 from codec import CodedSignal, Signal
 from codec.interface import AUTO
-from device_protocol.coded_stream import StreamHeader
 from evaluation import trained
 from evaluation.page_parts import code, number, paragraphs, table
 from evaluation.points import write_rows
 from firmware.build import BuildError
 from firmware.build import size as firmware_size
-from host.controller import Controller
+from device_protocol.coded_stream import PROFILE_UNIT
+from host import live
+from host.coding import as_stream
+from host.harness.device_clock import DeviceClock
 from host.output_files import whole_file
-from host.planner.costs import quiet_part
-from host.player import play
+from host.planner import playing
+from host.planner.costs import BOARD_CORES, quiet_part
 from models import Model
-from simulated_device.memory_link import MemoryLink
 from textures.generate import GENERATORS
 
 try:
     from evaluation.emulated_core import CORES, Core, EmulatedCore, compile_core, decode, state_bytes
-    from simulated_device.cortex_m import CortexM
 except ModuleNotFoundError as error:
     raise SystemExit(f'{error.name} is not installed: pip install "vibrocast[firmware]"') from error
 
@@ -108,18 +108,43 @@ class Size:
 
 
 @dataclass(frozen=True)
-class ControllerLoad:
-    """What a whole controller takes on a Cortex-M4F.
+class Playing:
+    """A live stream of `mdct`, or a profile over position, that a whole controller plays."""
 
-    `instructions`, `decoding`: in a second of a stream of `mdct`, all, and decoding alone. `flash_bytes`, `ram_bytes`:
-    of the board's firmware with the buffers of SMALL, but for the code and the state of its decoders.
+    unit: str
+    rate_hz: int
+    channels: int
+    packet_samples: int
+
+
+@dataclass(frozen=True)
+class ControllerLoad(Playing):
+    """What a whole controller takes.
+
+    `board`: one of BOARD_CORES. `instructions`, `decoding`: in a second, all, and decoding alone.
+    `flash_bytes`, `ram_bytes`: of BOARD's firmware with the buffers of SMALL, but for the code and the state of its
+    decoders.
     """
 
-    channels: int
+    board: str
     instructions: float
     decoding: float
     flash_bytes: int
     ram_bytes: int
+
+
+PLAYED = (
+    *(Playing("m/s^2", RATE_HZ, channels, 128) for channels in CHANNELS),
+    Playing("full scale", RATE_HZ, 1, 128),
+    Playing("full scale", 1000, 2, 64),
+    Playing("m/s^2", 1000, 1, 64),
+    Playing("m/s^2", RATE_HZ, 1, 32),
+    Playing("m/s^2", RATE_HZ, 1, 512),
+    Playing(PROFILE_UNIT, 100_000, 1, 1024),
+)
+"""Streams that differ in all that a controller's load depends on besides decoding; profiles' rates are per metre."""
+PROFILE_SAMPLES = 8192
+PROFILE_SPEED_MM_S = 100.0
 
 
 def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
@@ -223,26 +248,54 @@ def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
             yield Size(decoder, kernels, built[0].flash_bytes, image, *states)
 
 
-def measure_controller(folder: Path, seconds: float) -> Iterator[ControllerLoad]:
-    """Yield what a whole controller takes to play streams of `mdct`. Raises BuildError."""
-    core = CORES["M4F"]
-    program = _program(folder, core, "DSP instructions", {"mdct"}, max(CHANNELS))
-    for channels in CHANNELS:
-        kinds = list(GENERATORS)[:channels]
-        signal = np.concatenate([texture(kind, seconds) for kind in kinds], axis=1)
-        stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, live=True)
-        header = StreamHeader(1, RATE_HZ, len(signal), "full scale", stream.gains, stream.configuration)
-        device = CortexM("cortex-m4", count_instructions=True)
-        link = MemoryLink(device)
-        with Controller(link, link.clock, link.sleep) as controller:
-            before, started_us = device.processor.instructions, link.now_us
-            packet_samples = codec.decoder(1, stream.configuration, channels).packet_samples
-            play(controller, header, stream.packets, packet_samples)
-            played_s = (link.now_us - started_us) / 1e6
-            instructions = (device.processor.instructions - before) / played_s
-        decoding = decode(program, core, stream).instructions * RATE_HZ
-        flash_bytes, ram_bytes = _rest_bytes(folder, core, channels)
-        yield ControllerLoad(channels, round(instructions), round(decoding), flash_bytes, ram_bytes)
+def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad]:
+    """Yield what each emulated controller takes to play PLAYED, as far as it has the channels. Raises BuildError."""
+    sizes = {channels: _rest_bytes(folder, CORES["M4F"], channels) for channels in CHANNELS}
+    for board, core_name in BOARD_CORES.items():
+        core = CORES[core_name]
+        program = _program(folder, core, "DSP instructions", {"mdct"}, max(CHANNELS))
+        for played in PLAYED:
+            with playing.opened(board, None) as controller:
+                if played.channels > controller.description.limits.channels:
+                    continue
+                long_s = PROFILE_SAMPLES / played.rate_hz if played.unit == PROFILE_UNIT else seconds
+                samples = GENERATORS["rough"](seed=0, seconds=long_s, rate_hz=played.rate_hz).samples
+                signal = np.repeat(samples / np.abs(samples).max(), played.channels, axis=1)
+                instructions, decoding = _play(controller, signal, played, program, core)
+            yield ControllerLoad(
+                **asdict(played),
+                board=board,
+                instructions=round(instructions),
+                decoding=round(decoding),
+                flash_bytes=sizes[played.channels][0],
+                ram_bytes=sizes[played.channels][1],
+            )
+
+
+def _play(
+    controller: playing.CountingController, signal: Signal, played: Playing, program: Path, core: Core
+) -> tuple[float, float]:
+    """Play a signal; return the instructions a second that it took, and of these what decoding takes while playing."""
+    framing = codec.Framing(played.packet_samples, 0)
+    if played.unit == PROFILE_UNIT:
+        coded_profile = codec.encode(signal, played.rate_hz, {}, unit="um", live=True, framing=framing)
+        stream = as_stream(coded_profile, PROFILE_UNIT, None)
+        length_mm = 1e3 * len(signal) / played.rate_hz
+        _, instructions = playing.play_by_hand(controller, stream, length_mm, PROFILE_SPEED_MM_S, lambda part: None)
+        assert instructions is not None, "emulated processors are counted"
+        return instructions, 0.0
+    channels = played.channels
+    live_stream = live.LiveStream(
+        controller,
+        live.live_format(played.rate_hz, played.unit, [1.0] * channels, [0.3] * channels),
+        packet_samples=played.packet_samples,
+    )
+    clock = DeviceClock(controller)
+    _, instructions = playing.play_live(live_stream, controller, signal, clock, lambda part: None)
+    assert instructions is not None, "emulated processors are counted"
+    header, packets = live_stream.header, tuple(controller.packets[live_stream.stream])
+    sent = CodedSignal("mdct", played.rate_hz, len(signal), header.gains, header.configuration, packets)
+    return instructions, decode(program, core, sent).instructions * played.rate_hz
 
 
 def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:
@@ -471,26 +524,40 @@ def _memory_section(loads: Sequence[Load], sizes: Sequence[Size]) -> str:
 
 
 def _controller_section(controller: Sequence[ControllerLoad]) -> str:
-    clock_hz = CORES["M4F"].clock_hz
-    rows = [
-        (
-            str(load.channels),
-            f"{load.instructions / 1e6:.2f}",
-            _percent(100 * load.instructions / clock_hz),
-            f"{load.decoding / 1e6:.2f}",
-            f"{(load.instructions - load.decoding) / 1e6 / load.channels:.2f}",
-            f"{load.flash_bytes:,}",
-            f"{load.ram_bytes:,}",
+    rows = []
+    for load in controller:
+        rest = load.instructions - load.decoding
+        profile = load.unit == PROFILE_UNIT
+        rows.append(
+            (
+                code(load.board),
+                load.unit,
+                "" if profile else str(load.rate_hz),
+                str(load.channels),
+                "" if profile else str(load.packet_samples),
+                f"{load.instructions / 1e6:.2f}",
+                _percent(100 * load.instructions / CORES[BOARD_CORES[load.board]].clock_hz),
+                f"{load.decoding / 1e6:.2f}",
+                f"{rest / 1e6:.2f}",
+                f"{load.flash_bytes:,}",
+                f"{load.ram_bytes:,}",
+            )
         )
-        for load in controller
-    ]
     return paragraphs(
         "## The whole controller",
-        "A stream of `mdct` played on the firmware (`cortex-m4`) by the host's player: messages, buffer, "
+        "A texture coded by `mdct` and played live on the firmware, as `vibrocast play --plan` does, or a profile "
+        f"rendered under a hand that goes there and back, at {PROFILE_SPEED_MM_S:g} mm/s at most: messages, buffer, "
         "decoding, and the output stage at the actuator's DAC rate, in millions of instructions a second; its "
-        "main loop is run every millisecond. *The rest*: all but decoding, for each channel. Flash and RAM: of the "
+        "main loop is run every millisecond. *The rest*: all but decoding, of which most depends on channels, rate, "
+        "packets a second, and whether an acceleration is to be integrated. Flash and RAM: of the "
         f"board's firmware (`{BOARD}`) but for its decoders, with the buffers of a small controller.",
-        table(("channels", "all", "load at 168 MHz", "decoding", "the rest per channel", "flash", "RAM"), rows),
+        table(
+            (
+                *("controller", "unit", "Hz", "channels", "samples in a packet", "all", "load", "decoding", "the rest"),
+                *("flash", "RAM"),
+            ),
+            rows,
+        ),
     )
 
 
@@ -503,7 +570,7 @@ def main(out: Path) -> None:
             folder = Path(temporary)
             loads = list(measure_loads(folder, DECODERS, list(GENERATORS), SECONDS))
             sizes = list(measure_sizes(folder, DECODERS))
-            controller = list(measure_controller(folder, 2.0))
+            controller = list(measure_controllers(folder, 2.0))
             decoding = list(measure_decoding(folder, DECODERS, list(GENERATORS), SECONDS))
         write_page(out, loads, sizes, controller)
         with whole_file(TABLES / "firmware_decoding.csv") as path:

@@ -107,7 +107,10 @@ def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
         forecast = chosen.forecast
         assert forecast.instructions_per_second is not None and forecast.snr_db is not None
         assert forecast.flash_bytes is not None and forecast.ram_bytes is not None
-        rest = costs.rest_cost(recording.channels)
+        measured = chosen.measured
+        rest_instructions = costs.rest_instructions(
+            ADDRESS, CORE, recording.unit, recording.channels, band.rate, band.rate / measured.packet_samples
+        )
         wire_bps, instructions, kilobytes = _default_costs(default)
         yield Saving(
             group=group,
@@ -122,10 +125,10 @@ def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
             default_wire_bps=round(wire_bps),
             planned_wire_bps=round(forecast.wire_bps),
             default_instructions=round(instructions),
-            planned_instructions=round(forecast.instructions_per_second - rest.instructions_per_second),
+            planned_instructions=round(forecast.instructions_per_second - rest_instructions),
             default_kilobytes=round(kilobytes, 1),
             planned_kilobytes=round(
-                (forecast.flash_bytes + forecast.ram_bytes - rest.flash_bytes - rest.ram_bytes) / 1e3, 1
+                (forecast.flash_bytes + forecast.ram_bytes - sum(costs.rest_memory(recording.channels))) / 1e3, 1
             ),
             default_delay_ms=round(1e3 * default_delay_s + BUFFERS_MS[0], 1),
             planned_delay_ms=round(forecast.delay_ms - chosen.buffer_ms + BUFFERS_MS[0], 1),

@@ -15,7 +15,7 @@ from codec.core import library
 from codec.interface import AUTO
 from codec.rate_control import settings
 from codec.threshold import read_threshold
-from device_protocol.coded_stream import StreamHeader
+from device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from evaluation import metrics
 from host import coding
 from host.link import added_bytes
@@ -322,13 +322,16 @@ class Workbench:
             if controller.core is None
             else costs.decoder_cost(measured.way.decoder, controller.core, measured.way.block)
         )
-        rest = costs.rest_cost(channels)
         instructions = load_percent = flash_bytes = ram_bytes = None
-        if decoding is not None and controller.clock_hz is not None:
+        if decoding is not None and controller.core is not None and controller.clock_hz is not None:
             bits_per_sample = measured.payload_bps / rate_hz / channels
-            instructions = rest.instructions_per_second
-            flash_bytes = rest.flash_bytes + decoding.flash_bytes
-            ram_bytes = rest.ram_bytes + decoding.ram_bytes(channels)
+            unit = PROFILE_UNIT if self.over_position else self.whole.unit
+            instructions = costs.rest_instructions(
+                controller.address, controller.core, unit, channels, rate_hz, rate_hz / measured.packet_samples
+            )
+            rest_flash_bytes, rest_ram_bytes = costs.rest_memory(channels)
+            flash_bytes = rest_flash_bytes + decoding.flash_bytes
+            ram_bytes = rest_ram_bytes + decoding.ram_bytes(channels)
             if self.over_position:  # decoded once, and kept
                 ram_bytes += int(library().vc_profile_size(len(self.whole.samples), channels))
             else:

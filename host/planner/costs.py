@@ -11,10 +11,14 @@ import scipy
 from numpy.typing import NDArray
 
 import evaluation
+from device_protocol.coded_stream import PROFILE_UNIT
 
 _TABLES = Path(evaluation.__file__).parent / "data"
 _KERNELS = "DSP instructions"
 _MEASURED_CORE = "M4F"
+BOARD_CORES = {"cortex-m4": "M4F", "cortex-m7": "M7", "cortex-m33": "M33", "stm32f405": "M4F"}
+"""Controllers of which the whole load was measured, by their address, and their processors; the first of a kind stands
+for others."""
 MOST_LOAD_PERCENT = 60.0
 """Of a processor, by instructions: on a Cortex-M4 an instruction of these decoders takes some 1.3 cycles, flash memory
 adds wait states, and frames come when they come."""
@@ -55,15 +59,6 @@ class DecoderCost:
     def ram_bytes(self, channels: int) -> int:
         """Return state and stack; state grows by what each channel adds."""
         return round(_line((1, 2, 4), self.state_bytes, channels)) + self.stack_bytes
-
-
-@dataclass(frozen=True)
-class RestCost:
-    """Of a controller but for decoding: instructions a second, flash and RAM."""
-
-    instructions_per_second: float
-    flash_bytes: int
-    ram_bytes: int
 
 
 @cache
@@ -107,19 +102,51 @@ def _fitted(rows: list[dict[str, str]], ratio: float) -> tuple[float, float, flo
 
 
 @cache
-def rest_cost(channels: int) -> RestCost:
-    """Return what the firmware takes besides decoding: messages, buffer, output stage; a line over the channels."""
+def rest_memory(channels: int) -> tuple[int, int]:
+    """Return flash and RAM that the firmware takes besides its decoders; a line over the channels."""
     rows = list(_rows("controller"))
     measured = [int(row["channels"]) for row in rows]
-
-    def of(values: list[float]) -> float:
-        return _line(measured, values, channels)
-
-    return RestCost(
-        of([float(row["instructions"]) - float(row["decoding"]) for row in rows]),
-        round(of([float(row["flash_bytes"]) for row in rows])),
-        round(of([float(row["ram_bytes"]) for row in rows])),
+    flash_bytes, ram_bytes = (
+        round(_line(measured, [float(row[name]) for row in rows], channels)) for name in ("flash_bytes", "ram_bytes")
     )
+    return flash_bytes, ram_bytes
+
+
+def rest_instructions(
+    board: str, core: str, unit: str, channels: int, rate_hz: float, packets_per_second: float
+) -> float:
+    """Return the instructions a second that the firmware takes besides decoding: messages, buffer, output stage.
+
+    `board`: the controller's address; one that was not measured takes what that of BOARD_CORES with its core does.
+    `unit`: PROFILE_UNIT for a profile over position, which has one channel, and of which the rest is of no matter.
+    """
+    if board not in BOARD_CORES:
+        board = next(name for name, its_core in BOARD_CORES.items() if its_core == core)
+    terms = _rest_terms(unit, channels, rate_hz, packets_per_second)
+    return float(np.dot(_rest_fitted(board, unit == PROFILE_UNIT), terms))
+
+
+@cache
+def _rest_fitted(board: str, over_position: bool) -> NDArray[np.float64]:
+    """Return what each of _rest_terms takes a controller: the least squares of relative errors, none below 0."""
+    rows = [row for row in _rows("controller") if (row["board"], row["unit"] == PROFILE_UNIT) == (board, over_position)]
+    measured = np.array([float(row["instructions"]) - float(row["decoding"]) for row in rows])
+    terms = []
+    for row in rows:
+        rate_hz = float(row["rate_hz"])
+        terms.append(
+            _rest_terms(row["unit"], int(row["channels"]), rate_hz, rate_hz / float(row["packet_samples"]))
+        )
+    weights: NDArray[np.float64] = scipy.optimize.nnls(np.array(terms) / measured[:, None], np.ones(len(rows)))[0]
+    return weights
+
+
+def _rest_terms(unit: str, channels: int, rate_hz: float, packets_per_second: float) -> tuple[float, ...]:
+    """Return of what the rest is a sum: always, per channel of the output, sample, integrated sample, and packet."""
+    if unit == PROFILE_UNIT:
+        return (1.0,)
+    samples = rate_hz * channels
+    return 1.0, channels, samples, samples if unit == "m/s^2" else 0.0, packets_per_second
 
 
 def _line(x: tuple[int, ...] | list[int], y: tuple[int, ...] | list[float], at: float) -> float:

@@ -21,12 +21,13 @@ from host import coding
 from host.harness.bench_file import Bench, BenchActuator, BenchController, actuator_toml, read_actuator, read_address
 from host.input_files import InputFileError
 from host.output_files import whole_file
-from host.planner.scene import Source
-from host.toml_tables import Table, read_toml
+from host.planner.scene import Source, read_options
+from host.toml_tables import Table, number, read_toml
 from textures import Profile, Recording
 
 FORMAT = 1
 MAX_RATE = 10_000_000
+MAX_BUFFER_MS = 2000
 LOW_CUT_ORDER = 4
 SETTING_MODE = "setting"
 RATE_MODES = (SETTING_MODE,)
@@ -267,6 +268,9 @@ def read_plan(path: Path) -> Plan:
     names = [controller.name for controller in controllers]
     actuators = tuple(read_actuator(table, names) for table in tables["actuators"])
     planned = tuple(_texture(table, names) for table in tables["textures"])
+    for kind, given_names in (("controllers", names), ("textures", [texture.name for texture in planned])):
+        if twice := sorted({name for name in given_names if given_names.count(name) > 1}):
+            raise PlanError(f"{path}: two [[{kind}]] are named {twice[0]!r}; give each its own name")
     return Plan(scene, controllers, actuators, planned, threshold_path)
 
 
@@ -286,11 +290,15 @@ def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
     kind = table.word("generate", sorted(textures.GENERATORS), None)
     if (not files) == (kind is None):
         raise table.refuse("give either file or generate")
-    options = table.take("options", dict, "a table of options", {})
+    options = table.take("options", dict, "a table of what the file or generator does not say", {})
     codec_name = table.word("codec", sorted(codec.CODECS))
     read = PlannedTexture(
         name=name,
-        source=Source(tuple(table.path.parent / file for file in files), kind, options),
+        source=Source(
+            tuple(table.path.parent / file for file in files),
+            kind,
+            read_options(Table(table.path, f"options of {name}", options, PlanError), generated=not files),
+        ),
         controller=table.word("controller", controllers),
         hand_speed_mm_s=table.within("hand_speed_mm_s", 0, 1e6, "speed of the hand in mm/s"),
         over_position=table.switch("over_position"),
@@ -303,17 +311,19 @@ def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
         packet_samples=table.whole("packet_samples", 1, 1 << 20),
         refresh_packets=table.whole("refresh_packets", 0, 1 << 20),
         rate_mode=table.word("rate_mode", RATE_MODES),
-        buffer_ms=table.within("buffer_ms", 0, 1e6, "margin of packets in ms"),
+        buffer_ms=table.within("buffer_ms", 0, MAX_BUFFER_MS, "margin of packets in ms"),
         forecast=table.take("forecast", _forecast, "the table that `vibrocast plan` wrote"),
         sha256=table.text("sha256", None),
     )
     table.end()
+    if read.lowest >= read.rate / 2:
+        raise table.refuse(f"lowest = {read.lowest:g} must be below half of rate = {read.rate}")
     return read
 
 
 def _forecast(value: Any) -> Forecast:
-    if not all(isinstance(each, (int, float)) and not isinstance(each, bool) for each in value.values()):
-        raise TypeError(value)
+    for each in value.values():
+        number(each)
     return Forecast(**{**dict.fromkeys(field.name for field in fields(Forecast)), **value})
 
 

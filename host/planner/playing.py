@@ -171,19 +171,23 @@ def play(
 
 
 class _Load:
-    """What a processor that is counted has to do from the first time that it is heard to play until last noted."""
+    """What a processor that is counted has to do from the first time that a stream is heard to play until last noted.
 
-    def __init__(self, controller: CountingController, stream: int) -> None:
+    `stream`: its number; None = the one that is heard to play.
+    """
+
+    def __init__(self, controller: CountingController, stream: int | None = None) -> None:
         self._controller, self._stream = controller, stream
         self._noted: list[tuple[float, int]] = []
 
     def note(self) -> None:
         """Note what it has done so far."""
         status, instructions = self._controller.status, self._controller.instructions
-        if instructions is None or status is None or status.stream != self._stream or status.state != State.PLAYING:
+        if instructions is None or status is None or status.state != State.PLAYING:
             return
-        # The first one, and the last.
-        self._noted[1:] = [(self._controller.clock(), instructions())]
+        if self._stream in (None, status.stream):
+            # The first one, and the last.
+            self._noted[1:] = [(self._controller.clock(), instructions())]
 
     @property
     def instructions_per_second(self) -> float | None:
@@ -192,6 +196,57 @@ class _Load:
             return None
         (first_s, first), (last_s, last) = self._noted
         return (last - first) / (last_s - first_s)
+
+
+def play_live(
+    stream: live.LiveStream,
+    controller: CountingController,
+    samples: Signal,
+    clock: DeviceClock,
+    tell: Callable[[float], None],
+) -> tuple[live.LiveResult, float | None]:
+    """Play samples (n, channels) to their end; return what happened, and the instructions a second while it played.
+
+    Whatever is raised, the controller is stopped first. Raises as `live.LiveStream`.
+    """
+    # What probed the link is none of the stream's.
+    controller.packets.clear()
+    controller.frame_bytes.clear()
+    ask_s = 0.0
+    load = _Load(controller, stream.stream)
+    try:
+        for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
+            stream.send_packets(stream.code(block))
+            if due_s >= ask_s:
+                ask_s = due_s + _ASKED_EVERY_S
+                clock.ask(stream.packets_sent)
+            load.note()
+            tell(stream.packets_sent * stream.packet_samples / len(samples))
+        return stream.finish(), load.instructions_per_second
+    except BaseException:
+        with contextlib.suppress(Exception):
+            controller.stop()
+        raise
+
+
+def play_by_hand(
+    controller: CountingController,
+    stream: coding.Stream,
+    length_mm: float,
+    hand_speed_mm_s: float,
+    tell: Callable[[float], None],
+) -> tuple[hand.Played, float | None]:
+    """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
+    controller.packets.clear()
+    controller.frame_bytes.clear()
+    load = _Load(controller)
+
+    def note(part: float) -> None:
+        load.note()
+        tell(part)
+
+    movement = hand.back_and_forth(length_mm, hand_speed_mm_s, 1)
+    return hand.play(controller, stream, movement, note), load.instructions_per_second
 
 
 class _Player:
@@ -225,18 +280,8 @@ class _Player:
         """
         controller, stream = self._controller, texture.encode(recording).stream
         self._provide_model(texture)
-        controller.packets.clear()
-        controller.frame_bytes.clear()
-        loads: dict[int, _Load] = {}
-
-        def note(part: float) -> None:
-            number = controller.status.stream if controller.status else 0
-            loads.setdefault(number, _Load(controller, number)).note()
-            tell(part)
-
         length_mm = 1e3 * len(recording.samples) / texture.rate
-        movement = hand.back_and_forth(length_mm, texture.hand_speed_mm_s, 1)
-        result = hand.play(controller, stream, movement, note)
+        result, instructions = play_by_hand(controller, stream, length_mm, texture.hand_speed_mm_s, tell)
         as_computed = hand.as_computed(result, hand.computed(stream, result, self._driven), self._driven)
         number = result.status.stream
         sent = controller.packets[number]
@@ -249,7 +294,7 @@ class _Player:
             stream.decode(),
             payload_bps=8 * sum(map(len, sent)) / seconds,
             wire_bps=8 * controller.frame_bytes[number] / seconds,
-            instructions_per_second=loads[number].instructions_per_second,
+            instructions_per_second=instructions,
         )
         return Played(texture, measured, result.status.underruns, result.status.lost_packets, None, as_computed)
 
@@ -268,25 +313,9 @@ class _Player:
             refresh_packets=texture.refresh_packets,
             margin_s=texture.buffer_ms / 1e3,
         )
-        # What probed the link is none of the stream's.
-        controller.packets.clear()
-        controller.frame_bytes.clear()
         clock = DeviceClock(controller)
-        began_s, ask_s = controller.clock(), 0.0
-        load = _Load(controller, stream.stream)
-        try:
-            for due_s, block in live.paced(stream, recording.samples, stream.packet_samples, clock.sleep):
-                stream.send_packets(stream.code(block))
-                if due_s >= ask_s:
-                    ask_s = due_s + _ASKED_EVERY_S
-                    clock.ask(stream.packets_sent)
-                load.note()
-                tell(stream.packets_sent * stream.packet_samples / len(recording.samples))
-            result = stream.finish()
-        except BaseException:
-            with contextlib.suppress(Exception):
-                controller.stop()
-            raise
+        began_s = controller.clock()
+        result, instructions = play_live(stream, controller, recording.samples, clock, tell)
         sent = coding.Stream(stream.header, tuple(controller.packets[stream.stream]), model.image if model else None)
         seconds = len(sent.packets) * stream.packet_samples / texture.rate
         as_decoded, decoded = self._read_back(Tap.DECODED, offline := sent.decode_integers())
@@ -304,7 +333,7 @@ class _Player:
             heard,
             payload_bps=8 * sum(map(len, sent.packets)) / seconds,
             wire_bps=8 * controller.frame_bytes[stream.stream] / seconds,
-            instructions_per_second=load.instructions_per_second,
+            instructions_per_second=instructions,
             error_over_threshold_db=error_db,
             delay_ms=self._delay_ms(sent, clock, began_s),
         )
@@ -355,10 +384,13 @@ class _Player:
                 f"{texture.name} is planned for the codec {texture.codec}, {self._planned.name} decodes "
                 f"{', '.join(codecs)}: plan for that controller, or update its firmware"
             )
-        if texture.packet_samples > hello.limits.buffer_samples:
+        # Of a profile it keeps all, and says so itself.
+        lying = 0 if texture.over_position else texture.packet_samples + texture.buffer_ms / 1e3 * texture.rate
+        if lying > hello.limits.buffer_samples:
             raise PlanError(
-                f"{texture.name} is planned for packets of {texture.packet_samples} samples, the buffer of "
-                f"{self._planned.name} holds {hello.limits.buffer_samples}: plan for that controller"
+                f"{texture.name} is planned for packets of {texture.packet_samples} samples that lie "
+                f"{texture.buffer_ms:g} ms, the buffer of {self._planned.name} holds {hello.limits.buffer_samples}: "
+                "plan for that controller"
             )
 
     def _read_back(self, tap: Tap, computed: Codes) -> tuple[bool | None, Codes]:

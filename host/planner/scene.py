@@ -416,6 +416,24 @@ def _threshold(table: Table) -> Path:
     return path
 
 
+def read_options(table: Table, generated: bool) -> dict[str, Any]:
+    """Return what a table, which ends with it, says of a file or of a generated texture, as in Source.
+
+    Raises the table's error.
+    """
+    keys = ("seconds", "rate_hz") if generated else ("rate_hz", "full_scale")
+    options = {key: table.within(key, *_TEXTURE_RANGES[key], None) for key in keys}
+    if generated:
+        options["seed"] = table.whole("seed", 0, 2**32 - 1, None)
+        options["rate_hz"] = None if options["rate_hz"] is None else round(options["rate_hz"])
+    else:
+        options["unit"] = table.word("unit", textures.INPUT_UNITS, None)
+        options["axis"] = table.word("axis", textures.AXES, None)
+        options["key"] = table.text("key", None)
+    table.end()
+    return {key: value for key, value in options.items() if value is not None}
+
+
 def _textures(table: Table, scene: Scene) -> list[SceneTexture]:
     """Return the textures of a table: one, or all recordings of a folder."""
     name = table.text("name", None)
@@ -425,20 +443,9 @@ def _textures(table: Table, scene: Scene) -> list[SceneTexture]:
         raise table.refuse("give either file or generate")
     names = [controller.name for controller in scene.controllers]
     controller = table.word("controller", names, names[0] if len(names) == 1 else MISSING)
-    keys = ("seconds", "rate_hz") if files is None else ("rate_hz", "full_scale")
-    options = {key: table.within(key, *_TEXTURE_RANGES[key], None) for key in keys}
-    if files is None:
-        options["seed"] = table.whole("seed", 0, 2**32 - 1, None)
-    else:
-        options["unit"] = table.word("unit", textures.INPUT_UNITS, None)
-        options["axis"] = table.word("axis", textures.AXES, None)
-        options["key"] = table.text("key", None)
-    table.end()
-    options = {key: value for key, value in options.items() if value is not None}
+    options = read_options(table, generated=files is None)
     make = partial(_texture, table, scene, controller)
     if files is None:
-        if "rate_hz" in options:
-            options["rate_hz"] = round(options["rate_hz"])
         return [make(name or kind, Source((), kind, options))]
     paths = [table.path.parent / file for file in files]
     if len(paths) == 1 and paths[0].is_dir():
