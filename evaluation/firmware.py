@@ -16,12 +16,12 @@ import codec
 import models
 from codec import CodedSignal, Signal
 from codec.interface import AUTO
+from device_protocol.coded_stream import PROFILE_UNIT
 from evaluation import trained
 from evaluation.page_parts import code, number, paragraphs, table
 from evaluation.points import write_rows
 from firmware.build import BuildError
 from firmware.build import size as firmware_size
-from device_protocol.coded_stream import PROFILE_UNIT
 from host import live
 from host.coding import as_stream
 from host.harness.device_clock import DeviceClock
@@ -143,7 +143,7 @@ PLAYED = (
     Playing(PROFILE_UNIT, 100_000, 1, 1024),
 )
 """Streams that differ in all that a controller's load depends on besides decoding; profiles' rates are per metre."""
-PROFILE_SAMPLES = 8192
+PROFILE_SAMPLES = 4096
 PROFILE_SPEED_MM_S = 100.0
 
 

@@ -29,7 +29,7 @@ from simulated_device.actuator import PIEZO_STACK
 from textures import Profile, Recording, TextureError
 from textures.dataset import DatasetError, Trace, traces
 
-CORE, CLOCK_HZ = "M4F", 168e6
+ADDRESS, CORE, CLOCK_HZ = "cortex-m4", "M4F", 168e6
 HAND_SPEED_MM_S = 50.0
 WEIGHTS = {
     "all costs": Weights(1.0, 0.1, 0.01, 0.01),
@@ -152,7 +152,7 @@ def _loaded(trace: Trace, unit: str | None) -> Recording:
 
 def _scene(trace: Trace, recording: Recording, snr_db: float, delay_limit_ms: float | None, weights: Weights) -> Scene:
     """Return a scene of a piezo stack on a Cortex-M4F that asks for an SNR, and for a delay where one is given."""
-    controller = SceneController("controller", "cortex-m4", CORE, CLOCK_HZ, None, None, 4, False)
+    controller = SceneController("controller", ADDRESS, CORE, CLOCK_HZ, None, None, 4, False)
     return Scene(
         path=trace.path,
         hand_speed_mm_s=(HAND_SPEED_MM_S, HAND_SPEED_MM_S),

@@ -134,9 +134,7 @@ def _rest_fitted(board: str, over_position: bool) -> NDArray[np.float64]:
     terms = []
     for row in rows:
         rate_hz = float(row["rate_hz"])
-        terms.append(
-            _rest_terms(row["unit"], int(row["channels"]), rate_hz, rate_hz / float(row["packet_samples"]))
-        )
+        terms.append(_rest_terms(row["unit"], int(row["channels"]), rate_hz, rate_hz / float(row["packet_samples"])))
     weights: NDArray[np.float64] = scipy.optimize.nnls(np.array(terms) / measured[:, None], np.ones(len(rows)))[0]
     return weights
 

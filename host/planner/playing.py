@@ -388,8 +388,8 @@ class _Player:
         lying = 0 if texture.over_position else texture.packet_samples + texture.buffer_ms / 1e3 * texture.rate
         if lying > hello.limits.buffer_samples:
             raise PlanError(
-                f"{texture.name} is planned for packets of {texture.packet_samples} samples that lie "
-                f"{texture.buffer_ms:g} ms, the buffer of {self._planned.name} holds {hello.limits.buffer_samples}: "
+                f"{texture.name} is planned for packets of {texture.packet_samples} samples, the buffer of "
+                f"{self._planned.name} holds {hello.limits.buffer_samples}, and they lie there {texture.buffer_ms:g} ms: "
                 "plan for that controller"
             )
 

@@ -221,7 +221,7 @@ def test_the_shipped_figures_are_what_is_counted(programs: dict[tuple[str, int],
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood", "rough"], 0.1))
     sizes = list(firmware.measure_sizes(tmp_path, ["mdct"]))
-    controller = [firmware.ControllerLoad(1, 6_000_000, 2_400_000, 50_000, 40_000)]
+    controller = [firmware.ControllerLoad("m/s^2", 2800, 1, 128, "cortex-m4", 6_000_000, 2_400_000, 50_000, 40_000)]
     firmware.write_page(tmp_path, loads, sizes, controller, tmp_path)
     page = (tmp_path / "firmware.md").read_text()
     dsp = [load for load in loads if (load.core, load.kernels) == ("M4F", "DSP instructions")]

@@ -90,6 +90,10 @@ def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
+        ("rate = 1600", "rate = 40", "lowest = 30 must be below half of rate = 40"),
+        ("buffer_ms = 10.0", "buffer_ms = 900000", "buffer_ms = 900000 is out of range"),
+        ("payload_bps = 1000.5", "payload_bps = inf", "forecast must be the table"),
+        ("[textures.options]", "[textures.options]\nfoo = 3", "options of wood: there is no key foo"),
         ('codec = "mdct"', 'codec = "mp3"', "[[textures]] 1: codec must be one of amr-nb"),
         ("rate = 1600", "rate = 0", "rate must be a whole number from 1 to"),
         ("step = 0.7", "step = -1", "setting must be a setting of mdct"),

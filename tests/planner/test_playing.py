@@ -41,6 +41,13 @@ def test_what_an_emulated_processor_plays_is_what_was_forecast(tmp_path: Path) -
     assert rows["flash_bytes"].measured is None and rows["flash_bytes"].within is None
 
 
+def test_the_load_of_a_board_is_what_was_forecast(tmp_path: Path) -> None:
+    pytest.importorskip("unicorn")
+    played = playing.play(planned(tmp_path, controller=CONTROLLER.replace("cortex-m4", "stm32f405")))
+    (load,) = (row for row in comparison.rows(played) if row.quantity.name == "load_percent")
+    assert load.within and load.deviation == pytest.approx(0, abs=0.08)
+
+
 def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path) -> None:
     plan = planned(tmp_path, texture=texture("wood", "left") + texture("ridges", "right"), controller=TWO, actuator=LRA)
     played = playing.play(plan)
