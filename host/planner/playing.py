@@ -389,7 +389,7 @@ class _Player:
         if lying > hello.limits.buffer_samples:
             raise PlanError(
                 f"{texture.name} is planned for packets of {texture.packet_samples} samples, the buffer of "
-                f"{self._planned.name} holds {hello.limits.buffer_samples}, and they lie there {texture.buffer_ms:g} ms: "
+                f"{self._planned.name} holds {hello.limits.buffer_samples}, which lie {texture.buffer_ms:g} ms: "
                 "plan for that controller"
             )
 
