@@ -9,6 +9,7 @@ import numpy as np
 
 import codec
 import models
+import textures
 from codec import Signal, SignalFormat
 from codec.steering import REFRESH_S as STEERED_REFRESH_S
 from device_protocol.coded_stream import StreamHeader, renumbered
@@ -96,6 +97,14 @@ def live_format(
         return SignalFormat(rate_hz, unit, gains, (EXPECTED_RMS,) * len(gains))
     relative = tuple(value / gain or 1.0 for value, gain in zip(rms, gains, strict=True))
     return SignalFormat(rate_hz, unit, gains, relative)
+
+
+def recording_format(recording: textures.Recording) -> SignalFormat:
+    """Return what an encoder is told of a recording that is played live. Raises CodecError for what it cannot code."""
+    samples = recording.samples
+    peaks = np.max(np.abs(samples), axis=0, initial=0.0)
+    rms = np.sqrt(np.mean(np.square(samples), axis=0))
+    return live_format(round(recording.rate_hz), recording.unit, peaks.tolist(), rms.tolist())
 
 
 def limit_rate(policy: codec.RatePolicy, asked_bps: float, carried_bps: float) -> None:

@@ -13,7 +13,7 @@ from codec import Signal, SignalFormat
 from codec.steering import DEFAULT_BUCKET_S, REFRESH_S, RatePolicy
 from host import coding
 from host.link import added_bytes
-from host.live import live_format
+from host.live import recording_format
 
 WINDOW_S = 2.0
 """A rate is held over any run of whole packets that lasts so long."""
@@ -133,8 +133,7 @@ def encode(
     """
     resampled = textures.resample(recording, stream_rate_hz)
     samples = resampled.samples
-    peaks = [float(np.max(np.abs(channel), initial=0.0)) for channel in samples.T]
-    signal_format = live_format(stream_rate_hz, resampled.unit, peaks, np.sqrt(np.mean(np.square(samples), axis=0)))
+    signal_format = recording_format(resampled)
     chosen = coding.chosen_codec(codec_name, model)
     given = {**(codec.equal_error(chosen, signal_format) if wish.equal_error else {}), **(setting or {})}
 

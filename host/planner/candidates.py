@@ -14,6 +14,7 @@ from codec.coding import LIVE_REFRESH_S, Source
 from codec.core import library
 from codec.interface import AUTO
 from codec.rate_control import settings
+from codec.steering import DEFAULT_BUCKET_S
 from codec.threshold import read_threshold
 from device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from evaluation import metrics
@@ -32,6 +33,7 @@ from host.planner.band import (
 from host.planner.costs import MOST_LOAD_PERCENT
 from host.planner.plan_file import Forecast, encode, prepared
 from host.planner.scene import Asked, Scene, SceneTexture, Weights
+from host.steered import Wish
 from simulated_device.output import Drive
 from simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, least_samples
 from textures import Profile, Recording
@@ -46,25 +48,36 @@ DEFAULT_BLOCK_SAMPLES = 32
 LONGEST_PACKET_S = LIVE_REFRESH_S
 MEASURED_SAMPLES = 1 << 14
 """Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
+PACKET_SNRS_DB = tuple(step / 2 for step in range(1, 121))
+"""Of capped rates."""
 SPQI_RATE_HZ = 2800
 """SPQI counts its blocks and thresholds in samples: it is always measured at this rate, that of the reference data."""
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
 """Margins of packets, the usual one first; docs/latency.md has the least that is stable on each controller."""
 
+# A capped rate goes beyond the cap by what its bucket holds, in whole packets that last a second but for half of one. A
+# larger bucket would need a lower cap, and so lose more than it brings.
+_CAP = 1 / (1 + DEFAULT_BUCKET_S / (1 - LONGEST_PACKET_S / 2))
+
 
 @dataclass(frozen=True)
 class Way:
-    """A way to code: all but the quality. `block`: samples, None where the codec has one length only."""
+    """A way to code: all but the quality. `block`: samples, None where the codec has one length only.
+
+    `rate_limit_bps`: what the rate is capped to keep, over any second; None = every packet is by the setting.
+    """
 
     codec: str
     model: str | None
     block: str | None
+    rate_limit_bps: float | None = None
 
     @property
     def name(self) -> str:
         """What a person calls it."""
         block = "" if self.block is None else f", {BLOCKS[self.codec]} {self.block}"
-        return (self.codec if self.model is None else f"{self.codec} with {self.model}") + block
+        capped = "" if self.rate_limit_bps is None else f", capped to {self.rate_limit_bps:g} bit/s"
+        return (self.codec if self.model is None else f"{self.codec} with {self.model}") + block + capped
 
     @property
     def decoder(self) -> str:
@@ -78,11 +91,12 @@ class Measured:
 
     `peak_bps`: of the frames on the wire, the most in any second. `longest_frame_bytes`: of all frames.
     `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the detection threshold.
-    `quiet`: as costs.quiet_part.
+    `quiet`: as costs.quiet_part. `wish`: what it was steered to hold, None = every packet is by the setting.
     """
 
     way: Way
     setting: Setting
+    wish: Wish | None
     packet_samples: int
     refresh_packets: int
     payload_bps: float
@@ -96,6 +110,11 @@ class Measured:
     third_octave_distance_db: float | None
     error_db: float | None
     quiet: float
+
+    @property
+    def bucket_bytes(self) -> float:
+        """What a capped rate lets wait on a link that carries no more; 0 for others, which have no such bound."""
+        return 0.0 if self.wish is None else (self.wish.rate_bps or 0.0) * DEFAULT_BUCKET_S / 8
 
 
 @dataclass(frozen=True)
@@ -240,6 +259,14 @@ class Workbench:
                 self._settings[way] = []
         return self._settings[way]
 
+    def qualities(self, way: Way) -> list[tuple[Setting, float | None]]:
+        """Return the settings of a way, the coarsest first; of a capped one, its setting with each SNR of a packet."""
+        if way.rate_limit_bps is None:
+            return [(setting, None) for setting in self.settings(way)]
+        given = {**GIVEN.get(way.codec, {}), **({} if way.block is None else {BLOCKS[way.codec]: way.block})}
+        setting = codec.codec_by_name(way.codec).complete(given)
+        return [(setting, snr_db) for snr_db in PACKET_SNRS_DB]
+
     def packet_blocks(self, way: Way) -> list[int]:
         """Return the packet lengths of a way, in blocks."""
         longest = LONGEST_PACKET_S * self.samples_per_second / _block_samples(way)
@@ -254,18 +281,22 @@ class Workbench:
         if key not in self._measured:
             recording = self.whole if whole else self.excerpt
             try:
-                self._measured[key] = self._coded(way, self.settings(way)[index], packet_blocks, recording, whole)
+                self._measured[key] = self._coded(way, index, packet_blocks, recording, whole)
             except CodecError:
                 self._measured[key] = None
         return self._measured[key]
 
-    def _coded(self, way: Way, setting: Setting, packet_blocks: int, recording: Recording, every: bool) -> Measured:
+    def _coded(self, way: Way, index: int, packet_blocks: int, recording: Recording, every: bool) -> Measured:
+        setting, packet_snr_db = self.qualities(way)[index]
+        wish = None
+        if way.rate_limit_bps is not None:
+            wish = Wish(capped_rate_bps=math.floor(_CAP * way.rate_limit_bps), snr_db=packet_snr_db)
         rate_hz = self.samples_per_second
         packet_samples = packet_blocks * _block_samples(way)
         refresh_packets = max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples))
         model = None if way.model is None else models.find(way.model)
         encoding = encode(
-            recording, way.codec, setting, model, Framing(packet_samples, refresh_packets), self.over_position
+            recording, way.codec, setting, model, Framing(packet_samples, refresh_packets), self.over_position, wish
         )
         decoder = encoding.stream.decoder()
         decoded = encoding.stream.decode()
@@ -283,6 +314,7 @@ class Workbench:
         return Measured(
             way=way,
             setting=setting,
+            wish=wish,
             packet_samples=decoder.packet_samples,
             refresh_packets=refresh_packets,
             payload_bps=8 * sum(map(len, packets)) / seconds,
@@ -343,7 +375,10 @@ class Workbench:
             carried = scene.link.bytes_per_second or math.inf
             fixed_ms += 1e3 * (samples / rate_hz + measured.longest_frame_bytes / carried)
             most_ms = asked.delay_limit_ms or math.inf
-            buffer_ms = next((margin for margin in BUFFERS_MS if fixed_ms + margin <= most_ms), BUFFERS_MS[-1])
+            wait_ms = 1e3 * measured.bucket_bytes / carried
+            buffer_ms = wait_ms + next(
+                (margin for margin in BUFFERS_MS if fixed_ms + wait_ms + margin <= most_ms), BUFFERS_MS[-1]
+            )
         forecast = Forecast(
             payload_bps=measured.payload_bps,
             wire_bps=measured.wire_bps,

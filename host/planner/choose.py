@@ -8,7 +8,7 @@ from typing import Any
 from host.input_files import InputFileError
 from host.planner.band import MARGIN_DB, BandError
 from host.planner.candidates import BUFFERS_MS, Candidate, Limit, Measured, Way, Workbench
-from host.planner.plan_file import SETTING_MODE, Plan, PlannedController, PlannedTexture
+from host.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
 from host.planner.scene import Asked, Scene, SceneController, SceneTexture
 
 Progress = Callable[[float, str], None]
@@ -16,6 +16,7 @@ FIRST_PACKET_BLOCKS = 4
 """With packets of so many blocks a way's setting is looked for."""
 _FINER, _FINER_ON_THE_WHOLE = 3, 16
 """Settings that are tried beyond the one found, in other packets, and on the whole of a long texture."""
+_RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
 _DIGITS = 3
 _JOINT_CHANGES = 8
 """So many changes of several values are tried, where no single one is enough."""
@@ -89,9 +90,37 @@ def _search(
 ) -> tuple[Candidate, dict[Way, Candidate | None]] | None:
     """Return the cheapest candidate that meets all, and the nearest that each way came; None where none meets all.
 
-    A way is given up where it already costs more than the best one does without having the quality: finer costs more.
+    The rate is capped where it has to be: to code by a setting takes fewer bits, but more of them in a loud second.
     """
     ways = bench.ways(scene.controller(bench.texture.controller).core)
+    chosen, bests = _search_among(bench, scene, ways, progress)
+    if chosen is None:
+        chosen, capped = _search_among(bench, scene, _capped(bench, scene, ways), progress)
+        bests |= capped
+    return None if chosen is None else (chosen, bests)
+
+
+def _capped(bench: Workbench, scene: Scene, ways: list[Way]) -> list[Way]:
+    """Return, with their rate capped, those ways that have the quality and lack no more than rate."""
+    limit_bps = scene.asked.rate_limit_bps
+    if limit_bps is None or bench.over_position:
+        return []
+    candidates = [bench.judged(measured, scene) for measured in bench.measured]
+    enough = {
+        candidate.measured.way
+        for candidate in candidates
+        if candidate.lack <= 0 and {limit.key for limit in candidate.broken} <= _RATE_LIMITS
+    }
+    return [replace(way, rate_limit_bps=limit_bps) for way in ways if way in enough]
+
+
+def _search_among(
+    bench: Workbench, scene: Scene, ways: list[Way], progress: Progress
+) -> tuple[Candidate | None, dict[Way, Candidate | None]]:
+    """Return the cheapest candidate of these ways that meets all, if there is one, and the nearest that each came.
+
+    A way is given up where it already costs more than the best one does without having the quality: finer costs more.
+    """
     meeting: list[tuple[Candidate, Way, int, int]] = []
     bests: dict[Way, Candidate | None] = {}
     for place, way in enumerate(ways):
@@ -104,7 +133,7 @@ def _search(
         whole = _on_the_whole(bench, scene, way, index, blocks)
         if whole is not None:
             return whole, {**bests, way: whole}
-    return None
+    return None, bests
 
 
 def _of_way(bench: Workbench, scene: Scene, way: Way, bound: float) -> Iterator[tuple[Candidate, int, int]]:
@@ -113,7 +142,7 @@ def _of_way(bench: Workbench, scene: Scene, way: Way, bound: float) -> Iterator[
     First the coarsest setting with the asked quality is found, by halving; then packets of other lengths are tried.
     """
     first_length = _first_length(bench, way)
-    low, high, found = 0, len(bench.settings(way)) - 1, None
+    low, high, found = 0, len(bench.qualities(way)) - 1, None
     while low <= high:
         middle = (low + high) // 2
         candidate = _candidate(bench, scene, way, middle, first_length)
@@ -130,7 +159,7 @@ def _of_way(bench: Workbench, scene: Scene, way: Way, bound: float) -> Iterator[
         return
     for blocks in _other_lengths(bench, scene, way, found, first_length):
         # A packet's length moves the quality a little, as refreshes lie elsewhere.
-        for index in range(place, min(place + _FINER, len(bench.settings(way)))):
+        for index in range(place, min(place + _FINER, len(bench.qualities(way)))):
             candidate = _candidate(bench, scene, way, index, blocks)
             if candidate is not None:
                 yield candidate, index, blocks
@@ -154,6 +183,8 @@ def _other_lengths(bench: Workbench, scene: Scene, way: Way, found: Candidate, b
 
 
 def _first_length(bench: Workbench, way: Way) -> int:
+    if way.rate_limit_bps is not None:
+        return bench.packet_blocks(way)[-1]  # the fewest frames leave the most for quality
     return min(bench.packet_blocks(way), key=lambda blocks: abs(blocks - FIRST_PACKET_BLOCKS))
 
 
@@ -166,7 +197,7 @@ def _candidate(
 
 def _on_the_whole(bench: Workbench, scene: Scene, way: Way, index: int, blocks: int) -> Candidate | None:
     """Return the candidate measured on all of the texture, a little finer where that is needed; None where it fails."""
-    for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(bench.settings(way)))):
+    for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(bench.qualities(way)))):
         candidate = _candidate(bench, scene, way, finer, blocks, whole=True)
         if candidate is not None and candidate.lack <= 0:
             return candidate if candidate.meets else None
@@ -190,6 +221,8 @@ def _coarser(bench: Workbench, chosen: Candidate, scene: Scene, candidates: tupl
 
 def _why(bench: Workbench, way: Way, best: Candidate | None, chosen: Candidate, scene: Scene) -> str:
     """Return in a line why a way was not chosen."""
+    if best is None and way.rate_limit_bps is not None:
+        return "cannot be held to this rate"
     if best is None:
         return "cannot code this signal at this rate"
     if best.meets:
@@ -346,6 +379,9 @@ def _quality_changes(bench: Workbench, scene: Scene, progress: Progress) -> Iter
             found = _finest_within_limits(bench, scene, way, blocks)
             if found is not None:
                 allowed.append(found)
+    measured = (each for each in bench.measured if each.way.rate_limit_bps == scene.asked.rate_limit_bps)
+    capped = (bench.judged(each, scene) for each in measured if each.wish is not None)
+    allowed += [candidate for candidate in capped if not candidate.broken]
     if allowed:
         yield _with_quality(bench, scene, min(allowed, key=lambda candidate: candidate.lack))
 
@@ -434,8 +470,10 @@ def _planned(choice: Choice) -> PlannedTexture:
         highest=bench.band.highest,
         packet_samples=measured.packet_samples,
         refresh_packets=measured.refresh_packets,
-        rate_mode=SETTING_MODE,
+        rate_mode=SETTING_MODE if measured.wish is None else CAPPED_MODE,
         buffer_ms=chosen.buffer_ms,
         forecast=chosen.forecast,
         sha256=bench.texture.source.sha256(),
+        capped_rate_bps=None if measured.wish is None else measured.wish.capped_rate_bps,
+        packet_snr_db=None if measured.wish is None else measured.wish.snr_db,
     )

@@ -33,6 +33,8 @@ class CandidateRow:
     codec: str
     model: str | None
     setting: str
+    packet_snr_db: float | None
+    capped_rate_bps: float | None
     packet_samples: int
     refresh_packets: int
     buffer_ms: float
@@ -88,6 +90,8 @@ def _candidate_rows(choice: Choice) -> Iterator[CandidateRow]:
             measured.way.codec,
             measured.way.model,
             json.dumps(measured.setting),
+            None if measured.wish is None else measured.wish.snr_db,
+            None if measured.wish is None else measured.wish.capped_rate_bps,
             measured.packet_samples,
             measured.refresh_packets,
             candidate.buffer_ms,
@@ -178,6 +182,8 @@ def lines(choice: Choice, planned: PlannedTexture) -> Iterator[str]:
         f"{planned.name}: {choice.chosen.measured.way.name}, {planned.rate}{unit}, "
         f"band {planned.lowest:.0f} to {planned.highest:.0f}{unit}, packets of {planned.packet_samples} samples"
     )
+    if planned.packet_snr_db is not None:
+        yield f"  no setting keeps the rate: packets of {planned.packet_snr_db:g} dB SNR, less where the cap takes it"
     told = [f"{forecast.wire_bps:.0f} bit/s on the wire ({forecast.payload_bps:.0f} in packets)"]
     if forecast.load_percent is not None and forecast.flash_bytes is not None and forecast.ram_bytes is not None:
         told.append(f"load {forecast.load_percent:.1f} %")

@@ -20,8 +20,10 @@ from device_protocol.coded_stream import PROFILE_UNIT
 from host import coding
 from host.harness.bench_file import Bench, BenchActuator, BenchController, actuator_toml, read_actuator, read_address
 from host.input_files import InputFileError
+from host.live import recording_format
 from host.output_files import whole_file
 from host.planner.scene import Source, read_options
+from host.steered import Wish
 from host.toml_tables import Table, number, read_toml
 from textures import Profile, Recording
 
@@ -30,7 +32,8 @@ MAX_RATE = 10_000_000
 MAX_BUFFER_MS = 2000
 LOW_CUT_ORDER = 4
 SETTING_MODE = "setting"
-RATE_MODES = (SETTING_MODE,)
+CAPPED_MODE = "capped"
+RATE_MODES = (SETTING_MODE, CAPPED_MODE)
 
 
 class PlanError(InputFileError):
@@ -69,8 +72,10 @@ class PlannedTexture:
     `hand_speed_mm_s`: under which a height profile is swept; of a profile over position, the greatest.
     `over_position`: the stream is a profile, its `rate` in samples per metre; otherwise in Hz. `lowest`, `highest`:
     the band worth coding, in Hz, or in periods per metre. `packet_samples`, `refresh_packets`: as codec.Framing.
-    `rate_mode`: one of RATE_MODES; "setting": every packet by the setting. `buffer_ms`: how long packets lie on the
-    controller before they are needed. `sha256`: of the texture's files, as Source gives it; None = of no matter.
+    `rate_mode`: one of RATE_MODES; "setting": every packet by the setting; "capped": every packet with an SNR of
+    `packet_snr_db`, or as near to it as `capped_rate_bps` lets it, frames included (codec.CappedRate). `buffer_ms`: how
+    long packets lie on the controller before they are needed. `sha256`: of the texture's files, as Source gives it;
+    None = of no matter.
     """
 
     name: str
@@ -90,6 +95,15 @@ class PlannedTexture:
     buffer_ms: float
     forecast: Forecast
     sha256: str | None = None
+    capped_rate_bps: float | None = None
+    packet_snr_db: float | None = None
+
+    @property
+    def wish(self) -> Wish | None:
+        """What the stream is steered to hold; None where every packet is by the setting."""
+        if self.rate_mode == SETTING_MODE:
+            return None
+        return Wish(capped_rate_bps=self.capped_rate_bps, snr_db=self.packet_snr_db)
 
     def recording(self) -> Recording:
         """Load the texture and bring it to the stream's rate and band. Raises TextureError, PlanError."""
@@ -115,7 +129,7 @@ class PlannedTexture:
         prepared_recording = recording or self.recording()
         model = None if self.model is None else models.find(self.model)
         framing = Framing(self.packet_samples, self.refresh_packets)
-        return encode(prepared_recording, self.codec, self.setting, model, framing, self.over_position)
+        return encode(prepared_recording, self.codec, self.setting, model, framing, self.over_position, self.wish)
 
 
 @dataclass(frozen=True)
@@ -186,19 +200,24 @@ def encode(
     model: models.Model | None,
     framing: Framing,
     over_position: bool,
+    wish: Wish | None = None,
 ) -> coding.Encoding:
-    """Code a recording by a setting, cut into packets for a live stream, or for a profile. Raises CodecError."""
+    """Code a recording by a setting, cut into packets for a live stream, or for a profile. Raises CodecError.
+
+    `wish`: what a live stream is steered to hold; None = every packet is by the setting.
+    """
     unit = PROFILE_UNIT if over_position else recording.unit
-    coded = codec.encode(
-        recording.samples,
-        round(recording.rate_hz),
-        setting,
-        codec=codec_name,
-        unit=unit,
-        live=True,
-        model=None if model is None else codec.Model(model.tables, model.analysis),
-        framing=framing,
-    )
+    samples, rate = recording.samples, round(recording.rate_hz)
+    tables = None if model is None else codec.Model(model.tables, model.analysis)
+    if wish is None:
+        coded = codec.encode(
+            samples, rate, setting, codec=codec_name, unit=unit, live=True, model=tables, framing=framing
+        )
+    else:
+        policy = wish.policy(recording_format(recording))
+        coded = codec.encode_steered(
+            samples, rate, policy, framing, codec=codec_name, setting=setting, unit=unit, model=tables
+        )
     return coding.measured(recording, coding.as_stream(coded, unit, None if model is None else model.image))
 
 
@@ -314,10 +333,17 @@ def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
         buffer_ms=table.within("buffer_ms", 0, MAX_BUFFER_MS, "margin of packets in ms"),
         forecast=table.take("forecast", _forecast, "the table that `vibrocast plan` wrote"),
         sha256=table.text("sha256", None),
+        capped_rate_bps=table.within("capped_rate_bps", 1, 1e9, "bits per second on the wire", None),
+        packet_snr_db=table.within("packet_snr_db", 0, 120, "SNR of a packet in dB", None),
     )
     table.end()
     if read.lowest >= read.rate / 2:
         raise table.refuse(f"lowest = {read.lowest:g} must be below half of rate = {read.rate}")
+    capped = read.rate_mode == CAPPED_MODE
+    if {read.capped_rate_bps is not None, read.packet_snr_db is not None} != {capped}:
+        raise table.refuse(f"capped_rate_bps and packet_snr_db are of rate_mode = {CAPPED_MODE!r}, which needs both")
+    if capped and read.over_position:
+        raise table.refuse(f"a profile over position has no rate to cap: rate_mode = {SETTING_MODE!r}")
     return read
 
 

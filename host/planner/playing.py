@@ -302,13 +302,14 @@ class _Player:
         """Play a texture, loaded as planned, once; `tell` is called with the part that is done."""
         controller = self._controller
         model = self._provide_model(texture)
-        peaks, rms = np.max(np.abs(recording.samples), axis=0), np.sqrt(np.mean(np.square(recording.samples), axis=0))
+        signal_format = live.recording_format(recording)
         stream = live.LiveStream(
             controller,
-            live.live_format(texture.rate, recording.unit, peaks.tolist(), rms.tolist()),
+            signal_format,
             codec_name=texture.codec,
             setting=texture.setting,
             model=model,
+            policy=None if texture.wish is None else texture.wish.policy(signal_format),
             packet_samples=texture.packet_samples,
             refresh_packets=texture.refresh_packets,
             margin_s=texture.buffer_ms / 1e3,

@@ -55,6 +55,9 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert read.scene.resolve() == written.scene.resolve()
     assert replace(read, scene=written.scene) == written
     assert read.texture("wood").forecast == FORECAST
+    capped = replace(written.textures[0], rate_mode="capped", capped_rate_bps=2450, packet_snr_db=9.5)
+    write_plan(tmp_path / "out" / "capped.toml", replace(written, textures=(capped,)))
+    assert read_plan(tmp_path / "out" / "capped.toml").textures == (capped,)
     with pytest.raises(PlanError, match="the plan has no texture 'oak'; choose from wood"):
         read.texture("oak")
 
@@ -99,6 +102,8 @@ def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
         ("step = 0.7", "step = -1", "setting must be a setting of mdct"),
         ("packet_samples = 64\n", "", "packet_samples is missing"),
         ('rate_mode = "setting"', 'rate_mode = "any"', "rate_mode must be one of setting"),
+        ('rate_mode = "setting"', 'rate_mode = "capped"', "are of rate_mode = 'capped', which needs both"),
+        ('rate_mode = "setting"', 'rate_mode = "setting"\npacket_snr_db = 9', "are of rate_mode = 'capped', which"),
         ("payload_bps = 1000.5", 'payload_bps = "low"', "forecast must be the table that `vibrocast plan` wrote"),
         ("format = 1", "format = 2", "format must be a whole number from 1 to 1"),
         ('controller = "one"\nhand', 'controller = "two"\nhand', "controller must be one of one, not 'two'"),

@@ -1,11 +1,15 @@
 """A plan that is played gives what it forecast; what does not fit what is there, and what is off, is told."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import textures
+from host.link import added_bytes
 from host.planner import choose, comparison, playing
 from host.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
 from tests.planner.scenes import CONTROLLER, scene
@@ -58,6 +62,35 @@ def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path
     assert {row.quantity.name for row in rows} >= {"wire_bps", "snr_db", "error_over_threshold_db", "delay_ms"}
     assert "load_percent" not in {row.quantity.name for row in rows}
     assert [each.texture.name for each in playing.play(plan, ["ridges"])] == ["ridges"]
+
+
+def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_path: Path) -> None:
+    wood = textures.GENERATORS["wood"](hand_speed_mm_s=60, seconds=5, rate_hz=1600)
+    samples = wood.samples.copy()
+    samples[3200:4800] *= 2
+    textures.save_wav(tmp_path / "loud.wav", replace(wood, samples=samples))
+    limited = scene(
+        tmp_path,
+        texture='[[textures]]\nfile = "loud.wav"\n',
+        controller='[[controllers]]\nname = "one"\naddress = "sim-usb"\ncore = "M4F"\nclock_hz = 168e6\n',
+        asked="[asked]\nsnr_db = 8\nrate_limit_bps = 2600\n",
+    )
+    plan, (choice,) = choose.plan(limited)
+    enough = [each for each in choice.candidates if each.measured.wish is None and each.lack <= 0]
+    assert enough and not any(each.meets for each in enough)
+    write_plan(tmp_path / "plan.toml", plan)
+    plan = read_plan(tmp_path / "plan.toml")
+    (texture,) = plan.textures
+    assert texture.rate_mode == "capped" and texture.forecast.snr_db is not None and texture.forecast.snr_db >= 8
+    played = playing.play(plan)
+    assert comparison.failures(played, comparison.rows(played)) == []
+    assert played[0].as_decoded and played[0].as_computed
+    sizes = [len(packet) + added_bytes(packet) for packet in texture.encode().stream.packets]
+    run = math.ceil(2 * texture.rate / texture.packet_samples)
+    bits_per_second = 8 * np.convolve(sizes, np.ones(run), "valid") / run * texture.rate / texture.packet_samples
+    assert len(sizes) > run and np.max(bits_per_second) <= 2600
+    with pytest.raises(choose.Refusal, match=r"rate_limit_bps = \d+ in place of 800"):
+        choose.choose(choice.workbench, replace(limited, asked=replace(limited.asked, rate_limit_bps=800)))
 
 
 def test_what_is_off_its_forecast_is_told_and_written(tmp_path: Path) -> None:
