@@ -49,7 +49,7 @@ LONGEST_PACKET_S = LIVE_REFRESH_S
 MEASURED_SAMPLES = 1 << 14
 """Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
 PACKET_SNRS_DB = tuple(step / 2 for step in range(1, 121))
-"""Of capped rates."""
+"""Which a capped rate may aim at."""
 SPQI_RATE_HZ = 2800
 """SPQI counts its blocks and thresholds in samples: it is always measured at this rate, that of the reference data."""
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
@@ -247,9 +247,7 @@ class Workbench:
     def settings(self, way: Way) -> list[Setting]:
         """Return the settings of a way, the coarsest first; empty where it has none for this texture."""
         if way not in self._settings:
-            given = dict(GIVEN.get(way.codec, {}))
-            if way.block is not None:
-                given[BLOCKS[way.codec]] = way.block
+            given = _given(way)
             chosen = codec.codec_by_name(way.codec)
             part = self.excerpt
             try:
@@ -263,8 +261,7 @@ class Workbench:
         """Return the settings of a way, the coarsest first; of a capped one, its setting with each SNR of a packet."""
         if way.rate_limit_bps is None:
             return [(setting, None) for setting in self.settings(way)]
-        given = {**GIVEN.get(way.codec, {}), **({} if way.block is None else {BLOCKS[way.codec]: way.block})}
-        setting = codec.codec_by_name(way.codec).complete(given)
+        setting = codec.codec_by_name(way.codec).complete(_given(way))
         return [(setting, snr_db) for snr_db in PACKET_SNRS_DB]
 
     def packet_blocks(self, way: Way) -> list[int]:
@@ -454,6 +451,12 @@ def _peak_bps(frames: list[int], packet_s: float) -> float:
     count = min(len(frames), max(1, round(1 / packet_s)))
     sums = np.concatenate([[0], np.cumsum(frames)])
     return float(8 * np.max(sums[count:] - sums[:-count]) / (count * packet_s))
+
+
+def _given(way: Way) -> Setting:
+    """Return what of the setting is fixed beforehand."""
+    block = {} if way.block is None else {BLOCKS[way.codec]: way.block}
+    return {**GIVEN.get(way.codec, {}), **block}
 
 
 def _block_samples(way: Way) -> int:

@@ -10,6 +10,7 @@ from host.planner.band import MARGIN_DB, BandError
 from host.planner.candidates import BUFFERS_MS, Candidate, Limit, Measured, Way, Workbench
 from host.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
 from host.planner.scene import Asked, Scene, SceneController, SceneTexture
+from host.steered import Wish
 
 Progress = Callable[[float, str], None]
 FIRST_PACKET_BLOCKS = 4
@@ -17,6 +18,7 @@ FIRST_PACKET_BLOCKS = 4
 _FINER, _FINER_ON_THE_WHOLE = 3, 16
 """Settings that are tried beyond the one found, in other packets, and on the whole of a long texture."""
 _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
+"""Keys of the limits that a capped rate may keep where no setting does."""
 _DIGITS = 3
 _JOINT_CHANGES = 8
 """So many changes of several values are tried, where no single one is enough."""
@@ -456,6 +458,7 @@ def _rounded(value: float, up: bool) -> float:
 def _planned(choice: Choice) -> PlannedTexture:
     bench, chosen = choice.workbench, choice.chosen
     measured: Measured = chosen.measured
+    wish = measured.wish or Wish()
     return PlannedTexture(
         name=bench.texture.name,
         source=bench.texture.source,
@@ -474,6 +477,6 @@ def _planned(choice: Choice) -> PlannedTexture:
         buffer_ms=chosen.buffer_ms,
         forecast=chosen.forecast,
         sha256=bench.texture.source.sha256(),
-        capped_rate_bps=None if measured.wish is None else measured.wish.capped_rate_bps,
-        packet_snr_db=None if measured.wish is None else measured.wish.snr_db,
+        capped_rate_bps=wish.capped_rate_bps,
+        packet_snr_db=wish.snr_db,
     )

@@ -12,6 +12,7 @@ from host.planner.candidates import Candidate
 from host.planner.choose import Choice
 from host.planner.plan_file import PlannedTexture
 from host.planner.scene import Scene
+from host.steered import Wish
 
 CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "plan.toml"
 MOST_PANELS = 6
@@ -27,7 +28,10 @@ _GREYS = ("0.0", "0.45", "0.7")
 
 @dataclass(frozen=True)
 class CandidateRow:
-    """A line of candidates.csv; costs and qualities as in plan_file.Forecast. `short_of`: what is not enough."""
+    """A line of candidates.csv; costs and qualities as in plan_file.Forecast. `short_of`: what is not enough.
+
+    `packet_snr_db`, `capped_rate_bps`: of a capped rate, as in plan_file.PlannedTexture.
+    """
 
     texture: str
     codec: str
@@ -85,13 +89,14 @@ def write_tables(folder: Path, choices: Sequence[Choice]) -> None:
 def _candidate_rows(choice: Choice) -> Iterator[CandidateRow]:
     for candidate in choice.candidates:
         measured = candidate.measured
+        wish = measured.wish or Wish()
         yield CandidateRow(
             choice.name,
             measured.way.codec,
             measured.way.model,
             json.dumps(measured.setting),
-            None if measured.wish is None else measured.wish.snr_db,
-            None if measured.wish is None else measured.wish.capped_rate_bps,
+            wish.snr_db,
+            wish.capped_rate_bps,
             measured.packet_samples,
             measured.refresh_packets,
             candidate.buffer_ms,

@@ -73,7 +73,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
         tmp_path,
         texture='[[textures]]\nfile = "loud.wav"\n',
         controller='[[controllers]]\nname = "one"\naddress = "sim-usb"\ncore = "M4F"\nclock_hz = 168e6\n',
-        asked="[asked]\nsnr_db = 8\nrate_limit_bps = 2600\n",
+        asked="[asked]\nsnr_db = 8\nrate_limit_bps = 2000\n",
     )
     plan, (choice,) = choose.plan(limited)
     enough = [each for each in choice.candidates if each.measured.wish is None and each.lack <= 0]
@@ -88,9 +88,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
     sizes = [len(packet) + added_bytes(packet) for packet in texture.encode().stream.packets]
     run = math.ceil(2 * texture.rate / texture.packet_samples)
     bits_per_second = 8 * np.convolve(sizes, np.ones(run), "valid") / run * texture.rate / texture.packet_samples
-    assert len(sizes) > run and np.max(bits_per_second) <= 2600
-    with pytest.raises(choose.Refusal, match=r"rate_limit_bps = \d+ in place of 800"):
-        choose.choose(choice.workbench, replace(limited, asked=replace(limited.asked, rate_limit_bps=800)))
+    assert len(sizes) > run and np.max(bits_per_second) <= 2000
 
 
 def test_what_is_off_its_forecast_is_told_and_written(tmp_path: Path) -> None:
