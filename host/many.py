@@ -10,7 +10,7 @@ from host.controller import Controller
 _Session = TypeVar("_Session", bound=Controller)
 _Result = TypeVar("_Result")
 
-_JOIN_S = 0.1
+_WAIT_S = 0.1
 
 
 class Interrupted(RuntimeError):
@@ -29,6 +29,8 @@ def on_all(
     """
     results: dict[str, _Result | Exception] = {}
     interrupted = threading.Event()
+    # Not Thread.join: where a signal interrupts it, Python 3.11 takes the thread to have ended (CPython issue 90882).
+    ended = {name: threading.Event() for name in sessions}
 
     def check() -> None:
         if interrupted.is_set():
@@ -40,17 +42,19 @@ def on_all(
                 results[name] = work(name, controller, check)
         except Exception as error:  # of one controller: the others go on
             results[name] = error
+        finally:
+            ended[name].set()
 
     threads = [threading.Thread(target=run, args=(name,), name=name) for name in sessions]
     for thread in threads:
         thread.start()
     try:
-        for thread in threads:
-            while thread.is_alive():
-                thread.join(_JOIN_S)
+        for each in ended.values():
+            while not each.wait(_WAIT_S):
+                pass
     except BaseException:
         interrupted.set()
-        for thread in threads:
-            thread.join()
+        for each in ended.values():
+            each.wait()
         raise
     return {name: results[name] for name in sessions}

@@ -110,7 +110,7 @@ def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path,
     coding.write(results / "wood.vct", stream)
     fine = points[4]
     assert fine.bytes_total == (results / "wood.vct").stat().st_size
-    quality = asdict(metrics.measure(recording.samples, stream.decode(), 2800))
+    quality = asdict(metrics.measure(recording.samples, stream.decode(), 2800, recording.unit))
     assert {name: getattr(fine, name) for name in quality} == pytest.approx(quality, abs=1e-6)
     hop = stream.decoder().delay_samples
     assert fine.delay_ms == pytest.approx(1000 * 2 * hop / 2800, abs=1e-6)

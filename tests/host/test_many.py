@@ -1,11 +1,12 @@
 """Many controllers at once: each plays bit for bit what was sent, and fails alone."""
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 
 import numpy as np
-import pytest
 
 from device_protocol.transports import TransportError, UsbTransport
 from host import coding, player
@@ -75,32 +76,33 @@ def test_of_eight_controllers_six_play_on_while_one_is_unplugged_and_one_stalls(
         np.testing.assert_array_equal(result.dac_codes, expected)
 
 
-def test_an_interrupt_reaches_every_controller(monkeypatch: pytest.MonkeyPatch) -> None:
-    stopped: list[str] = []
+INTERRUPTED_WORK = """
+import os, signal, sys, threading, time
+from contextlib import nullcontext
+from host.many import Interrupted, on_all
 
-    def work(name: str, controller: Controller, check: Callable[[], None]) -> None:
-        try:
-            while True:
-                check()
-                controller.request_status()
-        finally:
-            stopped.append(controller.stop().state.name)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 
-    with UsbPort(SimulatedController()) as one, UsbPort(SimulatedController()) as other:
-        sessions = {"one": partial(session, one), "other": partial(session, other)}
-        joined = 0
 
-        def interrupt(thread: object, timeout: float | None = None) -> None:
-            nonlocal joined
-            joined += 1
-            if joined == 1:
-                raise KeyboardInterrupt
-            original(thread, timeout)  # type: ignore[arg-type]
+def work(name, session, check):
+    try:
+        while True:
+            check()
+            time.sleep(0.01)
+    except Interrupted:
+        time.sleep(0.3)
+        print("stopped", flush=True)
+        raise
 
-        import threading
+threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+try:
+    on_all(dict.fromkeys(("one", "other"), lambda: nullcontext(None)), work)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+os._exit(0)
+"""
 
-        original = threading.Thread.join
-        monkeypatch.setattr(threading.Thread, "join", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            on_all(sessions, work)
-    assert stopped == ["STOPPED", "STOPPED"]
+
+def test_interrupted_it_waits_until_every_controller_has_been_stopped() -> None:
+    run = subprocess.run([sys.executable, "-c", INTERRUPTED_WORK], capture_output=True, text=True, timeout=30)
+    assert run.stdout.split() == ["stopped", "stopped", "interrupted"], run.stderr
