@@ -42,8 +42,8 @@ fuzz: .venv/installed-for-tests
 
 # Every program of the controller, into firmware/build, and what the images take; firmware/README.md.
 firmware: .venv/installed-for-tests
-	$(BIN)/python -m firmware.build
-	$(BIN)/python -m firmware.build --sizes
+	$(BIN)/python -m vibrocast.firmware.build
+	$(BIN)/python -m vibrocast.firmware.build --sizes
 
 # All but the largest image hold the ONNX graph as well, so that a controller can choose.
 models: .venv/installed-for-tests

@@ -1,6 +1,6 @@
 """Signal to integers to bytes and back: transforms, quantisers, entropy coding, rate control."""
 
-from codec.coding import (
+from vibrocast.codec.coding import (
     CODECS,
     check_tables,
     codec_by_identifier,
@@ -14,7 +14,7 @@ from codec.coding import (
     live_framing,
     settled,
 )
-from codec.interface import (
+from vibrocast.codec.interface import (
     RUNTIMES,
     Choice,
     Codec,
@@ -33,9 +33,16 @@ from codec.interface import (
     Steering,
     Trial,
 )
-from codec.judges import Judge, SnrJudge, ThresholdJudge
-from codec.rate_control import RATE_TOLERANCE, SNR_TOLERANCE_DB, channel_snrs_db, encode_to_rate, encode_to_snr, snr_db
-from codec.steering import (
+from vibrocast.codec.judges import Judge, SnrJudge, ThresholdJudge
+from vibrocast.codec.rate_control import (
+    RATE_TOLERANCE,
+    SNR_TOLERANCE_DB,
+    channel_snrs_db,
+    encode_to_rate,
+    encode_to_snr,
+    snr_db,
+)
+from vibrocast.codec.steering import (
     CappedRate,
     ConstantQuality,
     ConstantRate,

@@ -7,8 +7,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from codec import dct, eva, libav, mdct, parametric, slp
-from codec.interface import (
+from vibrocast.codec import dct, eva, libav, mdct, parametric, slp
+from vibrocast.codec.interface import (
     AUTO,
     Codec,
     CodecError,
@@ -22,7 +22,7 @@ from codec.interface import (
     Signal,
     SignalFormat,
 )
-from codec.steering import Policy, steered_encoder
+from vibrocast.codec.steering import Policy, steered_encoder
 
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from cffi import FFI
 
-from codec.interface import CodecError, Decoded, check_channels
+from vibrocast.codec.interface import CodecError, Decoded, check_channels
 
 UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""

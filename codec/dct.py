@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, does_not_fit, ffi, library
-from codec.huffman import canonical_codes, code_lengths, pack_bits
-from codec.interface import (
+from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, does_not_fit, ffi, library
+from vibrocast.codec.huffman import canonical_codes, code_lengths, pack_bits
+from vibrocast.codec.interface import (
     AUTO,
     OVER_POSITION,
     Codec,
@@ -31,9 +31,9 @@ from codec.interface import (
     varint,
     word,
 )
-from codec.packetwise import PacketwiseEncoder
-from codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
-from codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
+from vibrocast.codec.trial import PacketTrial, steered_packet
 
 NAME = "dct"
 IDENTIFIER = 2

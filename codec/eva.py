@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
-from codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, with_runtime
-from codec.graphs import LATENTS, SIGNAL, Transform, transform
-from codec.interface import (
+from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, with_runtime
+from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
+from vibrocast.codec.interface import (
     Codec,
     CodecError,
     Decoded,
@@ -28,8 +28,8 @@ from codec.interface import (
     numbers,
     varint,
 )
-from codec.mdct import LAMBDA, STEERED, step_code
-from codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.mdct import LAMBDA, STEERED, step_code
+from vibrocast.codec.trial import PacketTrial, steered_packet
 
 NAME = "eva"
 IDENTIFIER = 4

@@ -7,8 +7,8 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import library
-from codec.interface import RUNTIMES, CodecError
+from vibrocast.codec.core import library
+from vibrocast.codec.interface import RUNTIMES, CodecError
 
 LAYOUT_VERSION = 1
 MAX_CHANNELS = 128

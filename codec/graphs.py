@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.interface import CodecError
+from vibrocast.codec.interface import CodecError
 
 SIGNAL = "signal"
 """Name of the samples of a graph, float32 (batch, 1, 16 n)."""

@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.interface import Signal, SignalFormat
-from codec.threshold import DETECTION_THRESHOLD, band_parts, read_threshold, threshold_amplitude
+from vibrocast.codec.interface import Signal, SignalFormat
+from vibrocast.codec.threshold import DETECTION_THRESHOLD, band_parts, read_threshold, threshold_amplitude
 
 # Forward masking of vibration at the fingertip fades within some 0.25 s (Gescheider, Bolanowski and Verrillo,
 # "Vibrotactile masking: effects of stimulus onset asynchrony and stimulus frequency", JASA 85, 1989).

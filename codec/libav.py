@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.interface import (
+from vibrocast.codec.interface import (
     Codec,
     CodecError,
     Decoded,
@@ -26,8 +26,8 @@ from codec.interface import (
     varint,
     word,
 )
-from codec.packetwise import PacketwiseEncoder
-from codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.trial import PacketTrial, steered_packet
 
 LABEL_HZ = 8000
 """The rate that samples of every stream are passed off as: speech codecs have no other, the rest do not mind."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.interface import CodecError, Signal
+from vibrocast.codec.interface import CodecError, Signal
 
 MAX_REFLECTION_CODE = 15
 SPARSITY = 120.0

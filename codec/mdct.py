@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
-from codec.interface import (
+from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.interface import (
     AUTO,
     Codec,
     CodecError,
@@ -27,7 +27,7 @@ from codec.interface import (
     varint,
     word,
 )
-from codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.trial import PacketTrial, steered_packet
 
 NAME = "mdct"
 IDENTIFIER = 1

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from codec.interface import CodecError, Framing, Signal, check_channels, checked_parts
+from vibrocast.codec.interface import CodecError, Framing, Signal, check_channels, checked_parts
 
 _CHUNK_SAMPLES = 1 << 16
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
-from codec.interface import (
+from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.interface import (
     Codec,
     CodecError,
     Framing,
@@ -21,8 +21,8 @@ from codec.interface import (
     refuse_steering,
     word,
 )
-from codec.mdct import HOPS, analysis_matrix
-from codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.mdct import HOPS, analysis_matrix
+from vibrocast.codec.packetwise import PacketwiseEncoder
 
 NAME = "parametric"
 IDENTIFIER = 11

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codec import mdct
-from codec.coding import Progress, Source, codec_by_name, decode, parts, peak_of
-from codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
+from vibrocast.codec import mdct
+from vibrocast.codec.coding import Progress, Source, codec_by_name, decode, parts, peak_of
+from vibrocast.codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02

@@ -11,8 +11,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
-from codec.interface import (
+from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.interface import (
     Codec,
     CodecError,
     Framing,
@@ -24,10 +24,10 @@ from codec.interface import (
     Steering,
     number,
 )
-from codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
-from codec.mdct import STEERED
-from codec.packetwise import PacketwiseEncoder
-from codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
+from vibrocast.codec.mdct import STEERED
+from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.trial import PacketTrial, steered_packet
 
 NAME = "slp"
 IDENTIFIER = 3

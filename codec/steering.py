@@ -11,7 +11,7 @@ from typing import Protocol, Self, TypeAlias, cast
 
 import numpy as np
 
-from codec.interface import (
+from vibrocast.codec.interface import (
     Choice,
     Codec,
     CodecError,
@@ -25,7 +25,7 @@ from codec.interface import (
     SignalFormat,
     Trial,
 )
-from codec.judges import Judge
+from vibrocast.codec.judges import Judge
 
 DEFAULT_BUCKET_S = 0.018
 """The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""

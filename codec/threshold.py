@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.interface import OVER_POSITION, CodecError
+from vibrocast.codec.interface import OVER_POSITION, CodecError
 
 DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
 

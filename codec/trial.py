@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from codec.core import MAX_PACKET_BYTES
-from codec.interface import CodecError, Signal, Steering
+from vibrocast.codec.core import MAX_PACKET_BYTES
+from vibrocast.codec.interface import CodecError, Signal, Steering
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from device_protocol.encoding import crc16, pack_varint, unpack_varint
+from vibrocast.device_protocol.encoding import crc16, pack_varint, unpack_varint
 
 MAGIC = b"VCT"
 VERSION = 1

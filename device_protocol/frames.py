@@ -2,7 +2,7 @@
 
 from cobs import cobs
 
-from device_protocol.encoding import crc16
+from vibrocast.device_protocol.encoding import crc16
 
 MAXIMUM_PAYLOAD_BYTES = 4096
 DELIMITER = b"\x00"

@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Self, TypeVar
 
-from device_protocol.encoding import pack_varint, unpack_varint
+from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
 
 PROTOCOL_MAJOR = 1
 PROTOCOL_MINOR = 1

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
-from evaluation.points import Point
+from vibrocast.evaluation.points import Point
 
 MIN_POINTS = 6
 MIN_OVERLAP = 0.2

@@ -9,12 +9,12 @@ from itertools import count
 from pathlib import Path
 from typing import TypeAlias
 
-import textures
-from evaluation.cells import BenchError, Cell, Measured, Method
-from evaluation.comparison import TABLES, Measurements
-from evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
-from host.output_files import whole_file
-from textures.dataset import Trace
+from vibrocast import textures
+from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
+from vibrocast.evaluation.comparison import TABLES, Measurements
+from vibrocast.evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
+from vibrocast.host.output_files import whole_file
+from vibrocast.textures.dataset import Trace
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
 _POINTS_JSON = "points.json"

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 
-import codec
-import textures
-from codec import Setting, Signal
-from device_protocol import coded_stream
-from evaluation import cost, external, metrics, trained
-from evaluation.points import MEASURED, PROGRAM, Point, Timing
-from host import coding
-from models import Model
+from vibrocast import codec, textures
+from vibrocast.codec import Setting, Signal
+from vibrocast.device_protocol import coded_stream
+from vibrocast.evaluation import cost, external, metrics, trained
+from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
+from vibrocast.host import coding
+from vibrocast.models import Model
 
 DECIMALS = 6
 """Of a quality, so that the arithmetic of another machine gives the same file."""

@@ -15,10 +15,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from evaluation.comparison import MEAN, TIMES, WANTED_PERCENT, Excess, Mark, MeanPoint, RatioPoint, TraceBdRate
-from evaluation.labels import spread
-from evaluation.points import IMPORTED, MEASURED, Record
+from vibrocast.evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
+from vibrocast.evaluation.comparison import (
+    MEAN,
+    TIMES,
+    WANTED_PERCENT,
+    Excess,
+    Mark,
+    MeanPoint,
+    RatioPoint,
+    TraceBdRate,
+)
+from vibrocast.evaluation.labels import spread
+from vibrocast.evaluation.points import IMPORTED, MEASURED, Record
 
 WIDTH_IN, DPI = 8.0, 150
 FONT_POINTS = 8.5

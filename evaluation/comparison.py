@@ -8,8 +8,8 @@ from statistics import fmean, median
 
 import numpy as np
 
-import codec as codecs
-from evaluation.bd_rate import (
+from vibrocast import codec as codecs
+from vibrocast.evaluation.bd_rate import (
     PSNR,
     SCALES,
     SNR,
@@ -25,10 +25,10 @@ from evaluation.bd_rate import (
     quality_at,
     summary,
 )
-from evaluation.cost import CodecCost
-from evaluation.kinds import TraceKind
-from evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
-from evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
+from vibrocast.evaluation.cost import CodecCost
+from vibrocast.evaluation.kinds import TraceKind
+from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
+from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
 
 MEAN = "(mean)"
 ANCHORS = ("mdct", "slp", "vcpwq")

@@ -23,11 +23,11 @@ from typing import TypeVar
 import click
 import numpy as np
 
-import codec
-from codec import Framing, Setting, SignalFormat
-from evaluation import trained
-from host.output_files import whole_file
-from models import Model
+from vibrocast import codec
+from vibrocast.codec import Framing, Setting, SignalFormat
+from vibrocast.evaluation import trained
+from vibrocast.host.output_files import whole_file
+from vibrocast.models import Model
 
 T = TypeVar("T")
 

@@ -17,10 +17,10 @@ import unicorn
 from capstone import arm_const as arm
 from unicorn import arm_const as emulated
 
-import codec
-from codec import CodedSignal, Decoded
-from firmware.build import CORTEX_M_FLAGS, FLAGS, M4F, M7, M33, ROOT, BuildError
-from firmware.elf import Elf
+from vibrocast import codec
+from vibrocast.codec import CodedSignal, Decoded
+from vibrocast.firmware.build import CORTEX_M_FLAGS, FLAGS, M4F, M7, M33, ROOT, BuildError
+from vibrocast.firmware.elf import Elf
 
 _FLASH, _RAM, _DATA = 0x0800_0000, 0x2000_0000, 0x6000_0000
 _MEMORY_BYTES = 1 << 20

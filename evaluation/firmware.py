@@ -1,4 +1,4 @@
-"""What decoding costs a microcontroller, counted in emulation: `python -m evaluation.firmware --out docs`."""
+"""What decoding costs a microcontroller, counted in emulation: `python -m vibrocast.evaluation.firmware --out docs`."""
 
 import json
 import tempfile
@@ -12,27 +12,26 @@ from typing import Any
 import click
 import numpy as np
 
-import codec
-import models
-from codec import CodedSignal, Signal
-from codec.interface import AUTO
-from device_protocol.coded_stream import PROFILE_UNIT
-from evaluation import trained
-from evaluation.page_parts import code, number, paragraphs, table
-from evaluation.points import write_rows
-from firmware.build import BuildError
-from firmware.build import size as firmware_size
-from host import live
-from host.coding import as_stream
-from host.harness.device_clock import DeviceClock
-from host.output_files import whole_file
-from host.planner import playing
-from host.planner.costs import BOARD_CORES, quiet_part
-from models import Model
-from textures.generate import GENERATORS
+from vibrocast import codec, models
+from vibrocast.codec import CodedSignal, Signal
+from vibrocast.codec.interface import AUTO
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
+from vibrocast.evaluation import trained
+from vibrocast.evaluation.page_parts import code, number, paragraphs, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.firmware.build import BuildError
+from vibrocast.firmware.build import size as firmware_size
+from vibrocast.host import live
+from vibrocast.host.coding import as_stream
+from vibrocast.host.harness.device_clock import DeviceClock
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.planner import playing
+from vibrocast.host.planner.costs import BOARD_CORES, quiet_part
+from vibrocast.models import Model
+from vibrocast.textures.generate import GENERATORS
 
 try:
-    from evaluation.emulated_core import CORES, Core, EmulatedCore, compile_core, decode, state_bytes
+    from vibrocast.evaluation.emulated_core import CORES, Core, EmulatedCore, compile_core, decode, state_bytes
 except ModuleNotFoundError as error:
     raise SystemExit(f'{error.name} is not installed: pip install "vibrocast[firmware]"') from error
 
@@ -356,7 +355,7 @@ def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[Con
         "What each decoder costs: instructions, load of the processor, flash, RAM, stack. Made by the command "
         'below, on a computer with what `pip install "vibrocast[firmware]"` brings; nothing here has been timed '
         "on a board.",
-        "    python -m evaluation.firmware --out docs",
+        "    python -m vibrocast.evaluation.firmware --out docs",
         _method(loads),
         _m4_section(loads),
         _cores_section(loads),

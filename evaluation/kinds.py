@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluation.points import read_rows
-from textures.dataset import Trace
+from vibrocast.evaluation.points import read_rows
+from vibrocast.textures.dataset import Trace
 
 TABLE = Path(__file__).parent / "data" / "kinds.csv"
 """Kinds by the names that the recordings of known sets have."""

@@ -1,4 +1,4 @@
-"""Writes the page of the latency budget, live streams on each controller: `python -m evaluation.latency PAGE`."""
+"""Writes the page of the latency budget of live streams: `python -m vibrocast.evaluation.latency PAGE`."""
 
 import argparse
 import shlex
@@ -7,12 +7,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluation.page_parts import paragraphs, table
-from host import live
-from host.harness import bench_file, measurements
-from host.harness.bench_file import Bench, BenchController
-from host.harness.latency import PARTS, Latency, SmallestDelay, measure, smallest
-from host.output_files import whole_file
+from vibrocast.evaluation.page_parts import paragraphs, table
+from vibrocast.host import live
+from vibrocast.host.harness import bench_file, measurements
+from vibrocast.host.harness.bench_file import Bench, BenchController
+from vibrocast.host.harness.latency import PARTS, Latency, SmallestDelay, measure, smallest
+from vibrocast.host.output_files import whole_file
 
 ADDRESSES = ("sim", "sim-usb", "host", "cortex-m4", "cortex-m7")
 # A computer that does other work as well delays some runs: the median of these is shown.
@@ -22,7 +22,7 @@ TARGET_MS = 30.0
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure the controllers at the addresses given, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, prog="python -m evaluation.latency")
+    parser = argparse.ArgumentParser(description=__doc__, prog="python -m vibrocast.evaluation.latency")
     parser.add_argument("page", type=Path, help="Markdown file to write")
     parser.add_argument("--device", dest="addresses", action="append", help="address; may be repeated")
     chosen = parser.parse_args(arguments)
@@ -36,7 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             budgets[address] = runs
             searches[address] = smallest(controller, subject.actuator, texture)
         print(f"{address}: {statistics.median(map(_total_ms, runs)):.1f} ms", file=sys.stderr)
-    command = shlex.join(["python", "-m", "evaluation.latency", *(sys.argv[1:] if arguments is None else arguments)])
+    command = shlex.join(
+        ["python", "-m", "vibrocast.evaluation.latency", *(sys.argv[1:] if arguments is None else arguments)]
+    )
     with whole_file(chosen.page) as partial:
         partial.write_text(page(budgets, searches, measurements.machine(), command), encoding="utf-8")
 

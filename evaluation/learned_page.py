@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from evaluation import charts
-from evaluation.bd_rate import PSNR, ST_SIM_2800, Scale
-from evaluation.comparison import (
+from vibrocast.evaluation import charts
+from vibrocast.evaluation.bd_rate import PSNR, ST_SIM_2800, Scale
+from vibrocast.evaluation.comparison import (
     LEARNED_SCALES,
     REFERENCE,
     WANTED_PERCENT,
@@ -21,9 +21,9 @@ from evaluation.comparison import (
     rival_bd_rates,
     with_runtime,
 )
-from evaluation.page_parts import chart, code, listed, number, paragraphs, percent, table
-from evaluation.points import write_rows
-from evaluation.speed import BITS_PER_SAMPLE, RATIO
+from vibrocast.evaluation.page_parts import chart, code, listed, number, paragraphs, percent, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATIO
 
 OWN = "mdct"
 """The project's codec without learning, which the learned ones have to beat."""

@@ -1,4 +1,4 @@
-"""Live streams on a link that falls to half for a time: `python -m evaluation.link_drop RECORDINGS --out docs`."""
+"""Live streams when a link drops to half: `python -m vibrocast.evaluation.link_drop RECORDINGS --out docs`."""
 
 import argparse
 import math
@@ -10,20 +10,19 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-import codec
-import textures
-from codec import Signal
-from evaluation.page_parts import paragraphs, table
-from evaluation.points import write_rows
-from host import live, progress
-from host.coding import DEFAULT_STREAM_RATE_HZ
-from host.controller import Controller
-from host.link import added_bytes
-from host.output_files import whole_file
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.memory_link import MemoryLink
-from simulated_device.slow_line import SlowLine, Wire
-from textures import dataset
+from vibrocast import codec, textures
+from vibrocast.codec import Signal
+from vibrocast.evaluation.page_parts import paragraphs, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.host import live, progress
+from vibrocast.host.coding import DEFAULT_STREAM_RATE_HZ
+from vibrocast.host.controller import Controller
+from vibrocast.host.link import added_bytes
+from vibrocast.host.output_files import whole_file
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.slow_line import SlowLine, Wire
+from vibrocast.textures import dataset
 
 RATES_BPS = (1000, 2000, 4000, 8000)
 LINK_SHARE = 0.8
@@ -68,7 +67,7 @@ class Outcome:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Stream a folder of recordings, and write the tables, the chart and the section."""
-    parser = argparse.ArgumentParser(description=__doc__, prog="python -m evaluation.link_drop")
+    parser = argparse.ArgumentParser(description=__doc__, prog="python -m vibrocast.evaluation.link_drop")
     parser.add_argument("recordings", type=Path, help="folder of recordings")
     parser.add_argument("--out", type=Path, required=True, help="folder for results/link_drop.csv and .png")
     chosen = parser.parse_args(arguments)

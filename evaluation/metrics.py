@@ -10,9 +10,9 @@ from vibromaf.metrics.stsim import STSIM
 from vibromaf.signal.perception import PerceptualThreshold
 from vibromaf.signal.transform import PerceptualSpectrumBuilder
 
-import codec
-from codec import Signal
-from codec.threshold import band_parts, read_threshold, threshold_amplitude
+from vibrocast import codec
+from vibrocast.codec import Signal
+from vibrocast.codec.threshold import band_parts, read_threshold, threshold_amplitude
 
 BLOCK_SAMPLES = 512
 """Block of ST-SIM and SPQI at every rate: vibromaf's own."""

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from evaluation.charts import CodecRow
-from evaluation.points import write_rows
+from vibrocast.evaluation.charts import CodecRow
+from vibrocast.evaluation.points import write_rows
 
 
 def paragraphs(*parts: str) -> str:

@@ -1,4 +1,4 @@
-"""What a description keeps of recordings, beside waveforms at its rate: `python -m evaluation.parametric FOLDER`."""
+"""Compares parametric coding with waveform coding: `python -m vibrocast.evaluation.parametric FOLDER`."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-import codec
-from codec import CodedSignal, Setting
-from evaluation.metrics import Quality, measure
-from evaluation.page_parts import code, count, number, paragraphs, table
-from evaluation.points import write_rows
-from host.coding import DEFAULT_STREAM_RATE_HZ
-from host.output_files import whole_file
-from textures import Recording, TextureError
-from textures.dataset import DatasetError, load, printable, traces
+from vibrocast import codec
+from vibrocast.codec import CodedSignal, Setting
+from vibrocast.evaluation.metrics import Quality, measure
+from vibrocast.evaluation.page_parts import code, count, number, paragraphs, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.host.coding import DEFAULT_STREAM_RATE_HZ
+from vibrocast.host.output_files import whole_file
+from vibrocast.textures import Recording, TextureError
+from vibrocast.textures.dataset import DatasetError, load, printable, traces
 
 DESCRIPTION, WAVEFORM = "parametric", "mdct"
 RATES = (1, 10)
@@ -151,7 +151,7 @@ def _page(rows: Sequence[Row], data: str) -> str:
         "# A description instead of a waveform",
         f"What {code(DESCRIPTION)} keeps of {count(recordings, 'recording')}, beside {code(WAVEFORM)} at the same rate "
         "and at ten times that. Written by",
-        f"    python -m evaluation.parametric {data} --out docs",
+        f"    python -m vibrocast.evaluation.parametric {data} --out docs",
         f"with a folder of recordings, resampled to {DEFAULT_STREAM_RATE_HZ} Hz. Rates are of all packets, without the "
         "file's header and the framing of its packets, which are alike. Means over the recordings, where all have a "
         "value; each by itself is in [parametric.csv](results/parametric.csv). Measures: [metrics.md](metrics.md).",

@@ -1,4 +1,4 @@
-"""What the planner saves at the quality of the fixed default: `python -m evaluation.planning FOLDER... --out docs`."""
+"""Measures what planning saves at equal quality: `python -m vibrocast.evaluation.planning FOLDER... --out docs`."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,25 +9,24 @@ from statistics import fmean, median
 import click
 import numpy as np
 
-import codec
-import textures
-from codec import mdct
-from codec.threshold import DETECTION_THRESHOLD, read_threshold
-from evaluation.page_parts import code, paragraphs, table
-from evaluation.points import write_rows
-from host import coding, progress
-from host.harness.bench_file import BenchActuator
-from host.link import added_bytes
-from host.output_files import whole_file
-from host.planner import costs
-from host.planner.band import BandError, band_of, rendering_s
-from host.planner.candidates import BUFFERS_MS, Workbench
-from host.planner.choose import Refusal, choose
-from host.planner.plan_file import prepared
-from host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
-from simulated_device.actuator import PIEZO_STACK
-from textures import Profile, Recording, TextureError
-from textures.dataset import DatasetError, Trace, traces
+from vibrocast import codec, textures
+from vibrocast.codec import mdct
+from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
+from vibrocast.evaluation.page_parts import code, paragraphs, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.host import coding, progress
+from vibrocast.host.harness.bench_file import BenchActuator
+from vibrocast.host.link import added_bytes
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.planner import costs
+from vibrocast.host.planner.band import BandError, band_of, rendering_s
+from vibrocast.host.planner.candidates import BUFFERS_MS, Workbench
+from vibrocast.host.planner.choose import Refusal, choose
+from vibrocast.host.planner.plan_file import prepared
+from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
+from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.textures import Profile, Recording, TextureError
+from vibrocast.textures.dataset import DatasetError, Trace, traces
 
 ADDRESS, CORE, CLOCK_HZ = "cortex-m4", "M4F", 168e6
 HAND_SPEED_MM_S = 50.0
@@ -237,8 +236,8 @@ def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
     )
     return paragraphs(
         "# What planning saves",
-        "Written by `python -m evaluation.planning FOLDER... --out docs` from recordings that are not part of this "
-        f"project; every row: [{ROWS}](results/{ROWS}).",
+        "Written by `python -m vibrocast.evaluation.planning FOLDER... --out docs` from recordings that are not "
+        f"part of this project; every row: [{ROWS}](results/{ROWS}).",
         f"The fixed default is what `vibrocast play` does unasked: `mdct`, {coding.DEFAULT_STREAM_RATE_HZ} Hz, "
         f"{coding.DEFAULT_SNR_DB:g} dB of SNR, packets of 4 blocks, a refresh every 0.25 s. The plan is for a piezo "
         f"stack on a Cortex-M4F; a height profile is swept at {HAND_SPEED_MM_S:g} mm/s, and a recording that states no "

@@ -7,7 +7,7 @@ from dataclasses import MISSING, Field, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeVar, get_type_hints
 
-from textures.dataset import printable
+from vibrocast.textures.dataset import printable
 
 MEASURED, PROGRAM, IMPORTED = "measured", "program", "imported"
 """Where figures come from: a codec here, a program of the user's here, a table of others' figures."""

@@ -1,4 +1,4 @@
-"""One coded profile at several hand speeds and through a reversal: `python -m evaluation.profile_rendering`.
+"""One coded profile at several hand speeds and through a reversal: `python -m vibrocast.evaluation.profile_rendering`.
 
 Writes docs/profiles.png and docs/profiles.csv: what is rendered against the decoded profile, resampled exactly, and
 what a Cortex-M4 takes for it.
@@ -13,12 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from evaluation.emulated_core import CORES, EmulatedCore, compile_core
-from host import hand, profiles
-from simulated_device import profile as rendering
-from simulated_device.actuator import PIEZO_STACK
+from vibrocast.evaluation.emulated_core import CORES, EmulatedCore, compile_core
+from vibrocast.host import hand, profiles
+from vibrocast.simulated_device import profile as rendering
+from vibrocast.simulated_device.actuator import PIEZO_STACK
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).resolve().parents[1]
 PROFILE = ROOT / "examples" / "leather_profile.csv"
 SPEEDS_MM_S = (1, 5, 10, 20, 50, 100, 200, 300)
 SHOWN_MM_S = (10, 50, 300)

@@ -1,4 +1,4 @@
-"""Measures how exactly rates are held and how evenly: `python -m evaluation.rate_control RECORDINGS --out docs`."""
+"""Measures how exactly rates are held: `python -m vibrocast.evaluation.rate_control RECORDINGS --out docs`."""
 
 import argparse
 import math
@@ -11,19 +11,18 @@ from statistics import fmean
 
 import numpy as np
 
-import codec
-import textures
-from evaluation import link_drop
-from evaluation import rate_control_charts as charts
-from evaluation.page_parts import code, count, paragraphs, table
-from evaluation.points import write_rows
-from evaluation.rate_control_charts import Held, RefreshCost
-from host import progress, steered
-from host.coding import DEFAULT_CODEC, DEFAULT_STREAM_RATE_HZ
-from host.link import added_bytes
-from host.output_files import whole_file
-from host.steered import Wish
-from textures import dataset
+from vibrocast import codec, textures
+from vibrocast.evaluation import link_drop
+from vibrocast.evaluation import rate_control_charts as charts
+from vibrocast.evaluation.page_parts import code, count, paragraphs, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.evaluation.rate_control_charts import Held, RefreshCost
+from vibrocast.host import progress, steered
+from vibrocast.host.coding import DEFAULT_CODEC, DEFAULT_STREAM_RATE_HZ
+from vibrocast.host.link import added_bytes
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.steered import Wish
+from vibrocast.textures import dataset
 
 RATES_BPS = (500, 1000, 2000, 4000, 8000, 20_000)
 MAIN_RATES_BPS = (1000, 2000, 4000, 8000)
@@ -35,7 +34,7 @@ LEAST_SECONDS = 6.0
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure all codecs that steer on a folder of recordings, and write page, charts and tables."""
-    parser = argparse.ArgumentParser(description=__doc__, prog="python -m evaluation.rate_control")
+    parser = argparse.ArgumentParser(description=__doc__, prog="python -m vibrocast.evaluation.rate_control")
     parser.add_argument("recordings", type=Path, help="folder of recordings")
     parser.add_argument("--out", type=Path, required=True, help="folder for rate_control.md and results/")
     chosen = parser.parse_args(arguments)
@@ -56,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             refreshes.append(measure_refreshes(list(recordings.values()), rate_bps, refresh_s))
             update((len(held) + len(refreshes)) / (len(cells) + len(refresh_cells)), "refreshes")
     command = shlex.join(
-        ["python", "-m", "evaluation.rate_control", *(sys.argv[1:] if arguments is None else arguments)]
+        ["python", "-m", "vibrocast.evaluation.rate_control", *(sys.argv[1:] if arguments is None else arguments)]
     )
     link_drop_section = link_drop.section(list(recordings.values()), chosen.out)
     write(chosen.out, held, refreshes, dataset.printable(chosen.recordings.name), command, link_drop_section)

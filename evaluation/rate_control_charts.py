@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from evaluation.charts import DASHES, DPI, FONT_POINTS, WIDTH_IN
-from evaluation.labels import spread
+from vibrocast.evaluation.charts import DASHES, DPI, FONT_POINTS, WIDTH_IN
+from vibrocast.evaluation.labels import spread
 
 _ROW_IN = 0.2
 _PANEL_IN = 2.6

@@ -1,4 +1,4 @@
-"""The page of results: charts and tables of measured rows; `python -m evaluation.results_page OUT` draws it again."""
+"""The results page, charts and tables; `python -m vibrocast.evaluation.results_page OUT` draws it again."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,20 @@ from typing import Any
 
 import click
 
-import codec as codecs
-from evaluation import charts, learned_page
-from evaluation.bd_rate import CONFIDENCE, MIN_OVERLAP, MIN_POINTS, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000
-from evaluation.charts import name, size
-from evaluation.comparison import (
+from vibrocast import codec as codecs
+from vibrocast.evaluation import charts, learned_page
+from vibrocast.evaluation.bd_rate import (
+    CONFIDENCE,
+    MIN_OVERLAP,
+    MIN_POINTS,
+    SCALES,
+    SNR,
+    SPQI,
+    ST_SIM_2800,
+    ST_SIM_8000,
+)
+from vibrocast.evaluation.charts import name, size
+from vibrocast.evaluation.comparison import (
     EQUAL_SNR_DB,
     LEARNED_SCALES,
     NEEDED_SNR_DB,
@@ -37,9 +46,9 @@ from evaluation.comparison import (
     ratio_points,
     trace_bd_rates,
 )
-from evaluation.page_parts import chart, code, count, listed, number, paragraphs, percent, table
-from evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, PointsError, read_rows, write_rows
-from evaluation.speed import BITS_PER_SAMPLE, RATES, RATIO
+from vibrocast.evaluation.page_parts import chart, code, count, listed, number, paragraphs, percent, table
+from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, PointsError, read_rows, write_rows
+from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, RATIO
 
 RATE_SCALES = (SNR, ST_SIM_2800, ST_SIM_8000, SPQI)
 COST_SCALES = (SNR, SPQI)
@@ -109,7 +118,7 @@ def _head(measurements: Measurements, description: Description) -> str:
         "# Results",
         f"Data: {code(description.data)}, {count(len(measurements.traces), 'trace')}, {samples} samples{at_rates}. "
         f"Times: {description.machine}. Made by the command below, and drawn again from the CSV files in `results` by "
-        "`python -m evaluation.results_page` with the folder of this page.",
+        "`python -m vibrocast.evaluation.results_page` with the folder of this page.",
         f"    {description.command}",
         "Sizes are of whole files, headers and tables included. SNR and PSNR are of the waveform, in dB; ST-SIM and "
         "SPQI weigh spectra against the threshold of touch, and are 1 for a copy. No one of them says all. No curve is "

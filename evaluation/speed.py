@@ -10,14 +10,13 @@ from statistics import fmean
 
 import numpy as np
 
-import codec
-import textures
-from codec import Setting
-from evaluation import trained
-from evaluation.cells import Method, decode_file, encode_file, rung_text
-from evaluation.cost import time_coding
-from evaluation.points import Failure, Point
-from models import Model
+from vibrocast import codec, textures
+from vibrocast.codec import Setting
+from vibrocast.evaluation import trained
+from vibrocast.evaluation.cells import Method, decode_file, encode_file, rung_text
+from vibrocast.evaluation.cost import time_coding
+from vibrocast.evaluation.points import Failure, Point
+from vibrocast.models import Model
 
 RATIO = 10.0
 """Compression ratio against 16 bits per sample at which the EVA paper states its times."""

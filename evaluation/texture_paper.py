@@ -1,4 +1,4 @@
-"""The arithmetic of the paper on material-like textures beside real bytes: `python -m evaluation.texture_paper`."""
+"""Compares the texture paper's ratios with real bytes: `python -m vibrocast.evaluation.texture_paper`."""
 
 import csv
 import itertools
@@ -13,11 +13,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.fft import dct
 
-import codec
-import textures
-from codec.threshold import read_threshold, threshold_amplitude
-from host.coding import DEFAULT_STREAM_RATE_HZ, as_stream
-from textures.generate import rough_profile
+from vibrocast import codec, textures
+from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.host.coding import DEFAULT_STREAM_RATE_HZ, as_stream
+from vibrocast.textures.generate import rough_profile
 
 PAPER_LEVELS = (14, 12, 10, 8, 6, 5, 4)
 LEVELS = range(4, 21)
@@ -120,7 +119,8 @@ def markdown(results: Sequence[Result]) -> str:
     lines = [
         "# Material-like textures: the paper's arithmetic and real bytes",
         "",
-        f"Written by `python -m evaluation.texture_paper`. Height profiles swept at {HAND_SPEED_MM_S:g} mm/s, coded by",
+        "Written by `python -m vibrocast.evaluation.texture_paper`. Height profiles swept at "
+        f"{HAND_SPEED_MM_S:g} mm/s, coded by",
         f"`dct` at {DEFAULT_STREAM_RATE_HZ} Hz in blocks of 512 (9.1 mm), DC and all above 400 Hz dropped. Wood,",
         "sandpaper and leather are generated surfaces, alike in kind only to those of the paper. Percentages are of 16",
         "bits for each coefficient that is kept; the columns of real bytes count the whole `.vct` file: header, packet",

@@ -5,12 +5,11 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-import codec
-import models
-from codec import CodecError, Framing, Setting, SignalFormat, eva
-from codec.eva_image import EvaImage
-from codec.mdct import built_in_tables
-from models import Model
+from vibrocast import codec, models
+from vibrocast.codec import CodecError, Framing, Setting, SignalFormat, eva
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.codec.mdct import built_in_tables
+from vibrocast.models import Model
 
 _FORMAT = SignalFormat(2800, "full scale", (1.0,), (0.5,))
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from textures import Recording, save_profile, save_wav
-from textures.generate import ridges, rough, rough_profile, taps, varying_speed, wood
+from vibrocast.textures import Recording, save_profile, save_wav
+from vibrocast.textures.generate import ridges, rough, rough_profile, taps, varying_speed, wood
 
 RATE_HZ = 2800.0
 SECONDS = 4.0

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from export.eva import Eva, EvaShape
-from export.priors import PRIORS, Prior
+from vibrocast.export.eva import Eva, EvaShape
+from vibrocast.export.priors import PRIORS, Prior
 
 FORMAT, VERSION = "vibrocast-eva", 1
 LARGEST_BYTES = 256 * 2**20

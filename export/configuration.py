@@ -8,7 +8,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, TypeAlias, TypeVar, cast, get_args, get_origin, get_type_hints
 
-import textures
+from vibrocast import textures
 
 Table = TypeVar("Table")
 LARGEST_FILE_BYTES = 2**20

@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from codec.graphs import LATENTS, SIGNAL, Transform
-from export.eva import HOP_SAMPLES, Eva, Gdn
+from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
+from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
 
 OPSET = 17
 PARITY = 1e-5

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import torch
 from torch import nn
 
-from codec.mdct import analysis_matrix
-from export.eva import HOP_SAMPLES, Eva, Gdn
+from vibrocast.codec.mdct import analysis_matrix
+from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
 
 _PASSED_ON = (4, 8, HOP_SAMPLES)
 """Channels of each layer that carry the signal: as many as the samples between two of its columns."""

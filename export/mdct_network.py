@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from codec import Framing, Signal
-from codec.mdct import HOPS, MdctEncoder
-from export.mdct_tables import RATE_HZ, STEP, excerpts
+from vibrocast.codec import Framing, Signal
+from vibrocast.codec.mdct import HOPS, MdctEncoder
+from vibrocast.export.mdct_tables import RATE_HZ, STEP, excerpts
 
 EXAMPLES = 8_000_000
 BATCH = 2048

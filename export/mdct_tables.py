@@ -1,8 +1,8 @@
 """Trains the initial tables of `mdct` on recordings: a refresh then starts from what textures have in common.
 
-python -m export.mdct_tables RECORDINGS.npz ... --image mine.vcmi                for a controller
-python -m export.mdct_tables RECORDINGS.npz ... --network --image mine.vcmi      with a network, in fewer bits
-python -m export.mdct_tables RECORDINGS.npz ... --built-in                       for firmware/core itself
+python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --image mine.vcmi                for a controller
+python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --network --image mine.vcmi      with a network, in fewer bits
+python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --built-in                       for firmware/core itself
 """
 
 from collections.abc import Iterator
@@ -12,11 +12,11 @@ import click
 import numpy as np
 from rich.progress import track
 
-from codec import Framing, Signal
-from codec.mdct import IDENTIFIER, MdctEncoder, untrained_tables
-from device_protocol.model_image import ModelImage
-from export.training_data import archive_recordings
-from textures import TextureError
+from vibrocast.codec import Framing, Signal
+from vibrocast.codec.mdct import IDENTIFIER, MdctEncoder, untrained_tables
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export.training_data import archive_recordings
+from vibrocast.textures import TextureError
 
 RATE_HZ = 2800
 STEPS_PER_RECORDING = 3
@@ -55,7 +55,9 @@ def train(textures: list[Signal], seed: int, tables: bytes) -> bytes:
 def c_source(tables: bytes) -> str:
     """Return firmware/core/builtin_tables.c for the tables."""
     lines = [", ".join(map(str, tables[start : start + 20])) for start in range(0, len(tables), 20)]
-    head = "/* Initial tables of the context model; written by `python -m export.mdct_tables --built-in`. */\n"
+    head = (
+        "/* Initial tables of the context model; written by `python -m vibrocast.export.mdct_tables --built-in`. */\n"
+    )
     return head + '#include "mdct.h"\n\nconst uint8_t vc_builtin_tables[] = {\n    ' + ",\n    ".join(lines) + "};\n"
 
 
@@ -104,7 +106,7 @@ def main(
 
 def _with_network(textures: list[Signal], seed: int, tables: bytes) -> bytes:
     try:
-        from export.mdct_network import trained
+        from vibrocast.export.mdct_network import trained
     except ImportError as error:
         raise click.ClickException('a network is trained by PyTorch: pip install "vibrocast[training]"') from error
     return trained(textures, seed, tables)

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from codec import eva
-from codec.eva_image import EvaImage
-from codec.interface import Signal
-from device_protocol.model_image import ModelImage
-from export.checkpoint import Checkpoint
-from export.graphs import Graphs, graphs_of
-from export.quantise import ordered, quantise
+from vibrocast.codec import eva
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.codec.interface import Signal
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.graphs import Graphs, graphs_of
+from vibrocast.export.quantise import ordered, quantise
 
 Contents: TypeAlias = Literal["core", "onnx", "both"]
 """What an image holds for the decoder: the integer network, the ONNX graph, or both, the network preferred."""

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from codec.core import UNIT
-from codec.eva import LatentEncoder, configuration
-from codec.eva_image import (
+from vibrocast.codec.core import UNIT
+from vibrocast.codec.eva import LatentEncoder, configuration
+from vibrocast.codec.eva_image import (
     LARGEST_SHIFT,
     STEPS_PER_UNIT,
     UNARY_LIMIT,
@@ -19,11 +19,11 @@ from codec.eva_image import (
     IntegerNetwork,
     Normalisation,
 )
-from codec.interface import Signal
-from codec.mdct import built_in_tables, step_code
-from export.checkpoint import ModelError
-from export.eva import HOP_SAMPLES, Eva, Gdn
-from export.priors import FactorisedPrior, Prior, probabilities
+from vibrocast.codec.interface import Signal
+from vibrocast.codec.mdct import built_in_tables, step_code
+from vibrocast.export.checkpoint import ModelError
+from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
+from vibrocast.export.priors import FactorisedPrior, Prior, probabilities
 
 HOTTEST = 4.0
 """How far above an RMS value of 1 the calibration takes the signals, so that louder passages have headroom."""

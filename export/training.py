@@ -10,14 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from codec.threshold import read_threshold, threshold_amplitude
-from export import training_data
-from export.checkpoint import Checkpoint, ModelError, load
-from export.configuration import Augmentation, Configuration
-from export.eva import REACH_SAMPLES, Eva, EvaShape
-from export.lapped_start import start_lapped
-from export.priors import PRIORS
-from export.training_data import Excerpts
+from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.export import training_data
+from vibrocast.export.checkpoint import Checkpoint, ModelError, load
+from vibrocast.export.configuration import Augmentation, Configuration
+from vibrocast.export.eva import REACH_SAMPLES, Eva, EvaShape
+from vibrocast.export.lapped_start import start_lapped
+from vibrocast.export.priors import PRIORS
+from vibrocast.export.training_data import Excerpts
 
 BEST, LAST = "best.pt", "last.pt"
 _EXPLODED = 100.0

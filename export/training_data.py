@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-import textures
-from export.configuration import ArchiveSource, Augmentation, FolderSource, GeneratorSource, HeldBack, Source
-from textures import Recording, TextureError, dataset
-from textures.recording import Signal
+from vibrocast import textures
+from vibrocast.export.configuration import ArchiveSource, Augmentation, FolderSource, GeneratorSource, HeldBack, Source
+from vibrocast.textures import Recording, TextureError, dataset
+from vibrocast.textures.recording import Signal
 
 _MARGIN_SAMPLES = 128
 """On each side of an excerpt, cut off again: its filters take it for periodic."""

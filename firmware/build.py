@@ -1,4 +1,4 @@
-"""Builds the firmware with ziglang, for this machine and for microcontrollers; `python -m firmware.build` does it."""
+"""Builds the firmware with ziglang, for this machine and for microcontrollers: `python -m vibrocast.firmware.build`."""
 
 import hashlib
 import json
@@ -15,8 +15,8 @@ from pathlib import Path
 
 import click
 
-from firmware.declarations import cffi_declarations
-from firmware.elf import Elf
+from vibrocast.firmware.declarations import cffi_declarations
+from vibrocast.firmware.elf import Elf
 
 ROOT = Path(__file__).parent
 SHARED = ("core", "controller")

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from codec import CodecError
-from device_protocol.coded_stream import MAX_RATE_HZ
-from device_protocol.model_image import ModelImageError
-from host import progress
-from host.options import INPUT, BadInput, command_run, recording_options
-from models import ModelError
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host import progress
+from vibrocast.host.options import INPUT, BadInput, command_run, recording_options
+from vibrocast.models import ModelError
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
-    from evaluation.bench import Tally
-    from evaluation.comparison import Measurements
-    from evaluation.points import Failure
+    from vibrocast.evaluation.bench import Tally
+    from vibrocast.evaluation.comparison import Measurements
+    from vibrocast.evaluation.points import Failure
 
 SNRS_DB = (5.0, 10.0, 15.0, 20.0)
 SHOWN_FAILURES = 10
@@ -94,13 +94,13 @@ def bench(
     Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
     the exit code is 1.
     """
-    from evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
-    from evaluation.cells import BenchError
-    from evaluation.comparison import Measurements
-    from evaluation.external import ProgramError
-    from evaluation.points import Failure, PointsError, read_imported
-    from textures import dataset
-    from textures.dataset import DatasetError, Trace
+    from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
+    from vibrocast.evaluation.cells import BenchError
+    from vibrocast.evaluation.comparison import Measurements
+    from vibrocast.evaluation.external import ProgramError
+    from vibrocast.evaluation.points import Failure, PointsError, read_imported
+    from vibrocast.textures import dataset
+    from vibrocast.textures.dataset import DatasetError, Trace
 
     try:
         programs = external.read_programs(program_list) if program_list else []
@@ -182,7 +182,7 @@ def show(measurements: "Measurements") -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from evaluation.bd_rate import SNR, bits_per_sample_at
+    from vibrocast.evaluation.bd_rate import SNR, bits_per_sample_at
 
     table = Table(
         box=SIMPLE, pad_edge=False, title="Mean bits per sample at an SNR; delay, ms; seconds per million samples"

@@ -10,14 +10,12 @@ from typing import Any, TypedDict, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-import codec
-import models
-import textures
-from device_protocol import coded_stream
-from device_protocol.coded_stream import StreamError, StreamHeader
-from device_protocol.model_image import ModelImage, sha256
-from host.input_files import read_input
-from host.output_files import whole_file
+from vibrocast import codec, models, textures
+from vibrocast.device_protocol import coded_stream
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.host.input_files import read_input
+from vibrocast.host.output_files import whole_file
 
 Made = TypeVar("Made")
 

@@ -14,24 +14,22 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
-import codec
-import models
-import textures
-from device_protocol.coded_stream import MAX_RATE_HZ, StreamError
-from device_protocol.messages import MessageError
-from device_protocol.model_image import ModelImageError
-from device_protocol.transports import TransportError
-from host import coding, devices, flasher, planned_command, player, profiles, progress, steered
-from host.bench_command import bench
-from host.conformance_command import conformance
-from host.controller import ControllerError
-from host.entry import INTERRUPTED
-from host.export_command import export
-from host.input_files import InputFileError
-from host.live_command import live
-from host.measure_command import measure
-from host.models_command import list_models
-from host.options import (
+from vibrocast import codec, models, textures
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ, StreamError
+from vibrocast.device_protocol.messages import MessageError
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import coding, devices, flasher, planned_command, player, profiles, progress, steered
+from vibrocast.host.bench_command import bench
+from vibrocast.host.conformance_command import conformance
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.entry import INTERRUPTED
+from vibrocast.host.export_command import export
+from vibrocast.host.input_files import InputFileError
+from vibrocast.host.live_command import live
+from vibrocast.host.measure_command import measure
+from vibrocast.host.models_command import list_models
+from vibrocast.host.options import (
     INPUT,
     POSITIVE,
     BadInput,
@@ -46,17 +44,17 @@ from host.options import (
     recording_options,
     setting_option,
 )
-from host.output_files import whole_file
-from host.plain import plain
-from host.plan_command import plan
-from host.report import Report
-from host.stability_command import stability
-from host.steered_options import steered_options, wish_of
-from host.train_command import train
-from simulated_device.actuator import ACTUATORS, PIEZO_STACK
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.plain import plain
+from vibrocast.host.plan_command import plan
+from vibrocast.host.report import Report
+from vibrocast.host.stability_command import stability
+from vibrocast.host.steered_options import steered_options, wish_of
+from vibrocast.host.train_command import train
+from vibrocast.simulated_device.actuator import ACTUATORS, PIEZO_STACK
 
 if TYPE_CHECKING:
-    from host import hand
+    from vibrocast.host import hand
 
 INPUT_ERRORS = (
     textures.TextureError,
@@ -210,7 +208,7 @@ def play(
     With --plan, play the texture that FILE names, or all, live and as planned, on the plan's controllers, or on
     --device where it has one, and hold what is measured against the forecast: what is off by more than 10 % fails.
     """
-    from host import end_to_end, picture
+    from vibrocast.host import end_to_end, picture
 
     if plan_path is not None:
         plan = planned_command.read(plan_path, ("file", "address", "report_path"))
@@ -222,7 +220,7 @@ def play(
     if positions_path or stroke_mm:
         if report_path:
             raise click.UsageError("a profile under a hand has no report: drop --report.")
-        from host import hand
+        from vibrocast.host import hand
 
         movement = hand.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
         play_profile(file, address, movement, plot_path, runtime, choices)
@@ -458,10 +456,10 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
 
     It is behind a pseudo-terminal, whose address is printed; other programs open it as a serial port.
     """
-    from simulated_device.controller import FLASH_BYTES, Settings
-    from simulated_device.controller import Controller as SimulatedController
-    from simulated_device.flash import FlashMemory
-    from simulated_device.pty_port import PtyPort
+    from vibrocast.simulated_device.controller import FLASH_BYTES, Settings
+    from vibrocast.simulated_device.controller import Controller as SimulatedController
+    from vibrocast.simulated_device.flash import FlashMemory
+    from vibrocast.simulated_device.pty_port import PtyPort
 
     if flash_file and flash_file.exists() and not (flash_file.is_file() and flash_file.stat().st_size == FLASH_BYTES):
         raise BadInput(f"{flash_file}: not the {FLASH_BYTES} bytes of this flash memory; give a name for a new file")
@@ -555,7 +553,7 @@ def play_profile(
     choices: dict[str, Any],
 ) -> None:
     """Play a height profile, or a spatial stream, under a moving hand; tell what was played, and draw it."""
-    from host import end_to_end, hand, picture
+    from vibrocast.host import end_to_end, hand, picture
 
     if file.suffix.lower() == ".vct":
         stream = coded_already(file, choices)

@@ -9,13 +9,13 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from device_protocol.transports import TransportError
-from host import devices, progress
-from host.options import BadInput, device_option
-from host.plain import plain
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import devices, progress
+from vibrocast.host.options import BadInput, device_option
+from vibrocast.host.plain import plain
 
 if TYPE_CHECKING:
-    from host.conformance.report import Report
+    from vibrocast.host.conformance.report import Report
 
 
 @click.command()
@@ -30,9 +30,9 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, dat
     It plays textures, and writes the slot for model images that does not run; the image that runs runs again
     afterwards. The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tried.
     """
-    from host.conformance.judge import NotJudged, judge
-    from host.conformance.line import Line
-    from host.conformance.report import PAGE, Report
+    from vibrocast.host.conformance.judge import NotJudged, judge
+    from vibrocast.host.conformance.line import Line
+    from vibrocast.host.conformance.report import PAGE, Report
 
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)  # what cannot be written is better known before than after
@@ -54,7 +54,7 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, dat
 
 def show(report: "Report") -> None:
     """Print how many requirements of each section had which outcome, what failed, and the verdict."""
-    from host.conformance.judge import Outcome
+    from vibrocast.host.conformance.judge import Outcome
 
     table = Table("section", *(outcome.value for outcome in Outcome))
     for section, findings in report.sections():

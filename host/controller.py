@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self, TypeVar
 
-from device_protocol.frames import DELIMITER, FrameReader, write_frame
-from device_protocol.messages import (
+from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     MAXIMUM_SEQUENCE,
     NOTIFICATION,
     PROTOCOL_MAJOR,
@@ -29,7 +29,7 @@ from device_protocol.messages import (
     pack,
     unpack,
 )
-from device_protocol.transports import Transport, TransportError
+from vibrocast.device_protocol.transports import Transport, TransportError
 
 # docs/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1

@@ -12,8 +12,8 @@ import usb.core
 import usb.util
 from serial.tools import list_ports
 
-from device_protocol.messages import HelloResponse, SlotState
-from device_protocol.transports import (
+from vibrocast.device_protocol.messages import HelloResponse, SlotState
+from vibrocast.device_protocol.transports import (
     VENDOR_INTERFACE_CLASS,
     SerialTransport,
     Transport,
@@ -21,13 +21,13 @@ from device_protocol.transports import (
     UsbTransport,
     open_transport,
 )
-from host.controller import Controller
+from vibrocast.host.controller import Controller
 
 if TYPE_CHECKING:
-    from simulated_device.actuator import Actuator
-    from simulated_device.controller import Controller as SimulatedController
-    from simulated_device.cortex_m import CortexM
-    from simulated_device.stm32f405 import Stm32F405
+    from vibrocast.simulated_device.actuator import Actuator
+    from vibrocast.simulated_device.controller import Controller as SimulatedController
+    from vibrocast.simulated_device.cortex_m import CortexM
+    from vibrocast.simulated_device.stm32f405 import Stm32F405
 
 FIRMWARE = {
     "host": "the firmware as a process of this machine",
@@ -70,8 +70,8 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
             decoding_runtime(address, runtime)
             transport = SerialTransport(stack.enter_context(_firmware(address)))
         elif address in SIMULATED:
-            from simulated_device.pty_port import PtyPort
-            from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
+            from vibrocast.simulated_device.pty_port import PtyPort
+            from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
             if address == "sim":
                 transport = SerialTransport(stack.enter_context(PtyPort(simulated(runtime, actuator))).name)
@@ -86,7 +86,7 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
 def simulated(runtime: str | None = None, actuator: "Actuator | None" = None) -> "SimulatedController":
     """Return the simulated controller, decoding by `runtime` and with `actuator`, as in `reach`."""
     # Takes longer to load than all the rest, and only here is it needed.
-    from simulated_device.controller import Controller, Settings
+    from vibrocast.simulated_device.controller import Controller, Settings
 
     settings = Settings(runtime=runtime)
     return Controller(settings if actuator is None else replace(settings, actuator=actuator))
@@ -107,9 +107,9 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
 @contextlib.contextmanager
 def _firmware(address: str) -> Iterator[str]:
     """Run one of FIRMWARE and tell its serial port. Raises TransportError."""
-    from firmware.build import BuildError
-    from simulated_device.host_process import HostProcess
-    from simulated_device.pty_port import PtyPort
+    from vibrocast.firmware.build import BuildError
+    from vibrocast.simulated_device.host_process import HostProcess
+    from vibrocast.simulated_device.pty_port import PtyPort
 
     try:
         port = HostProcess() if address == "host" else PtyPort(emulated(address))
@@ -121,11 +121,11 @@ def _firmware(address: str) -> Iterator[str]:
 
 def emulated(address: str, count_instructions: bool = False) -> "CortexM | Stm32F405":
     """Return one of EMULATED; `count_instructions`: as simulated_device.emulator.Processor. Raises TransportError."""
-    from firmware.build import BuildError
+    from vibrocast.firmware.build import BuildError
 
     try:
-        from simulated_device.cortex_m import CortexM
-        from simulated_device.stm32f405 import Stm32F405
+        from vibrocast.simulated_device.cortex_m import CortexM
+        from vibrocast.simulated_device.stm32f405 import Stm32F405
     except ModuleNotFoundError as error:
         raise TransportError('processors are emulated by unicorn: pip install "vibrocast[firmware]"') from error
     try:

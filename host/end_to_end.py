@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from device_protocol.messages import ActuatorDescription
-from host import flasher, player
-from host.coding import Encoding, Stream
-from host.controller import Controller, ControllerError
-from host.devices import model_images
-from host.picture import Trace
-from host.report import ActuatorUse, DeviceDescription, Latency, Report
-from simulated_device.actuator import ACTUATORS, Actuator
-from simulated_device.output import Drive, displacement_filter, render
+from vibrocast.device_protocol.messages import ActuatorDescription
+from vibrocast.host import flasher, player
+from vibrocast.host.coding import Encoding, Stream
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.devices import model_images
+from vibrocast.host.picture import Trace
+from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report
+from vibrocast.simulated_device.actuator import ACTUATORS, Actuator
+from vibrocast.simulated_device.output import Drive, displacement_filter, render
 
 # Decoded samples of all channels and loops, positions that are not played included: 1.6 h at 2800 Hz. Computing the
 # same here takes about 80 bytes for each.

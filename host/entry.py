@@ -17,7 +17,7 @@ def main() -> None:
     heeded = [number for number in STOPPING_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     for number in heeded:
         signal.signal(number, _leave)
-    from host.command_line import main as command_line
+    from vibrocast.host.command_line import main as command_line
 
     for number in heeded:
         signal.signal(number, _interrupt)

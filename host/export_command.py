@@ -7,11 +7,11 @@ from typing import Any
 import click
 import numpy as np
 
-import models
-from host import progress
-from host.options import INPUT, BadInput, command_run
-from host.output_files import whole_folder
-from host.train_command import NEEDS_TRAINING
+from vibrocast import models
+from vibrocast.host import progress
+from vibrocast.host.options import INPUT, BadInput, command_run
+from vibrocast.host.output_files import whole_folder
+from vibrocast.host.train_command import NEEDS_TRAINING
 
 FILES = {models.CARD, "card.md", models.ANALYSIS, "synthesis.onnx"}
 """What the folder of a model holds, beside its image."""
@@ -67,10 +67,10 @@ def export(
     The folder is written whole or not at all; one that holds a model is replaced.
     """
     try:
-        from export import configuration, package, training_data
-        from export.checkpoint import ModelError, load
-        from export.graphs import GraphError
-        from host import model_card
+        from vibrocast.export import configuration, package, training_data
+        from vibrocast.export.checkpoint import ModelError, load
+        from vibrocast.export.graphs import GraphError
+        from vibrocast.host import model_card
     except ModuleNotFoundError as error:
         if error.name not in ("torch", "onnx"):
             raise

@@ -3,9 +3,9 @@
 import contextlib
 from collections.abc import Callable
 
-import models
-from device_protocol.coded_stream import IMAGE_HASH_BYTES
-from device_protocol.messages import (
+from vibrocast import models
+from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES
+from vibrocast.device_protocol.messages import (
     FlashActivate,
     FlashBegin,
     FlashConfirm,
@@ -16,10 +16,10 @@ from device_protocol.messages import (
     SlotState,
     pack,
 )
-from device_protocol.model_image import ModelImage, sha256
-from device_protocol.transports import TransportError
-from host.controller import ConnectionLost, Controller, ControllerError
-from host.devices import SIMULATED
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.devices import SIMULATED
 
 RECONNECT_S = 10.0
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from device_protocol.messages import (
+from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     Configure,
@@ -21,12 +21,12 @@ from device_protocol.messages import (
     StreamData,
     Tap,
 )
-from host.coding import Stream
-from host.controller import Controller, ControllerError
-from host.input_files import InputFileError
-from host.picture import Trace
-from simulated_device import profile as rendering
-from simulated_device.actuator import Actuator, Codes
+from vibrocast.host.coding import Stream
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.input_files import InputFileError
+from vibrocast.host.picture import Trace
+from vibrocast.simulated_device import profile as rendering
+from vibrocast.simulated_device.actuator import Actuator, Codes
 
 _POSITION_RATE_HZ = 500
 _MOST_POSITIONS = 1_000_000

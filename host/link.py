@@ -5,10 +5,10 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import codec
-from device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameError, write_frame
-from device_protocol.messages import Message, Status, StatusRequest, StreamData, pack
-from host.controller import Controller
+from vibrocast import codec
+from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameError, write_frame
+from vibrocast.device_protocol.messages import Message, Status, StatusRequest, StreamData, pack
+from vibrocast.host.controller import Controller
 
 # The controller drops data of a stream that is not under way, so a frame of it may be of any length.
 _PROBE_BYTES = 128

@@ -7,18 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import codec
-import models
-import textures
-from codec import Signal, SignalFormat
-from codec.steering import REFRESH_S as STEERED_REFRESH_S
-from device_protocol.coded_stream import StreamHeader, renumbered
-from device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
-from device_protocol.transports import TransportError
-from host import coding
-from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
-from host.link import STATUS_INTERVAL_S, Link, added_bytes, frame_bytes
-from host.player import RECONNECT_S, check_limits, check_packet
+from vibrocast import codec, models, textures
+from vibrocast.codec import Signal, SignalFormat
+from vibrocast.codec.steering import REFRESH_S as STEERED_REFRESH_S
+from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
+from vibrocast.device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import coding
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
+from vibrocast.host.link import STATUS_INTERVAL_S, Link, added_bytes, frame_bytes
+from vibrocast.host.player import RECONNECT_S, check_limits, check_packet
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
 MARGIN_S = 0.01

@@ -12,14 +12,12 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-import codec
-import models
-import textures
-from device_protocol.coded_stream import MAX_RATE_HZ
-from device_protocol.messages import Status
-from host import coding, devices, flasher, progress
-from host import live as streaming
-from host.options import (
+from vibrocast import codec, models, textures
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.device_protocol.messages import Status
+from vibrocast.host import coding, devices, flasher, progress
+from vibrocast.host import live as streaming
+from vibrocast.host.options import (
     POSITIVE,
     BadInput,
     Finite,
@@ -29,9 +27,9 @@ from host.options import (
     model_option,
     setting_option,
 )
-from host.output_files import whole_file
-from host.steered_options import steered_options, wish_of
-from textures.recording import MAX_CHANNELS
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.steered_options import steered_options, wish_of
+from vibrocast.textures.recording import MAX_CHANNELS
 
 # What 1.0 of full scale is in each.
 FORMATS = {"int16": ("<i2", 32768.0), "float32": ("<f4", 1.0)}

@@ -6,12 +6,12 @@ from typing import TypeVar
 
 import numpy as np
 
-import codec
-from codec import Signal
-from device_protocol.transports import TransportError
-from host.controller import ConnectionLost, ControllerError
-from host.link import added_bytes
-from host.live import LiveResult, LiveStream, limit_rate
+from vibrocast import codec
+from vibrocast.codec import Signal
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import ConnectionLost, ControllerError
+from vibrocast.host.link import added_bytes
+from vibrocast.host.live import LiveResult, LiveStream, limit_rate
 
 _Done = TypeVar("_Done")
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import TypeVar
 
-from host.controller import Controller
+from vibrocast.host.controller import Controller
 
 _Session = TypeVar("_Session", bound=Controller)
 _Result = TypeVar("_Result")

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from codec import CodecError
-from device_protocol.coded_stream import StreamError
-from device_protocol.messages import MessageError
-from device_protocol.transports import TransportError
-from host import progress
-from host.controller import ConnectionLost, ControllerError
-from host.options import INPUT, plan_option
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import MessageError
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import progress
+from vibrocast.host.controller import ConnectionLost, ControllerError
+from vibrocast.host.options import INPUT, plan_option
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
-    from host.harness.bench_file import Bench
-    from host.harness.results import Results
+    from vibrocast.host.harness.bench_file import Bench
+    from vibrocast.host.harness.results import Results
 
 NAMES = ("latency", "smallest", "throughput", "load", "gap", "fidelity", "response", "together")
 TIMED, RETAKES = NAMES[:5], 2
@@ -65,8 +65,8 @@ def measure(
     With --plan, on the plan's actuators and textures. What has been measured is written also when the run is cut. The
     exit code is 1 where something could not be measured or has become worse than in the earlier run.
     """
-    from host.harness import bench_file, results
-    from host.planner.plan_file import read_plan
+    from vibrocast.host.harness import bench_file, results
+    from vibrocast.host.planner.plan_file import read_plan
 
     if plan_path is not None and bench_path is not None:
         raise click.UsageError("a plan and a bench file both say what is there: drop one of them.")
@@ -94,9 +94,9 @@ def measure(
 
 def measure_all(bench: "Bench", names: tuple[str, ...], run: "Results") -> None:
     """Take the measurements of these names into a run; one that fails leaves the others, a lost controller ends all."""
-    from host.harness import bench_file, measurements
-    from host.harness.alignment import AlignmentError
-    from host.harness.sensors import SensorError
+    from vibrocast.host.harness import bench_file, measurements
+    from vibrocast.host.harness.alignment import AlignmentError
+    from vibrocast.host.harness.sensors import SensorError
 
     run.host.update(measurements.machine())
     with bench_file.connect(bench, bench.first) as controller:
@@ -124,7 +124,7 @@ def measure_all(bench: "Bench", names: tuple[str, ...], run: "Results") -> None:
 
 def measure_again(bench: "Bench", before: dict[str, Any], run: "Results") -> None:
     """Take anew what is a matter of time and has become worse: the computer may have been busy with something else."""
-    from host.harness import results
+    from vibrocast.host.harness import results
 
     for _ in range(RETAKES):
         again = tuple(name for name in TIMED if name in run.measured and is_worse(before, run, name))
@@ -140,7 +140,7 @@ def measure_again(bench: "Bench", before: dict[str, Any], run: "Results") -> Non
 
 def is_worse(before: dict[str, Any], run: "Results", name: str) -> bool:
     """Return whether a figure of one measurement has become worse than in an earlier run."""
-    from host.harness import results
+    from vibrocast.host.harness import results
 
     now = results.Results(run.device, run.host, {name: run.measured[name]})
     return any(change.regressed for change in results.compare(before, now.document()))
@@ -149,7 +149,7 @@ def is_worse(before: dict[str, Any], run: "Results", name: str) -> bool:
 @contextlib.contextmanager
 def saved(out: Path, run: "Results", before: dict[str, Any] | None, bench: "Bench") -> Iterator[None]:
     """Write what a run has measured when the block ends, however it ends."""
-    from host.harness import bench_file, page, results
+    from vibrocast.host.harness import bench_file, page, results
 
     try:
         yield

@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 
-import codec
-import textures
-from evaluation.cost import time_coding
-from evaluation.speed import cpu_name
-from export.checkpoint import Checkpoint
-from export.graphs import OPSET
-from export.package import Package
-from export.training_data import Trace
-from host import coding
-from models import Model
+from vibrocast import codec, textures
+from vibrocast.evaluation.cost import time_coding
+from vibrocast.evaluation.speed import cpu_name
+from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.graphs import OPSET
+from vibrocast.export.package import Package
+from vibrocast.export.training_data import Trace
+from vibrocast.host import coding
+from vibrocast.models import Model
 
 NEAR_SNR_DB = 15.0
 """The loss of the integer synthesis and the speed are stated at the rate whose SNR is nearest to this."""

@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-import models
-from device_protocol.model_image import sha256
+from vibrocast import models
+from vibrocast.device_protocol.model_image import sha256
 
 _COLUMNS = ("name", "codec", "width", "image bytes", "rates", "SNR dB", "bit/sample")
 

@@ -10,11 +10,9 @@ from typing import Any, TypeVar
 
 import click
 
-import codec
-import models
-import textures
-from device_protocol.model_image import ModelImageError
-from host import coding, devices
+from vibrocast import codec, models, textures
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host import coding, devices
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

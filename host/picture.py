@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from codec.threshold import read_threshold
-from host.output_files import whole_file
+from vibrocast.codec.threshold import read_threshold
+from vibrocast.host.output_files import whole_file
 
 CHANNELS_SHOWN = 4
 ZOOM_S = 0.06

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from host import planned_command, progress
-from host.options import INPUT
-from host.plain import plain
+from vibrocast.host import planned_command, progress
+from vibrocast.host.options import INPUT
+from vibrocast.host.plain import plain
 
 FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
 
@@ -26,7 +26,7 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
     Writes plan.toml, a picture of all that was measured (plan.png), and its tables (candidates.csv, bands.csv); with
     --play also forecast.csv and forecast.json. What is then measured more than 10 % off its forecast fails.
     """
-    from host.planner import choose, page, plan_file, scene
+    from vibrocast.host.planner import choose, page, plan_file, scene
 
     read = scene.read_scene(scene_path)
     with progress.shown("planning") as update:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-import models
-from host import progress
-from host.output_files import whole_file
-from host.plain import plain
+from vibrocast import models
+from vibrocast.host import progress
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.plain import plain
 
 if TYPE_CHECKING:  # what plans and measures takes a second to load, which other commands need not wait for
-    from host.planner.plan_file import Plan
+    from vibrocast.host.planner.plan_file import Plan
 
 
 def read(path: Path, allowed: Sequence[str]) -> "Plan":
@@ -23,7 +23,7 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
 
     The address of a --device replaces that of the plan's only controller. Raises PlanError, click.UsageError.
     """
-    from host.planner import plan_file
+    from vibrocast.host.planner import plan_file
 
     context = click.get_current_context()
     for parameter in context.command.params:
@@ -47,7 +47,7 @@ def play(
 
     `as_json`: tell them as JSON. Raises click.ClickException where something was not as planned.
     """
-    from host.planner import comparison, playing
+    from vibrocast.host.planner import comparison, playing
 
     with progress.shown("playing") as update:
         played = playing.play(plan, names, progress=update)
@@ -69,7 +69,7 @@ def needed_models(path: Path) -> Iterator[tuple[str, str, models.Model]]:
 
     Raises PlanError where they need several, for a controller runs one at a time; ModelError.
     """
-    from host.planner.plan_file import PlanError
+    from vibrocast.host.planner.plan_file import PlanError
 
     plan = read(path, ("address",))
     for controller in plan.controllers:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
-from device_protocol.messages import CaptureData, Configure, Start, State, Status, StreamData, Tap, pack
-from device_protocol.transports import TransportError
-from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
+from vibrocast.device_protocol.messages import CaptureData, Configure, Start, State, Status, StreamData, Tap, pack
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 
 # Longer than a busy computer keeps a program waiting, as a rule; all of it is delay between host and skin.
 BUFFER_S = 0.3

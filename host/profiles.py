@@ -4,9 +4,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-import textures
-from device_protocol.coded_stream import MAX_RATE_HZ, PROFILE_UNIT, StreamError
-from host import coding
+from vibrocast import textures
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ, PROFILE_UNIT, StreamError
+from vibrocast.host import coding
 
 BAND_HZ = 400.0
 """What is worth coding at the slowest hand: up to here the DCT paper's display renders its textures."""

@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from host.output_files import whole_file
+from vibrocast.host.output_files import whole_file
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import click
 
-from codec import CodecError
-from device_protocol.model_image import ModelImageError
-from host import progress
-from host.options import INPUT, BadInput, command_run
-from models import ModelError
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host import progress
+from vibrocast.host.options import INPUT, BadInput, command_run
+from vibrocast.models import ModelError
 
 
 @click.command()
@@ -32,11 +32,11 @@ def stability(
     Signals, settings, transport, speed of the hand, actuator, and trained models. What fails is a result: the maps
     show it.
     """
-    from evaluation import trained
-    from evaluation.cells import BenchError
-    from evaluation.stability import page, report
-    from evaluation.stability.maps import Scope, methods
-    from evaluation.stability.peers import PeersError, read_peers
+    from vibrocast.evaluation import trained
+    from vibrocast.evaluation.cells import BenchError
+    from vibrocast.evaluation.stability import page, report
+    from vibrocast.evaluation.stability.maps import Scope, methods
+    from vibrocast.evaluation.stability.peers import PeersError, read_peers
 
     try:
         chosen = methods(None if names is None else names.split(","), trained.known_models(model_folders))

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import codec
-import models
-import textures
-from codec import Signal, SignalFormat
-from codec.steering import DEFAULT_BUCKET_S, REFRESH_S, RatePolicy
-from host import coding
-from host.link import added_bytes
-from host.live import recording_format
+from vibrocast import codec, models, textures
+from vibrocast.codec import Signal, SignalFormat
+from vibrocast.codec.steering import DEFAULT_BUCKET_S, REFRESH_S, RatePolicy
+from vibrocast.host import coding
+from vibrocast.host.link import added_bytes
+from vibrocast.host.live import recording_format
 
 WINDOW_S = 2.0
 """A rate is held over any run of whole packets that lasts so long."""

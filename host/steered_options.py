@@ -4,8 +4,8 @@ from typing import Any
 
 import click
 
-from host import steered
-from host.options import POSITIVE, Finite, options
+from vibrocast.host import steered
+from vibrocast.host.options import POSITIVE, Finite, options
 
 steered_options = options(
     click.option(

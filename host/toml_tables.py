@@ -7,7 +7,7 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
-from host.input_files import InputFileError
+from vibrocast.host.input_files import InputFileError
 
 MAX_BYTES = 1 << 20
 _MOST_SHOWN = 80

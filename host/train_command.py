@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from host import progress
-from host.options import INPUT, BadInput
+from vibrocast.host import progress
+from vibrocast.host.options import INPUT, BadInput
 
 NEEDS_TRAINING = 'this needs what trains models: pip install "vibrocast[training]"'
 
@@ -39,8 +39,8 @@ def train(
     OUT/NAME/best.pt is the checkpoint to export. A sweep runs its trainings side by side, each on one core.
     """
     try:
-        from export import configuration, training
-        from export.checkpoint import ModelError
+        from vibrocast.export import configuration, training
+        from vibrocast.export.checkpoint import ModelError
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
@@ -66,7 +66,7 @@ def train(
 
 def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
     """Run trainings on all cores, or on the workers of a Dask scheduler; one that fails costs only itself."""
-    from evaluation import cells, workers
+    from vibrocast.evaluation import cells, workers
 
     work: Any = partial(workers.on_cores, processes=workers.cores())
     if scheduler:

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImage, ModelImageError, sha256
 
 CARD = "card.json"
 ANALYSIS = "analysis.onnx"

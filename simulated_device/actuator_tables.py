@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
 
 TABLES = Path(__file__).parents[1] / "firmware" / "controller" / "actuator_tables.c"
 SHIPPED = {
@@ -75,7 +75,7 @@ def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[s
 
 def source() -> tuple[str, str]:
     """Return the contents of actuator_tables.c and of its header."""
-    command = "written by `python -m simulated_device.actuator_tables`"
+    command = "written by `python -m vibrocast.simulated_device.actuator_tables`"
     tables = [
         f"const vc_actuator vc_{name} = {_initialiser(constants(actuator))};\n" for name, actuator in SHIPPED.items()
     ]

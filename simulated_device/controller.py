@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import codec
-from codec import Decoder
-from device_protocol import frames, messages
-from device_protocol.coded_stream import IMAGE_HASH_BYTES, StreamError, StreamHeader
-from device_protocol.frames import FrameReader, write_frame
-from device_protocol.messages import (
+from vibrocast import codec
+from vibrocast.codec import Decoder
+from vibrocast.device_protocol import frames, messages
+from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, StreamError, StreamHeader
+from vibrocast.device_protocol.frames import FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     NOTIFICATION,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
@@ -41,11 +41,11 @@ from device_protocol.messages import (
     Stop,
     StreamData,
 )
-from simulated_device.actuator import PIEZO_STACK, Actuator, Codes
-from simulated_device.flash import FlashMemory, ImageStore
-from simulated_device.playback import Playback
-from simulated_device.profile import HAND_DELAY_US
-from simulated_device.refusal import Refusal
+from vibrocast.simulated_device.actuator import PIEZO_STACK, Actuator, Codes
+from vibrocast.simulated_device.flash import FlashMemory, ImageStore
+from vibrocast.simulated_device.playback import Playback
+from vibrocast.simulated_device.profile import HAND_DELAY_US
+from vibrocast.simulated_device.refusal import Refusal
 
 BUILD = "simulated controller 0.1.0"
 FLASH_BYTES = 2056 * 1024  # two sectors of state, two slots of 1 MiB

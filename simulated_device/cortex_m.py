@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from unicorn import arm_const
 
-from firmware.build import build
-from firmware.elf import Elf
-from simulated_device.actuator import Codes
-from simulated_device.emulator import SYSTEM_SPACE, Processor
-from simulated_device.flash import FlashMemory
+from vibrocast.firmware.build import build
+from vibrocast.firmware.elf import Elf
+from vibrocast.simulated_device.actuator import Codes
+from vibrocast.simulated_device.emulator import SYSTEM_SPACE, Processor
+from vibrocast.simulated_device.flash import FlashMemory
 
 FLASH_BYTES = 2056 * 1024
 """Flash for model images: two sectors of 4096 bytes for records, two slots of 1 MiB."""

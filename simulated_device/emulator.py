@@ -7,8 +7,8 @@ from typing import Any
 import unicorn
 from unicorn import arm_const
 
-from firmware.elf import Elf
-from simulated_device.flash import FlashMemory
+from vibrocast.firmware.elf import Elf
+from vibrocast.simulated_device.flash import FlashMemory
 
 PAGE_BYTES = 4096
 SYSTEM_SPACE = 0xE000_E000

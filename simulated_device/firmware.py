@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from cffi import FFI
 
-from firmware.build import build
-from simulated_device.actuator import Codes
-from simulated_device.actuator_tables import constants
-from simulated_device.controller import FLASH_BYTES, Settings
-from simulated_device.flash import SLOTS, FlashMemory
+from vibrocast.firmware.build import build
+from vibrocast.simulated_device.actuator import Codes
+from vibrocast.simulated_device.actuator_tables import constants
+from vibrocast.simulated_device.controller import FLASH_BYTES, Settings
+from vibrocast.simulated_device.flash import SLOTS, FlashMemory
 
 BUILD = "vibrocast firmware 0.1.0"
 _LONGEST_READ_BYTES = 1 << 16

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from codec import CodecError
-from device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
-from device_protocol.model_image import ModelImage, ModelImageError, sha256
-from simulated_device.refusal import Refusal
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
+from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.simulated_device.refusal import Refusal
 
 SLOTS = 2
 ERASED = 0xFF

@@ -5,8 +5,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from device_protocol.transports import TransportError
-from firmware.build import build
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.firmware.build import build
 
 
 class HostProcess:

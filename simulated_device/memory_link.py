@@ -4,9 +4,9 @@ import random
 from types import TracebackType
 from typing import Self
 
-from device_protocol.frames import DELIMITER
-from device_protocol.transports import TransportError
-from simulated_device.device import Device
+from vibrocast.device_protocol.frames import DELIMITER
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.simulated_device.device import Device
 
 STEP_US = 1000
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from codec import Decoded
-from codec.core import Structure, ffi, library
-from device_protocol.coded_stream import UNITS, StreamHeader
-from simulated_device.actuator import Actuator, Codes, Filter
-from simulated_device.actuator_tables import constants
+from vibrocast.codec import Decoded
+from vibrocast.codec.core import Structure, ffi, library
+from vibrocast.device_protocol.coded_stream import UNITS, StreamHeader
+from vibrocast.simulated_device.actuator import Actuator, Codes, Filter
+from vibrocast.simulated_device.actuator_tables import constants
 
 DriveSamples: TypeAlias = NDArray[np.int32]
 

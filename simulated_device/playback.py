@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from codec import CodecError, Decoded, Decoder
-from device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
-from device_protocol.messages import Configure, ErrorCode, State, Status, Tap
-from simulated_device.actuator import Actuator, Codes
-from simulated_device.output import Dac, Drive, recording_end
-from simulated_device.profile import Profile, least_samples, rendered
-from simulated_device.refusal import Refusal
+from vibrocast.codec import CodecError, Decoded, Decoder
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
+from vibrocast.device_protocol.messages import Configure, ErrorCode, State, Status, Tap
+from vibrocast.simulated_device.actuator import Actuator, Codes
+from vibrocast.simulated_device.output import Dac, Drive, recording_end
+from vibrocast.simulated_device.profile import Profile, least_samples, rendered
+from vibrocast.simulated_device.refusal import Refusal
 
 # Bounds the memory that small packets could take; credit never goes beyond it.
 BUFFER_PACKETS = 1024

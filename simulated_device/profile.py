@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from codec import Decoded
-from codec.core import Structure, ffi, library
-from device_protocol.coded_stream import StreamHeader
-from simulated_device.actuator import Actuator, Codes
-from simulated_device.output import Dac, Drive
+from vibrocast.codec import Decoded
+from vibrocast.codec.core import Structure, ffi, library
+from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.simulated_device.actuator import Actuator, Codes
+from vibrocast.simulated_device.output import Dac, Drive
 
 # By how much later than they were taken positions from a host are rendered, and time constant of each of the two
 # low-passes that smooth them: firmware/core/profile.h.

@@ -10,8 +10,8 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from simulated_device.device import Device
-from simulated_device.real_time import PERIOD_S, RealTimePort
+from vibrocast.simulated_device.device import Device
+from vibrocast.simulated_device.real_time import PERIOD_S, RealTimePort
 
 _READ_BYTES = 65_536
 

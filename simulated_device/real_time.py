@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
-from device_protocol.transports import TransportError
-from simulated_device.device import Device
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.simulated_device.device import Device
 
 # What goes to the DAC in between is made at its end, so by this much a packet may come too late and still be played.
 PERIOD_S = 0.002

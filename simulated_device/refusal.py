@@ -1,6 +1,6 @@
 """A request that the controller refuses."""
 
-from device_protocol.messages import ErrorCode
+from vibrocast.device_protocol.messages import ErrorCode
 
 
 class Refusal(Exception):

@@ -4,7 +4,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from simulated_device.device import Device
+from vibrocast.simulated_device.device import Device
 
 # What a small radio or a USB serial adapter keeps.
 BUFFER_BYTES = 4096

@@ -6,11 +6,11 @@ from collections.abc import Callable
 import numpy as np
 from unicorn import arm_const
 
-from firmware.build import build
-from firmware.elf import Elf
-from simulated_device.actuator import Codes
-from simulated_device.emulator import SYSTEM_SPACE, Processor
-from simulated_device.flash import FlashMemory
+from vibrocast.firmware.build import build
+from vibrocast.firmware.elf import Elf
+from vibrocast.simulated_device.actuator import Codes
+from vibrocast.simulated_device.emulator import SYSTEM_SPACE, Processor
+from vibrocast.simulated_device.flash import FlashMemory
 
 FLASH_BYTES = 1 << 20
 """All of the chip's flash: firmware, records and model images."""

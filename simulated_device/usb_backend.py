@@ -10,8 +10,8 @@ from typing import Any
 import usb.backend
 import usb.core
 
-from simulated_device.device import Device
-from simulated_device.real_time import PERIOD_S, RealTimePort
+from vibrocast.simulated_device.device import Device
+from vibrocast.simulated_device.real_time import PERIOD_S, RealTimePort
 
 # The identifiers that pid.codes keeps for tests: no real product has them.
 VENDOR_ID = 0x1209

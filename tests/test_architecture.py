@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-import textures
-from codec import core, interface
-from device_protocol import coded_stream
-from textures import recording
+from vibrocast import textures
+from vibrocast.codec import core, interface
+from vibrocast.device_protocol import coded_stream
+from vibrocast.textures import recording
 
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
@@ -32,8 +32,9 @@ def imported_rooms(path: Path) -> set[str]:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names.add(node.module)
-    return {name.split(".")[0] for name in names} & set(ALLOWED)
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    assert not {name.split(".")[0] for name in names} & set(ALLOWED), "packages are imported as vibrocast.PACKAGE"
+    return {name.split(".")[1] for name in names if name.startswith("vibrocast.")} & set(ALLOWED)
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))

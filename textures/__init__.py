@@ -1,10 +1,10 @@
 """Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
 
-from textures.files import AXES, load, load_profile, save_profile, save_wav
-from textures.generate import GENERATORS, surface_profile, varying_speed
-from textures.profiles import Profile
-from textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
-from textures.resampling import resample
+from vibrocast.textures.files import AXES, load, load_profile, save_profile, save_wav
+from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
+from vibrocast.textures.profiles import Profile
+from vibrocast.textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
+from vibrocast.textures.resampling import resample
 
 __all__ = [
     "AXES",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import textures
-from textures import p1918
-from textures.files import ARRAY_SUFFIXES, TEXT_SUFFIXES
+from vibrocast import textures
+from vibrocast.textures import p1918
+from vibrocast.textures.files import ARRAY_SUFFIXES, TEXT_SUFFIXES
 
 SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
 PARTS = ("all", "train", "test")

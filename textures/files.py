@@ -13,10 +13,10 @@ import numpy as np
 import soundfile
 from numpy.typing import NDArray
 
-from textures import p1918
-from textures.profiles import Profile
-from textures.recording import INPUT_UNITS, UNITS, Contents, Recording, TextureError
-from textures.text import Table, known_unit, read_table, signal_of, uniform_step
+from vibrocast.textures import p1918
+from vibrocast.textures.profiles import Profile
+from vibrocast.textures.recording import INPUT_UNITS, UNITS, Contents, Recording, TextureError
+from vibrocast.textures.text import Table, known_unit, read_table, signal_of, uniform_step
 
 AXES = (*p1918.AXES, p1918.DFT321)
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")

@@ -11,8 +11,8 @@ from scipy.fft import irfft, next_fast_len, rfftfreq
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.signal import bilinear, fftconvolve, lfilter
 
-from textures.profiles import Profile
-from textures.recording import Recording, Signal, TextureError
+from vibrocast.textures.profiles import Profile
+from vibrocast.textures.recording import Recording, Signal, TextureError
 
 HandSpeed = float | Signal
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from textures.recording import Contents, Signal, TextureError
-from textures.text import read_table, signal_of
+from vibrocast.textures.recording import Contents, Signal, TextureError
+from vibrocast.textures.text import read_table, signal_of
 
 RATE_HZ = 2800.0
 AXES = ("X", "Y", "Z")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from textures.recording import Recording, Signal, TextureError
+from vibrocast.textures.recording import Recording, Signal, TextureError
 
 FORM_DEGREE = 2
 MIN_HEIGHTS = 8

@@ -3,7 +3,7 @@
 import numpy as np
 import soxr
 
-from textures.recording import Recording, TextureError, check_rate
+from vibrocast.textures.recording import Recording, TextureError, check_rate
 
 MAX_SAMPLES = 2**30  # 8 GiB of float64 in all channels together
 MAX_RATIO = 1e5  # of the rates: far above, the filters of soxr take minutes and gigabytes

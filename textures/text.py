@@ -8,7 +8,7 @@ from typing import TextIO
 
 import numpy as np
 
-from textures.recording import INPUT_UNITS, Contents, Signal, TextureError
+from vibrocast.textures.recording import INPUT_UNITS, Contents, Signal, TextureError
 
 TIME_NAMES = ("t", "time", "timestamp")
 INDEX_NAMES = ("", "index", "n", "sample", "unnamed: 0")  # the first and the last as pandas writes and reads its index

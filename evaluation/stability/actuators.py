@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from device_protocol.coded_stream import StreamHeader
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Scope
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Samples
-from simulated_device.output import render
+from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Scope
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Samples
+from vibrocast.simulated_device.output import render
 
 SHIFTS_PERCENT = (-20, -15, -10, -5, -2, 0, 2, 5, 10, 15, 20)
 QUALITIES = (5.0, 15.0, 30.0)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from scipy.fft import idct
 
-from codec.interface import Setting
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, middle_rung
-from evaluation.stability.signals import RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.codec.interface import Setting
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.signals import RATE_HZ, Signal, decoded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 
 DCT = "dct"
 CODERS = ("huffman", "range")

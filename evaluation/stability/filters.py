@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from codec import linear_prediction
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Scope
-from evaluation.stability.signals import RATE_HZ, Signal
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from textures.generate import grating, stick_slip, wood
+from vibrocast.codec import linear_prediction
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Scope
+from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.textures.generate import grating, stick_slip, wood
 
 CODEC = "slp"
 ORDERS = (2, 4, 8, 12, 16)

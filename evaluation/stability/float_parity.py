@@ -11,15 +11,15 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.eva import HOP
-from codec.eva_image import QUALITY_PARTS, EvaImage
-from codec.graphs import LATENTS, SIGNAL
-from codec.interface import number
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, middle_rung
-from evaluation.stability.signals import RATE_HZ, encoded, texture
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from evaluation.trained import runtimes
+from vibrocast.codec.eva import HOP
+from vibrocast.codec.eva_image import QUALITY_PARTS, EvaImage
+from vibrocast.codec.graphs import LATENTS, SIGNAL
+from vibrocast.codec.interface import number
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.trained import runtimes
 
 Values = NDArray[np.float32]
 

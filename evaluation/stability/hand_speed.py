@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, three_rungs
-from evaluation.stability.signals import ENOUGH_SNR_DB, FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from textures.generate import rough, wood_surface
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, three_rungs
+from vibrocast.evaluation.stability.signals import ENOUGH_SNR_DB, FAILED_SNR_DB, RATE_HZ, Signal, decoded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.textures.generate import rough, wood_surface
 
 CODED_MM_S = 50.0
 SPEEDS_MM_S = (25.0, 30.0, 40.0, 50.0, 65.0, 80.0, 100.0, 140.0, 200.0)

@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from evaluation.stability.trials import Outcome, Verdict
+from vibrocast.evaluation.stability.trials import Outcome, Verdict
 
 TABLE = Path(__file__).parent / "known_causes.csv"
 

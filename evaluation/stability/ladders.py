@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-import codec
-from codec.interface import Setting
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, rungs
-from evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from textures import Recording
-from textures.generate import rough, stick_slip, wood, wood_surface
+from vibrocast import codec
+from vibrocast.codec.interface import Setting
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, rungs
+from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.textures import Recording
+from vibrocast.textures.generate import rough, stick_slip, wood, wood_surface
 
 SECONDS = 1.0
 HAND_SPEED_MM_S = 50.0
@@ -37,7 +37,7 @@ def texture_of(name: str) -> tuple[Signal, str]:
 
 def measure(rung: Rung, name: str) -> Measured:
     """Code a texture at a setting: SNR, ST-SIM, bits per sample of the whole stream. Raises CodecError."""
-    from evaluation import metrics
+    from vibrocast.evaluation import metrics
 
     samples, unit = texture_of(name)
     heard, stream = decoded(samples, RATE_HZ, rung, unit)

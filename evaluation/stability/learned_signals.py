@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-import codec
-from codec import CODECS, Signal
-from evaluation.bd_rate import bits_per_sample_at
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, methods, middle_rung, rungs
-from evaluation.stability.signals import (
+from vibrocast import codec
+from vibrocast.codec import CODECS, Signal
+from vibrocast.evaluation.bd_rate import bits_per_sample_at
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, methods, middle_rung, rungs
+from vibrocast.evaluation.stability.signals import (
     FAILED_SNR_DB,
     FAR_LOUDER_DB,
     LEAST_SNR_DB,
@@ -26,10 +26,10 @@ from evaluation.stability.signals import (
     texture,
     texture_snr_db,
 )
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from evaluation.trained import runtimes
-from host import coding
-from textures.generate import grating, ridges, rough, stick_slip, taps, wood
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.trained import runtimes
+from vibrocast.host import coding
+from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
 
 OWN = "mdct"
 """The codec without a learned transform, that others are held against: its tables adapt to any signal."""

@@ -4,12 +4,12 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from codec import CODECS
-from codec.interface import Setting
-from evaluation import trained
-from evaluation.cells import BenchError, Method, families, setting_text
-from evaluation.stability.trials import Trial, Verdict
-from models import Model
+from vibrocast.codec import CODECS
+from vibrocast.codec.interface import Setting
+from vibrocast.evaluation import trained
+from vibrocast.evaluation.cells import BenchError, Method, families, setting_text
+from vibrocast.evaluation.stability.trials import Trial, Verdict
+from vibrocast.models import Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,22 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-import codec
-import models
-from codec import Signal
-from device_protocol.model_image import ModelImage
-from evaluation.cells import Method
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, middle_rung
-from evaluation.stability.signals import RATE_HZ, encoded, texture
-from evaluation.stability.transport import flash_with
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from evaluation.trained import runtimes
-from host import coding
-from host.controller import Controller as Host
-from host.player import play
-from simulated_device.controller import Controller
-from simulated_device.memory_link import MemoryLink
+from vibrocast import codec, models
+from vibrocast.codec import Signal
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.evaluation.cells import Method
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
+from vibrocast.evaluation.stability.transport import flash_with
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.trained import runtimes
+from vibrocast.host import coding
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import play
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 PLACES_PERCENT = tuple(5.0 * place for place in range(21))
 CUTS_PERCENT = (0.0, 1.0, 10.0, 50.0, 90.0, 99.0)

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from evaluation.stability.known_causes import explanation
-from evaluation.stability.maps import Map
-from evaluation.stability.trials import Outcome, Verdict
-from host.output_files import whole_file
+from vibrocast.evaluation.stability.known_causes import explanation
+from vibrocast.evaluation.stability.maps import Map
+from vibrocast.evaluation.stability.trials import Outcome, Verdict
+from vibrocast.host.output_files import whole_file
 
 PAGE, FOLDER = "stability.md", "stability"
 _TITLE = "# Where methods hold and where they fail"

@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map
-from evaluation.stability.signals import FAILED_SNR_DB, NEARLY_SILENT, SILENT
-from evaluation.stability.trials import Measured, Outcome, Verdict
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map
+from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, NEARLY_SILENT, SILENT
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Verdict
 
 HELD_SNR_DB, FALL_DB = 3.0, 6.0
 _COLUMNS = ("input", "codec", "setting", "status", "SNR_dB", "maxabs_out", "finite")

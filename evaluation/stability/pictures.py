@@ -15,9 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from evaluation.labels import spread
-from evaluation.stability.trials import Outcome
-from host.output_files import whole_file
+from vibrocast.evaluation.labels import spread
+from vibrocast.evaluation.stability.trials import Outcome
+from vibrocast.host.output_files import whole_file
 
 SHADES = {
     Outcome.HOLDS: ("white", "0.55"),

@@ -3,20 +3,20 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from evaluation.stability import page
-from evaluation.stability.actuators import RESONANCE, VOLTAGE
-from evaluation.stability.entropy import ENTROPY
-from evaluation.stability.filters import FILTERS
-from evaluation.stability.float_parity import PARITY
-from evaluation.stability.hand_speed import HAND_SPEED
-from evaluation.stability.ladders import DCT_LEVELS, DCT_SMALLEST, DCT_THRESHOLD, LADDERS
-from evaluation.stability.learned_signals import KINDS, LEVEL, QUIET
-from evaluation.stability.maps import Scope
-from evaluation.stability.model_images import IMAGES
-from evaluation.stability.peers import PEERS
-from evaluation.stability.signals import ONSETS, SIGNALS
-from evaluation.stability.transport import DRIFT, FLIPS, JITTER, LOSS
-from evaluation.stability.trials import Verdict, run
+from vibrocast.evaluation.stability import page
+from vibrocast.evaluation.stability.actuators import RESONANCE, VOLTAGE
+from vibrocast.evaluation.stability.entropy import ENTROPY
+from vibrocast.evaluation.stability.filters import FILTERS
+from vibrocast.evaluation.stability.float_parity import PARITY
+from vibrocast.evaluation.stability.hand_speed import HAND_SPEED
+from vibrocast.evaluation.stability.ladders import DCT_LEVELS, DCT_SMALLEST, DCT_THRESHOLD, LADDERS
+from vibrocast.evaluation.stability.learned_signals import KINDS, LEVEL, QUIET
+from vibrocast.evaluation.stability.maps import Scope
+from vibrocast.evaluation.stability.model_images import IMAGES
+from vibrocast.evaluation.stability.peers import PEERS
+from vibrocast.evaluation.stability.signals import ONSETS, SIGNALS
+from vibrocast.evaluation.stability.transport import DRIFT, FLIPS, JITTER, LOSS
+from vibrocast.evaluation.stability.trials import Verdict, run
 
 MAPS = (
     SIGNALS,

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import codec
-from evaluation import trained
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, middle_rung, three_rungs
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from host import coding
-from textures.generate import wood
+from vibrocast import codec
+from vibrocast.evaluation import trained
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung, three_rungs
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.host import coding
+from vibrocast.textures.generate import wood
 
 Signal = NDArray[np.float64]
 

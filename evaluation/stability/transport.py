@@ -10,19 +10,19 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from device_protocol.messages import Configure, Start, Status, StreamData
-from evaluation.stability import pictures
-from evaluation.stability.maps import Map, Rung, Scope, middle_rung
-from evaluation.stability.signals import RATE_HZ, encoded, texture
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from host import coding, flasher
-from host.controller import Controller as Host
-from host.player import BUFFER_S, play
-from simulated_device.actuator import PIEZO_STACK
-from simulated_device.controller import FLASH_BYTES, Controller, Settings
-from simulated_device.flash import FlashMemory
-from simulated_device.memory_link import FaultyLine, MemoryLink
-from simulated_device.output import render
+from vibrocast.device_protocol.messages import Configure, Start, Status, StreamData
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.host import coding, flasher
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import BUFFER_S, play
+from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
+from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
+from vibrocast.simulated_device.output import render
 
 SECONDS = 5.0
 LOOPS = 4

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from codec import CodecError
-from device_protocol.coded_stream import StreamError
-from device_protocol.messages import MessageError
-from device_protocol.model_image import ModelImageError
-from device_protocol.transports import TransportError
-from evaluation.workers import cores, on_cores
-from host.controller import ControllerError
-from textures import TextureError
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import MessageError
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.evaluation.workers import cores, on_cores
+from vibrocast.host.controller import ControllerError
+from vibrocast.textures import TextureError
 
 LIMIT_S = 240.0
 """A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""

@@ -1,4 +1,4 @@
-/* Initial tables of the context model; written by `python -m export.mdct_tables --built-in`. */
+/* Initial tables of the context model, by `python -m vibrocast.export.mdct_tables --built-in`. */
 #include "mdct.h"
 
 const uint8_t vc_builtin_tables[] = {

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from device_protocol.messages import (
+from vibrocast.device_protocol.messages import (
     FlashActivate,
     FlashConfirm,
     FlashStatus,
@@ -16,9 +16,9 @@ from device_protocol.messages import (
     ImageDescription,
     SlotState,
 )
-from device_protocol.transports import TransportError
-from host.conformance.line import Line
-from host.conformance.probe import ANSWER_S, Gone, NotConforming, Probe
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.conformance.line import Line
+from vibrocast.host.conformance.probe import ANSWER_S, Gone, NotConforming, Probe
 
 SECTIONS = (
     "Frames",

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from device_protocol.messages import PROTOCOL_MAJOR, HelloResponse, MessageError
-from device_protocol.transports import TransportError
-from host.conformance import fixtures
-from host.conformance.line import Line
-from host.conformance.probe import Gone, NotConforming, Probe
-from host.controller import ControllerError
-from host.plain import plain
+from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, HelloResponse, MessageError
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.conformance import fixtures
+from vibrocast.host.conformance.line import Line
+from vibrocast.host.conformance.probe import Gone, NotConforming, Probe
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.plain import plain
 
 _FOLDER = Path(__file__).parent
 # Nothing of the user's or of the environment's pytest takes part.

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from device_protocol.frames import FrameReader
-from device_protocol.messages import Error, Message, MessageError, unpack
-from device_protocol.transports import Transport, TransportError
-from simulated_device.memory_link import FaultyLine
+from vibrocast.device_protocol.frames import FrameReader
+from vibrocast.device_protocol.messages import Error, Message, MessageError, unpack
+from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.simulated_device.memory_link import FaultyLine
 
 
 class Line:

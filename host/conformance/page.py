@@ -1,12 +1,12 @@
-"""Writes the list of requirements into docs/conformance.md: `python -m host.conformance.page`."""
+"""Writes the list of requirements into docs/conformance.md: `python -m vibrocast.host.conformance.page`."""
 
 from itertools import groupby
 from pathlib import Path
 
-from host.conformance.fixtures import SECTIONS
-from host.conformance.judge import requirements
+from vibrocast.host.conformance.fixtures import SECTIONS
+from vibrocast.host.conformance.judge import requirements
 
-PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "conformance.md"
 # All behind it is generated.
 _HEADING = "## Requirements\n"
 

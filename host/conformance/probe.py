@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from device_protocol.coded_stream import packet_sequence
-from device_protocol.frames import DELIMITER, FrameReader, write_frame
-from device_protocol.messages import (
+from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     MAXIMUM_SEQUENCE,
     NOTIFICATION,
     CaptureData,
@@ -36,10 +36,10 @@ from device_protocol.messages import (
     pack,
     unpack,
 )
-from device_protocol.transports import TransportError
-from host.coding import Stream
-from host.conformance.line import Line
-from host.controller import SMALLEST_PAYLOAD_LIMIT_BYTES
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.coding import Stream
+from vibrocast.host.conformance.line import Line
+from vibrocast.host.controller import SMALLEST_PAYLOAD_LIMIT_BYTES
 
 # docs/protocol.md, "Sequence numbers" and "Flashing": so long a controller may take to answer, and to restart.
 ANSWER_S = 2.0

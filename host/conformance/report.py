@@ -10,12 +10,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
-from host import devices
-from host.conformance.fixtures import SECTIONS
-from host.conformance.judge import Finding, Outcome
-from host.output_files import whole_file
-from host.plain import plain
+from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
+from vibrocast.host import devices
+from vibrocast.host.conformance.fixtures import SECTIONS
+from vibrocast.host.conformance.judge import Finding, Outcome
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.plain import plain
 
 PAGE = "conformance.md"
 JSON = "conformance.json"

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import codec
-import models
-import textures
-from device_protocol.messages import ActuatorDescription, HelloResponse, Limits, Tap
-from device_protocol.model_image import ModelImage
-from host import coding
-from host.coding import Stream
-from host.conformance.probe import NotConforming, Probe, same_samples
-from simulated_device.actuator import ACTUATORS, Actuator
+from vibrocast import codec, models, textures
+from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Limits, Tap
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.host import coding
+from vibrocast.host.coding import Stream
+from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
+from vibrocast.simulated_device.actuator import ACTUATORS, Actuator
 
 RATE_HZ = 2800
 SECONDS = 0.4

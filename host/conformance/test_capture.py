@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from device_protocol.messages import CaptureRead, ErrorCode, HelloResponse, State, Tap
-from host.coding import Stream
-from host.conformance.fixtures import section
-from host.conformance.probe import Probe, an_error, same_samples, told
-from host.conformance.streams import decoded, need_capture, stream_for
+from vibrocast.device_protocol.messages import CaptureRead, ErrorCode, HelloResponse, State, Tap
+from vibrocast.host.coding import Stream
+from vibrocast.host.conformance.fixtures import section
+from vibrocast.host.conformance.probe import Probe, an_error, same_samples, told
+from vibrocast.host.conformance.streams import decoded, need_capture, stream_for
 
 _MOST = 0xFFFF
 

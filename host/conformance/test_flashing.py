@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-import codec
-from device_protocol.messages import (
+from vibrocast import codec
+from vibrocast.device_protocol.messages import (
     CaptureRead,
     ErrorCode,
     FlashActivate,
@@ -27,11 +27,11 @@ from device_protocol.messages import (
     Tap,
     pack,
 )
-from device_protocol.model_image import ModelImage, sha256
-from host.coding import image_hash
-from host.conformance.fixtures import section
-from host.conformance.probe import NotConforming, Probe, an_error, in_state, same_samples, told
-from host.conformance.streams import decoded, model, need_capture, stream_for
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.host.coding import image_hash
+from vibrocast.host.conformance.fixtures import section
+from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, in_state, same_samples, told
+from vibrocast.host.conformance.streams import decoded, model, need_capture, stream_for
 
 _NO_SLOTS = (0x7F, 0xFF)
 _NAME = 13  # where an image's name begins

@@ -5,12 +5,12 @@ import random
 import pytest
 from cobs import cobs
 
-from device_protocol.encoding import crc16
-from device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, write_frame
-from device_protocol.messages import HelloResponse, State, Status, StatusRequest, Stop, StreamData, pack
-from host.conformance.fixtures import section
-from host.conformance.probe import Probe, in_state, told
-from host.conformance.streams import stream_for
+from vibrocast.device_protocol.encoding import crc16
+from vibrocast.device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, write_frame
+from vibrocast.device_protocol.messages import HelloResponse, State, Status, StatusRequest, Stop, StreamData, pack
+from vibrocast.host.conformance.fixtures import section
+from vibrocast.host.conformance.probe import Probe, in_state, told
+from vibrocast.host.conformance.streams import stream_for
 
 # docs/protocol.md, "An example": Hello under number 0x1234.
 _EXAMPLE = bytes.fromhex("05 01 34 12 01 03 77 43 00")

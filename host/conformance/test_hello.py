@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from device_protocol.coded_stream import MAX_CHANNELS, MAX_RATE_HZ
-from device_protocol.frames import MAXIMUM_PAYLOAD_BYTES
-from device_protocol.messages import (
+from vibrocast.device_protocol.coded_stream import MAX_CHANNELS, MAX_RATE_HZ
+from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES
+from vibrocast.device_protocol.messages import (
     MAXIMUM_SEQUENCE,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
@@ -17,10 +17,10 @@ from device_protocol.messages import (
     Status,
     StatusRequest,
 )
-from host.conformance.fixtures import section, vital
-from host.conformance.probe import NotConforming, Probe, an_error, told
-from host.conformance.streams import stream_for
-from host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMIT_BYTES, SMALLEST_WATCHDOG_MS
+from vibrocast.host.conformance.fixtures import section, vital
+from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, told
+from vibrocast.host.conformance.streams import stream_for
+from vibrocast.host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMIT_BYTES, SMALLEST_WATCHDOG_MS
 
 # A metre: a number beyond it was never set.
 _LARGEST_STROKE_UM = 1e6

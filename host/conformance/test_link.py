@@ -5,15 +5,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from device_protocol.frames import FrameReader
-from device_protocol.messages import State, Status, StreamData, unpack
-from host import player
-from host.coding import Stream
-from host.conformance.fixtures import long, section
-from host.conformance.probe import Probe, in_state, same_samples, told
-from host.conformance.streams import decoded, decoded_as, need_capture, stream_for
-from host.controller import Controller
-from simulated_device.memory_link import FaultyLine
+from vibrocast.device_protocol.frames import FrameReader
+from vibrocast.device_protocol.messages import State, Status, StreamData, unpack
+from vibrocast.host import player
+from vibrocast.host.coding import Stream
+from vibrocast.host.conformance.fixtures import long, section
+from vibrocast.host.conformance.probe import Probe, in_state, same_samples, told
+from vibrocast.host.conformance.streams import decoded, decoded_as, need_capture, stream_for
+from vibrocast.host.controller import Controller
+from vibrocast.simulated_device.memory_link import FaultyLine
 
 _FAULTY_SECONDS = 1.0
 _SEEDS = (5, 15, 25)

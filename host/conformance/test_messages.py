@@ -2,7 +2,7 @@
 
 import pytest
 
-from device_protocol.messages import (
+from vibrocast.device_protocol.messages import (
     REQUESTS,
     CaptureData,
     CaptureRead,
@@ -31,9 +31,9 @@ from device_protocol.messages import (
     Tap,
     pack,
 )
-from host.conformance.fixtures import section
-from host.conformance.probe import Probe, an_error, in_state, told
-from host.conformance.streams import lasting_stream, stream_for
+from vibrocast.host.conformance.fixtures import section
+from vibrocast.host.conformance.probe import Probe, an_error, in_state, told
+from vibrocast.host.conformance.streams import lasting_stream, stream_for
 
 _KNOWN = {request.TYPE for request in REQUESTS}
 _REQUEST_TYPES = range(0x01, 0x40)

@@ -6,13 +6,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import codec
-from device_protocol.coded_stream import packet_sequence
-from device_protocol.messages import EndStream, ErrorCode, Gain, Loop, Pause, Resume, Start, State, Status, Tap
-from host.coding import Stream
-from host.conformance.fixtures import long, section
-from host.conformance.probe import ANSWER_S, Probe, in_state, told
-from host.conformance.streams import (
+from vibrocast import codec
+from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.device_protocol.messages import (
+    EndStream,
+    ErrorCode,
+    Gain,
+    Loop,
+    Pause,
+    Resume,
+    Start,
+    State,
+    Status,
+    Tap,
+)
+from vibrocast.host.coding import Stream
+from vibrocast.host.conformance.fixtures import long, section
+from vibrocast.host.conformance.probe import ANSWER_S, Probe, in_state, told
+from vibrocast.host.conformance.streams import (
     constant,
     decoded,
     decoded_as,

@@ -1,6 +1,6 @@
 """Sequence numbers: each request is carried out once, however often and however late its frame comes."""
 
-from device_protocol.messages import (
+from vibrocast.device_protocol.messages import (
     MAXIMUM_SEQUENCE,
     ErrorCode,
     Hello,
@@ -14,9 +14,9 @@ from device_protocol.messages import (
     Stop,
     pack,
 )
-from host.conformance.fixtures import section
-from host.conformance.probe import Probe, an_error, in_state, told
-from host.conformance.streams import stream_for
+from vibrocast.host.conformance.fixtures import section
+from vibrocast.host.conformance.probe import Probe, an_error, in_state, told
+from vibrocast.host.conformance.streams import stream_for
 
 _NUMBERS = MAXIMUM_SEQUENCE + 1
 _HALF = _NUMBERS // 2

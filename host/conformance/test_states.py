@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from device_protocol.messages import (
+from vibrocast.device_protocol.messages import (
     EndStream,
     ErrorCode,
     FlashActivate,
@@ -18,9 +18,9 @@ from device_protocol.messages import (
     State,
     Status,
 )
-from host.conformance.fixtures import long, section
-from host.conformance.probe import Probe, in_state, told
-from host.conformance.streams import stream_for
+from vibrocast.host.conformance.fixtures import long, section
+from vibrocast.host.conformance.probe import Probe, in_state, told
+from vibrocast.host.conformance.streams import stream_for
 
 _TAKES_DATA = (State.BUFFERING, State.ARMED, State.PLAYING, State.PAUSED)
 _ACTIVE = (State.ARMED, State.PLAYING, State.PAUSED)

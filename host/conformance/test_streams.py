@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import codec
-from codec.interface import MAX_CHANNELS
-from device_protocol.coded_stream import UNITS
-from device_protocol.messages import HelloResponse, State
-from host import player
-from host.coding import Stream
-from host.conformance.fixtures import section
-from host.conformance.probe import NotConforming, Probe, same_samples
-from host.conformance.streams import decoded, known_actuator, need_capture, stream_for
-from host.controller import Controller
-from host.flasher import flash
-from simulated_device.output import LimitCounts, render
+from vibrocast import codec
+from vibrocast.codec.interface import MAX_CHANNELS
+from vibrocast.device_protocol.coded_stream import UNITS
+from vibrocast.device_protocol.messages import HelloResponse, State
+from vibrocast.host import player
+from vibrocast.host.coding import Stream
+from vibrocast.host.conformance.fixtures import section
+from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
+from vibrocast.host.conformance.streams import decoded, known_actuator, need_capture, stream_for
+from vibrocast.host.controller import Controller
+from vibrocast.host.flasher import flash
+from vibrocast.simulated_device.output import LimitCounts, render
 
 # Far beyond what any actuator's amplifier gives.
 _TOO_LOUD = 30.0

@@ -2,10 +2,10 @@
 
 import pytest
 
-from device_protocol.messages import ErrorCode, Pause, Resume, Start, State, Status, StreamData, pack
-from host.conformance.fixtures import long, section
-from host.conformance.probe import Probe, in_state, told
-from host.conformance.streams import lasting_stream, stream_for
+from vibrocast.device_protocol.messages import ErrorCode, Pause, Resume, Start, State, Status, StreamData, pack
+from vibrocast.host.conformance.fixtures import long, section
+from vibrocast.host.conformance.probe import Probe, in_state, told
+from vibrocast.host.conformance.streams import lasting_stream, stream_for
 
 _AN_HOUR_US = 3_600_000_000
 

@@ -9,16 +9,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import textures
-from device_protocol.messages import ActuatorDescription
-from host import devices
-from host.controller import Controller
-from host.end_to_end import actuator_model
-from host.input_files import InputFileError
-from host.toml_tables import Table, read_toml, text
-from simulated_device.actuator import ACTUATORS, Actuator
-from simulated_device.actuator_tables import constants
-from textures import Recording
+from vibrocast import textures
+from vibrocast.device_protocol.messages import ActuatorDescription
+from vibrocast.host import devices
+from vibrocast.host.controller import Controller
+from vibrocast.host.end_to_end import actuator_model
+from vibrocast.host.input_files import InputFileError
+from vibrocast.host.toml_tables import Table, read_toml, text
+from vibrocast.simulated_device.actuator import ACTUATORS, Actuator
+from vibrocast.simulated_device.actuator_tables import constants
+from vibrocast.textures import Recording
 
 SENSOR_KINDS = ("accelerometer", "laser")
 SENSOR_PLACEHOLDERS = ("file", "seconds")

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from device_protocol.messages import Status
-from host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller
+from vibrocast.device_protocol.messages import Status
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller
 
 # Round trips kept: those that no queue on the way has held up.
 _KEPT_PART = 0.25

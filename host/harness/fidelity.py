@@ -8,16 +8,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-import textures
-from evaluation import metrics
-from host import coding, end_to_end
-from host.controller import Controller
-from host.harness.alignment import align
-from host.harness.sensors import Recorder
-from host.picture import third_octave_levels
-from simulated_device.actuator import Actuator
-from simulated_device.output import HIGH_PASS_HZ, displacement_filter
-from textures import Recording
+from vibrocast import textures
+from vibrocast.evaluation import metrics
+from vibrocast.host import coding, end_to_end
+from vibrocast.host.controller import Controller
+from vibrocast.host.harness.alignment import align
+from vibrocast.host.harness.sensors import Recorder
+from vibrocast.host.picture import third_octave_levels
+from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.simulated_device.output import HIGH_PASS_HZ, displacement_filter
+from vibrocast.textures import Recording
 
 Samples = NDArray[np.float64]
 

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
-import codec
-import textures
-from device_protocol.messages import State, Tap
-from host import live
-from host.controller import Controller, ControllerError
-from host.harness.device_clock import ClockFit, DeviceClock
-from host.harness.read_back import read_capture
-from simulated_device.actuator import Actuator
-from simulated_device.output import Drive
-from textures import Recording
+from vibrocast import codec, textures
+from vibrocast.device_protocol.messages import State, Tap
+from vibrocast.host import live
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.harness.device_clock import ClockFit, DeviceClock
+from vibrocast.host.harness.read_back import read_capture
+from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.simulated_device.output import Drive
+from vibrocast.textures import Recording
 
 # In the order in which a sample goes through them.
 PARTS = {

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codec import Signal, SignalFormat
-from device_protocol.messages import State, StreamData, Tap, pack
-from host import live
-from host.controller import Controller
-from host.harness.latency import looped
-from host.harness.read_back import oldest
-from host.player import BUFFER_S
-from textures import Recording
+from vibrocast.codec import Signal, SignalFormat
+from vibrocast.device_protocol.messages import State, StreamData, Tap, pack
+from vibrocast.host import live
+from vibrocast.host.controller import Controller
+from vibrocast.host.harness.latency import looped
+from vibrocast.host.harness.read_back import oldest
+from vibrocast.host.player import BUFFER_S
+from vibrocast.textures import Recording
 
 THROUGHPUT_S = 1.0
 LOAD_S = 1.5

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from host import coding, devices, player
-from host.controller import Controller
-from host.harness import bench_file, fidelity, latency, load, response
-from host.harness.bench_file import Bench
-from host.harness.sensors import Recorder, recorder
-from host.many import on_all
-from simulated_device.actuator import Actuator
-from simulated_device.output import render
-from textures import Recording
+from vibrocast.host import coding, devices, player
+from vibrocast.host.controller import Controller
+from vibrocast.host.harness import bench_file, fidelity, latency, load, response
+from vibrocast.host.harness.bench_file import Bench
+from vibrocast.host.harness.sensors import Recorder, recorder
+from vibrocast.host.many import on_all
+from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.simulated_device.output import render
+from vibrocast.textures import Recording
 
 Progress = Callable[[float], None]
 # Longer than any watchdog: what ends a silence then is not this buffer.

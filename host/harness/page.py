@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from host.harness import response
-from host.harness.latency import PARTS
-from host.harness.results import Change
-from host.output_files import whole_file
-from host.picture import STYLES
+from vibrocast.host.harness import response
+from vibrocast.host.harness.latency import PARTS
+from vibrocast.host.harness.results import Change
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.picture import STYLES
 
 # From dark to light, with hatches: told apart in grey print.
 _SHADES = ("#20123a", "#2a7fb8", "#7fb8d8", "#f0a030", "#d0d0d0", "#707070", "#f7d9a8", "#ffffff")

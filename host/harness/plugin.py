@@ -1,7 +1,7 @@
 """The pytest plugin: a team's own tests run on the simulated controller at a desk and on the real one at the bench.
 
 It is loaded with every pytest of the environment, so it imports what it needs only when a test asks for it. Where it is
-loaded by its module's name as well, `-p no:vibrocast -p host.harness.plugin` keeps the two from colliding.
+loaded by its module's name as well, `-p no:vibrocast -p vibrocast.host.harness.plugin` keeps the two from colliding.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from host.controller import Controller
-    from host.end_to_end import Outcome
-    from host.harness.bench_file import Bench
-    from simulated_device.actuator import Actuator
-    from textures import Recording
+    from vibrocast.host.controller import Controller
+    from vibrocast.host.end_to_end import Outcome
+    from vibrocast.host.harness.bench_file import Bench
+    from vibrocast.simulated_device.actuator import Actuator
+    from vibrocast.textures import Recording
 
 _BENCH = pytest.StashKey["Bench"]()
 
@@ -40,15 +40,15 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     if path is not None and plan_path is not None:
         raise pytest.UsageError("a plan and a bench file both say what is there: drop one of them")
-    from host.input_files import InputFileError
+    from vibrocast.host.input_files import InputFileError
 
     try:
         if path is not None:
-            from host.harness.bench_file import read_bench
+            from vibrocast.host.harness.bench_file import read_bench
 
             config.stash[_BENCH] = read_bench(Path(path))
         else:
-            from host.planner.plan_file import read_plan
+            from vibrocast.host.planner.plan_file import read_plan
 
             config.stash[_BENCH] = read_plan(Path(plan_path)).bench()
     except (InputFileError, OSError) as error:
@@ -58,7 +58,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def bench(pytestconfig: pytest.Config) -> "Bench":
     """The bench: that of --bench, or one with the controller of --device alone."""
-    from host.harness.bench_file import BenchFileError, chosen
+    from vibrocast.host.harness.bench_file import BenchFileError, chosen
 
     try:
         return chosen(pytestconfig.stash.get(_BENCH, None), pytestconfig.getoption("device"))
@@ -69,7 +69,7 @@ def bench(pytestconfig: pytest.Config) -> "Bench":
 @pytest.fixture
 def controller(bench: "Bench") -> "Iterator[Controller]":
     """A session with the controller under test; its output is brought to rest after the test."""
-    from host.harness.bench_file import connect
+    from vibrocast.host.harness.bench_file import connect
 
     with connect(bench, bench.first) as session:
         yield session
@@ -79,7 +79,7 @@ def controller(bench: "Bench") -> "Iterator[Controller]":
 @pytest.fixture
 def actuator(bench: "Bench", controller: "Controller") -> "Actuator":
     """The model of the actuator on the controller's first channel: of the bench file, or as the controller says."""
-    from host.harness.bench_file import actuator_of
+    from vibrocast.host.harness.bench_file import actuator_of
 
     return actuator_of(bench, bench.first, controller.description.actuator)
 
@@ -87,8 +87,8 @@ def actuator(bench: "Bench", controller: "Controller") -> "Actuator":
 @pytest.fixture
 def play(bench: "Bench", controller: "Controller", actuator: "Actuator") -> "Callable[..., Outcome]":
     """Codes a texture, with what options `host.coding.encode` takes, plays it, and compares: `host.end_to_end.play`."""
-    from host import coding, end_to_end
-    from host.harness.bench_file import driven_actuator
+    from vibrocast.host import coding, end_to_end
+    from vibrocast.host.harness.bench_file import driven_actuator
 
     driven = driven_actuator(bench, bench.first, controller.description.actuator)
 

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from device_protocol.messages import CaptureData, CaptureRead, Tap
-from host.controller import Controller
+from vibrocast.device_protocol.messages import CaptureData, CaptureRead, Tap
+from vibrocast.host.controller import Controller
 
 
 def oldest(controller: Controller, tap: Tap) -> int:

@@ -8,15 +8,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-import codec
-import textures
-from host import player
-from host.coding import as_stream
-from host.controller import Controller, ControllerError
-from host.harness.alignment import AlignmentError
-from host.harness.sensors import Recorder
-from simulated_device.actuator import Actuator
-from textures import Recording
+from vibrocast import codec, textures
+from vibrocast.host import player
+from vibrocast.host.coding import as_stream
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.harness.alignment import AlignmentError
+from vibrocast.host.harness.sensors import Recorder
+from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.textures import Recording
 
 Samples = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]

@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
-import textures
-from host.harness.bench_file import Sensor
-from textures import Recording
+from vibrocast import textures
+from vibrocast.host.harness.bench_file import Sensor
+from vibrocast.textures import Recording
 
 Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]
 """Records for so many seconds; what it yields waits for the end and gives the recording, m/s^2 or um."""

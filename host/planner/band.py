@@ -7,14 +7,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-import textures
-from codec.threshold import band_parts, threshold_amplitude
-from device_protocol.coded_stream import MAX_RATE_HZ
-from host import coding
-from host.end_to_end import displacement_um
-from simulated_device.actuator import Actuator, Codes
-from simulated_device.output import Drive, render
-from textures import Profile, Recording
+from vibrocast import textures
+from vibrocast.codec.threshold import band_parts, threshold_amplitude
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.host import coding
+from vibrocast.host.end_to_end import displacement_um
+from vibrocast.simulated_device.actuator import Actuator, Codes
+from vibrocast.simulated_device.output import Drive, render
+from vibrocast.textures import Profile, Recording
 
 Samples = NDArray[np.float64]
 

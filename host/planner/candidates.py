@@ -6,22 +6,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-import codec
-import models
-import textures
-from codec import CodecError, Framing, Setting, Signal
-from codec.coding import LIVE_REFRESH_S, Source
-from codec.core import library
-from codec.interface import AUTO
-from codec.rate_control import settings
-from codec.steering import DEFAULT_BUCKET_S
-from codec.threshold import read_threshold
-from device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
-from evaluation import metrics
-from host import coding
-from host.link import added_bytes
-from host.planner import costs
-from host.planner.band import (
+from vibrocast import codec, models, textures
+from vibrocast.codec import CodecError, Framing, Setting, Signal
+from vibrocast.codec.coding import LIVE_REFRESH_S, Source
+from vibrocast.codec.core import library
+from vibrocast.codec.interface import AUTO
+from vibrocast.codec.rate_control import settings
+from vibrocast.codec.steering import DEFAULT_BUCKET_S
+from vibrocast.codec.threshold import read_threshold
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
+from vibrocast.evaluation import metrics
+from vibrocast.host import coding
+from vibrocast.host.link import added_bytes
+from vibrocast.host.planner import costs
+from vibrocast.host.planner.band import (
     MARGIN_DB,
     BandError,
     band_of,
@@ -30,13 +28,13 @@ from host.planner.band import (
     played_error_over_threshold_db,
     slowest_mm_s,
 )
-from host.planner.costs import MOST_LOAD_PERCENT
-from host.planner.plan_file import Forecast, encode, prepared
-from host.planner.scene import Asked, Scene, SceneTexture, Weights
-from host.steered import Wish
-from simulated_device.output import Drive
-from simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, least_samples
-from textures import Profile, Recording
+from vibrocast.host.planner.costs import MOST_LOAD_PERCENT
+from vibrocast.host.planner.plan_file import Forecast, encode, prepared
+from vibrocast.host.planner.scene import Asked, Scene, SceneTexture, Weights
+from vibrocast.host.steered import Wish
+from vibrocast.simulated_device.output import Drive
+from vibrocast.simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, least_samples
+from vibrocast.textures import Profile, Recording
 
 BLOCKS = {"mdct": "hop", "parametric": "hop", "dct": "block", "slp": "frame", "opus": "frame_samples"}
 """The parameter of each codec that is the length of its block."""

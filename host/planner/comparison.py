@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from host.output_files import whole_file
-from host.planner.playing import Played
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.planner.playing import Played
 
 TOLERANCE = 0.1
 """How far what is held to the forecast may be off."""

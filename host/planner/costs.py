@@ -1,4 +1,4 @@
-"""What decoding costs a controller, from the tables that `python -m evaluation.firmware` measures."""
+"""What decoding costs a controller, from the tables that `python -m vibrocast.evaluation.firmware` measures."""
 
 import csv
 from collections.abc import Iterator
@@ -10,8 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-import evaluation
-from device_protocol.coded_stream import PROFILE_UNIT
+from vibrocast import evaluation
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 
 _TABLES = Path(evaluation.__file__).parent / "data"
 _KERNELS = "DSP instructions"

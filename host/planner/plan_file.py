@@ -11,21 +11,26 @@ from typing import Any
 import numpy as np
 import scipy
 
-import codec
-import models
-import textures
-from codec import Framing, Setting
-from codec.threshold import DETECTION_THRESHOLD
-from device_protocol.coded_stream import PROFILE_UNIT
-from host import coding
-from host.harness.bench_file import Bench, BenchActuator, BenchController, actuator_toml, read_actuator, read_address
-from host.input_files import InputFileError
-from host.live import recording_format
-from host.output_files import whole_file
-from host.planner.scene import Source, read_options
-from host.steered import Wish
-from host.toml_tables import Table, number, read_toml
-from textures import Profile, Recording
+from vibrocast import codec, models, textures
+from vibrocast.codec import Framing, Setting
+from vibrocast.codec.threshold import DETECTION_THRESHOLD
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
+from vibrocast.host import coding
+from vibrocast.host.harness.bench_file import (
+    Bench,
+    BenchActuator,
+    BenchController,
+    actuator_toml,
+    read_actuator,
+    read_address,
+)
+from vibrocast.host.input_files import InputFileError
+from vibrocast.host.live import recording_format
+from vibrocast.host.output_files import whole_file
+from vibrocast.host.planner.scene import Source, read_options
+from vibrocast.host.steered import Wish
+from vibrocast.host.toml_tables import Table, number, read_toml
+from vibrocast.textures import Profile, Recording
 
 FORMAT = 1
 MAX_RATE = 10_000_000

@@ -10,23 +10,23 @@ from functools import partial
 
 import numpy as np
 
-import models
-from codec import Signal
-from codec.threshold import read_threshold
-from device_protocol.messages import Position, State, StreamData, Tap
-from device_protocol.transports import Transport
-from evaluation import metrics
-from host import coding, devices, flasher, hand, live
-from host.controller import Controller, ControllerError
-from host.harness.bench_file import Bench, actuator_of, chosen, driven_actuator
-from host.harness.device_clock import DeviceClock
-from host.harness.read_back import read_capture
-from host.many import on_all
-from host.planner import band
-from host.planner.candidates import spqi
-from host.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
-from simulated_device.actuator import Actuator, Codes
-from textures import Recording
+from vibrocast import models
+from vibrocast.codec import Signal
+from vibrocast.codec.threshold import read_threshold
+from vibrocast.device_protocol.messages import Position, State, StreamData, Tap
+from vibrocast.device_protocol.transports import Transport
+from vibrocast.evaluation import metrics
+from vibrocast.host import coding, devices, flasher, hand, live
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.harness.bench_file import Bench, actuator_of, chosen, driven_actuator
+from vibrocast.host.harness.device_clock import DeviceClock
+from vibrocast.host.harness.read_back import read_capture
+from vibrocast.host.many import on_all
+from vibrocast.host.planner import band
+from vibrocast.host.planner.candidates import spqi
+from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
+from vibrocast.simulated_device.actuator import Actuator, Codes
+from vibrocast.textures import Recording
 
 RETAKES = 2
 """How often a texture is played again of which packets came too late: the computer may have been busy."""
@@ -117,7 +117,7 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
         with devices.reach(address, actuator=actuator) as transport:
             yield CountingController(transport)
         return
-    from simulated_device.memory_link import MemoryLink
+    from vibrocast.simulated_device.memory_link import MemoryLink
 
     if address in devices.EMULATED:
         device = devices.emulated(address, count_instructions=True)

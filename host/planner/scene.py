@@ -7,18 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import textures
-from codec import CodecError
-from codec.threshold import DETECTION_THRESHOLD, read_threshold
-from device_protocol.transports import BAUD
-from host.harness.bench_file import BenchActuator, read_actuator, read_address
-from host.input_files import InputFileError
-from host.toml_tables import Table, number, read_toml
-from simulated_device.actuator import Actuator
-from textures import Profile, Recording, TextureError
-from textures.dataset import DatasetError, traces
-from textures.files import TEXT_SUFFIXES
-from textures.recording import MAX_CHANNELS
+from vibrocast import textures
+from vibrocast.codec import CodecError
+from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
+from vibrocast.device_protocol.transports import BAUD
+from vibrocast.host.harness.bench_file import BenchActuator, read_actuator, read_address
+from vibrocast.host.input_files import InputFileError
+from vibrocast.host.toml_tables import Table, number, read_toml
+from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.textures import Profile, Recording, TextureError
+from vibrocast.textures.dataset import DatasetError, traces
+from vibrocast.textures.files import TEXT_SUFFIXES
+from vibrocast.textures.recording import MAX_CHANNELS
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/firmware.md)."""

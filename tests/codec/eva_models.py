@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-import models
-from codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation, PriorKind
-from codec.mdct import built_in_tables
+from vibrocast import models
+from vibrocast.codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation, PriorKind
+from vibrocast.codec.mdct import built_in_tables
 
 FOLDER = Path(__file__).parent
 

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation
 from tests.codec.reference_decoder import Channel, Coarseness, Model, RangeDecoder, bounded, decode_block, suffix
+from vibrocast.codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation
 
 Columns = NDArray[np.int64]
 """Activations as (columns, channels)."""

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from codec.eva import IDENTIFIER
-from device_protocol.model_image import ModelImage
-from export.eva import Eva, EvaShape
-from export.graphs import graphs_of
-from export.priors import ContextPrior
-from export.quantise import ordered, quantise
 from tests.codec.signals import texture
+from vibrocast.codec.eva import IDENTIFIER
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export.eva import Eva, EvaShape
+from vibrocast.export.graphs import graphs_of
+from vibrocast.export.priors import ContextPrior
+from vibrocast.export.quantise import ordered, quantise
 
 FOLDER = Path(__file__).parent
 STEPS, BATCH, LENGTH, TRADE = 8000, 8, 256, 0.01

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from codec import Signal
 from tests.codec.reference_decoder import RangeDecoder, bounded, divide
+from vibrocast.codec import Signal
 
 
 @dataclass

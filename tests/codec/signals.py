@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from codec import Signal
+from vibrocast.codec import Signal
 
 RATE_HZ = 2800
 

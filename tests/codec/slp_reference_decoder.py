@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from codec import Signal
 from tests.codec.reference_decoder import Coarseness, RangeDecoder, adapted, bounded, divide, fine_class
+from vibrocast.codec import Signal
 
 THRESHOLD = [
     round(

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import codec
-from codec import CodecError, CodedSignal
 from tests.codec.signals import RATE_HZ, edge_signals, texture
+from vibrocast import codec
+from vibrocast.codec import CodecError, CodedSignal
 
 # Signals of few coefficients: their quality jumps from step to step, and the next above the asked one is taken.
 JUMPING = {

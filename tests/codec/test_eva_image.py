@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import CodecError
-from codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime, without_graph
 from tests.codec.eva_models import random_image
+from vibrocast.codec import CodecError
+from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime, without_graph
 
 PACKED = random_image(1).pack()
 

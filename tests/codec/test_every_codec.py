@@ -7,17 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import codec
-import textures
-from codec import CodecError, Decoder, Signal
-from codec.coding import Source
-from codec.core import CoreDecoder
-from host import coding, end_to_end, flasher
-from host.controller import Controller
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.memory_link import MemoryLink
 from tests.codec.eva_models import tiny_model
 from tests.codec.signals import RATE_HZ, edge_signals, texture
+from vibrocast import codec, textures
+from vibrocast.codec import CodecError, Decoder, Signal
+from vibrocast.codec.coding import Source
+from vibrocast.codec.core import CoreDecoder
+from vibrocast.host import coding, end_to_end, flasher
+from vibrocast.host.controller import Controller
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 every_codec = pytest.mark.parametrize("name", list(codec.CODECS))
 waveform_codec = pytest.mark.parametrize("name", [name for name, known in codec.CODECS.items() if known.keeps_waveform])

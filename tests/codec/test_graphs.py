@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 
-from codec import CodecError
-from codec.graphs import LATENTS, MAX_MEMORY_BYTES, SIGNAL, Transform, transform
+from vibrocast.codec import CodecError
+from vibrocast.codec.graphs import LATENTS, MAX_MEMORY_BYTES, SIGNAL, Transform, transform
 
 
 def bytes_of(nodes: list[NodeProto], ends: list[ValueInfoProto], weights: list[TensorProto]) -> bytes:

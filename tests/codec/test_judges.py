@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from codec import CodecError, SignalFormat, SnrJudge, ThresholdJudge
-from codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.codec import CodecError, SignalFormat, SnrJudge, ThresholdJudge
+from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 
 RATE_HZ = 2800
 PACKET = 140

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import codec
-from codec import CodecError, CodedSignal, Setting, Signal
-from codec.coding import CODECS
-from host import coding
 from tests.codec.signals import RATE_HZ, texture
+from vibrocast import codec
+from vibrocast.codec import CodecError, CodedSignal, Setting, Signal
+from vibrocast.codec.coding import CODECS
+from vibrocast.host import coding
 
 HERE = Path(__file__).parent
 SHARED = HERE.parents[1] / ".." / "shared"

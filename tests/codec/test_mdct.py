@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import codec
-import models
-from codec import Choice, CodecError, Framing, Steering, mdct
-from device_protocol.coded_stream import unpack_file
 from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
+from vibrocast import codec, models
+from vibrocast.codec import Choice, CodecError, Framing, Steering, mdct
+from vibrocast.device_protocol.coded_stream import unpack_file
 
 TABLES = {"built in": mdct.built_in_tables(), "with a network": models.find("mdct-network").tables}
 

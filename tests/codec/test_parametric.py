@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import codec
-from codec import CodecError, Framing, OutOfReach, Setting, SignalFormat, parametric
-from device_protocol.coded_stream import unpack_file
 from tests.codec.parametric_reference_decoder import ParametricReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from tests.codec.test_mdct import golden_signal
-from textures.generate import grating, taps
+from vibrocast import codec
+from vibrocast.codec import CodecError, Framing, OutOfReach, Setting, SignalFormat, parametric
+from vibrocast.device_protocol.coded_stream import unpack_file
+from vibrocast.textures.generate import grating, taps
 
 
 def coded(signal: codec.Signal, framing: Framing, **given: float | str) -> tuple[bytes, list[bytes]]:

@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-import codec
-from codec import Choice, CodecError, Framing, Setting, SignalFormat, Steering, linear_prediction, slp
-from device_protocol.coded_stream import unpack_file
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from tests.codec.slp_reference_decoder import SlpReferenceDecoder
 from tests.codec.test_mdct import golden_signal
+from vibrocast import codec
+from vibrocast.codec import Choice, CodecError, Framing, Setting, SignalFormat, Steering, linear_prediction, slp
+from vibrocast.device_protocol.coded_stream import unpack_file
 
 
 def coded(

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import codec
-from codec import (
+from vibrocast import codec
+from vibrocast.codec import (
     CappedRate,
     CodecError,
     ConstantQuality,
@@ -26,7 +26,7 @@ from codec import (
     steered_encoder,
     steered_framing,
 )
-from codec.interface import Choice, Decoded, Trial
+from vibrocast.codec.interface import Choice, Decoded, Trial
 
 RATE_HZ = 2800
 SECONDS = 0.1

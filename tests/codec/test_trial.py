@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import codec
-from codec import CodecError, Signal
-from codec.interface import Choice, Encoder, Steering, Trial
-from codec.mdct import hop_samples
 from tests.codec.signals import RATE_HZ, texture
 from tests.codec.test_every_codec import middle_setting, model_of, tables_of
+from vibrocast import codec
+from vibrocast.codec import CodecError, Signal
+from vibrocast.codec.interface import Choice, Encoder, Steering, Trial
+from vibrocast.codec.mdct import hop_samples
 
 STEERED = [name for name, known in codec.CODECS.items() if known.steers]
 every_steered_codec = pytest.mark.parametrize("name", STEERED)

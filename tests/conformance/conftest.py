@@ -5,15 +5,15 @@ from contextlib import AbstractContextManager, contextmanager
 
 import pytest
 
-from host import devices
-from host.conformance.fixtures import *  # noqa: F403
-from host.conformance.line import Line
-from simulated_device.controller import FLASH_BYTES, Controller, Settings
-from simulated_device.cortex_m import CortexM
-from simulated_device.device import Device
-from simulated_device.firmware import Firmware
-from simulated_device.flash import FlashMemory
-from simulated_device.memory_link import MemoryLink
+from vibrocast.host import devices
+from vibrocast.host.conformance.fixtures import *  # noqa: F403
+from vibrocast.host.conformance.line import Line
+from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
+from vibrocast.simulated_device.cortex_m import CortexM
+from vibrocast.simulated_device.device import Device
+from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 # A board with little memory.
 SMALL = Settings(channels=2, buffer_samples=2048, capture_samples=2048, watchdog_ms=500)

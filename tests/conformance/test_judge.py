@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from device_protocol import messages
-from device_protocol.frames import FrameReader, write_frame
-from device_protocol.messages import (
+from vibrocast.device_protocol import messages
+from vibrocast.device_protocol.frames import FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     NOTIFICATION,
     CaptureData,
     CaptureRead,
@@ -27,18 +27,18 @@ from device_protocol.messages import (
     pack,
     unpack,
 )
-from device_protocol.transports import Transport
-from host import conformance, devices
-from host.command_line import main
-from host.conformance import line as line_module
-from host.conformance import page
-from host.conformance.fixtures import SECTIONS
-from host.conformance.judge import NotJudged, Outcome, judge, requirements
-from host.conformance.line import Line
-from host.conformance.report import Report
-from simulated_device.actuator import PIEZO_STACK
-from simulated_device.controller import Controller, Settings
-from simulated_device.memory_link import MemoryLink, SimulatedTime
+from vibrocast.device_protocol.transports import Transport
+from vibrocast.host import conformance, devices
+from vibrocast.host.command_line import main
+from vibrocast.host.conformance import line as line_module
+from vibrocast.host.conformance import page
+from vibrocast.host.conformance.fixtures import SECTIONS
+from vibrocast.host.conformance.judge import NotJudged, Outcome, judge, requirements
+from vibrocast.host.conformance.line import Line
+from vibrocast.host.conformance.report import Report
+from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 
 MODULES = sorted(Path(conformance.__file__).parent.glob("test_*.py"))
 PROTOCOL = page.PAGE.with_name("protocol.md")
@@ -414,9 +414,9 @@ def test_no_test_of_the_suite_hides_another() -> None:
     ]
     assert len(set(names)) == len(names)
     imported = Path(__file__).with_name("test_suite.py").read_text()
-    assert [module.stem for module in MODULES if f"host.conformance.{module.stem} " not in imported] == []
+    assert [module.stem for module in MODULES if f"vibrocast.host.conformance.{module.stem} " not in imported] == []
 
 
 def test_list_of_requirements_is_up_to_date() -> None:
     written = page.PAGE.read_text()
-    assert written == page.with_requirements(written), "run `python -m host.conformance.page`"
+    assert written == page.with_requirements(written), "run `python -m vibrocast.host.conformance.page`"

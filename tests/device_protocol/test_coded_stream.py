@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.coded_stream import (
+from vibrocast.device_protocol.coded_stream import (
     STREAM_UNITS,
     StreamError,
     StreamHeader,
@@ -15,7 +15,7 @@ from device_protocol.coded_stream import (
     packet_sequence,
     unpack_file,
 )
-from device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.encoding import pack_varint
 
 gains = st.integers(1, 0x7F7F).map(lambda code: float(struct.unpack("<f", struct.pack("<I", code << 16))[0]))
 headers = st.builds(

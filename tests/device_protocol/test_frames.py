@@ -7,7 +7,7 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, FrameError, FrameReader, write_frame
+from vibrocast.device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, FrameError, FrameReader, write_frame
 
 payloads = st.binary(min_size=1, max_size=600)
 

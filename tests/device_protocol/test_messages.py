@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.messages import (
+from vibrocast.device_protocol.messages import (
     ALL,
     ActuatorDescription,
     CaptureData,

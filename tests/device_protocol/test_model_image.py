@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
 
 texts = st.text(max_size=60)
 images = st.builds(ModelImage, st.integers(0, 255), texts, texts, texts, st.binary(max_size=500))

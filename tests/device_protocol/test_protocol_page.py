@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from device_protocol.frames import FrameReader, write_frame
-from device_protocol.messages import (
+from vibrocast.device_protocol.frames import FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     ALL,
     Configure,
     Error,

@@ -12,7 +12,7 @@ import pytest
 import usb.backend
 import usb.core
 
-from device_protocol.transports import SerialTransport, TransportError, UsbTransport, open_transport
+from vibrocast.device_protocol.transports import SerialTransport, TransportError, UsbTransport, open_transport
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_unplugged_serial_port_is_an_error_and_not_a_hang() -> None:
 def test_serial_port_that_takes_nothing_is_an_error_and_not_a_hang(
     pseudo_terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("device_protocol.transports._WRITE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("vibrocast.device_protocol.transports._WRITE_TIMEOUT_S", 0.05)
     with SerialTransport(pseudo_terminal[1]) as transport, pytest.raises(TransportError, match="took no data"):
         transport.write(bytes(1_000_000))
 
@@ -215,7 +215,7 @@ def test_stalled_usb_endpoints_are_cleared_in_use_and_when_opened() -> None:
 
 
 def test_usb_endpoint_that_stalls_for_ever_is_an_error_and_not_a_hang(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("device_protocol.transports._WRITE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("vibrocast.device_protocol.transports._WRITE_TIMEOUT_S", 0.05)
     backend = MadeUpUsb()
     monkeypatch.setattr(backend, "clear_halt", lambda handle, endpoint: None)
     transport = UsbTransport(0x1209, 0x0001, backend)

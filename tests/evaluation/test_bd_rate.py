@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from evaluation.bd_rate import (
+from vibrocast.evaluation.bd_rate import (
     SCALES,
     SNR,
     ST_SIM_2800,
@@ -25,7 +25,7 @@ from evaluation.bd_rate import (
     quality_at,
     summary,
 )
-from evaluation.points import Point
+from vibrocast.evaluation.points import Point
 
 COARSE = [2.0, 5.0, 8.0, 11.0, 14.0, 17.0, 20.0, 23.0]
 FINE = [1.0 + 0.5 * index for index in range(50)]

@@ -12,18 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-import codec
-import textures
-from codec import CodecError
-from evaluation import bench, cells, metrics, workers
-from evaluation.bench import Journal, Tally
-from evaluation.cells import BenchError, Cell, Measured, Method
-from evaluation.comparison import Measurements
-from evaluation.points import Failure, Point, Timing, read_rows
-from host import coding
-from textures import Recording
-from textures.dataset import Trace, load, traces
-from textures.generate import rough, wood
+from vibrocast import codec, textures
+from vibrocast.codec import CodecError
+from vibrocast.evaluation import bench, cells, metrics, workers
+from vibrocast.evaluation.bench import Journal, Tally
+from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
+from vibrocast.evaluation.comparison import Measurements
+from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
+from vibrocast.host import coding
+from vibrocast.textures import Recording
+from vibrocast.textures.dataset import Trace, load, traces
+from vibrocast.textures.generate import rough, wood
 
 METHODS = [Method("mdct", ({"step": 1.0}, {"step": 0.25}), "mdct"), Method("flac", ({},), "flac")]
 Results = list[Measured | Failure]

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import codec
-from codec import Framing, SignalFormat
-from evaluation import cost, trained
-from models import Model
 from tests.codec.eva_models import tiny_model
+from vibrocast import codec
+from vibrocast.codec import Framing, SignalFormat
+from vibrocast.evaluation import cost, trained
+from vibrocast.models import Model
 
 CORE = Path(__file__).parents[2] / "firmware" / "core"
 needs_ziglang = pytest.mark.skipif(
@@ -115,7 +115,7 @@ def test_costs_of_a_codec_that_fails_say_so(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_every_codec_has_its_line_in_the_shipped_sizes() -> None:
     shipped = json.loads(cost.DECODER_SIZES.read_text(encoding="utf-8"))
-    assert list(shipped) == list(codec.CODECS), "run python -m evaluation.cost"
+    assert list(shipped) == list(codec.CODECS), "run python -m vibrocast.evaluation.cost"
     assert all(size["note"] for size in shipped.values())
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec import Signal
-from evaluation import external
-from evaluation.external import Command, Program, ProgramError
 from tests.codec.signals import RATE_HZ, texture
+from vibrocast.codec import Signal
+from vibrocast.evaluation import external
+from vibrocast.evaluation.external import Command, Program, ProgramError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "programs.toml"
 

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import codec
-from codec import CodedSignal, eva
-from device_protocol.coded_stream import unpack_file
-from device_protocol.model_image import ModelImage
-from evaluation import emulated_core, firmware
-from evaluation.emulated_core import CORES, EmulatedCore, compile_core
-from firmware.build import BuildError
 from tests.codec.eva_models import random_image, with_extreme_weights
+from vibrocast import codec
+from vibrocast.codec import CodedSignal, eva
+from vibrocast.device_protocol.coded_stream import unpack_file
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.evaluation import emulated_core, firmware
+from vibrocast.evaluation.emulated_core import CORES, EmulatedCore, compile_core
+from vibrocast.firmware.build import BuildError
 
 pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler for microcontrollers")
 

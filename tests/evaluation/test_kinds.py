@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.kinds import kinds
-from evaluation.points import PointsError
-from textures.dataset import Trace
+from vibrocast.evaluation.kinds import kinds
+from vibrocast.evaluation.points import PointsError
+from vibrocast.textures.dataset import Trace
 
 TRACES = [
     Trace(name, Path("set") / name)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluation.labels import spread
+from vibrocast.evaluation.labels import spread
 
 
 def test_labels_that_fit_stay_where_they_are_wanted() -> None:

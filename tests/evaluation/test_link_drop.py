@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-import textures
-from evaluation import link_drop
+from vibrocast import textures
+from vibrocast.evaluation import link_drop
 
 
 def test_the_section_is_written_with_its_table_and_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from vibromaf.metrics.spqi import spqi
 from vibromaf.metrics.stsim import st_sim
 
-import codec
-from codec import Signal
-from evaluation.metrics import BLOCK_SAMPLES, Quality, measure
+from vibrocast import codec
+from vibrocast.codec import Signal
+from vibrocast.evaluation.metrics import BLOCK_SAMPLES, Quality, measure
 
 RATE_HZ = 2800
 NOTHING = Quality(*[None] * 7)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import textures
-from evaluation import parametric
-from textures.generate import wood
+from vibrocast import textures
+from vibrocast.evaluation import parametric
+from vibrocast.textures.generate import wood
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def test_the_command_writes_page_table_and_chart(folder: Path, tmp_path: Path) -
     assert done.exit_code == 0, done.output
     page = (tmp_path / "parametric.md").read_text()
     assert "2 recordings" in page
-    assert f"evaluation.parametric {folder.name} --out" in page
+    assert f"vibrocast.evaluation.parametric {folder.name} --out" in page
     assert (tmp_path / "results" / "parametric.png").stat().st_size > 5000
     with (tmp_path / "results" / "parametric.csv").open() as file:
         rows = list(csv.DictReader(file))

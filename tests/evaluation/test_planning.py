@@ -6,8 +6,8 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
-import textures
-from evaluation.planning import FREE, HELD, ROWS, WEIGHTS, main
+from vibrocast import textures
+from vibrocast.evaluation.planning import FREE, HELD, ROWS, WEIGHTS, main
 
 
 def test_the_page_and_its_rows(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluation.points import (
+from vibrocast.evaluation.points import (
     Failure,
     Point,
     PointsError,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluation import rate_control
+from vibrocast.evaluation import rate_control
 
 OAK = Path(__file__).parents[2] / "examples" / "oak.wav"
 
@@ -19,7 +19,7 @@ def test_a_folder_is_measured_into_a_page(tmp_path: Path, monkeypatch: pytest.Mo
     shutil.copy(OAK, recordings)
     rate_control.main([str(recordings), "--out", str(out)])
     page = (out / "rate_control.md").read_text()
-    assert "python -m evaluation.rate_control" in page
+    assert "python -m vibrocast.evaluation.rate_control" in page
     for name in ("recordings", "codecs", "buckets"):
         assert f"(results/rate_control_{name}.png)" in page
         assert (out / "results" / f"rate_control_{name}.png").stat().st_size > 1000

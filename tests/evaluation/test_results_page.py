@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from codec import CODECS
-from evaluation import bench, learned_page, results_page
-from evaluation.bd_rate import SNR
-from evaluation.charts import LONGEST_NAME, _set_log_axis, _short
-from evaluation.comparison import (
+from vibrocast.codec import CODECS
+from vibrocast.evaluation import bench, learned_page, results_page
+from vibrocast.evaluation.bd_rate import SNR
+from vibrocast.evaluation.charts import LONGEST_NAME, _set_log_axis, _short
+from vibrocast.evaluation.comparison import (
     TIMES,
     Excess,
     MeanBdRate,
@@ -32,11 +32,11 @@ from evaluation.comparison import (
     prices,
     trace_bd_rates,
 )
-from evaluation.cost import CodecCost
-from evaluation.kinds import TraceKind
-from evaluation.points import Failure, Point, Timing, read_rows
-from evaluation.results_page import Description, write_results
-from evaluation.speed import Speed
+from vibrocast.evaluation.cost import CodecCost
+from vibrocast.evaluation.kinds import TraceKind
+from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
+from vibrocast.evaluation.results_page import Description, write_results
+from vibrocast.evaluation.speed import Speed
 
 SAMPLES = 1_000_000
 SNRS_DB = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import codec
-from codec.interface import Codec, Decoded
-from device_protocol.model_image import ModelImage
-from evaluation.stability import (
+from tests.codec.eva_models import tiny_model
+from vibrocast import codec
+from vibrocast.codec.interface import Codec, Decoded
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.evaluation.stability import (
     actuators,
     entropy,
     filters,
@@ -31,12 +32,11 @@ from evaluation.stability import (
     signals,
     transport,
 )
-from evaluation.stability.known_causes import explanation, known_causes
-from evaluation.stability.maps import Rung, Scope, methods
-from evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
-from host.stability_command import stability
-from simulated_device.actuator import LRA, PIEZO_STACK
-from tests.codec.eva_models import tiny_model
+from vibrocast.evaluation.stability.known_causes import explanation, known_causes
+from vibrocast.evaluation.stability.maps import Rung, Scope, methods
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
+from vibrocast.host.stability_command import stability
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
 
 MDCT = codec.CODECS["mdct"]
 STEP = Rung("mdct", {"step": 0.25})

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import textures
-from evaluation import texture_paper
-from evaluation.texture_paper import Result, measure, paper_percent
+from vibrocast import textures
+from vibrocast.evaluation import texture_paper
+from vibrocast.evaluation.texture_paper import Result, measure, paper_percent
 
 
 def test_arithmetic_of_the_paper() -> None:

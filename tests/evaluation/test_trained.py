@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import codec
-from codec.eva_image import EvaImage
-from device_protocol.model_image import ModelImage
-from evaluation import bench, cells, cost, speed, trained, workers
-from evaluation.cells import BenchError, Cell, Measured, Method
-from evaluation.points import Failure, Point
-from evaluation.speed import Speed
-from models import Model
 from tests.codec.eva_models import tiny_model
-from textures import Recording
-from textures.dataset import Trace
-from textures.generate import wood
+from vibrocast import codec
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.evaluation import bench, cells, cost, speed, trained, workers
+from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
+from vibrocast.evaluation.points import Failure, Point
+from vibrocast.evaluation.speed import Speed
+from vibrocast.models import Model
+from vibrocast.textures import Recording
+from vibrocast.textures.dataset import Trace
+from vibrocast.textures.generate import wood
 
 
 def with_image(model: Model, name: str, image: EvaImage) -> Model:

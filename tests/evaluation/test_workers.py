@@ -7,8 +7,8 @@ from typing import Any, NoReturn
 
 import pytest
 
-from evaluation import workers
-from evaluation.workers import WorkerDiedError, WorkersError, on_cluster, on_cores
+from vibrocast.evaluation import workers
+from vibrocast.evaluation.workers import WorkerDiedError, WorkersError, on_cluster, on_cores
 
 Work = Callable[[], int]
 Pieces = Iterator[tuple[int, Work]]

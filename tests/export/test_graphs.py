@@ -6,9 +6,9 @@ import onnxruntime
 import pytest
 import torch
 
-from codec.graphs import LATENTS, SIGNAL, Transform
-from export import graphs
-from export.eva import Eva, EvaShape
+from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
+from vibrocast.export import graphs
+from vibrocast.export.eva import Eva, EvaShape
 
 SHAPE = EvaShape(width=6, latents=5, rates=2)
 

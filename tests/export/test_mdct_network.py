@@ -10,12 +10,12 @@ pytest.importorskip("torch")
 
 import torch
 
-import codec
-from codec import Framing, mdct
-from device_protocol.model_image import ModelImage
-from export import mdct_network, mdct_tables
 from tests.codec.reference_decoder import Network as ReferenceNetwork
-from textures.generate import rough
+from vibrocast import codec
+from vibrocast.codec import Framing, mdct
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export import mdct_network, mdct_tables
+from vibrocast.textures.generate import rough
 
 
 def textures() -> list[codec.Signal]:

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-import codec
-import models
-from codec import mdct
-from device_protocol.model_image import ModelImage
-from export import mdct_tables
-from textures.generate import rough
+from vibrocast import codec, models
+from vibrocast.codec import mdct
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export import mdct_tables
+from vibrocast.textures.generate import rough
 
 
 def archive(path: Path, **extra: object) -> Path:

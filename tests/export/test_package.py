@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-import textures
-from codec import CodecError
-from codec.eva_image import EvaImage
-from device_protocol.model_image import ModelImage
-from export.checkpoint import ModelError
-from export.package import Contents, make
-from host import coding
 from tests.export import tiny
+from vibrocast import textures
+from vibrocast.codec import CodecError
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export.checkpoint import ModelError
+from vibrocast.export.package import Contents, make
+from vibrocast.host import coding
 
 
 def test_files_are_named_by_the_model() -> None:

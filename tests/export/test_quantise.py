@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from codec import Signal, eva
-from codec.eva_image import EvaImage
-from codec.mdct import built_in_tables
-from export.checkpoint import ModelError
-from export.eva import Eva, EvaShape, Gdn
-from export.priors import ContextPrior, FactorisedPrior, Prior, probabilities
-from export.quantise import centre_frequencies, ordered, quantise
 from tests.codec.eva_reference_decoder import synthesised
 from tests.codec.signals import texture
+from vibrocast.codec import Signal, eva
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.codec.mdct import built_in_tables
+from vibrocast.export.checkpoint import ModelError
+from vibrocast.export.eva import Eva, EvaShape, Gdn
+from vibrocast.export.priors import ContextPrior, FactorisedPrior, Prior, probabilities
+from vibrocast.export.quantise import centre_frequencies, ordered, quantise
 
 SIGNALS: list[Signal] = [texture(6000, seed=seed)[:, 0] for seed in range(3)]
 

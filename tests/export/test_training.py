@@ -11,16 +11,16 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 
-import textures
-from export import checkpoint, configuration, training, training_data
-from export.checkpoint import Checkpoint, ModelError
-from export.configuration import ArchiveSource, Augmentation, ConfigurationError, HeldBack
-from export.eva import Eva, EvaShape
-from export.lapped_start import start_lapped
-from export.priors import PRIORS, ContextPrior, FactorisedPrior, Prior, probabilities
-from export.training_data import Excerpts, Trace
-from host.command_line import main
-from textures import TextureError
+from vibrocast import textures
+from vibrocast.export import checkpoint, configuration, training, training_data
+from vibrocast.export.checkpoint import Checkpoint, ModelError
+from vibrocast.export.configuration import ArchiveSource, Augmentation, ConfigurationError, HeldBack
+from vibrocast.export.eva import Eva, EvaShape
+from vibrocast.export.lapped_start import start_lapped
+from vibrocast.export.priors import PRIORS, ContextPrior, FactorisedPrior, Prior, probabilities
+from vibrocast.export.training_data import Excerpts, Trace
+from vibrocast.host.command_line import main
+from vibrocast.textures import TextureError
 
 TINY = """
 name = "tiny"

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import torch
 
-import models
-import textures
-from export.checkpoint import Checkpoint
-from export.configuration import parsed
-from export.eva import Eva, EvaShape
-from export.lapped_start import start_lapped
-from export.package import Contents, Package, make
-from export.priors import PRIORS
+from vibrocast import models, textures
+from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.configuration import parsed
+from vibrocast.export.eva import Eva, EvaShape
+from vibrocast.export.lapped_start import start_lapped
+from vibrocast.export.package import Contents, Package, make
+from vibrocast.export.priors import PRIORS
 
 LAMBDAS = (1.0, 10.0, 100.0)
 

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-from codec import CodecError
-from device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
-from device_protocol.model_image import ModelImage
-from simulated_device.flash import SLOTS, FlashMemory, PowerCut
-from simulated_device.refusal import Refusal
 from tests.firmware.native import ffi, native, piece_bytes, refusal_text
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.simulated_device.flash import SLOTS, FlashMemory, PowerCut
+from vibrocast.simulated_device.refusal import Refusal
 
 
 class CImageStore:

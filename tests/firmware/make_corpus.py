@@ -6,14 +6,17 @@ import zlib
 
 import numpy as np
 
-import codec
-from codec import Choice, Framing, Setting, SignalFormat, eva, mdct
-from codec.eva_image import PRIOR_KINDS
-from device_protocol import messages
-from device_protocol.coded_stream import StreamHeader
-from device_protocol.encoding import pack_varint
-from device_protocol.frames import write_frame
-from device_protocol.messages import (
+from tests.codec.eva_models import random_image
+from tests.codec.signals import RATE_HZ, texture
+from tests.firmware.fuzzing import CORPUS, TARGETS
+from vibrocast import codec
+from vibrocast.codec import Choice, Framing, Setting, SignalFormat, eva, mdct
+from vibrocast.codec.eva_image import PRIOR_KINDS
+from vibrocast.device_protocol import messages
+from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import (
     CaptureRead,
     Configure,
     EndStream,
@@ -35,10 +38,7 @@ from device_protocol.messages import (
     StreamData,
     Tap,
 )
-from device_protocol.model_image import ModelImage, sha256
-from tests.codec.eva_models import random_image
-from tests.codec.signals import RATE_HZ, texture
-from tests.firmware.fuzzing import CORPUS, TARGETS
+from vibrocast.device_protocol.model_image import ModelImage, sha256
 
 HEADER = StreamHeader(
     1, RATE_HZ, 700, "m/s^2", (2.5, 1.0), mdct.configuration(16, 4, [700, 700], 3), b"\x01\x02\x03\x04"

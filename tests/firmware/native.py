@@ -4,7 +4,7 @@ from typing import Any
 
 from cffi import FFI
 
-from firmware.build import build
+from vibrocast.firmware.build import build
 
 
 def load(**sizes: int) -> tuple[Any, Any]:

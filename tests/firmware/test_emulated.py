@@ -9,12 +9,10 @@ import pytest
 import unicorn
 from unicorn import arm_const
 
-import codec
-import models
-import textures
-from codec import Choice, SignalFormat
-from device_protocol.frames import write_frame
-from device_protocol.messages import (
+from vibrocast import codec, models, textures
+from vibrocast.codec import Choice, SignalFormat
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     Configure,
@@ -29,20 +27,20 @@ from device_protocol.messages import (
     Tap,
     pack,
 )
-from firmware.build import build
-from firmware.elf import Elf
-from host import coding, flasher
-from host.coding import Stream
-from host.controller import Controller as Host
-from host.player import play
-from simulated_device import cortex_m, stm32f405
-from simulated_device.actuator import PIEZO_STACK, Codes
-from simulated_device.cortex_m import CORES, CortexM
-from simulated_device.emulator import EmulationError
-from simulated_device.flash import FlashMemory
-from simulated_device.memory_link import MemoryLink
-from simulated_device.output import render
-from simulated_device.stm32f405 import Stm32F405
+from vibrocast.firmware.build import build
+from vibrocast.firmware.elf import Elf
+from vibrocast.host import coding, flasher
+from vibrocast.host.coding import Stream
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import play
+from vibrocast.simulated_device import cortex_m, stm32f405
+from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
+from vibrocast.simulated_device.cortex_m import CORES, CortexM
+from vibrocast.simulated_device.emulator import EmulationError
+from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.output import render
+from vibrocast.simulated_device.stm32f405 import Stm32F405
 
 LEARNED = "eva-16"
 START_US, BOARD_DAC_HZ = 300_000, 3000

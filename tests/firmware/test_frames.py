@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameReader, write_frame
 from tests.firmware.native import ffi, native, piece_bytes
+from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameReader, write_frame
 
 payloads = st.binary(min_size=1, max_size=600)
 

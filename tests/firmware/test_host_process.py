@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import models
-from device_protocol.messages import State
-from device_protocol.transports import SerialTransport, TransportError
-from firmware.build import build
-from host import flasher
-from host.controller import ConnectionLost
-from host.controller import Controller as Host
-from host.player import play
-from simulated_device.actuator import PIEZO_STACK
-from simulated_device.host_process import HostProcess
-from simulated_device.output import render
 from tests.simulated_device.bench import stream
+from vibrocast import models
+from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.transports import SerialTransport, TransportError
+from vibrocast.firmware.build import build
+from vibrocast.host import flasher
+from vibrocast.host.controller import ConnectionLost
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import play
+from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.simulated_device.host_process import HostProcess
+from vibrocast.simulated_device.output import render
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 

@@ -5,13 +5,13 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import CodecError
-from device_protocol.messages import ErrorCode
-from device_protocol.model_image import ModelImage, sha256
-from simulated_device.flash import ImageStore
-from simulated_device.refusal import Refusal
 from tests.firmware.c_image_store import CImageStore
 from tests.simulated_device.test_flash import FailingFlash
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.messages import ErrorCode
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.simulated_device.flash import ImageStore
+from vibrocast.simulated_device.refusal import Refusal
 
 HARDWARE = "board"
 IMAGES = (

@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol import messages
-from device_protocol.frames import FrameReader
-from device_protocol.messages import (
+from tests.device_protocol.test_messages import MESSAGES, any_message, images, u8, u16
+from tests.firmware.native import ffi, load, native, piece_bytes, refusal_text
+from vibrocast.device_protocol import messages
+from vibrocast.device_protocol.frames import FrameReader
+from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CaptureData,
     CaptureRead,
@@ -41,8 +43,6 @@ from device_protocol.messages import (
     StreamData,
     Tap,
 )
-from tests.device_protocol.test_messages import MESSAGES, any_message, images, u8, u16
-from tests.firmware.native import ffi, load, native, piece_bytes, refusal_text
 
 FROM_HOST = (*messages.REQUESTS, StreamData, Position)
 EMPTY = (StatusRequest, Pause, Resume, Stop)

@@ -5,9 +5,9 @@ import zlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.model_image import ModelImage, ModelImageError
 from tests.device_protocol.test_model_image import images
 from tests.firmware.native import ffi, native, piece_bytes, refusal_text
+from vibrocast.device_protocol.model_image import ModelImage, ModelImageError
 
 
 def check_read_as_in_python(data: bytes) -> None:

@@ -8,12 +8,12 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from device_protocol.messages import State
-from device_protocol.transports import SerialTransport
-from firmware.build import build
-from host.controller import Controller as Host
-from host.player import play
 from tests.simulated_device.bench import stream
+from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.transports import SerialTransport
+from vibrocast.firmware.build import build
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import play
 
 QEMU = shutil.which("qemu-system-arm")
 pytestmark = pytest.mark.skipif(QEMU is None, reason="qemu-system-arm is not installed")

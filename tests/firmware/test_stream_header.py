@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.coded_stream import STREAM_UNITS, StreamError, StreamHeader, packet_sequence
-from device_protocol.encoding import pack_varint
 from tests.device_protocol.test_coded_stream import headers
 from tests.firmware.native import ffi, native, refusal_text
+from vibrocast.device_protocol.coded_stream import STREAM_UNITS, StreamError, StreamHeader, packet_sequence
+from vibrocast.device_protocol.encoding import pack_varint
 
 LENGTH_UNKNOWN = 2**64 - 1
 

@@ -12,9 +12,9 @@ import capstone
 import pytest
 from click.testing import CliRunner
 
-from firmware import build as building
-from firmware.build import TARGETS, BuildError, build, size
-from firmware.elf import Elf
+from vibrocast.firmware import build as building
+from vibrocast.firmware.build import TARGETS, BuildError, build, size
+from vibrocast.firmware.elf import Elf
 
 IMAGES = [name for name, target in TARGETS.items() if target.suffix == ".elf"]
 # What compilers call where the processor has no instruction: Run-time ABI for the Arm Architecture.

@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from host.harness import fidelity
-from simulated_device.actuator import PIEZO_STACK
 from tests.harness.test_response import bench
-from textures import GENERATORS
+from vibrocast.host.harness import fidelity
+from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.textures import GENERATORS
 
 
 @pytest.mark.parametrize("unit", ["um", "m/s^2"])

@@ -5,16 +5,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from host import live
-from host.controller import Controller
-from host.harness import latency
-from host.harness.device_clock import DeviceClock
-from simulated_device.actuator import PIEZO_STACK, Codes
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import MemoryLink, SimulatedTime
-from simulated_device.slow_line import SlowLine, Wire
-from textures import Recording
+from vibrocast.host import live
+from vibrocast.host.controller import Controller
+from vibrocast.host.harness import latency
+from vibrocast.host.harness.device_clock import DeviceClock
+from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
+from vibrocast.simulated_device.slow_line import SlowLine, Wire
+from vibrocast.textures import Recording
 
 RATE_HZ = 2800
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from host.controller import Controller
-from host.harness import load
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import MemoryLink
-from simulated_device.slow_line import SlowLine, Wire
-from textures import Recording
+from vibrocast.host.controller import Controller
+from vibrocast.host.harness import load
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.slow_line import SlowLine, Wire
+from vibrocast.textures import Recording
 
 
 class SlowLink(MemoryLink):

@@ -41,7 +41,7 @@ generate = "rough"
 seconds = 0.5
 """
 # The plugin is loaded by its module's name, whether or not what is installed has its entry point.
-LOADED = ("-p", "no:vibrocast", "-p", "host.harness.plugin", "-p", "no:cacheprovider")
+LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.host.harness.plugin", "-p", "no:cacheprovider")
 
 
 @pytest.mark.parametrize(
@@ -87,4 +87,4 @@ def test_plugin_costs_nothing_where_it_is_not_used(pytester: pytest.Pytester) ->
 
 def test_installing_vibrocast_installs_the_plugin() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    assert project["entry-points"]["pytest11"] == {"vibrocast": "host.harness.plugin"}
+    assert project["entry-points"]["pytest11"] == {"vibrocast": "vibrocast.host.harness.plugin"}

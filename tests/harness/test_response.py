@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from host.controller import Controller
-from host.harness import response
-from host.harness.alignment import AlignmentError
-from host.harness.sensors import Recorder
-from simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Codes
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import MemoryLink
-from textures import Recording
+from vibrocast.host.controller import Controller
+from vibrocast.host.harness import response
+from vibrocast.host.harness.alignment import AlignmentError
+from vibrocast.host.harness.sensors import Recorder
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Codes
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.textures import Recording
 
 OVERSAMPLING = 4
 SWEEP_S = 4.0

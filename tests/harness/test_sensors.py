@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from host.harness import sensors
-from host.harness.bench_file import Sensor
-from host.harness.sensors import SensorError, recorder
+from vibrocast.host.harness import sensors
+from vibrocast.host.harness.bench_file import Sensor
+from vibrocast.host.harness.sensors import SensorError, recorder
 
 
 def shell(command: str) -> Sensor:

@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from device_protocol.coded_stream import packet_sequence
-from device_protocol.frames import FrameReader, write_frame
-from device_protocol.messages import (
+from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.device_protocol.frames import FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CaptureData,
     CaptureRead,
@@ -41,8 +41,8 @@ from device_protocol.messages import (
     pack,
     unpack,
 )
-from device_protocol.model_image import ModelImage, sha256
-from device_protocol.transports import TransportError
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.device_protocol.transports import TransportError
 
 PACKET_SAMPLES = 10
 RATE_HZ = 1000

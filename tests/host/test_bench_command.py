@@ -13,17 +13,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-import codec
-import textures
-from evaluation import bench, cost, results_page, speed, workers
-from evaluation.points import Failure, Point, Timing, read_rows
-from host.command_line import main
-from textures.generate import rough, wood
+from vibrocast import codec, textures
+from vibrocast.evaluation import bench, cost, results_page, speed, workers
+from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
+from vibrocast.host.command_line import main
+from vibrocast.textures.generate import rough, wood
 
 ROOT = Path(__file__).parents[2]
 FAST = "g726,dct-threshold"
 # Ctrl-C interrupts it even where the tests run in the background.
-CODE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from host.entry import main; main()"
+CODE = (
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "from vibrocast.host.entry import main; main()"
+)
 COMMAND = [sys.executable, "-c", CODE, "bench"]
 
 

@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import models
-import textures
-from codec import CodecError
-from device_protocol.coded_stream import StreamError, StreamHeader, pack_file
-from device_protocol.encoding import pack_varint
-from device_protocol.model_image import ModelImage, ModelImageError
-from host import coding
-from host.input_files import InputFileError
+from vibrocast import models, textures
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, pack_file
+from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.model_image import ModelImage, ModelImageError
+from vibrocast.host import coding
+from vibrocast.host.input_files import InputFileError
 
 MODEL = models.find("mdct-textures")
 
@@ -164,7 +163,7 @@ def test_a_wav_that_cannot_be_written_is_named_as_asked_for(tmp_path: Path, monk
         raise textures.TextureError(f"{path}: cannot be written: System error.")
 
     stream = coding.encode(noise()).stream
-    monkeypatch.setattr("textures.save_wav", fail)
+    monkeypatch.setattr("vibrocast.textures.save_wav", fail)
     with pytest.raises(textures.TextureError, match=r"/out\.wav: cannot be written; make room"):
         coding.write_wav(tmp_path / "out.wav", stream, sixteen_bit=False)
     assert list(tmp_path.iterdir()) == []

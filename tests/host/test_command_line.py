@@ -18,17 +18,15 @@ import pytest
 import soundfile
 from click.testing import CliRunner, Result
 
-import codec
-import models
-import textures
-from device_protocol.messages import State
-from device_protocol.model_image import ModelImage
-from host import devices
-from host.command_line import main
-from host.report import Report
-from simulated_device.actuator import Codes
-from simulated_device.controller import Controller
-from simulated_device.pty_port import PtyPort
+from vibrocast import codec, models, textures
+from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.host import devices
+from vibrocast.host.command_line import main
+from vibrocast.host.report import Report
+from vibrocast.simulated_device.actuator import Codes
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.pty_port import PtyPort
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT / ".." / "shared" / "data"
@@ -95,7 +93,8 @@ def watched() -> Iterator[Watched]:
 def started(*arguments: object) -> subprocess.Popen[str]:
     """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background."""
     code = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from host.entry import main; main()"
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "from vibrocast.host.entry import main; main()"
     )
     return subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)],
@@ -348,7 +347,7 @@ def test_pulled_cable_is_found_again(tmp_path: Path, watched: Watched) -> None:
 
 
 def test_play_says_where_it_is_where_there_is_no_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("host.progress.LINE_INTERVAL_S", 0.0)
+    monkeypatch.setattr("vibrocast.host.progress.LINE_INTERVAL_S", 0.0)
     path = tmp_path / "texture.wav"
     textures.save_wav(path, textures.GENERATORS["rough"](seconds=0.5))
     result = vibrocast("play", path, "--snr-db", 5)
@@ -395,7 +394,7 @@ def test_names_the_controllers_limits_before_encoding(
     wide, coded = tmp_path / "wide.wav", tmp_path / "wide.vct"
     soundfile.write(wide, np.ones((100, 16)), RATE_HZ, subtype="FLOAT")
     succeeds("encode", wide, coded)
-    monkeypatch.setattr("host.coding.encode", None)
+    monkeypatch.setattr("vibrocast.host.coding.encode", None)
     for path in (wide, coded):
         assert "16 channels, the controller has 8" in fails(2, "play", path)
     assert "100 to 48000 Hz" in fails(2, "play", texture, "--stream-rate-hz", 99)
@@ -409,7 +408,7 @@ def test_says_where_there_is_no_room(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    monkeypatch.setattr("textures.save_wav", full)
+    monkeypatch.setattr("vibrocast.textures.save_wav", full)
     command = ("encode", texture) if name == "out.vct" else ("decode", coded)
     assert fails(2, *command, tmp_path / name).endswith(
         f"{name}: No space left on device; make room, or write elsewhere\n"
@@ -504,7 +503,7 @@ def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monk
     def breaks(*_: object, **__: object) -> None:
         raise ZeroDivisionError("two\nlines")
 
-    monkeypatch.setattr("host.coding.encode", breaks)
+    monkeypatch.setattr("vibrocast.host.coding.encode", breaks)
     result = vibrocast("play", texture)
     assert result.exit_code == 1
     assert "unexpected ZeroDivisionError: two lines" in result.stderr

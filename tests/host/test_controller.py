@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device_protocol.frames import write_frame
-from device_protocol.messages import (
+from tests.host.scripted_controller import ScriptedController
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import (
     CaptureData,
     Error,
     ErrorCode,
@@ -24,11 +25,10 @@ from device_protocol.messages import (
     Tap,
     pack,
 )
-from device_protocol.transports import TransportError
-from host.controller import TRIES, ConnectionLost, Controller, ControllerError
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.memory_link import MemoryLink
-from tests.host.scripted_controller import ScriptedController
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import TRIES, ConnectionLost, Controller, ControllerError
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 
 def connect(scripted: ScriptedController) -> Controller:
@@ -46,7 +46,7 @@ def test_hello_and_status() -> None:
 
 def test_hello_under_a_number_of_the_last_session_is_said_again_under_another(monkeypatch: pytest.MonkeyPatch) -> None:
     draws = [41, 41, 41, 500]
-    monkeypatch.setattr("host.controller.random.randrange", lambda end: draws.pop(0))
+    monkeypatch.setattr("vibrocast.host.controller.random.randrange", lambda end: draws.pop(0))
     link = MemoryLink(SimulatedController())
     earlier = Controller(link, link.clock, link.sleep)
     earlier.request_status()
@@ -60,7 +60,7 @@ def test_hello_that_gets_the_answer_of_an_earlier_session_is_said_again(
     old: Message, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draws = [41, 500]
-    monkeypatch.setattr("host.controller.random.randrange", lambda end: draws.pop(0))
+    monkeypatch.setattr("vibrocast.host.controller.random.randrange", lambda end: draws.pop(0))
     scripted = ScriptedController()
     scripted.last = (42, write_frame(pack(old, 42)))
     assert connect(scripted).description == scripted.description

@@ -4,9 +4,9 @@ import sys
 
 import pytest
 
-from device_protocol.transports import TransportError
-from firmware import build
-from host import devices
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.firmware import build
+from vibrocast.host import devices
 
 
 @pytest.mark.parametrize("address", ["host", "cortex-m4", "cortex-m7", "cortex-m33", "stm32f405"])
@@ -25,7 +25,12 @@ def test_firmware_decodes_by_the_integer_core_alone() -> None:
 
 
 def test_without_the_emulator_or_the_compiler_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("unicorn", "simulated_device.cortex_m", "simulated_device.emulator", "simulated_device.stm32f405"):
+    for module in (
+        "unicorn",
+        "vibrocast.simulated_device.cortex_m",
+        "vibrocast.simulated_device.emulator",
+        "vibrocast.simulated_device.stm32f405",
+    ):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setitem(sys.modules, "unicorn", None)
     with pytest.raises(TransportError, match=r"pip install .vibrocast\[firmware\]"), devices.connect("cortex-m4"):

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-import textures
-from device_protocol.messages import CaptureData, Tap
-from host import coding, end_to_end
-from host.controller import Controller, ControllerError
-from host.end_to_end import Outcome
-from simulated_device.actuator import LRA, PIEZO_STACK, Actuator
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import MemoryLink
+from vibrocast import textures
+from vibrocast.device_protocol.messages import CaptureData, Tap
+from vibrocast.host import coding, end_to_end
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.end_to_end import Outcome
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 LOOPS = 3
 SAMPLES = 1000

@@ -16,12 +16,12 @@ import os, signal, sys
 
 class Interrupting:
     def find_spec(self, name, path=None, target=None):
-        if name == "host.command_line":
+        if name == "vibrocast.host.command_line":
             os.kill(os.getpid(), {number})
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.meta_path.insert(0, Interrupting())
-from host.entry import main
+from vibrocast.host.entry import main
 main()
 """
 
@@ -45,16 +45,16 @@ def test_a_hangup_that_is_to_be_ignored_is() -> None:
 
 
 def test_help_loads_nothing_that_only_playing_needs() -> None:
-    code = "import sys; from host.entry import main\ntry: main()\nexcept SystemExit: print(*sys.modules)"
+    code = "import sys; from vibrocast.host.entry import main\ntry: main()\nexcept SystemExit: print(*sys.modules)"
     loaded = set(run(code, "--help").stdout.split())
-    assert "host.command_line" in loaded
-    assert loaded.isdisjoint({"matplotlib", "host.end_to_end", "simulated_device.controller"})
+    assert "vibrocast.host.command_line" in loaded
+    assert loaded.isdisjoint({"matplotlib", "vibrocast.host.end_to_end", "vibrocast.simulated_device.controller"})
 
 
 def test_prints_names_that_are_no_text(tmp_path: Path) -> None:
     out = tmp_path / "\udcff.vct"
     arguments = "encode", str(ROOT / "examples" / "taps.wav"), str(out)
-    result = run("from host.entry import main; main()", *arguments)
+    result = run("from vibrocast.host.entry import main; main()", *arguments)
     assert (result.returncode, result.stderr) == (0, "")
     assert "\\udcff.vct: " in result.stdout
     assert out.exists()

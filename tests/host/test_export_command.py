@@ -10,13 +10,11 @@ import onnx
 import pytest
 import torch
 
-import codec
-import models
-import textures
-from codec.eva_image import EvaImage
-from host import coding, model_card
 from tests.export import tiny
 from tests.host.test_command_line import fails, succeeds, vibrocast
+from vibrocast import codec, models, textures
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.host import coding, model_card
 
 
 @pytest.fixture(scope="session")
@@ -181,7 +179,7 @@ def test_a_failed_export_leaves_the_model_that_was_there(
 @pytest.mark.parametrize("missing", ["torch", "onnx"])
 def test_without_torch_or_onnx_the_command_says_what_to_install(missing: str, best: Path, tmp_path: Path) -> None:
     (tmp_path / f"{missing}.py").write_text(f"raise ModuleNotFoundError('not installed', name={missing!r})")
-    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from host.entry import main; main()"
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from vibrocast.host.entry import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "export", str(best)], capture_output=True, text=True, check=False
     )

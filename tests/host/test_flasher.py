@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from device_protocol.messages import (
+from tests.host.scripted_controller import ScriptedController
+from vibrocast.device_protocol.messages import (
     Error,
     ErrorCode,
     FlashActivate,
@@ -18,11 +19,10 @@ from device_protocol.messages import (
     Message,
     SlotState,
 )
-from device_protocol.model_image import ModelImage, ModelImageError, sha256
-from device_protocol.transports import TransportError
-from host.controller import Controller, ControllerError
-from host.flasher import flash
-from tests.host.scripted_controller import ScriptedController
+from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.flasher import flash
 
 IMAGE = ModelImage(1, "oak", "1.0", "none", bytes(range(256)) * 20).pack()
 IMAGES_ON_TRIAL = (

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import codec
-import textures
-from host import coding, hand, profiles
-from host.command_line import main
-from host.controller import Controller, ControllerError
-from host.input_files import InputFileError
-from simulated_device.actuator import PIEZO_STACK
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import FaultyLine, MemoryLink
+from vibrocast import codec, textures
+from vibrocast.host import coding, hand, profiles
+from vibrocast.host.command_line import main
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.input_files import InputFileError
+from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
 
 PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
 

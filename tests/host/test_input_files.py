@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from host.input_files import InputFileError, read_input
+from vibrocast.host.input_files import InputFileError, read_input
 
 
 def read(path: Path) -> bytes:

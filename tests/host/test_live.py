@@ -5,19 +5,19 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-import codec
-from codec import CodecError, Signal
-from device_protocol.coded_stream import StreamError
-from device_protocol.messages import Start, State, Tap
-from device_protocol.transports import TransportError
-from host import live
-from host.controller import Controller
-from host.harness.read_back import read_capture
-from host.live import LiveStream
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import FaultyLine, MemoryLink
-from simulated_device.slow_line import SlowLine, Wire
+from vibrocast import codec
+from vibrocast.codec import CodecError, Signal
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import Start, State, Tap
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import live
+from vibrocast.host.controller import Controller
+from vibrocast.host.harness.read_back import read_capture
+from vibrocast.host.live import LiveStream
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
+from vibrocast.simulated_device.slow_line import SlowLine, Wire
 
 RATE_HZ = 2800
 FORMAT = live.live_format(RATE_HZ, "um", [10.0])

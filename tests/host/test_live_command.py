@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from host.command_line import main
+from vibrocast.host.command_line import main
 
 
 def run(*arguments: str, data: bytes = b"") -> Result:

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-import codec
-from codec import Signal
-from host import live, steered
-from host.controller import Controller
-from host.link import added_bytes
-from host.live import LiveResult, LiveStream
-from host.live_group import LiveGroup
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import FaultyLine, MemoryLink, SimulatedTime
-from simulated_device.slow_line import SlowLine, Wire
+from vibrocast import codec
+from vibrocast.codec import Signal
+from vibrocast.host import live, steered
+from vibrocast.host.controller import Controller
+from vibrocast.host.link import added_bytes
+from vibrocast.host.live import LiveResult, LiveStream
+from vibrocast.host.live_group import LiveGroup
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink, SimulatedTime
+from vibrocast.simulated_device.slow_line import SlowLine, Wire
 
 RATE_HZ = 2800
 BLOCK_SAMPLES = 28

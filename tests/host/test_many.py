@@ -8,15 +8,15 @@ from functools import partial
 
 import numpy as np
 
-from device_protocol.transports import TransportError, UsbTransport
-from host import coding, player
-from host.controller import ConnectionLost, Controller
-from host.many import on_all
-from simulated_device.actuator import PIEZO_STACK
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.output import render
-from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
-from textures import Recording
+from vibrocast.device_protocol.transports import TransportError, UsbTransport
+from vibrocast.host import coding, player
+from vibrocast.host.controller import ConnectionLost, Controller
+from vibrocast.host.many import on_all
+from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.output import render
+from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
+from vibrocast.textures import Recording
 
 CHANNELS = 4
 SECONDS = 1.5
@@ -79,7 +79,7 @@ def test_of_eight_controllers_six_play_on_while_one_is_unplugged_and_one_stalls(
 INTERRUPTED_WORK = """
 import os, signal, sys, threading, time
 from contextlib import nullcontext
-from host.many import Interrupted, on_all
+from vibrocast.host.many import Interrupted, on_all
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 

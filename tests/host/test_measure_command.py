@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from device_protocol.transports import TransportError
-from host.command_line import main
-from host.harness import measurements
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.command_line import main
+from vibrocast.host.harness import measurements
 
 SENSOR = """
 [[sensors]]

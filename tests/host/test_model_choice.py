@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import models
-import textures
-from codec import CodecError, OutOfReach
-from host import coding
 from tests.export import tiny
 from tests.host.test_command_line import fails, succeeds
+from vibrocast import models, textures
+from vibrocast.codec import CodecError, OutOfReach
+from vibrocast.host import coding
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from host.output_files import whole_file
+from vibrocast.host.output_files import whole_file
 
 
 def test_replaces_only_on_success(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from codec.threshold import read_threshold
-from host.picture import Trace, draw, third_octave_levels
+from vibrocast.codec.threshold import read_threshold
+from vibrocast.host.picture import Trace, draw, third_octave_levels
 
 RATE_HZ = 2800
 

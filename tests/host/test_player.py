@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import codec
-from device_protocol.coded_stream import StreamError, StreamHeader
-from device_protocol.messages import (
+from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
+from tests.simulated_device.bench import stream
+from vibrocast import codec
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
+from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     Configure,
@@ -24,15 +26,13 @@ from device_protocol.messages import (
     Stop,
     StreamData,
 )
-from device_protocol.transports import TransportError, UsbTransport
-from host.controller import ConnectionLost, Controller, ControllerError
-from host.player import Progress, play
-from simulated_device.controller import Controller as SimulatedController
-from simulated_device.controller import Settings
-from simulated_device.memory_link import FaultyLine, MemoryLink
-from simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
-from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
-from tests.simulated_device.bench import stream
+from vibrocast.device_protocol.transports import TransportError, UsbTransport
+from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.player import Progress, play
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
+from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
 HEADER = StreamHeader(codec_identifier=1, rate_hz=RATE_HZ, samples=None, unit="um", gains=(1.0,), configuration=b"")
 REFRESH_PACKETS = 10

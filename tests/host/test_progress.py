@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from host import progress
+from vibrocast.host import progress
 
 
 class Terminal(io.StringIO):

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-import textures
-from host import coding, end_to_end
-from host.devices import connect
+from vibrocast import textures
+from vibrocast.host import coding, end_to_end
+from vibrocast.host.devices import connect
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 EXCERPT_S = 0.5

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-import textures
-from host import coding, steered
-from host.command_line import main
-from host.steered import Wish
+from vibrocast import textures
+from vibrocast.host import coding, steered
+from vibrocast.host.command_line import main
+from vibrocast.host.steered import Wish
 
 OAK = Path(__file__).parents[2] / "examples" / "oak.wav"
 

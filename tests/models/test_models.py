@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import codec
-import models
-from codec.eva_image import EvaImage, with_runtime
-from device_protocol.model_image import ModelImage, ModelImageError, sha256
-from textures.generate import wood
+from vibrocast import codec, models
+from vibrocast.codec.eva_image import EvaImage, with_runtime
+from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.textures.generate import wood
 
 LARGEST_BYTES = 1_000_000
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.planner.candidates import Workbench
-from host.planner.choose import Choice, Refusal, choose, plan
-from host.planner.scene import SceneError
 from tests.planner.scenes import ASKED, CONTROLLER, scene
-from textures import Recording, save_wav
+from vibrocast.host.planner.candidates import Workbench
+from vibrocast.host.planner.choose import Choice, Refusal, choose, plan
+from vibrocast.host.planner.scene import SceneError
+from vibrocast.textures import Recording, save_wav
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from host.command_line import main
 from tests.planner.scenes import CONTROLLER, TEXTURE, written
+from vibrocast.host.command_line import main
 
 
 def run(*arguments: object) -> Result:

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.planner.plan_file import (
+from tests.planner.scenes import scene
+from vibrocast.host.planner.plan_file import (
     Forecast,
     Plan,
     PlanError,
@@ -16,9 +17,8 @@ from host.planner.plan_file import (
     read_plan,
     write_plan,
 )
-from host.planner.scene import Source
-from tests.planner.scenes import scene
-from textures import Recording
+from vibrocast.host.planner.scene import Source
+from vibrocast.textures import Recording
 
 FORECAST = Forecast(1000.5, 1200.0, None, 2.5, 30_000, 40_000, 12.25, 0.9, 3.0, -9.0, 45.5)
 

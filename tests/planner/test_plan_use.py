@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from host import coding
-from host.command_line import main
 from tests.planner.scenes import CONTROLLER, written
+from vibrocast.host import coding
+from vibrocast.host.command_line import main
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import textures
-from host.link import added_bytes
-from host.planner import choose, comparison, playing
-from host.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
 from tests.planner.scenes import CONTROLLER, scene
+from vibrocast import textures
+from vibrocast.host.link import added_bytes
+from vibrocast.host.planner import choose, comparison, playing
+from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
 
 SIMULATED = CONTROLLER.replace("cortex-m4", "sim-usb")
 TWO = (

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from host.planner.scene import SceneError, read_scene
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
-from textures import Recording, save_wav
+from vibrocast.host.planner.scene import SceneError, read_scene
+from vibrocast.textures import Recording, save_wav
 
 
 def test_a_scene_is_read(tmp_path: Path) -> None:

@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 
-import codec
-from codec import Decoded
-from device_protocol.coded_stream import StreamHeader
-from device_protocol.frames import FrameReader, write_frame
-from device_protocol.messages import (
+from vibrocast import codec
+from vibrocast.codec import Decoded
+from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.device_protocol.frames import FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     Configure,
@@ -24,10 +24,10 @@ from device_protocol.messages import (
     pack,
     unpack,
 )
-from simulated_device.actuator import Codes
-from simulated_device.controller import Controller, Settings
-from simulated_device.firmware import Firmware
-from simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.actuator import Codes
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.flash import FlashMemory
 
 RATE_HZ = 2800
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from simulated_device.controller import Controller
-from simulated_device.firmware import Firmware
 from tests.simulated_device.bench import Kind
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.firmware import Firmware
 
 
 @pytest.fixture(scope="session", params=[Controller, Firmware])

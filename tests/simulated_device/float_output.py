@@ -5,10 +5,10 @@ import math
 import numpy as np
 from scipy import signal, special
 
-from codec.interface import Decoded
-from device_protocol.coded_stream import StreamHeader
-from simulated_device.actuator import Actuator, Codes, Samples
-from simulated_device.output import displacement_filter
+from vibrocast.codec.interface import Decoded
+from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.simulated_device.actuator import Actuator, Codes, Samples
+from vibrocast.simulated_device.output import displacement_filter
 
 
 def render(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, Actuator
+from vibrocast.simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, Actuator
 
 
 def gain_at(coefficients: tuple[np.ndarray, np.ndarray], frequency_hz: float, rate_hz: float) -> float:

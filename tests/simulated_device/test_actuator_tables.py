@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, VOICE_COIL, Actuator, Filter
-from simulated_device.actuator_tables import TABLES, constants, source
+from vibrocast.simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, VOICE_COIL, Actuator, Filter
+from vibrocast.simulated_device.actuator_tables import TABLES, constants, source
 
 DESCRIBED = [
     PIEZO_STACK,

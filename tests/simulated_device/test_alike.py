@@ -6,8 +6,10 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from device_protocol.frames import FrameReader, write_frame
-from device_protocol.messages import (
+from tests.device_protocol.test_messages import MESSAGES
+from tests.simulated_device.bench import stream
+from vibrocast.device_protocol.frames import FrameReader, write_frame
+from vibrocast.device_protocol.messages import (
     REQUESTS,
     CaptureRead,
     Configure,
@@ -28,12 +30,10 @@ from device_protocol.messages import (
     pack,
     unpack,
 )
-from simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
-from simulated_device.controller import Controller, Settings
-from simulated_device.firmware import Firmware
-from simulated_device.flash import FlashMemory
-from tests.device_protocol.test_messages import MESSAGES
-from tests.simulated_device.bench import stream
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.flash import FlashMemory
 
 STEP_US = 5000
 PLAYED = stream(0.5, 2)

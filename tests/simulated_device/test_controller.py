@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import CODECS, mdct
-from device_protocol.coded_stream import IMAGE_HASH_BYTES, UNITS, StreamHeader
-from device_protocol.frames import write_frame
-from device_protocol.messages import (
+from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Kind, Stream, stream
+from vibrocast.codec import CODECS, mdct
+from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, UNITS, StreamHeader
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import (
     ALL,
     REQUESTS,
     CaptureData,
@@ -43,12 +44,11 @@ from device_protocol.messages import (
     Tap,
     pack,
 )
-from device_protocol.model_image import ModelImage, sha256
-from simulated_device.actuator import LRA, PIEZO_STACK
-from simulated_device.controller import FLASH_BYTES, Controller, Settings
-from simulated_device.flash import FlashMemory
-from simulated_device.output import FADE_SECONDS, render
-from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Kind, Stream, stream
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
+from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
+from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.output import FADE_SECONDS, render
 
 FADE_CODES = round(FADE_SECONDS * PIEZO_STACK.dac_rate_hz)
 

@@ -10,24 +10,22 @@ import numpy as np
 import pytest
 import torch
 
-import codec
-import models
-import textures
-from codec import eva
-from codec.eva_image import EvaImage, with_runtime
-from device_protocol.messages import SlotState
-from device_protocol.model_image import ModelImage
-from export.eva import Eva, EvaShape
-from export.graphs import graphs_of
-from host import coding, player
-from host.controller import Controller as Host
-from host.controller import ControllerError
-from host.flasher import flash, running
-from simulated_device.controller import Controller, Settings
-from simulated_device.firmware import Firmware
-from simulated_device.memory_link import MemoryLink
 from tests.export import tiny
 from tests.simulated_device.bench import Kind
+from vibrocast import codec, models, textures
+from vibrocast.codec import eva
+from vibrocast.codec.eva_image import EvaImage, with_runtime
+from vibrocast.device_protocol.messages import SlotState
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export.eva import Eva, EvaShape
+from vibrocast.export.graphs import graphs_of
+from vibrocast.host import coding, player
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.flasher import flash, running
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 
 def session(runtime: str | None = None, kind: Kind = Controller) -> Host:

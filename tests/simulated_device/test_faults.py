@@ -7,20 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import Decoded, mdct
-from device_protocol.messages import CaptureData, CaptureRead, SlotState, Start, State, StreamData, Tap, pack
-from device_protocol.model_image import ModelImage, sha256
-from host.controller import Controller as Host
-from host.controller import ControllerError
-from host.flasher import flash
-from host.player import PlaybackResult, Progress, play
-from simulated_device.actuator import PIEZO_STACK, Codes
-from simulated_device.controller import Controller, Settings
-from simulated_device.firmware import Firmware
-from simulated_device.flash import FlashMemory, PowerCut
-from simulated_device.memory_link import FaultyLine, MemoryLink
-from simulated_device.output import Dac, Drive, recording_end, render
 from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Kind, Stream, stream
+from vibrocast.codec import Decoded, mdct
+from vibrocast.device_protocol.messages import CaptureData, CaptureRead, SlotState, Start, State, StreamData, Tap, pack
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.flasher import flash
+from vibrocast.host.player import PlaybackResult, Progress, play
+from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.flash import FlashMemory, PowerCut
+from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
+from vibrocast.simulated_device.output import Dac, Drive, recording_end, render
 
 REFRESH_S = 0.25
 

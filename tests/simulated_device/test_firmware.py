@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import mdct
-from device_protocol.coded_stream import StreamHeader
-from device_protocol.messages import (
+from tests.simulated_device.bench import SMALL, Bench, stream
+from vibrocast.codec import mdct
+from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     Configure,
@@ -25,14 +26,13 @@ from device_protocol.messages import (
     Tap,
     pack,
 )
-from host.controller import Controller as Host
-from host.player import play
-from simulated_device.actuator import PIEZO_STACK, Codes
-from simulated_device.controller import Settings
-from simulated_device.firmware import Firmware
-from simulated_device.memory_link import MemoryLink
-from simulated_device.output import render
-from tests.simulated_device.bench import SMALL, Bench, stream
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import play
+from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.output import render
 
 # A microcontroller with 128 KiB of memory: the STM32F405 has 64 KiB more.
 BOARD = {

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from codec import CodecError
-from device_protocol.messages import ErrorCode, SlotState
-from device_protocol.model_image import ModelImage, sha256
-from simulated_device.flash import FlashMemory, ImageStore, PowerCut
-from simulated_device.refusal import Refusal
 from tests.firmware.c_image_store import CImageStore
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.messages import ErrorCode, SlotState
+from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.simulated_device.flash import FlashMemory, ImageStore, PowerCut
+from vibrocast.simulated_device.refusal import Refusal
 
 HARDWARE = "sim"
 OLD = ModelImage(1, "old", "1", HARDWARE, bytes(range(100))).pack()

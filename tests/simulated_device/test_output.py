@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from codec.interface import Decoded
-from device_protocol.coded_stream import UNITS, StreamHeader
-from simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, Actuator, Codes, Samples
-from simulated_device.output import (
+from tests.simulated_device import float_output
+from vibrocast.codec.interface import Decoded
+from vibrocast.device_protocol.coded_stream import UNITS, StreamHeader
+from vibrocast.simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, Actuator, Codes, Samples
+from vibrocast.simulated_device.output import (
     FADE_SECONDS,
     HIGH_PASS_HZ,
     Dac,
@@ -24,7 +25,6 @@ from simulated_device.output import (
     displacement_filter,
     render,
 )
-from tests.simulated_device import float_output
 
 FULL_SCALE_DRIVE = 2**25
 

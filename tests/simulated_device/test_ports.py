@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import usb.core
 
-from device_protocol.messages import State, Status
-from device_protocol.transports import SerialTransport, TransportError, UsbTransport
-from host.controller import Controller as Host
-from host.player import Progress, play
-from simulated_device.controller import Controller
-from simulated_device.memory_link import FaultyLine
-from simulated_device.pty_port import PtyPort
-from simulated_device.usb_backend import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT_ID, VENDOR_ID, UsbPort
 from tests.simulated_device.bench import stream
+from vibrocast.device_protocol.messages import State, Status
+from vibrocast.device_protocol.transports import SerialTransport, TransportError, UsbTransport
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import Progress, play
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.memory_link import FaultyLine
+from vibrocast.simulated_device.pty_port import PtyPort
+from vibrocast.simulated_device.usb_backend import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT_ID, VENDOR_ID, UsbPort
 
 
 @pytest.fixture

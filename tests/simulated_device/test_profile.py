@@ -10,14 +10,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import codec
-from device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
-from device_protocol.messages import Loop, Message, Pause, Position, Resume, Start, State, Stop, StreamData, pack
-from simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
-from simulated_device.controller import Controller, Settings
-from simulated_device.firmware import Firmware
-from simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, Profile, least_samples, octaves_step, render
 from tests.simulated_device.bench import Bench, Stream
+from vibrocast import codec
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
+from vibrocast.device_protocol.messages import (
+    Loop,
+    Message,
+    Pause,
+    Position,
+    Resume,
+    Start,
+    State,
+    Stop,
+    StreamData,
+    pack,
+)
+from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.profile import (
+    HAND_DELAY_US,
+    HAND_SMOOTHING_US,
+    Profile,
+    least_samples,
+    octaves_step,
+    render,
+)
 
 SAMPLES_PER_METRE = 100_000
 SAMPLES = 2000

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import textures
-from textures import TextureError
-from textures.dataset import DatasetError, Trace, load, split, traces
-from textures.generate import wood
+from vibrocast import textures
+from vibrocast.textures import TextureError
+from vibrocast.textures.dataset import DatasetError, Trace, load, split, traces
+from vibrocast.textures.generate import wood
 
 REFERENCE = [
     f"Direct_-_{tool}_-_{material}_-_{speed}"

@@ -13,8 +13,8 @@ import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
 
-import textures
-from textures import Recording, TextureError, load, save_wav
+from vibrocast import textures
+from vibrocast.textures import Recording, TextureError, load, save_wav
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))

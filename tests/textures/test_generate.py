@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from textures import GENERATORS, Recording, TextureError, load, load_profile, save_profile
-from textures.generate import (
+from vibrocast.textures import GENERATORS, Recording, TextureError, load, load_profile, save_profile
+from vibrocast.textures.generate import (
     SURFACES,
     grating,
     ridges,

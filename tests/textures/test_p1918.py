@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from textures import TextureError, load
-from textures.p1918 import dft321
+from vibrocast.textures import TextureError, load
+from vibrocast.textures.p1918 import dft321
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 TRACE = "Direct_-_1spike_Probe_-_cork_-_slow"

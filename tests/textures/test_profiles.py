@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from textures import Profile, TextureError, load, load_profile, resample
+from vibrocast.textures import Profile, TextureError, load, load_profile, resample
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 HEIGHTS_UM = np.random.default_rng(0).normal(size=400)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from textures import INPUT_UNITS, UNITS, Recording, TextureError
+from vibrocast.textures import INPUT_UNITS, UNITS, Recording, TextureError
 
 
 def test_every_unit_that_is_read_becomes_one_that_is_kept() -> None:

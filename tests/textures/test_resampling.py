@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from textures import Recording, TextureError, resample
+from vibrocast.textures import Recording, TextureError, resample
 
 
 def level_db(frequency_hz: float, old_hz: float, new_hz: float) -> float:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from textures import TextureError, load
+from vibrocast.textures import TextureError, load
 
 
 def written(folder: Path, text: str, name: str = "file.csv") -> Path:

@@ -1,0 +1,1 @@
+"""Compress vibrotactile textures and play them in real time on an actuator."""
