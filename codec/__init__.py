@@ -1,6 +1,7 @@
 """Signal to integers to bytes and back: transforms, quantisers, entropy coding, rate control."""
 
 from vibrocast.codec.coding import (
+    BUILT_IN,
     CODECS,
     check_tables,
     codec_by_identifier,
@@ -34,6 +35,7 @@ from vibrocast.codec.interface import (
     Trial,
 )
 from vibrocast.codec.judges import Judge, SnrJudge, ThresholdJudge
+from vibrocast.codec.plugins import BlockCodec
 from vibrocast.codec.rate_control import (
     RATE_TOLERANCE,
     SNR_TOLERANCE_DB,
@@ -41,6 +43,7 @@ from vibrocast.codec.rate_control import (
     encode_to_rate,
     encode_to_snr,
     snr_db,
+    tactile_snr_db,
 )
 from vibrocast.codec.steering import (
     CappedRate,
@@ -55,10 +58,12 @@ from vibrocast.codec.steering import (
 )
 
 __all__ = [
+    "BUILT_IN",
     "CODECS",
     "RATE_TOLERANCE",
     "RUNTIMES",
     "SNR_TOLERANCE_DB",
+    "BlockCodec",
     "CappedRate",
     "Choice",
     "Codec",
@@ -102,4 +107,5 @@ __all__ = [
     "snr_db",
     "steered_encoder",
     "steered_framing",
+    "tactile_snr_db",
 ]

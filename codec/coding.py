@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from vibrocast.codec import dct, eva, libav, mdct, parametric, slp
+from vibrocast.codec import dct, eva, libav, mdct, parametric, plugins, slp
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -35,21 +35,59 @@ _MIN_GAIN = 2.0**-120
 
 Progress: TypeAlias = Callable[[float], None]
 
-CODECS: Mapping[str, Codec] = {
+BUILT_IN: Mapping[str, Codec] = {
     codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS, parametric.CODEC)
 }
 
 
+class Codecs(Mapping[str, Codec]):
+    """All codecs by name: the built-in ones, then those of other packages (codec/plugins.py), loaded at first use.
+
+    `failures`: why codecs of other packages cannot be used, by entry point.
+    """
+
+    @cached_property
+    def _loaded(self) -> tuple[dict[str, Codec], dict[str, str]]:
+        others, failures = plugins.load(BUILT_IN)
+        return {**BUILT_IN, **others}, failures
+
+    @property
+    def failures(self) -> dict[str, str]:
+        return self._loaded[1]
+
+    def __getitem__(self, name: str) -> Codec:
+        return BUILT_IN.get(name) or self._loaded[0][name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._loaded[0])
+
+    def __len__(self) -> int:
+        return len(self._loaded[0])
+
+
+CODECS = Codecs()
+
+
 def codec_by_name(name: str) -> Codec:
     """Return the codec of that name. Raises CodecError when there is none."""
-    if name not in CODECS:
-        raise CodecError(f"there is no codec {name!r}; choose one of {', '.join(sorted(CODECS))}")
-    return CODECS[name]
+    if name in CODECS:
+        return CODECS[name]
+    if name in CODECS.failures:
+        raise CodecError(f"the codec {name} cannot be loaded: {CODECS.failures[name]}; repair or remove its package")
+    raise CodecError(f"there is no codec {name!r}; choose one of {', '.join(sorted(CODECS))}")
 
 
-def codec_by_identifier(identifier: int) -> Codec:
-    """Return the codec of that number in stream headers. Raises CodecError when there is none."""
-    for codec in CODECS.values():
+def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:
+    """Return the codec of that number in stream headers. Raises CodecError when there is none.
+
+    `configuration`: the header's, in which a codec of another package has its name.
+    """
+    if identifier == plugins.IDENTIFIER:
+        name = plugins.name_in(configuration)
+        if name not in CODECS:
+            raise CodecError(f"the stream needs the codec {name!r}; install the package that brings it")
+        return CODECS[name]
+    for codec in BUILT_IN.values():
         if codec.identifier == identifier:
             return codec
     raise CodecError(f"codec number {identifier} is needed, which this version does not have")
@@ -62,7 +100,7 @@ def decoder(
 
     `runtime`: one of RUNTIMES, for tables that can be decoded by either; None = as they say.
     """
-    codec = codec_by_identifier(identifier)
+    codec = codec_by_identifier(identifier, configuration)
     _check_model(codec, tables is not None)
     if runtime is not None and tables is not None and codec.with_runtime is not None:
         tables = codec.with_runtime(tables, runtime)

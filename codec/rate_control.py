@@ -11,6 +11,7 @@ import numpy as np
 from vibrocast.codec import mdct
 from vibrocast.codec.coding import Progress, Source, codec_by_name, decode, parts, peak_of
 from vibrocast.codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
+from vibrocast.codec.threshold import TACTILE_BAND_HZ
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -48,6 +49,23 @@ def snr_db(reference: Signal, decoded: Signal) -> float | None:
     """Return the mean of `channel_snrs_db` over the channels that are not silent; None when every channel is silent."""
     ratios = [ratio for ratio in channel_snrs_db(reference, decoded) if ratio is not None]
     return sum(ratios) / len(ratios) if ratios else None
+
+
+def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float | None:
+    """Return the SNR in dB within TACTILE_BAND_HZ, over all channels of arrays (n, channels).
+
+    Both powers are integrals of Welch's estimate over frames of 1 s (P. D. Welch, IEEE Trans. Audio Electroacoust. 15,
+    1967). None where the reference holds nothing there, or nothing was lost.
+    """
+    from scipy import signal
+
+    frame = min(len(reference), math.ceil(rate_hz))
+    powers = []
+    for samples in (reference, reference - decoded):
+        frequencies, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
+        band = (TACTILE_BAND_HZ[0] <= frequencies) & (frequencies <= TACTILE_BAND_HZ[1])
+        powers.append(float(np.sum(density[band])))
+    return 10 * math.log10(powers[0] / powers[1]) if min(powers) > 0 else None
 
 
 def encode_to_snr(

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.interface import OVER_POSITION, CodecError
 
+TACTILE_BAND_HZ = (40.0, 800.0)
+"""The band of the Pacinian channel (Bolanowski et al., JASA 84, 1988)."""
 DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
 
 

@@ -91,7 +91,7 @@ class Stream:
     @property
     def codec_name(self) -> str:
         """Name of the codec. Raises CodecError when there is none of that number."""
-        return codec.codec_by_identifier(self.header.codec_identifier).name
+        return codec.codec_by_identifier(self.header.codec_identifier, self.header.configuration).name
 
     @property
     def model_name(self) -> str | None:
@@ -115,9 +115,9 @@ class Stream:
 
         Where the codec has built-in tables it has those, so that a stream whose image is not here can be looked at.
         """
-        identifier = self.header.codec_identifier
-        tables = self.tables if codec.codec_by_identifier(identifier).needs_model else None
-        return codec.decoder(identifier, self.header.configuration, self.header.channels, tables, self.runtime)
+        identifier, configuration = self.header.codec_identifier, self.header.configuration
+        tables = self.tables if codec.codec_by_identifier(identifier, configuration).needs_model else None
+        return codec.decoder(identifier, configuration, self.header.channels, tables, self.runtime)
 
     def decode_integers(self, progress: Callable[[float], None] | None = None) -> NDArray[np.int16]:
         """Return what a controller decodes: int16 (packets * packet_samples, channels).
@@ -177,17 +177,22 @@ class Stream:
 
 @dataclass(frozen=True)
 class Encoding:
-    """What encoding made: the stream, what went into it and how near the wish it came.
+    """What encoding made: the stream, what went into it and how near it came to what was asked.
 
-    `recording`: at the stream's rate. `snr_db`, as `codec.snr_db`, over all channels and of each: None for silence, or
-    where nothing was lost. `note`: why the asked rate or SNR was not met, None when it was.
+    `recording`: what was coded, at the stream's rate, without the band below `highpass_hz`. `snr_db`, as
+    `codec.snr_db`, over all channels and of each: None for silence, or where nothing was lost. `tactile_snr_db`: as
+    `codec.tactile_snr_db`. `removed_energy`: part of the energy below `highpass_hz` of what was given; `highpass_hz`:
+    None = the whole band was coded. `note`: why the asked rate or SNR was not met, None when it was.
     """
 
     stream: Stream
     recording: textures.Recording
     snr_db: float | None
     snr_db_per_channel: tuple[float | None, ...]
+    tactile_snr_db: float | None
     note: str | None
+    highpass_hz: float | None = None
+    removed_energy: float = 0.0
 
 
 def encode(
@@ -202,8 +207,11 @@ def encode(
     live: bool = False,
     progress: Callable[[float], None] | None = None,
     unit: str | None = None,
+    highpass_hz: float | None = textures.HIGHPASS_HZ,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
+
+    What lies below `highpass_hz` is removed first, as `textures.highpass` does; None = the whole band is coded.
 
     A codec that keeps no waveform has no SNR to search for: without a rate its setting is completed by the defaults.
 
@@ -215,9 +223,9 @@ def encode(
     (also when the asked rate or SNR cannot be met), ModelError, ModelImageError, StreamError or TextureError, with what
     to do.
     """
-    resampled = textures.resample(recording, stream_rate_hz)
-    samples = resampled.samples
-    _check_length(samples.size)
+    passed = textures.highpass(recording, highpass_hz)
+    resampled = textures.resample(passed.recording, stream_rate_hz)
+    _check_length(resampled.samples.size)
     chosen = chosen_codec(codec_name, model)
     given = chosen.checked(setting or {})
     if not chosen.leaves_open(given):
@@ -229,7 +237,7 @@ def encode(
             )
     elif rate_bps is None and snr_db is None and chosen.keeps_waveform:
         snr_db = DEFAULT_SNR_DB
-    return first_in_reach(
+    encoding = first_in_reach(
         chosen,
         model,
         lambda candidate, tell: _encode(
@@ -237,6 +245,7 @@ def encode(
         ),
         progress,
     )
+    return replace(encoding, highpass_hz=passed.highpass_hz, removed_energy=passed.removed_energy)
 
 
 def first_in_reach(
@@ -335,7 +344,8 @@ def measured(
     decoded = stream.decode()
     reached_db = _finite(codec.snr_db(recording.samples, decoded))
     each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
-    return Encoding(stream, recording, reached_db, each_db, _shortfall(stream, each_db, rate_bps, snr_db))
+    tactile_db = codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz)
+    return Encoding(stream, recording, reached_db, each_db, tactile_db, _shortfall(stream, each_db, rate_bps, snr_db))
 
 
 def as_stream(coded: codec.CodedSignal, unit: str, image: bytes | None = None) -> Stream:

@@ -143,7 +143,7 @@ def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[
     """Return the report of a live stream, ready for JSON; docs/report.md explains each figure."""
     return {
         "version": version("vibrocast"),
-        "codec": codec.codec_by_identifier(stream.header.codec_identifier).name,
+        "codec": codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration).name,
         "channels": stream.format.channels,
         "stream_rate_hz": stream.format.rate_hz,
         "seconds": result.seconds,

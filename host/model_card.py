@@ -201,7 +201,9 @@ def _results(
 
 
 def _encoded(recording: textures.Recording, quality: int, model: Model) -> coding.Encoding:
-    return coding.encode(recording, round(recording.rate_hz), setting={"quality": quality}, model=model)
+    return coding.encode(
+        recording, round(recording.rate_hz), setting={"quality": quality}, model=model, highpass_hz=None
+    )
 
 
 def _point(quality: int, encodings: Sequence[coding.Encoding]) -> dict[str, Any]:

@@ -52,4 +52,6 @@ def encode(
     narrow_hz = 2 * _BAND_PART * samples_per_metre
     if recording.rate_hz > narrow_hz:
         recording = textures.resample(recording, narrow_hz)
-    return coding.encode(recording, stream_rate_hz=samples_per_metre, live=True, unit=PROFILE_UNIT, **quality)
+    return coding.encode(
+        recording, stream_rate_hz=samples_per_metre, live=True, unit=PROFILE_UNIT, highpass_hz=None, **quality
+    )

@@ -122,14 +122,17 @@ def encode(
     setting: codec.Setting | None = None,
     model: models.Model | None = None,
     progress: Callable[[float], None] | None = None,
+    highpass_hz: float | None = textures.HIGHPASS_HZ,
 ) -> tuple[coding.Stream, Outcome]:
     """Resample a recording to the stream's rate and code it as a live stream, steered as wished.
+
+    `highpass_hz` as in `coding.encode`.
 
     `codec_name`: None = that of the model, or DEFAULT_CODEC. `model`: None = the tables built in or, for a codec
     without such, the smallest model that ships and holds the wish. Raises CodecError, also where the wish is out of
     reach, and as `host.coding.encode`.
     """
-    resampled = textures.resample(recording, stream_rate_hz)
+    resampled = textures.resample(textures.highpass(recording, highpass_hz).recording, stream_rate_hz)
     samples = resampled.samples
     signal_format = recording_format(resampled)
     chosen = coding.chosen_codec(codec_name, model)

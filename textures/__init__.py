@@ -1,6 +1,7 @@
 """Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
 
 from vibrocast.textures.files import AXES, load, load_profile, save_profile, save_wav
+from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass
 from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
@@ -9,11 +10,15 @@ from vibrocast.textures.resampling import resample
 __all__ = [
     "AXES",
     "GENERATORS",
+    "HIGHPASS_HZ",
     "INPUT_UNITS",
     "UNITS",
+    "HighPassed",
+    "LiveHighPass",
     "Profile",
     "Recording",
     "TextureError",
+    "highpass",
     "load",
     "load_profile",
     "resample",

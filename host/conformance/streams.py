@@ -102,6 +102,7 @@ def coded(
             setting=setting,
             model=model() if chosen.needs_model else None,
             live=True,
+            highpass_hz=None,
         )
         if max(map(len, encoding.stream.packets)) <= packet_bytes:
             return encoding.stream

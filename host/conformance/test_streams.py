@@ -61,7 +61,7 @@ def all_channels(hello: HelloResponse) -> int:
 
 @section("Playing: Positions")
 @pytest.mark.parametrize("channels", ["one channel", "all channels"])
-@pytest.mark.parametrize("codec_name", list(codec.CODECS))
+@pytest.mark.parametrize("codec_name", list(codec.BUILT_IN))
 def test_codec_is_decoded_as_offline(
     probe: Probe, codec_name: str, channels: str, request: pytest.FixtureRequest
 ) -> None:

@@ -160,7 +160,7 @@ def measure(
     }
     early_s, late_s = np.quantile(arrived_s - due_s_, (0.05, 0.95))
     return Latency(
-        codec=codec.codec_by_identifier(stream.header.codec_identifier).name,
+        codec=codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration).name,
         setting={name: str(value) for name, value in stream.setting.items()},
         rate_hz=rate_hz,
         packet_samples=stream.packet_samples,

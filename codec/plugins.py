@@ -1,0 +1,193 @@
+"""Codecs of other packages: classes that need NumPy alone, found through the entry point group `vibrocast.codecs`."""
+
+import struct
+from collections.abc import Mapping, Sequence
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from vibrocast.codec.interface import (
+    Codec,
+    CodecError,
+    Decoded,
+    Framing,
+    Model,
+    Parameter,
+    Setting,
+    Signal,
+    SignalFormat,
+    Steering,
+    check_channels,
+    number,
+    refuse_steering,
+    varint,
+)
+from vibrocast.codec.packetwise import PacketwiseEncoder
+
+GROUP = "vibrocast.codecs"
+IDENTIFIER = 15
+"""Number in stream headers that all codecs of other packages share; the name stands in the codec's configuration."""
+MAX_PACKET_SAMPLES = 1 << 16
+_MAX_NAME_BYTES = 64
+_CONFIGURATION = struct.Struct("<dI")
+_FADE_SAMPLES = 32
+
+
+@runtime_checkable
+class BlockCodec(Protocol):
+    """A codec whose packets stand alone. Register the class, or an object of it, in the group `vibrocast.codecs`.
+
+    `name`: as in `--codec`. `summary`: one line for `vibrocast codecs`. `block_samples`: packets cover a multiple of
+    it. `qualities`: values of the codec's one parameter, `quality`, from the fewest bits to the best; a search for an
+    SNR or a rate tries them and values between.
+    """
+
+    name: str
+    summary: str
+    block_samples: int
+    qualities: Sequence[float]
+
+    def encode(self, samples: Signal, quality: float) -> bytes:
+        """Return the bytes of one packet. `samples`: float64 (n, channels) within -1 to 1; never modify it."""
+
+    def decode(self, data: bytes, samples: int, channels: int, quality: float) -> Signal:
+        """Return what `encode` made the bytes of: float (samples, channels). Raise ValueError on damaged bytes."""
+
+
+def load(built_in: Mapping[str, Codec]) -> tuple[dict[str, Codec], dict[str, str]]:
+    """Return the codecs of the installed packages by name, and why others cannot be used, by their entry point."""
+    codecs: dict[str, Codec] = {}
+    failures: dict[str, str] = {}
+    for point in entry_points(group=GROUP):
+        try:
+            codec = _loaded(point)
+            if codec.name in built_in or codec.name in codecs:
+                raise CodecError(f"there is a codec {codec.name} already; rename it")
+            codecs[codec.name] = codec
+        except Exception as error:  # whatever another package does, the other codecs stay usable
+            failures[point.name] = f"{point.value}: {type(error).__name__}: {error}"
+    return codecs, failures
+
+
+def _loaded(point: EntryPoint) -> Codec:
+    found = point.load()
+    if isinstance(found, Codec):
+        return found
+    return adapted(found() if isinstance(found, type) else found)
+
+
+def adapted(plugin: BlockCodec) -> Codec:
+    """Return a codec of another package as vibrocast's own are. Raises CodecError where something is missing."""
+    if not isinstance(plugin, BlockCodec):
+        raise CodecError("it lacks name, summary, block_samples, qualities, encode or decode; see docs/codecs.md")
+    name, qualities = plugin.name, [float(quality) for quality in plugin.qualities]
+    if not (name.isprintable() and 1 <= len(name.encode()) <= _MAX_NAME_BYTES):
+        raise CodecError(f"its name has to be 1 to {_MAX_NAME_BYTES} bytes of printable text")
+    if not qualities or not np.all(np.isfinite(qualities)):
+        raise CodecError("its qualities have to be finite numbers, at least one")
+    if not 1 <= plugin.block_samples <= MAX_PACKET_SAMPLES:
+        raise CodecError(f"its block_samples is {plugin.block_samples}; 1 to {MAX_PACKET_SAMPLES} are allowed")
+
+    def make_encoder(
+        setting: Setting,
+        signal_format: SignalFormat,
+        framing: Framing,
+        model: Model | None,
+        steering: Steering | None = None,
+    ) -> "PluginEncoder":
+        refuse_steering(name, steering)
+        return PluginEncoder(plugin, number(setting, "quality"), signal_format.channels, framing)
+
+    def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> "PluginDecoder":
+        return PluginDecoder(plugin, configuration, channels)
+
+    middle = qualities[len(qualities) // 2]
+    quality = Parameter("more is better", middle, low=min(qualities), high=max(qualities))
+    return Codec(
+        name=name,
+        identifier=IDENTIFIER,
+        summary=plugin.summary,
+        parameters={"quality": quality},
+        ladders={name: tuple({"quality": quality} for quality in qualities)},
+        make_encoder=make_encoder,
+        make_decoder=make_decoder,
+    )
+
+
+def name_in(configuration: bytes) -> str:
+    """Return the name of another package's codec in its configuration. Raises CodecError on damaged bytes."""
+    name = configuration[1 : 1 + configuration[0]] if configuration else b""
+    try:
+        text = name.decode()
+    except UnicodeDecodeError:
+        text = ""
+    if not text or len(configuration) != 1 + len(name) + _CONFIGURATION.size:
+        raise CodecError("the codec configuration is damaged or of another version")
+    return text
+
+
+class PluginEncoder(PacketwiseEncoder):
+    """Encoder of another package's codec; see codec.interface.Encoder."""
+
+    def __init__(self, plugin: BlockCodec, quality: float, channels: int, framing: Framing) -> None:
+        """Make an encoder. Raises CodecError on packets that are too long."""
+        block = plugin.block_samples
+        super().__init__(channels, framing, block, MAX_PACKET_SAMPLES // block)
+        name = plugin.name.encode()
+        self.configuration = bytes((len(name),)) + name + _CONFIGURATION.pack(quality, self.packet_samples)
+        self._plugin, self._quality = plugin, quality
+        self._sequence = 0
+
+    def _code_packets(self, samples: Signal) -> list[bytes]:
+        return [self._packet_of(part) for part in np.split(samples, len(samples) // self.packet_samples)]
+
+    def _packet_of(self, samples: Signal) -> bytes:
+        try:
+            coded = bytes(self._plugin.encode(samples, self._quality))
+        except Exception as error:
+            raise CodecError(f"the codec {self._plugin.name} failed: {type(error).__name__}: {error}") from error
+        # Every packet is a refresh packet: bit 0.
+        head = varint(2 * self._sequence + 1)
+        self._sequence += 1
+        return head + coded
+
+
+class PluginDecoder:
+    """Decoder of another package's codec; see codec.interface.Decoder."""
+
+    delay_samples = 0
+
+    def __init__(self, plugin: BlockCodec, configuration: bytes, channels: int) -> None:
+        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
+        check_channels(channels)
+        name_in(configuration)
+        self._plugin, self.channels = plugin, channels
+        self._quality, self.packet_samples = _CONFIGURATION.unpack(configuration[-_CONFIGURATION.size :])
+        if not (1 <= self.packet_samples <= MAX_PACKET_SAMPLES and np.isfinite(self._quality)):
+            raise CodecError("the codec configuration is damaged or of another version")
+        self._last: Decoded = np.zeros((self.packet_samples, channels), dtype=np.int16)
+
+    def decode(self, packet: bytes) -> Decoded:
+        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError on a malformed packet."""
+        head = next((index for index, byte in enumerate(packet) if byte < 0x80), None)
+        if head is None:
+            raise CodecError("a packet is cut short; it was damaged")
+        samples, channels = self.packet_samples, self.channels
+        try:
+            decoded: Any = np.asarray(self._plugin.decode(packet[head + 1 :], samples, channels, self._quality))
+            usable = decoded.shape == (samples, channels) and bool(np.all(np.isfinite(decoded)))
+        except Exception as error:
+            raise CodecError(f"the codec {self._plugin.name} failed: {type(error).__name__}: {error}") from error
+        if not usable:
+            raise CodecError(f"the codec {self._plugin.name} did not return finite numbers ({samples}, {channels})")
+        self._last = np.clip(np.rint(decoded * 32768), -32768, 32767).astype(np.int16)
+        return self._last
+
+    def conceal(self) -> Decoded:
+        """Stand in for one missing packet: the last sound, backwards and faded out, then silence."""
+        samples = np.zeros_like(self._last)
+        fade = np.linspace(1, 0, min(_FADE_SAMPLES, self.packet_samples))[:, None]
+        samples[: len(fade)] = np.rint(self._last[::-1][: len(fade)] * fade)
+        self._last = np.zeros_like(self._last)
+        return samples

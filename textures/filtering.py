@@ -1,0 +1,93 @@
+"""Removes the band below touch from recordings and live blocks: an offset, gravity, drift."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vibrocast.textures.recording import Recording, Signal, TextureError
+
+HIGHPASS_HZ = 20.0
+"""Below, the hand moves as a whole; acceleration there is gravity, posture and drift (the actuator output of
+firmware/core drops it as well)."""
+TRANSITION = 0.1
+"""Width of the filter's transition, relative to its corner: from 18 to 20 Hz."""
+STOP_BAND_DB = 60.0
+LIVE_ORDER = 4
+ROUNDING = 1e-12
+"""Of the peak: a filtered signal below it is the error of float64 arithmetic."""
+
+
+@dataclass(frozen=True, eq=False)
+class HighPassed:
+    """A recording without the band below `highpass_hz`; None = nothing was removed.
+
+    `removed_energy`: the part of the recording's energy that was removed, 0 to 1; 0 for a silent recording.
+    """
+
+    recording: Recording
+    highpass_hz: float | None
+    removed_energy: float
+
+
+def is_vibration(unit: str) -> bool:
+    """Return whether an offset in this unit means nothing to touch: of acceleration, and where no unit is known.
+
+    A displacement and a drive signal may hold a position on purpose.
+    """
+    return unit in ("m/s^2", "full scale")
+
+
+def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> HighPassed:
+    """Return the recording without what lies below `highpass_hz`; None = as it is, and so with another unit.
+
+    A linear-phase FIR filter (Kaiser window, 60 dB) without delay: the band from `highpass_hz` on keeps its amplitude
+    to 0.1 %, what lies 10 % lower is 60 dB down, and a constant or a ramp vanishes. The ends are mirrored through
+    their last sample. Raises TextureError unless 0 < `highpass_hz` < half the rate.
+    """
+    if highpass_hz is None or not is_vibration(recording.unit):
+        return HighPassed(recording, None, 0.0)
+    if not 0 < highpass_hz < recording.rate_hz / 2:
+        raise TextureError(
+            f"{recording.name}: highpass_hz is {highpass_hz:g}; it must lie between 0 and half of the sample rate, "
+            f"{recording.rate_hz / 2:g} Hz. Pass None (--keep-dc) to keep the whole band"
+        )
+    from scipy import signal
+
+    width_hz = TRANSITION * highpass_hz
+    taps, beta = signal.kaiserord(STOP_BAND_DB, width_hz / (recording.rate_hz / 2))
+    taps |= 1
+    low_pass = signal.firwin(taps, highpass_hz - width_hz / 2, window=("kaiser", beta), fs=recording.rate_hz)
+    filtered = np.empty_like(recording.samples)
+    for channel, samples in enumerate(recording.samples.T):
+        mirrored = np.pad(samples, taps // 2, mode="reflect", reflect_type="odd")
+        filtered[:, channel] = samples - signal.oaconvolve(mirrored, low_pass, mode="valid")
+        if np.max(np.abs(filtered[:, channel])) <= ROUNDING * np.max(np.abs(samples)):
+            filtered[:, channel] = 0.0  # nothing but the rounding of a constant or a ramp is left
+    energy = float(np.sum(np.square(recording.samples)))
+    kept = float(np.sum(np.square(filtered)))
+    removed = min(1.0, max(0.0, 1 - kept / energy)) if energy > 0 else 0.0
+    return HighPassed(replace(recording, samples=filtered), highpass_hz, removed)
+
+
+class LiveHighPass:
+    """The same for blocks of a live source: a causal Butterworth filter, which begins at rest on the first sample."""
+
+    def __init__(self, rate_hz: float, highpass_hz: float = HIGHPASS_HZ) -> None:
+        if not 0 < highpass_hz < rate_hz / 2:
+            raise TextureError(f"highpass_hz is {highpass_hz:g}; it must lie between 0 and {rate_hz / 2:g} Hz")
+        from scipy import signal
+
+        self._sections = signal.butter(LIVE_ORDER, highpass_hz, "highpass", fs=rate_hz, output="sos")
+        self._state: NDArray[np.float64] | None = None
+
+    def __call__(self, block: Signal) -> Signal:
+        """Return a block (n, channels) without the band below the corner."""
+        from scipy import signal
+
+        if not len(block):
+            return block
+        if self._state is None:
+            self._state = signal.sosfilt_zi(self._sections)[:, :, None] * block[0]
+        filtered, self._state = signal.sosfilt(self._sections, block, axis=0, zi=self._state)
+        return np.asarray(filtered)
