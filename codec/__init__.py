@@ -13,6 +13,7 @@ from vibrocast.codec.coding import (
     encode_steered,
     gain_for,
     live_framing,
+    nearest_gain,
     settled,
 )
 from vibrocast.codec.interface import (
@@ -103,6 +104,7 @@ __all__ = [
     "equal_error",
     "gain_for",
     "live_framing",
+    "nearest_gain",
     "settled",
     "snr_db",
     "steered_encoder",

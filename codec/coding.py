@@ -141,6 +141,12 @@ def gain_for(peak: float) -> float:
     return math.ldexp(math.ceil(mantissa * 256), exponent - 8)
 
 
+def nearest_gain(gain: float) -> float:
+    """Return the number of 8 significant bits that is nearest. Raises CodecError as `gain_for`."""
+    mantissa, exponent = math.frexp(gain)
+    return gain_for(math.ldexp(round(mantissa * 256), exponent - 8))
+
+
 def encode(
     samples: Signal,
     rate_hz: int,

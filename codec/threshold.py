@@ -1,6 +1,7 @@
 """The detection threshold b(F) of vibration at the fingertip: replaceable data, as displacement or as acceleration."""
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,13 @@ from vibrocast.codec.interface import OVER_POSITION, CodecError
 
 TACTILE_BAND_HZ = (40.0, 800.0)
 """The band of the Pacinian channel (Bolanowski et al., JASA 84, 1988)."""
+BLOCK_S = 0.2
+"""Components are 1 / BLOCK_S = 5 Hz apart, as in the DCT paper, and the skin sums vibration over about that time
+(Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965)."""
+LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
+"""Where textures are felt; below, the hand moves as a whole, above, no channel of touch answers."""
+BANDS_PER_OCTAVE = 12
+_BLOCKS_AT_ONCE = 256
 DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
 
 
@@ -70,3 +78,38 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
     if unit == "um":
         return displacement_um
     return 1e-6 * displacement_um * (2 * np.pi * frequency_hz) ** 2
+
+
+def over_threshold_db(
+    displacement_um: NDArray[np.float64], rate_hz: float, threshold: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequencies, and the level of the third octave about each re the detection threshold, where it is loudest.
+
+    `displacement_um`: float64 (n, channels). `threshold`: rows as from `read_threshold`. Hann windows of BLOCK_S that
+    overlap by half; the amplitude of a sine of the same power as all components of the third octave (IEC 61260: edges
+    at 2^(+-1/6)), and at least of the nearest one, so that noise counts as the skin sums it. The loudest block and
+    channel count: what is felt once is felt.
+    """
+    block = max(4, round(BLOCK_S * rate_hz))
+    # Silence before and after, so that windows cover the very first and last sample too.
+    padded = np.pad(displacement_um, ((block // 2, block), (0, 0)))
+    window = np.hanning(block + 1)[:-1]
+    blocks = np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
+    spacing_hz = rate_hz / block
+    highest_hz = min(HIGHEST_HZ, rate_hz / 2 / 2 ** (1 / 6))
+    lowest_hz = max(LOWEST_HZ, spacing_hz)
+    # The same middles at every rate, so that what has one can be compared with what has another.
+    steps = np.arange(1 + math.floor(BANDS_PER_OCTAVE * math.log2(HIGHEST_HZ / LOWEST_HZ)))
+    middle_hz = LOWEST_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
+    middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
+    parts = band_parts(block // 2 + 1, spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
+    nearest = np.rint(middle_hz / spacing_hz).astype(int)
+    loudest = np.zeros(len(middle_hz))
+    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # so that no work on a long signal needs much memory
+        # (blocks, channels, components) of power as mean square.
+        spectra = np.fft.rfft(blocks[start : start + _BLOCKS_AT_ONCE] * window)
+        power = 2 * np.abs(spectra) ** 2 / (block * np.sum(window**2))
+        here = np.max(np.maximum(power @ parts, power[..., nearest]), axis=(0, 1), initial=0.0)
+        loudest = np.maximum(loudest, here)
+    amplitude = np.sqrt(2 * np.maximum(loudest, 1e-60))
+    return middle_hz, 20 * np.log10(amplitude / threshold_amplitude(threshold, middle_hz, "um"))

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import Any, Self, TypedDict, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,19 +37,38 @@ class _How(TypedDict):
     progress: Callable[[float], None] | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class CodingQuality:
+    """How near a stream comes to what was coded, and to what was asked.
+
+    `snr_db`, as `codec.snr_db`, over all channels and of each: None for silence, or where nothing was lost.
+    `tactile_snr_db`: as `codec.tactile_snr_db`. `removed_energy`: part of the given energy that lay below
+    `highpass_hz` and was not coded; `highpass_hz`: None = the whole band was coded. `note`: why the asked rate or SNR
+    was not met, None when it was.
+    """
+
+    snr_db: float | None
+    snr_db_per_channel: tuple[float | None, ...]
+    tactile_snr_db: float | None
+    note: str | None = None
+    highpass_hz: float | None = None
+    removed_energy: float = 0.0
+
+
 @dataclass(frozen=True)
 class Stream:
     """A whole coded stream in memory: what a .vct file holds, and the packed model image that it needs, if any.
 
     `runtime`: one of codec.RUNTIMES, by which it is decoded where the model leaves the choice; None = as the image
-    says. Raises CodecError for another image or codec, StreamError unless the packets hold just the samples of the
-    header.
+    says. `quality`: that of a stream just encoded, which no file stores. Raises CodecError for another image or codec,
+    StreamError unless the packets hold just the samples of the header.
     """
 
     header: StreamHeader
     packets: tuple[bytes, ...]
     image: bytes | None = None
     runtime: str | None = None
+    quality: CodingQuality | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.image is not None and image_hash(self.image) != self.header.image_hash:
@@ -65,10 +84,30 @@ class Stream:
             raise StreamError(f"{flaw}: {len(self.packets)} instead of {needed}; copy the file again")
         _check_length(self.samples * decoder.channels)
 
+    def __bytes__(self) -> bytes:
+        """Return the bytes of the .vct file."""
+        return coded_stream.pack_file(self.header, self.packets)
+
+    @classmethod
+    def from_bytes(cls, data: bytes, image: bytes | None = None) -> Self:
+        """Read the bytes of a .vct file. `image`: the packed model image it was coded for; None = of one that ships.
+
+        Raises StreamError when they are damaged, CodecError for another image or codec.
+        """
+        header, packets = coded_stream.unpack_file(data)
+        if image is None and header.image_hash and (model := models.by_hash(header.image_hash)):
+            image = model.image
+        return cls(header, tuple(packets), image)
+
+    def save(self, path: str | Path) -> None:
+        """Write a .vct file, whole or not at all. Raises OSError."""
+        with whole_file(Path(path)) as partial:
+            partial.write_bytes(bytes(self))
+
     @property
     def size_bytes(self) -> int:
         """Bytes of the whole .vct file."""
-        return len(coded_stream.pack_file(self.header, self.packets))
+        return len(bytes(self))
 
     @property
     def samples(self) -> int:
@@ -144,6 +183,34 @@ class Stream:
         integers = self.decode_integers(progress)[start : start + self.samples]
         return integers * (np.array(self.header.gains) / 32768)
 
+    def recording(self, name: str = "decoded", progress: Callable[[float], None] | None = None) -> textures.Recording:
+        """Decode to a recording. `progress` as in `decode_integers`. Raises StreamError for a profile, CodecError."""
+        if self.header.spatial:
+            raise StreamError("a height profile has no time; decode it with `Stream.profile`, or into a CSV file")
+        return textures.Recording(self.decode(progress), self.header.rate_hz, self.header.unit, name)
+
+    def profile(self, name: str = "decoded", progress: Callable[[float], None] | None = None) -> textures.Profile:
+        """Decode a spatial stream to a profile. Raises StreamError for any other or several channels, CodecError."""
+        if not self.header.spatial or self.header.channels != 1:
+            raise StreamError("no height profile of one channel; decode it with `Stream.recording`, or into a WAV file")
+        return textures.Profile(self.decode(progress)[:, 0], 1e6 / self.header.rate_hz, name)
+
+    def with_gain(self, gain_db: float) -> "Stream":
+        """Return the stream at another level, to 0.03 dB: its full scales have 8 significant bits.
+
+        Raises CodecError for a level that a stream cannot have.
+        """
+        if gain_db == 0:
+            return self
+        if not math.isfinite(gain_db):
+            raise codec.CodecError(f"gain_db is {gain_db}; give a finite number")
+        try:
+            factor = 10 ** (gain_db / 20)
+            gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
+        except OverflowError as error:
+            raise codec.CodecError(f"gain_db is {gain_db}; give a smaller number") from error
+        return replace(self, header=replace(self.header, gains=gains))
+
     def facts(self) -> dict[str, Any]:
         """Return what a person or a program wants to know of the stream, ready for JSON. Raises CodecError."""
         decoder = self.decoder()
@@ -175,24 +242,17 @@ class Stream:
         return {spatial_names.get(name, name): value for name, value in facts.items() if name not in over_time}
 
 
-@dataclass(frozen=True)
-class Encoding:
-    """What encoding made: the stream, what went into it and how near it came to what was asked.
-
-    `recording`: what was coded, at the stream's rate, without the band below `highpass_hz`. `snr_db`, as
-    `codec.snr_db`, over all channels and of each: None for silence, or where nothing was lost. `tactile_snr_db`: as
-    `codec.tactile_snr_db`. `removed_energy`: part of the energy below `highpass_hz` of what was given; `highpass_hz`:
-    None = the whole band was coded. `note`: why the asked rate or SNR was not met, None when it was.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Encoding(CodingQuality):
+    """A coded recording. `recording`: what was coded, at the stream's rate, without the band below `highpass_hz`."""
 
     stream: Stream
     recording: textures.Recording
-    snr_db: float | None
-    snr_db_per_channel: tuple[float | None, ...]
-    tactile_snr_db: float | None
-    note: str | None
-    highpass_hz: float | None = None
-    removed_energy: float = 0.0
+
+    @property
+    def quality(self) -> CodingQuality:
+        """The quality alone."""
+        return CodingQuality(**{each.name: getattr(self, each.name) for each in fields(CodingQuality)})
 
 
 def encode(
@@ -345,7 +405,14 @@ def measured(
     reached_db = _finite(codec.snr_db(recording.samples, decoded))
     each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
     tactile_db = codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz)
-    return Encoding(stream, recording, reached_db, each_db, tactile_db, _shortfall(stream, each_db, rate_bps, snr_db))
+    return Encoding(
+        stream=stream,
+        recording=recording,
+        snr_db=reached_db,
+        snr_db_per_channel=each_db,
+        tactile_snr_db=tactile_db,
+        note=_shortfall(stream, each_db, rate_bps, snr_db),
+    )
 
 
 def as_stream(coded: codec.CodedSignal, unit: str, image: bytes | None = None) -> Stream:
@@ -402,18 +469,9 @@ def read(path: Path, image: bytes | None = None) -> Stream:
     """
     data = read_input(path, "coded stream (.vct file)", coded_stream.MAGIC, MAX_FILE_BYTES)
     try:
-        header, packets = coded_stream.unpack_file(data)
-        if image is None and header.image_hash and (model := models.by_hash(header.image_hash)):
-            image = model.image
-        return Stream(header, tuple(packets), image)
+        return Stream.from_bytes(data, image)
     except StreamError as error:
         raise StreamError(f"{path}: {error}") from error
-
-
-def write(path: Path, stream: Stream) -> None:
-    """Write a .vct file, whole or not at all. Raises StreamError or OSError."""
-    with whole_file(path) as partial:
-        partial.write_bytes(coded_stream.pack_file(stream.header, stream.packets))
 
 
 def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] | None = None) -> textures.Profile:
@@ -421,9 +479,7 @@ def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] 
 
     `progress` as in `Stream.decode`. Raises StreamError for any other stream or several channels, CodecError, OSError.
     """
-    if not stream.header.spatial or stream.header.channels != 1:
-        raise StreamError(f"{path}: no height profile of one channel; decode it into a WAV file")
-    profile = textures.Profile(stream.decode(progress)[:, 0], 1e6 / stream.header.rate_hz, path.stem)
+    profile = stream.profile(path.stem, progress)
     with whole_file(path) as partial:
         textures.save_profile(partial, profile)
     return profile
@@ -435,9 +491,7 @@ def write_wav(path: Path, stream: Stream, sixteen_bit: bool, progress: Callable[
     As 32-bit float the file holds the physical values exactly. `progress` as in `Stream.decode`. Raises StreamError for
     a height profile, CodecError, TextureError or OSError.
     """
-    if stream.header.spatial:
-        raise StreamError(f"{path}: a height profile has no time; decode it into a CSV file")
-    recording = textures.Recording(stream.decode(progress), stream.header.rate_hz, stream.header.unit, path.stem)
+    recording = stream.recording(path.stem, progress)
     with whole_file(path) as partial:
         try:
             return textures.save_wav(partial, recording, sixteen_bit)

@@ -291,7 +291,7 @@ def encode(
             f"{out}: {facts['size_bytes']} bytes, {facts['length_mm']:.3f} mm, {facts['samples_per_metre']} samples "
             f"per metre, {facts['bits_per_mm']:.0f} bit/mm"
         )
-        coding.write(out, encoding.stream)
+        encoding.stream.save(out)
         return
     if wish is not None:
         encode_steered(textures.load(file, **choices), out, wish, quality)
@@ -301,7 +301,7 @@ def encode(
 
 def tell_encoded(out: Path, encoding: coding.Encoding) -> None:
     """Write a .vct file, and tell its size and quality."""
-    coding.write(out, encoding.stream)
+    encoding.stream.save(out)
     snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
     stream = encoding.stream
     model = f", model {stream.model_name}" if stream.image else ""
@@ -504,7 +504,7 @@ def encode_steered(recording: textures.Recording, out: Path, wish: steered.Wish,
     del quality["rate_bps"], quality["snr_db"]  # they are in the wish
     with progress.shown("encoding") as update:
         stream, outcome = steered.encode(recording, wish, progress=update, **quality)
-    coding.write(out, stream)
+    stream.save(out)
     window = "" if outcome.furthest is None else f", furthest from it over 2 s: {100 * outcome.furthest:+.2f} %"
     asked = "" if wish.rate_bps is None else f" of {wish.rate_bps:g}{window}"
     low_db, high_db = outcome.snr_range_db

@@ -8,7 +8,7 @@ import scipy
 from numpy.typing import NDArray
 
 from vibrocast import textures
-from vibrocast.codec.threshold import band_parts, threshold_amplitude
+from vibrocast.codec.threshold import HIGHEST_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.host import coding
 from vibrocast.host.end_to_end import displacement_um
@@ -22,12 +22,6 @@ MARGIN_DB = -8.0
 """What is above the detection threshold less this margin is kept. In the listening test of the DCT paper on
 material-like textures nobody told wood from the original with components dropped below b0 = -8 dB (sandpaper -4,
 leather +4), while b0 = 0, at the threshold itself, was noticed: the strictest of the three holds for all."""
-BLOCK_S = 0.2
-"""Components are 1 / BLOCK_S = 5 Hz apart, as in the DCT paper, and the skin sums vibration over about that time
-(Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965)."""
-LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
-"""Where textures are felt; below, the hand moves as a whole, above, no channel of touch answers."""
-BANDS_PER_OCTAVE = 12
 PASS_BAND = 0.91
 """Of half the stream's rate: as far as textures.resample leaves the band alone."""
 PROFILE_PASS_BAND = 0.68
@@ -159,34 +153,6 @@ def _response(actuator: Actuator, frequencies_hz: Samples) -> Samples:
     quality = actuator.quality
     response = 1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s)
     return np.asarray(np.abs(response) * np.sinc(frequencies_hz / actuator.dac_rate_hz))
-
-
-def over_threshold_db(displacement: Samples, rate_hz: float, threshold: Samples) -> tuple[Samples, Samples]:
-    """Return frequencies, and the level of the third octave about each re the detection threshold, where it is loudest.
-
-    `displacement`: um (n, channels). Hann windows of BLOCK_S that overlap by half; the amplitude of a sine of the same
-    power as all components of the third octave (IEC 61260: edges at 2^(+-1/6)), and at least of the nearest one, so
-    that noise counts as the skin sums it. The loudest block and channel count: what is felt once is felt.
-    """
-    block = max(4, round(BLOCK_S * rate_hz))
-    # Silence before and after, so that windows cover the very first and last sample too.
-    displacement = np.pad(displacement, ((block // 2, block), (0, 0)))
-    window = np.hanning(block + 1)[:-1]
-    blocks = np.lib.stride_tricks.sliding_window_view(displacement, block, axis=0)[:: max(1, block // 2)]
-    # The largest of the blocks in each band is wanted: (blocks, channels, components) of power as mean square.
-    power = 2 * np.abs(np.fft.rfft(blocks * window)) ** 2 / (block * np.sum(window**2))
-    spacing_hz = rate_hz / block
-    highest_hz = min(HIGHEST_HZ, rate_hz / 2 / 2 ** (1 / 6))
-    lowest_hz = max(LOWEST_HZ, spacing_hz)
-    # The same middles at every rate, so that what has one can be compared with what has another.
-    steps = np.arange(1 + math.floor(BANDS_PER_OCTAVE * math.log2(HIGHEST_HZ / LOWEST_HZ)))
-    middle_hz = LOWEST_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
-    middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
-    parts = band_parts(power.shape[-1], spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
-    nearest = np.rint(middle_hz / spacing_hz).astype(int)
-    loudest = np.max(np.maximum(power @ parts, power[..., nearest]), axis=(0, 1), initial=0.0)
-    amplitude = np.sqrt(2 * np.maximum(loudest, 1e-60))
-    return middle_hz, 20 * np.log10(amplitude / threshold_amplitude(threshold, middle_hz, "um"))
 
 
 def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Actuator, threshold: Samples) -> float:

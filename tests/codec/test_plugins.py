@@ -50,7 +50,7 @@ def test_the_example_codes_to_an_snr_and_its_stream_is_read_again(tmp_path: Path
     recording = textures.Recording(SIGNAL, 2800.0, "m/s^2", "noise")
     encoding = files.encode(recording, codec_name="haar", snr_db=20.0)
     assert encoding.snr_db == pytest.approx(20, abs=0.5)
-    files.write(tmp_path / "noise.vct", encoding.stream)
+    encoding.stream.save(tmp_path / "noise.vct")
     stream = files.read(tmp_path / "noise.vct")
     assert stream.codec_name == "haar"
     np.testing.assert_array_equal(stream.decode(), encoding.stream.decode())

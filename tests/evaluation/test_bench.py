@@ -106,7 +106,7 @@ def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path,
     assert [(point.trace, point.codec, point.setting) for point in points] == names
     recording = load(traces(folder)[1])
     stream = coding.encode(recording, setting={"step": 0.25}).stream
-    coding.write(results / "wood.vct", stream)
+    stream.save(results / "wood.vct")
     fine = points[4]
     assert fine.bytes_total == (results / "wood.vct").stat().st_size
     quality = asdict(metrics.measure(recording.samples, stream.decode(), 2800, recording.unit))

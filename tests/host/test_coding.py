@@ -36,7 +36,7 @@ def test_meets_the_asked_quality(snr_db: float) -> None:
 @pytest.mark.parametrize("rate_bps", [2000.0, 9000.0])
 def test_meets_the_asked_rate_in_bytes_of_the_file(rate_bps: float, tmp_path: Path) -> None:
     encoding = coding.encode(noise(seconds=2), rate_bps=rate_bps)
-    coding.write(tmp_path / "noise.vct", encoding.stream)
+    encoding.stream.save(tmp_path / "noise.vct")
     assert 8 * (tmp_path / "noise.vct").stat().st_size / 2 == pytest.approx(rate_bps, rel=0.02)
 
 
@@ -75,7 +75,7 @@ def test_any_recording_can_be_coded_without_a_wish(samples: int, level: float, c
 def test_a_file_holds_the_whole_stream(tmp_path: Path) -> None:
     encoding = coding.encode(noise(channels=2, rate_hz=10_000))
     path = tmp_path / "noise.vct"
-    coding.write(path, encoding.stream)
+    encoding.stream.save(path)
     stream = coding.read(path)
     assert stream == encoding.stream
     assert stream.size_bytes == path.stat().st_size
@@ -90,7 +90,7 @@ def test_live_streams_refresh_and_files_do_not() -> None:
 
 def test_damage_anywhere_is_found(tmp_path: Path) -> None:
     path = tmp_path / "noise.vct"
-    coding.write(path, coding.encode(noise(seconds=0.1)).stream)
+    coding.encode(noise(seconds=0.1)).stream.save(path)
     data = path.read_bytes()
     for position in range(len(data)):
         damaged = bytearray(data)
@@ -192,7 +192,7 @@ def test_an_image_is_named_by_the_stream_and_needed_to_decode(tmp_path: Path) ->
     own = replace(MODEL, image=ModelImage(1, "own", "1", "", MODEL.tables).pack())
     stream = coding.encode(recording, model=own).stream
     assert stream.header.image_hash == coding.image_hash(own.image)
-    coding.write(tmp_path / "noise.vct", stream)
+    stream.save(tmp_path / "noise.vct")
     assert coding.read(tmp_path / "noise.vct", own.image).decode().shape == recording.samples.shape
     unnamed = coding.read(tmp_path / "noise.vct")
     assert unnamed.facts()["model"] is None
@@ -204,7 +204,7 @@ def test_an_image_is_named_by_the_stream_and_needed_to_decode(tmp_path: Path) ->
 
 def test_a_model_that_ships_is_found_by_the_streams_hash(tmp_path: Path) -> None:
     stream = coding.encode(noise(), model=MODEL).stream
-    coding.write(tmp_path / "noise.vct", stream)
+    stream.save(tmp_path / "noise.vct")
     found = coding.read(tmp_path / "noise.vct")
     assert found.facts()["model"] == "mdct-textures"
     np.testing.assert_array_equal(found.decode(), stream.decode())

@@ -76,7 +76,7 @@ def test_without_any_model_the_error_says_so(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_streams_find_their_model_again(tmp_path: Path) -> None:
     stream = coding.encode(texture(), codec_name="eva").stream
-    coding.write(tmp_path / "rough.vct", stream)
+    stream.save(tmp_path / "rough.vct")
     again = coding.read(tmp_path / "rough.vct")
     assert again.facts()["model"] == "all"
     np.testing.assert_array_equal(again.decode(), stream.decode())
@@ -84,7 +84,7 @@ def test_streams_find_their_model_again(tmp_path: Path) -> None:
 
 def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = coding.encode(texture(), codec_name="eva").stream
-    coding.write(tmp_path / "rough.vct", stream)
+    stream.save(tmp_path / "rough.vct")
     monkeypatch.setattr(models, "shipped", lambda: ())
     with pytest.raises(CodecError, match=f"{stream.header.image_hash.hex()}, which is none of those that ship"):
         coding.read(tmp_path / "rough.vct")

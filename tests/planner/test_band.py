@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.codec.threshold import over_threshold_db, read_threshold, threshold_amplitude
 from vibrocast.host.planner.band import (
     MARGIN_DB,
     BandError,
     band_of,
     error_over_threshold_db,
     largest_um,
-    over_threshold_db,
 )
 from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Profile, Recording
