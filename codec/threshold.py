@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vibrocast.codec.interface import OVER_POSITION, CodecError
 
 TACTILE_BAND_HZ = (40.0, 800.0)
-"""The band of the Pacinian channel (Bolanowski et al., JASA 84, 1988)."""
+"""The Pacinian channel: S. J. Bolanowski et al., "Four channels mediate the mechanical aspects of touch", 1988."""
 BLOCK_S = 0.2
 """Components are 1 / BLOCK_S = 5 Hz apart, as in the DCT paper, and the skin sums vibration over about that time
 (Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965)."""

@@ -12,15 +12,13 @@ from vibromaf.signal.transform import PerceptualSpectrumBuilder
 
 from vibrocast import codec
 from vibrocast.codec import Signal
-from vibrocast.codec.threshold import band_parts, read_threshold, threshold_amplitude
+from vibrocast.codec.threshold import TACTILE_BAND_HZ, band_parts, read_threshold, threshold_amplitude
 
 BLOCK_SAMPLES = 512
 """Block of ST-SIM and SPQI at every rate: vibromaf's own."""
 SILENCE = 1e-6
 """Below this part of the channel's peak, as RMS, the reference is silent: no block of 16-bit samples that are not all
 equal is, as one of 512 that differs by one step is 1.3e-6 of full scale."""
-TACTILE_BAND_HZ = (40.0, 800.0)
-"""The Pacinian channel, of S. J. Bolanowski et al., "Four channels mediate the mechanical aspects of touch", 1988."""
 FRAME_S = 0.1
 FLOOR = 1e-6
 """Floor of power spectra relative to the reference's mean power in the tactile band, -60 dB."""

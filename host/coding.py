@@ -449,6 +449,11 @@ def _shortfall(
     return None
 
 
+def highpass_of(unit: str | None, highpass_hz: float | None) -> float | None:
+    """Return the corner of the high-pass for a recording loaded with this `unit`: None for a drive signal."""
+    return None if unit == "drive" else highpass_hz
+
+
 def image_hash(image: bytes) -> bytes:
     """Return the bytes by which a stream's header names a packed model image."""
     return sha256(image)[: coded_stream.IMAGE_HASH_BYTES]

@@ -45,6 +45,8 @@ SIMULATED = {
     **FIRMWARE,
 }
 """All that need no hardware."""
+WITH_ANY_ACTUATOR = ("sim", "sim-usb")
+"""Those that can be given any actuator; all others have theirs compiled in."""
 IN_PROCESS = ("sim", "sim-usb", *EMULATED)
 """Those that this program itself simulates, and so could in simulated time."""
 ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")

@@ -10,15 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from vibrocast.codec import CodecError
+from vibrocast.codec.threshold import over_threshold_db, read_threshold
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.host import flasher, player
 from vibrocast.host.coding import Encoding, Stream
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.devices import model_images
 from vibrocast.host.picture import Trace
-from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report
-from vibrocast.simulated_device.actuator import ACTUATORS, Actuator
+from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report, Touch
+from vibrocast.simulated_device.actuator import ACTUATORS, Actuator, Codes
 from vibrocast.simulated_device.output import Drive, displacement_filter, render
+from vibrocast.textures import Recording
 
 # Decoded samples of all channels and loops, positions that are not played included: 1.6 h at 2800 Hz. Computing the
 # same here takes about 80 bytes for each.
@@ -54,9 +58,10 @@ def play(
     Both are read back from the controller, unless it captures nothing or there would be more than MAX_COMPARED_SAMPLES:
     then nothing is compared, and the skin is computed from one pass. A simulated controller of this session is flashed
     with the stream's model first.
-    `encoding`: how the stream was made from a recording, None for a file that was coded before. `file_name` and
-    `address` are for the report. `actuator`: the one that the controller works with, None = as it describes it;
-    `skin_model`: the one that moves the skin, None = the same. Raises CodecError, and whatever `player.play` raises.
+    `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
+    another level (`Stream.with_gain`). `file_name` and `address` are for the report. `actuator`: the one that the
+    controller works with, None = as it describes it; `skin_model`: the one that moves the skin, None = the same.
+    Raises CodecError, and whatever `player.play` raises.
     """
     header, decoder = stream.header, stream.decoder()
     if stream.image is not None:
@@ -64,10 +69,7 @@ def play(
     hello = controller.description
     actuator = actuator or actuator_model(hello.actuator)
     skin_model = skin_model or actuator
-    try:
-        drive_s = Drive(header, actuator, compensation=True).delay_seconds + 1 / actuator.dac_rate_hz
-    except ValueError as error:
-        raise ControllerError(f"{actuator.name}: {error}") from error
+    drive_s = _drive_s(header, actuator)
     offline = stream.decode_integers()
     capture = controller.description.limits.capture_samples > 0 and loops * offline.size <= MAX_COMPARED_SAMPLES
     result = player.play(
@@ -86,6 +88,7 @@ def play(
     played_codes = result.dac_codes if result.dac_codes is not None else codes
     source = "read back from the controller" if result.dac_codes is not None else "computed here"
     algorithmic_s = (decoder.packet_samples + decoder.delay_samples) / header.rate_hz
+    quality = encoding or stream.quality
     report = Report(
         version=version("vibrocast"),
         file=file_name,
@@ -100,9 +103,12 @@ def play(
         wire_bytes_back=result.wire_bytes_received,
         bits_per_second=stream.bits_per_second,
         bits_per_sample=stream.bits_per_second / header.rate_hz / header.channels,
-        snr_db=encoding.snr_db if encoding else None,
-        snr_db_per_channel=encoding.snr_db_per_channel if encoding else (None,) * header.channels,
-        quality_note=encoding.note if encoding else None,
+        snr_db=quality.snr_db if quality else None,
+        snr_db_per_channel=quality.snr_db_per_channel if quality else (None,) * header.channels,
+        tactile_snr_db=quality.tactile_snr_db if quality else None,
+        highpass_hz=quality.highpass_hz if quality else None,
+        removed_energy=quality.removed_energy if quality else None,
+        quality_note=quality.note if quality else None,
         latency_ms=Latency(
             algorithmic=1e3 * algorithmic_s,
             buffered=1e3 * result.buffered_s,
@@ -121,17 +127,19 @@ def play(
             slew_limited=result.status.slew_limited,
             power_limited=result.status.power_limited,
         ),
+        touch=touch_of(skin_model, played_codes),
         decoded_equals_offline=_equal(result.decoded, offline, loops) if comparable else None,
         dac_equals_offline=_equal(result.dac_codes, codes) if comparable else None,
     )
     missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
     delay_s = decoder.delay_samples / header.rate_hz
     decoded = _from_start(played, header.rate_hz, delay_s - missed_s, stream.seconds)
-    one_pass = math.ceil((delay_s + drive_s + stream.seconds) * actuator.dac_rate_hz)
-    skin = skin_model.displacement_um(played_codes[:one_pass], SKIN_OVERSAMPLING)
+    skin = _skin_um(skin_model, played_codes, delay_s + drive_s, missed_s, stream.seconds)
     skin_rate_hz = SKIN_OVERSAMPLING * actuator.dac_rate_hz
-    skin = _from_start(skin, skin_rate_hz, delay_s + drive_s - missed_s, stream.seconds)
-    signals = {"recording": encoding.recording.samples} if encoding else {}
+    signals = {}
+    if encoding:
+        gain = np.array(header.gains) / np.array(encoding.stream.header.gains)
+        signals["recording"] = encoding.recording.samples * gain
     signals["decoded"] = decoded * (np.array(header.gains) / DECODED_FULL_SCALE)
     traces = [
         Trace(
@@ -147,6 +155,54 @@ def play(
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
     caption = f"skin: the DAC's codes, {source}, through the model of the actuator {skin_model.name}"
     return Outcome(report, caption, tuple(traces))
+
+
+def at_the_skin(stream: Stream, actuator: Actuator) -> Recording:
+    """Return the displacement at the skin, um, aligned to the recording, at SKIN_OVERSAMPLING times the DAC's rate.
+
+    Raises ControllerError where the actuator's DAC cannot play the stream, StreamError for a height profile.
+    """
+    if stream.header.spatial:
+        raise StreamError("a height profile moves the skin only under a hand; play it by position")
+    decoder = stream.decoder()
+    late_s = decoder.delay_samples / stream.header.rate_hz + _drive_s(stream.header, actuator)
+    codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator)
+    skin = _skin_um(actuator, codes, late_s, 0.0, stream.seconds)
+    return Recording(skin, SKIN_OVERSAMPLING * actuator.dac_rate_hz, "um", "skin")
+
+
+def _drive_s(header: StreamHeader, actuator: Actuator) -> float:
+    """Return the delay of the output stage and the DAC. Raises ControllerError where they cannot play the stream."""
+    try:
+        return float(Drive(header, actuator, compensation=True).delay_seconds) + 1 / actuator.dac_rate_hz
+    except ValueError as error:
+        raise ControllerError(f"{actuator.name}: {error}") from error
+
+
+def _skin_um(actuator: Actuator, codes: Codes, late_s: float, missed_s: float, seconds: float) -> NDArray[np.float64]:
+    """Return the displacement of one pass of DAC codes that begin `late_s` before, without the part that was missed."""
+    one_pass = math.ceil((late_s + seconds) * actuator.dac_rate_hz)
+    skin = actuator.displacement_um(codes[:one_pass], SKIN_OVERSAMPLING)
+    return _from_start(skin, SKIN_OVERSAMPLING * actuator.dac_rate_hz, late_s - missed_s, seconds)
+
+
+def touch_of(actuator: Actuator, codes: Codes) -> Touch:
+    """Return how far DAC codes (n, channels) through an actuator exceed the detection threshold, where most."""
+    displacement_um = actuator.displacement_um(codes)
+    frequencies_hz, levels_db = over_threshold_db(displacement_um, actuator.dac_rate_hz, read_threshold())
+    loudest = int(np.argmax(levels_db))
+    return Touch(float(levels_db[loudest]), float(frequencies_hz[loudest]))
+
+
+def check_unit(stream: Stream, unit: str | None) -> None:
+    """Raise CodecError where nobody said how far a stream moves an actuator: neither its unit nor `unit` "drive"."""
+    if unit not in (None, "drive"):
+        raise CodecError(f"`unit` is {unit!r}, but a coded stream has its unit already; leave it out, or pass 'drive'")
+    if stream.header.unit == "full scale" and unit is None:
+        raise CodecError(
+            "the signal does not state its unit, so how far it moves the actuator is unknown; encode it with `unit` "
+            "(and `full_scale`), or pass `unit` drive to play it as the actuator's drive signal"
+        )
 
 
 def actuator_model(description: ActuatorDescription) -> Actuator:

@@ -31,6 +31,14 @@ class ActuatorUse:
 
 
 @dataclass(frozen=True)
+class Touch:
+    """The third octave at the skin that exceeds the detection threshold most; below 0 dB nobody feels it."""
+
+    level_db: float
+    frequency_hz: float
+
+
+@dataclass(frozen=True)
 class DeviceDescription:
     """The controller as it introduced itself."""
 
@@ -63,6 +71,9 @@ class Report:
     bits_per_sample: float
     snr_db: float | None
     snr_db_per_channel: tuple[float | None, ...]
+    tactile_snr_db: float | None
+    highpass_hz: float | None
+    removed_energy: float | None
     quality_note: str | None
     latency_ms: Latency
     underruns: int
@@ -70,6 +81,7 @@ class Report:
     reconnects: int
     device: DeviceDescription
     actuator: ActuatorUse
+    touch: Touch
     decoded_equals_offline: bool | None
     dac_equals_offline: bool | None
 

@@ -1,5 +1,6 @@
 """Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
 
+from vibrocast.textures.arrays import from_array
 from vibrocast.textures.files import AXES, load, load_profile, save_profile, save_wav
 from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass
 from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
@@ -18,6 +19,7 @@ __all__ = [
     "Profile",
     "Recording",
     "TextureError",
+    "from_array",
     "highpass",
     "load",
     "load_profile",

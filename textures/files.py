@@ -89,7 +89,7 @@ def load(
         raise TextureError(f"{path}: states {contents.rate_hz:g} Hz; leave out --rate-hz {rate_hz:g}")
     if rate_hz is None:
         raise TextureError(f"{path}: does not state its sample rate; give --rate-hz")
-    output_unit, scale = _scale(contents, unit, full_scale, path)
+    output_unit, scale = scale_of(contents, unit, full_scale, path)
     samples = contents.samples
     if scale != 1:
         samples *= scale
@@ -183,7 +183,7 @@ def _with_axis(contents: Contents, axis: str | None, path: Path) -> Contents:
     return replace(contents, samples=contents.samples[:, [p1918.AXES.index(axis)]])
 
 
-def _scale(contents: Contents, unit: str | None, full_scale: float | None, path: Path) -> tuple[str, float]:
+def scale_of(contents: Contents, unit: str | None, full_scale: float | None, path: Path) -> tuple[str, float]:
     """Return the unit of UNITS, and the factor that turns the file's numbers into it."""
     given = None if unit is None else known_unit(unit, "--unit")
     if full_scale is not None and not (np.isfinite(full_scale) and full_scale > 0):
@@ -251,10 +251,10 @@ def _read_arrays(path: Path, key: str | None) -> Contents:
         with path.open("rb") as file:  # closes the file that a lazy NPZ leaves open when it is damaged
             loaded = np.load(file, allow_pickle=False)
             if isinstance(loaded, np.ndarray):
-                return _contents_of(loaded, None, None, path)
+                return contents_of(loaded, None, None, path)
             array = loaded[_chosen_key(loaded, key, path)]
             stated = {name: loaded[name] for name in (RATE_KEY, UNIT_KEY) if name in loaded}
-            return _contents_of(array, stated.get(RATE_KEY), stated.get(UNIT_KEY), path)
+            return contents_of(array, stated.get(RATE_KEY), stated.get(UNIT_KEY), path)
     except TextureError:
         raise
     except _ARRAY_ERRORS as error:
@@ -274,7 +274,8 @@ def _chosen_key(arrays: Mapping[str, Any], key: str | None, path: Path) -> str:
     return key
 
 
-def _contents_of(array: NDArray[Any], rate_hz: Any, unit: Any, path: Path) -> Contents:
+def contents_of(array: NDArray[Any], rate_hz: Any, unit: Any, path: Path) -> Contents:
+    """Return the contents of an array of numbers (n,) or (n, channels), named `path` in errors."""
     if array.dtype.kind not in "iuf" or array.ndim not in (1, 2):
         raise TextureError(
             f"{path}: an array of type {array.dtype} and shape {array.shape}; "

@@ -15,6 +15,7 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 1e7  # beyond any texture; such a rate is a sli
 # Unit as people write it: the unit of UNITS that it becomes, and the factor. Standard gravity: CGPM 1901, exact.
 INPUT_UNITS: dict[str, tuple[str, float]] = {
     "full scale": ("full scale", 1.0),
+    "drive": ("full scale", 1.0),
     "m/s^2": ("m/s^2", 1.0),
     "g": ("m/s^2", 9.80665),
     "nm": ("um", 1e-3),

@@ -1,1 +1,53 @@
 """Compress vibrotactile textures and play them in real time on an actuator."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vibrocast.api import (
+        Actuator,
+        Codec,
+        Connection,
+        Profile,
+        Recording,
+        Report,
+        Stream,
+        codecs,
+        connect,
+        decode,
+        encode,
+        load,
+        load_profile,
+        measure,
+        render,
+    )
+
+__all__ = [
+    "Actuator",
+    "Codec",
+    "Connection",
+    "Profile",
+    "Recording",
+    "Report",
+    "Stream",
+    "codecs",
+    "connect",
+    "decode",
+    "encode",
+    "load",
+    "load_profile",
+    "measure",
+    "render",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the API at its first use: `import vibrocast` and the command's help stay fast."""
+    if name not in __all__:
+        raise AttributeError(f"module 'vibrocast' has no attribute {name!r}")
+    from vibrocast import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -4,20 +4,19 @@ import contextlib
 import json
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
-from vibrocast.host import devices
+from vibrocast.host import actuators, devices
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import actuator_model
 from vibrocast.host.input_files import InputFileError
 from vibrocast.host.toml_tables import Table, read_toml, text
-from vibrocast.simulated_device.actuator import ACTUATORS, Actuator
-from vibrocast.simulated_device.actuator_tables import constants
+from vibrocast.simulated_device.actuator import Actuator
 from vibrocast.textures import Recording
 
 SENSOR_KINDS = ("accelerometer", "laser")
@@ -199,27 +198,9 @@ def _controller_of(table: Table, controllers: list[str]) -> str:
 
 def read_actuator(table: Table, controllers: list[str]) -> BenchActuator:
     """Return an actuator behind one of the controllers of these names, as its table says: see docs/harness.md."""
-    model = table.word("model", ACTUATORS, None)
-    base = ACTUATORS[model] if model else None
-
-    def default(key: str) -> Any:
-        return getattr(base, key) if base else MISSING
-
-    required = ("stroke_um", "volts", "corner_hz", "slew_volts_per_second", "volts_limit", "power_limit")
-    given: dict[str, Any] = {key: table.number(key, default(key)) for key in required}
-    given["name"] = table.text("name", default("name"))
-    standard = {each.name: each.default for each in fields(Actuator)}
-    given["quality"] = table.number("quality", base.quality if base else None)
-    given["maximum_boost"] = table.number("maximum_boost", base.maximum_boost if base else standard["maximum_boost"])
-    given["dac_bits"] = table.whole("dac_bits", 8, 16, base.dac_bits if base else standard["dac_bits"])
-    rate_hz = base.dac_rate_hz if base else standard["dac_rate_hz"]
-    given["dac_rate_hz"] = table.whole("dac_rate_hz", 100, 1_000_000, rate_hz)
-    entry = BenchActuator(Actuator(**given), _controller_of(table, controllers), table.whole("channel", 1, 16, None))
+    model = actuators.of_table(table)
+    entry = BenchActuator(model, _controller_of(table, controllers), table.whole("channel", 1, 16, None))
     table.end()
-    try:
-        constants(entry.model)
-    except (ValueError, OverflowError) as error:
-        raise table.refuse(f"no controller can drive this actuator: {error}; correct its numbers") from error
     return entry
 
 

@@ -1,0 +1,237 @@
+"""The public API: plain arrays and bytes in and out. Import it as `vibrocast`."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, SupportsFloat
+
+from numpy.typing import ArrayLike
+
+from vibrocast import models, textures
+from vibrocast.codec import CODECS, Codec, Setting
+from vibrocast.host import actuators, coding, devices, end_to_end, flasher, player
+from vibrocast.host.coding import Stream
+from vibrocast.host.controller import Controller
+from vibrocast.host.report import Report
+from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.textures import HIGHPASS_HZ, Profile, Recording, TextureError, load, load_profile
+
+if TYPE_CHECKING:
+    from vibrocast.evaluation.metrics import Quality
+
+__all__ = [
+    "Actuator",
+    "Codec",
+    "Connection",
+    "Profile",
+    "Recording",
+    "Report",
+    "Stream",
+    "codecs",
+    "connect",
+    "decode",
+    "encode",
+    "load",
+    "load_profile",
+    "measure",
+    "render",
+]
+
+Progress = Callable[[float], None]
+"""Called with the part of the work that is done, from 0 to 1."""
+
+
+def encode(
+    samples: ArrayLike | Recording,
+    rate_hz: SupportsFloat | None = None,
+    unit: str | None = None,
+    *,
+    codec: str | None = None,
+    rate_bps: float | None = None,
+    snr_db: float | None = None,
+    model: str | Path | models.Model | None = None,
+    setting: Setting | None = None,
+    stream_rate_hz: int = coding.DEFAULT_STREAM_RATE_HZ,
+    highpass_hz: float | None = HIGHPASS_HZ,
+    live: bool = False,
+    progress: Progress | None = None,
+) -> Stream:
+    """Encode a recording, or samples (n,) or (n, channels) of any real dtype, at an SNR of 15 dB or as you ask.
+
+    `rate_hz`: sample rate of the samples. `unit`: one of textures.INPUT_UNITS, such as "m/s^2", "g", "um" or "drive"
+    (the actuator's drive signal, 1.0 = full scale); None = "full scale", whose size nobody knows. A Recording has
+    both. `codec`: a name in `codecs()`; None = that of the model, or "mdct". `rate_bps`: bits per second of
+    the whole stream; or `snr_db`: SNR of every channel in dB. `setting`: parameters of the codec, as `codecs()`
+    describes them. `model`: name, folder or image of a trained model. `stream_rate_hz`: the samples are resampled to
+    it. `highpass_hz`: acceleration below it is removed before coding, as is that of samples in "full scale"; None
+    keeps the whole band. `live`: packets as for a link that may lose some. Read `Stream.quality` for the SNR reached
+    and the energy removed. Raises TextureError, CodecError, StreamError or ModelError, all of them ValueError.
+    """
+    encoding = coding.encode(
+        _recording(samples, rate_hz, unit),
+        stream_rate_hz=stream_rate_hz,
+        codec_name=codec,
+        rate_bps=rate_bps,
+        snr_db=snr_db,
+        setting=setting,
+        model=_model(model),
+        live=live,
+        progress=progress,
+        highpass_hz=coding.highpass_of(unit, highpass_hz),
+    )
+    return replace(encoding.stream, quality=encoding.quality)
+
+
+def decode(
+    data: bytes | str | Path | Stream,
+    *,
+    model: str | Path | models.Model | None = None,
+    progress: Progress | None = None,
+) -> Recording:
+    """Decode a stream, its bytes or a .vct file: float64 samples (n, channels) in the stream's unit, without delay.
+
+    `model`: of a stream coded for a model that does not ship. Raises StreamError or CodecError (ValueError) on damaged
+    data, on a height profile (call `Stream.profile`), and OSError where the file cannot be read.
+    """
+    name = Path(data).stem if isinstance(data, str | Path) else "decoded"
+    return _stream(data, model).recording(name, progress)
+
+
+def measure(
+    reference: ArrayLike,
+    decoded: ArrayLike,
+    rate_hz: SupportsFloat,
+    unit: str = "full scale",
+    *,
+    highpass_hz: float | None = HIGHPASS_HZ,
+) -> "Quality":
+    """Compare arrays (n,) or (n, channels) of equal shape and rate: SNR and PSNR in dB, ST-SIM, SPQI and distances.
+
+    Both are compared from `highpass_hz` on, as they are coded; None = in their whole band. Raises ValueError on
+    unequal shapes, NaN or infinity, ModuleNotFoundError without the extra [bench].
+    """
+    from vibrocast.evaluation import metrics
+
+    x, y = _recording(reference, rate_hz, unit), _recording(decoded, rate_hz, unit)
+    pair = [textures.highpass(each, highpass_hz).recording.samples for each in (x, y)]
+    return metrics.measure(pair[0], pair[1], x.rate_hz, x.unit)
+
+
+def render(
+    stream: bytes | str | Path | Stream,
+    actuator: str | Path | Actuator = "piezo-stack",
+    *,
+    gain_db: float = 0.0,
+    unit: str | None = None,
+) -> Recording:
+    """Return the displacement at the skin in um, (n, channels) at 4 times the DAC's rate, aligned to the recording.
+
+    The integer output stage of a controller computes the DAC codes, limits and compensation included; the model of the
+    actuator makes them displacement. `actuator`: a name, an Actuator or a TOML file (docs/harness.md). `unit`: "drive"
+    for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError or ActuatorFileError
+    (ValueError).
+    """
+    chosen = _stream(stream, None)
+    end_to_end.check_unit(chosen, unit)
+    return end_to_end.at_the_skin(chosen.with_gain(gain_db), _actuator(actuator))
+
+
+class Connection:
+    """A session with a controller. `controller`: the wire protocol's requests."""
+
+    def __init__(self, controller: Controller, address: str, actuator: Actuator | None) -> None:
+        self.controller = controller
+        self._address, self._actuator = address, actuator
+
+    def play(
+        self,
+        stream: bytes | str | Path | Stream,
+        *,
+        gain_db: float = 0.0,
+        unit: str | None = None,
+        loops: int = 1,
+        progress: Callable[[player.Progress], None] | None = None,
+    ) -> Report:
+        """Play a stream to its end; compare what the controller decoded and gave its DAC with the same computed here.
+
+        `unit`: "drive" for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError for what
+        the controller cannot play, ControllerError or TransportError where the device fails.
+        """
+        chosen = _stream(stream, None)
+        end_to_end.check_unit(chosen, unit)
+        name = str(stream) if isinstance(stream, str | Path) else "stream"
+        simulated = self._address in devices.WITH_ANY_ACTUATOR
+        outcome = end_to_end.play(
+            self.controller,
+            self._address,
+            name,
+            chosen.with_gain(gain_db),
+            loops=loops,
+            progress=progress,
+            actuator=self._actuator if simulated else None,
+            skin_model=self._actuator,
+        )
+        return outcome.report
+
+    def status(self) -> dict[str, Any]:
+        """Return what the controller is and does, ready for JSON."""
+        return devices.facts(self.controller)
+
+    def upload(self, model: str | Path | models.Model) -> None:
+        """Upload a trained model into the controller's flash memory, verify it and start it."""
+        chosen = _model(model)
+        assert chosen is not None
+        flasher.flash(self.controller, chosen.image)
+
+    def stop(self) -> None:
+        """Bring the output to rest."""
+        self.controller.stop()
+
+
+@contextlib.contextmanager
+def connect(
+    address: str = "sim", *, actuator: str | Path | Actuator | None = None, runtime: str | None = None
+) -> Iterator[Connection]:
+    """Connect to a controller: "sim", another name of `vibrocast devices`, "serial:PORT" or "usb:VID:PID".
+
+    `actuator`: a name, an Actuator or a TOML file: that of a simulated controller, or the model of the one behind a
+    real controller; None = as the controller says. `runtime`: "core" or "onnx", by which a simulated controller
+    decodes. Raises TransportError or ControllerError.
+    """
+    chosen = None if actuator is None else _actuator(actuator)
+    with devices.connect(address, runtime, chosen) as controller:
+        yield Connection(controller, address, chosen)
+
+
+def codecs() -> Mapping[str, Codec]:
+    """Return the codecs by name, those of other packages included (entry point group `vibrocast.codecs`)."""
+    return CODECS
+
+
+def _recording(samples: ArrayLike | Recording, rate_hz: SupportsFloat | None, unit: str | None) -> Recording:
+    if isinstance(samples, Recording):
+        if rate_hz is not None or unit is not None:
+            raise TextureError(f"{samples.name}: the recording states its rate and unit; leave out `rate_hz`, `unit`")
+        return samples
+    if rate_hz is None:
+        raise TextureError("`rate_hz` is missing; pass the sample rate of the samples")
+    return textures.from_array(samples, float(rate_hz), unit or "full scale")
+
+
+def _stream(data: bytes | str | Path | Stream, model: str | Path | models.Model | None) -> Stream:
+    if isinstance(data, Stream):
+        return data
+    chosen = _model(model)
+    image = None if chosen is None else chosen.image
+    if isinstance(data, bytes | bytearray | memoryview):
+        return Stream.from_bytes(bytes(data), image)
+    return coding.read(Path(data), image)
+
+
+def _model(model: str | Path | models.Model | None) -> models.Model | None:
+    return model if model is None or isinstance(model, models.Model) else models.find(str(model))
+
+
+def _actuator(actuator: str | Path | Actuator) -> Actuator:
+    return actuator if isinstance(actuator, Actuator) else actuators.find(actuator)
