@@ -21,7 +21,9 @@ def dependencies() -> set[str]:
     """Return the names of the packages that vibrocast, its extras and its build require, without vibrocast itself."""
     project = PROJECT["project"]
     groups = [PROJECT["build-system"]["requires"], project["dependencies"], *project["optional-dependencies"].values()]
-    groups += [[each for each in group if isinstance(each, str)] for group in PROJECT.get("dependency-groups", {}).values()]
+    groups += [
+        [each for each in group if isinstance(each, str)] for group in PROJECT.get("dependency-groups", {}).values()
+    ]
     names = {re.split(r"[\s\[<>=!~;@]", requirement, maxsplit=1)[0] for group in groups for requirement in group}
     return {normalised(name) for name in names} - {"vibrocast"}
 
