@@ -1,0 +1,75 @@
+"""Licences and versions: each dependency has a row on the page of licences, and the files agree with pyproject.toml."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "third_party_licences.md"
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def normalised(name: str) -> str:
+    """Return the name of a package as the package index compares it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def dependencies() -> set[str]:
+    """Return the names of the packages that vibrocast, its extras and its build require, without vibrocast itself."""
+    project = PROJECT["project"]
+    groups = [PROJECT["build-system"]["requires"], project["dependencies"], *project["optional-dependencies"].values()]
+    groups += [
+        [each for each in group if isinstance(each, str)] for group in PROJECT.get("dependency-groups", {}).values()
+    ]
+    names = {re.split(r"[\s\[<>=!~;@]", requirement, maxsplit=1)[0] for group in groups for requirement in group}
+    return {normalised(name) for name in names} - {"vibrocast"}
+
+
+def licences_by_package() -> dict[str, str]:
+    """Return what the page states as the licence of each package that has a row of its own."""
+    rows = re.findall(r"^\| `([\w.-]+)` \| ([^|]+) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    return {normalised(name): licence.strip() for name, licence in rows}
+
+
+@pytest.mark.parametrize("package", sorted(dependencies()))
+def test_every_dependency_has_its_licence_on_the_page(package: str) -> None:
+    assert licences_by_package().get(package), f"add a row for {package} to {PAGE.relative_to(ROOT)}"
+
+
+def test_the_page_names_what_is_under_the_gpl() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for name in ("x264", "x265", "QEMU", "LGPL-2.1"):
+        assert name in text
+    assert "GPL-2.0" in licences_by_package()["unicorn"]
+
+
+def test_the_licence_is_apache_2_of_the_authors() -> None:
+    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert "Apache License\n                           Version 2.0, January 2004" in text
+    assert re.search(r"^   Copyright \d{4} the vibrocast authors$", text, re.MULTILINE)
+    assert "[name of copyright owner]" not in text
+    project = PROJECT["project"]
+    assert project["license"] == "Apache-2.0"
+    assert project["license-files"] == ["LICENSE"]
+    assert project["authors"] == [{"name": "the vibrocast authors"}]
+
+
+def test_the_citation_agrees_with_the_project() -> None:
+    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    stated = dict(line.split(": ", 1) for line in lines if re.match(r"[a-z-]+: ", line))
+    assert stated["cff-version"] == "1.2.0"
+    assert stated["title"] == PROJECT["project"]["name"]
+    assert stated["version"] == PROJECT["project"]["version"]
+    assert stated["license"] == PROJECT["project"]["license"]
+    assert "  - name: the vibrocast authors" in lines
+
+
+def test_the_changelog_has_this_version_or_says_that_none_is_published() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^## \[(.+?)\]", text, re.MULTILINE)
+    version = PROJECT["project"]["version"]
+    assert headings[0] == "Unreleased"
+    assert headings[1] == version if len(headings) > 1 else f"`pyproject.toml` states {version}," in text
