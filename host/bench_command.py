@@ -89,7 +89,7 @@ def bench(
     fresh: bool,
     **options: Any,
 ) -> None:
-    """Measure codecs, and trained models of theirs, on every recording of FOLDER.
+    """Measure codecs and trained models on every recording of FOLDER.
 
     Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
     the exit code is 1.

@@ -61,7 +61,7 @@ def export(
     data_folder: Path,
     training_command: str | None,
 ) -> None:
-    """Make a trained model ready for use: ONNX graphs, model image and card, in a folder.
+    """Write a folder with ONNX graphs, model image and card of a trained model.
 
     The data that it was trained on prepare its integers and tables; what was held back is what its card measures it on.
     The folder is written whole or not at all; one that holds a model is replaced.

@@ -76,7 +76,7 @@ def live(
     model: models.Model | None,
     **choices: Any,
 ) -> None:
-    """Stream a live SOURCE: raw samples from standard input (-), as they come, or a generated texture.
+    """Stream a live SOURCE: a generated texture, or raw samples from standard input (-).
 
     Raw samples are little-endian, channels interleaved; 32767 in int16 and 1.0 in float32 stand for --full-scale.
     A rate counts all that goes over the link, and falls with what the link carries.

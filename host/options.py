@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from vibrocast import codec, models, textures
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import coding, devices
 
@@ -145,11 +146,33 @@ recording_options = options(
     click.option("--hand-speed-mm-s", type=POSITIVE, help="Speed of the hand over a height profile."),
 )
 
-device_option = click.option(
-    "--device",
-    "address",
-    callback=checked_address,
-    default="sim",
-    show_default=True,
-    help=f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
+runtime_option = click.option(
+    "--runtime",
+    type=click.Choice(codec.RUNTIMES),
+    help="Decode by the integer core or by ONNX Runtime, where the model can be decoded by either; else as it says.",
 )
+quality_options = options(
+    codec_option,
+    click.option("--rate-bps", type=POSITIVE, help="Size of the whole coded file, in bits per second of signal."),
+    click.option(
+        "--snr-db", type=Finite(), help=f"Signal-to-noise ratio; {coding.DEFAULT_SNR_DB:g} if neither is given."
+    ),
+    click.option(
+        "--stream-rate-hz",
+        type=click.IntRange(1, MAX_RATE_HZ),
+        default=coding.DEFAULT_STREAM_RATE_HZ,
+        show_default=True,
+        help="Sample rate of the coded stream.",
+    ),
+    setting_option,
+    model_option,
+)
+
+
+def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of the quality group out of all choices; return them as `coding.encode` takes them."""
+    names = ("codec_name", "rate_bps", "snr_db", "setting", "model", "stream_rate_hz")
+    quality = {name: choices.pop(name) for name in names}
+    if quality["rate_bps"] is not None and quality["snr_db"] is not None:
+        raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
+    return quality

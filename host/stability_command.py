@@ -27,10 +27,10 @@ from vibrocast.models import ModelError
 def stability(
     out: Path, names: str | None, model_folders: tuple[Path, ...], peers_edge: Path | None, quick: bool
 ) -> None:
-    """Map where each codec holds and where it fails: stability.md, and pictures with their data in stability/.
+    """Map where each codec holds and where it fails.
 
-    Signals, settings, transport, speed of the hand, actuator, and trained models. What fails is a result: the maps
-    show it.
+    Writes stability.md, and pictures with their data in stability/. The maps cover signals, settings, transport, speed
+    of the hand, actuator and trained models. A failure is a result: the maps show it.
     """
     from vibrocast.evaluation import trained
     from vibrocast.evaluation.cells import BenchError

@@ -34,9 +34,10 @@ NEEDS_TRAINING = 'this needs what trains models: pip install "vibrocast[training
 def train(
     config: Path, data_folder: Path | None, out: Path, resume: bool, threads: int | None, scheduler: str | None
 ) -> None:
-    """Train a model as CONFIG says; examples/eva-16.toml is one.
+    """Train a model as CONFIG describes it.
 
-    OUT/NAME/best.pt is the checkpoint to export. A sweep runs its trainings side by side, each on one core.
+    examples/eva-16.toml is a CONFIG. OUT/NAME/best.pt is the checkpoint to export. A sweep runs its trainings side by
+    side, each on one core.
     """
     try:
         from vibrocast.export import configuration, training

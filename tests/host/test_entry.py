@@ -6,7 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
+
+from vibrocast.host.command_line import SUBCOMMANDS, main
 
 ROOT = Path(__file__).parents[2]
 
@@ -49,6 +52,13 @@ def test_help_loads_nothing_that_only_playing_needs() -> None:
     loaded = set(run(code, "--help").stdout.split())
     assert "vibrocast.host.command_line" in loaded
     assert loaded.isdisjoint({"matplotlib", "vibrocast.host.end_to_end", "vibrocast.simulated_device.controller"})
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_the_list_of_subcommands_shows_the_first_paragraph_of_each_help(name: str) -> None:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None and command.name == name
+    assert " ".join((command.help or "").split("\n\n")[0].split()) == SUBCOMMANDS[name].summary
 
 
 def test_prints_names_that_are_no_text(tmp_path: Path) -> None:
