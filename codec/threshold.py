@@ -71,7 +71,7 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
     if unit not in ("um", "m/s^2"):
         raise CodecError(
             "the detection threshold is one of displacement, which a signal relative to full scale does not state; "
-            "give --unit and --full-scale, or leave the threshold off"
+            "give `unit` and `full_scale`, or leave the threshold off"
         )
     nearest_hz = np.clip(frequency_hz, rows[0, 0], rows[-1, 0])
     displacement_um = 10 ** (np.interp(np.log(nearest_hz), np.log(rows[:, 0]), rows[:, 1]) / 20)

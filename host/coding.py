@@ -73,7 +73,7 @@ class Stream:
     def __post_init__(self) -> None:
         if self.image is not None and image_hash(self.image) != self.header.image_hash:
             raise codec.CodecError(
-                "the stream was not coded for this model image; leave out --model, or give the other"
+                "the stream was not coded for this model image; leave out `model`, or give the other"
             )
         decoder = self.decoder()
         if not self.packets or self.samples < 1:
@@ -145,7 +145,7 @@ class Stream:
         if self.header.image_hash:
             raise codec.CodecError(
                 f"the stream was coded for the model image {self.header.image_hash.hex()}, which is none of those that "
-                "ship; give its folder or its file with --model"
+                "ship; give its folder or its file as `model`"
             )
         return None
 
@@ -326,7 +326,7 @@ def first_in_reach(
         except codec.OutOfReach:
             if number + 1 == len(candidates):
                 raise
-    raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder with --model")
+    raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`")
 
 
 def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:

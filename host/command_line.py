@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import re
 import sys
 from collections.abc import Mapping
 from typing import Any, NamedTuple, NoReturn
@@ -113,11 +114,22 @@ class VibrocastCommand(click.Group):
         except Exception as error:
             if ctx.params["debug"]:
                 raise
-            raise explained(error) from error
+            command = self.get_command(ctx, ctx.invoked_subcommand or "")
+            raise explained(error, option_names(command)) from error
 
 
-def explained(error: Exception) -> click.ClickException:
-    """Return the exception that tells a person what went wrong and what to do, with its exit code."""
+def option_names(command: click.Command | None) -> dict[str, str]:
+    """Return the options of a subcommand by the parameters that the library's errors name."""
+    options = [option for parameter in (command.params if command else ()) for option in parameter.opts]
+    named = {option.removeprefix("--").replace("-", "_"): option for option in options if option.startswith("--")}
+    return {**named, "highpass_hz=None": "--keep-dc"}
+
+
+def explained(error: Exception, options: Mapping[str, str]) -> click.ClickException:
+    """Return the exception that tells a person what went wrong and what to do, with its exit code.
+
+    `options`: as of `option_names`; they take the place of parameters, which the library's errors put in backticks.
+    """
     # Only an error needs these modules; a subcommand has loaded most of them.
     from vibrocast import codec, models, textures
     from vibrocast.device_protocol.coded_stream import StreamError
@@ -139,7 +151,7 @@ def explained(error: Exception) -> click.ClickException:
         OSError,
         MemoryError,
     )
-    text = str(error)
+    text = re.sub("`([a-z_=A-Z]+)`", lambda quoted: options.get(quoted[1], quoted[0]), str(error))
     if isinstance(error, OSError) and error.errno in DISK_FULL:
         text = f"{error.filename or 'the output'}: {error.strerror}; make room, or write elsewhere"
     elif isinstance(error, OSError) and error.filename:

@@ -9,8 +9,10 @@ from typing import Any, TypeVar
 import click
 
 from vibrocast import models, textures
+from vibrocast.codec.threshold import TACTILE_BAND_HZ
 from vibrocast.host import coding, profiles, progress
 from vibrocast.host.plain import plain
+from vibrocast.host.report import Report
 
 _Argument = TypeVar("_Argument")
 
@@ -49,6 +51,7 @@ def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) 
 
 def encoded_profile(recording: textures.Recording, quality: dict[str, Any], slowest_mm_s: float) -> coding.Encoding:
     """Encode a height profile as a spatial stream, show how far it is, and say what was not met."""
+    del quality["highpass_hz"]  # heights keep their own rules
     if quality["rate_bps"] is not None or quality.pop("stream_rate_hz") != coding.DEFAULT_STREAM_RATE_HZ:
         raise click.UsageError("a profile has no time: give --snr-db and --slowest-hand-speed-mm-s instead of rates.")
     with progress.shown("encoding") as update:
@@ -56,6 +59,21 @@ def encoded_profile(recording: textures.Recording, quality: dict[str, Any], slow
     if encoding.note:
         click.echo(f"note: {encoding.note}", err=True)
     return encoding
+
+
+def told_quality(quality: coding.CodingQuality | Report) -> str:
+    """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words."""
+    if quality.snr_db is None:
+        told = "SNR not known (silent, without loss, or coded before)"
+    else:
+        told = f"SNR {quality.snr_db:.2f} dB"
+        if quality.tactile_snr_db is not None:
+            told += f" ({quality.tactile_snr_db:.2f} dB within {TACTILE_BAND_HZ[0]:g} to {TACTILE_BAND_HZ[1]:g} Hz)"
+    if quality.highpass_hz is None:
+        return told
+    return (
+        f"{told}, {100 * (quality.removed_energy or 0.0):.2g} % of the energy removed below {quality.highpass_hz:g} Hz"
+    )
 
 
 def show(facts: Mapping[str, object], as_json: bool = False) -> None:

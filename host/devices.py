@@ -102,7 +102,7 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
     if address not in FIRMWARE:
         return runtime
     if runtime == "onnx":
-        raise TransportError(f"{address} decodes by the integer core alone: leave out --runtime, or play on sim")
+        raise TransportError(f"{address} decodes by the integer core alone: leave out `runtime`, or play on sim")
     return "core"
 
 

@@ -194,11 +194,12 @@ def touch_of(actuator: Actuator, codes: Codes) -> Touch:
     return Touch(float(levels_db[loudest]), float(frequencies_hz[loudest]))
 
 
-def check_unit(stream: Stream, unit: str | None) -> None:
-    """Raise CodecError where nobody said how far a stream moves an actuator: neither its unit nor `unit` "drive"."""
-    if unit not in (None, "drive"):
-        raise CodecError(f"`unit` is {unit!r}, but a coded stream has its unit already; leave it out, or pass 'drive'")
-    if stream.header.unit == "full scale" and unit is None:
+def check_unit(stream_unit: str, unit: str | None) -> None:
+    """Raise CodecError where nobody said how far a signal in this unit moves an actuator.
+
+    `unit`: what the user says of it: "drive" for a signal in "full scale" that is the actuator's drive signal.
+    """
+    if stream_unit == "full scale" and unit != "drive":
         raise CodecError(
             "the signal does not state its unit, so how far it moves the actuator is unknown; encode it with `unit` "
             "(and `full_scale`), or pass `unit` drive to play it as the actuator's drive signal"

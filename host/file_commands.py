@@ -10,7 +10,7 @@ import click
 from vibrocast import codec, models, textures
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.host import coding, planned_command, profiles, progress, steered
-from vibrocast.host.command_steps import encoded, encoded_profile, files_of, refuse_overwriting, show
+from vibrocast.host.command_steps import encoded, encoded_profile, files_of, refuse_overwriting, show, told_quality
 from vibrocast.host.options import (
     INPUT,
     POSITIVE,
@@ -72,10 +72,9 @@ def encode(
 def tell_encoded(out: Path, encoding: coding.Encoding) -> None:
     """Write a .vct file, and tell its size and quality."""
     encoding.stream.save(out)
-    snr = "no SNR (silent)" if encoding.snr_db is None else f"SNR {encoding.snr_db:.2f} dB"
     stream = encoding.stream
     model = f", model {stream.model_name}" if stream.image else ""
-    click.echo(f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s, {snr}{model}")
+    click.echo(f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}, {told_quality(encoding)}")
 
 
 def encode_steered(recording: textures.Recording, out: Path, wish: steered.Wish, quality: dict[str, Any]) -> None:

@@ -24,6 +24,7 @@ from vibrocast.host.options import (
     OutputFile,
     codec_option,
     device_option,
+    highpass_of,
     model_option,
     setting_option,
 )
@@ -46,7 +47,8 @@ LONGEST_BLOCK_S = 0.01
 @click.option("--seconds", type=POSITIVE, default=10.0, show_default=True, help="Duration of a generated texture.")
 @click.option("--format", "sample_format", type=click.Choice(list(FORMATS)), default="int16", show_default=True)
 @click.option("--channels", type=click.IntRange(1, MAX_CHANNELS), default=1, show_default=True)
-@click.option("--unit", type=click.Choice(textures.UNITS), default="full scale", show_default=True)
+@click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of the samples; - needs it.")
+@click.option("--keep-dc", is_flag=True, help="Code the band below 20 Hz too: offset, gravity, drift.")
 @click.option("--full-scale", type=POSITIVE, default=1.0, show_default=True, help="Largest magnitude, in --unit.")
 @click.option(
     "--margin-ms",
@@ -67,7 +69,7 @@ def live(
     seconds: float,
     sample_format: str,
     channels: int,
-    unit: str,
+    unit: str | None,
     full_scale: float,
     margin_ms: float | None,
     report_path: Path | None,
@@ -88,8 +90,13 @@ def live(
         signal_format = streaming.live_format(rate_hz, texture.unit, peaks.tolist(), rms.tolist())
     elif sys.stdin is None:
         raise BadInput("standard input is closed: pipe samples into it, or name a texture")
+    elif unit is None:
+        raise click.UsageError("--unit is missing: state the unit of the samples, or drive for a drive signal.")
     else:
-        signal_format = streaming.live_format(rate_hz, unit, [full_scale] * channels)
+        stream_unit, factor = textures.INPUT_UNITS[unit]
+        full_scale *= factor
+        signal_format = streaming.live_format(rate_hz, stream_unit, [full_scale] * channels)
+    highpass_hz = highpass_of({**choices, "unit": unit})
     chosen = coding.chosen_codec(codec_name, model)
     if chosen.needs_model and model is None:
         model = coding.smallest_first(chosen)[0]
@@ -115,6 +122,8 @@ def live(
             blocks = (block for _, block in streaming.paced(stream, texture.samples, block_samples))
         else:
             blocks = raw_blocks(sample_format, channels, full_scale, block_samples)
+        if highpass_hz is not None and textures.is_vibration(signal_format.unit):
+            blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
 
         def tell(now: Status) -> None:
             update(0.0, f"{now.position / rate_hz:.1f} s  underruns {now.underruns}")

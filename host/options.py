@@ -164,15 +164,25 @@ quality_options = options(
         show_default=True,
         help="Sample rate of the coded stream.",
     ),
+    click.option(
+        "--keep-dc", is_flag=True, help=f"Code the band below {textures.HIGHPASS_HZ:g} Hz too: offset, gravity, drift."
+    ),
     setting_option,
     model_option,
 )
+
+
+def highpass_of(choices: dict[str, Any]) -> float | None:
+    """Take --keep-dc out of all choices; return the corner of the high-pass before coding, None = no high-pass."""
+    keep_dc = choices.pop("keep_dc")
+    return coding.highpass_of(choices.get("unit"), None if keep_dc else textures.HIGHPASS_HZ)
 
 
 def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
     """Take the options of the quality group out of all choices; return them as `coding.encode` takes them."""
     names = ("codec_name", "rate_bps", "snr_db", "setting", "model", "stream_rate_hz")
     quality = {name: choices.pop(name) for name in names}
+    quality["highpass_hz"] = highpass_of(choices)
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
     return quality

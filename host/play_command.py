@@ -9,13 +9,22 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from vibrocast import textures
-from vibrocast.host import coding, devices, planned_command, player, profiles, progress
-from vibrocast.host.command_steps import encoded, encoded_profile, files_of, needed, refuse_overwriting, show
+from vibrocast.host import actuators, coding, devices, planned_command, player, profiles, progress
+from vibrocast.host.command_steps import (
+    encoded,
+    encoded_profile,
+    files_of,
+    needed,
+    refuse_overwriting,
+    show,
+    told_quality,
+)
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.options import (
     INPUT,
     POSITIVE,
     BadInput,
+    Finite,
     OutputFile,
     device_option,
     plan_option,
@@ -24,11 +33,14 @@ from vibrocast.host.options import (
     recording_options,
     runtime_option,
 )
-from vibrocast.host.report import Report
+from vibrocast.host.report import Report, Touch
+from vibrocast.simulated_device.actuator import ACTUATORS
 
 if TYPE_CHECKING:
     from vibrocast.host import hand
 
+SILENT_DB = -200.0
+"""Re detection threshold: below it the output is at rest."""
 ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 
 
@@ -39,6 +51,13 @@ ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 @click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
 @click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
+@click.option("--gain-db", type=Finite(), default=0.0, show_default=True, help="Raise or lower the level.")
+@click.option(
+    "--actuator",
+    "actuator_name",
+    metavar="NAME|FILE.toml",
+    help=f"{', '.join(ACTUATORS)} or a TOML file: of a simulated controller, or the model of the real one.",
+)
 @runtime_option
 @quality_options
 @click.option("--positions", "positions_path", type=INPUT, help="CSV file of time_s,position_mm: a hand on a profile.")
@@ -54,6 +73,8 @@ def play(
     report_path: Path | None,
     plot_path: Path | None,
     runtime: str | None,
+    gain_db: float,
+    actuator_name: str | None,
     **choices: Any,
 ) -> None:
     """Play a recording or a .vct file on a controller.
@@ -73,15 +94,21 @@ def play(
     file = needed(file, "FILE")
     refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
     runtime = devices.decoding_runtime(address, runtime)
+    actuator = None if actuator_name is None else actuators.find(actuator_name)
     if positions_path or stroke_mm:
         if report_path:
             raise click.UsageError("a profile under a hand has no report: drop --report.")
+        if gain_db or actuator:
+            raise click.UsageError("a profile under a hand has its own level and actuator: drop --gain-db, --actuator.")
         from vibrocast.host import hand
 
         movement = hand.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
         play_profile(file, address, movement, plot_path, runtime, choices)
         return
+    unit = choices["unit"]
     if file.suffix.lower() == ".vct":
+        if unit == "drive":
+            choices["unit"] = None
         coded = coded_already(file, choices)
         if coded.header.spatial:
             raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
@@ -89,7 +116,8 @@ def play(
     else:
         quality = quality_of(choices)
         source = textures.load(file, **choices)
-    with devices.connect(address, runtime) as controller:
+    end_to_end.check_unit(source.header.unit if isinstance(source, coding.Stream) else source.unit, unit)
+    with devices.connect(address, runtime, actuator) as controller:
         # What the controller cannot play need not be encoded first.
         if isinstance(source, coding.Stream):
             player.check_limits(controller, source.header.channels, source.header.rate_hz)
@@ -100,12 +128,24 @@ def play(
             stream = encoding.stream
         with progress.shown("playing") as update:
             tell = playing(update, stream.bits_per_second)
-            outcome = end_to_end.play(controller, address, file.name, stream, encoding, loops, tell)
+            outcome = end_to_end.play(
+                controller,
+                address,
+                file.name,
+                stream.with_gain(gain_db),
+                encoding,
+                loops,
+                tell,
+                actuator=actuator if address in devices.WITH_ANY_ACTUATOR else None,
+                skin_model=actuator,
+            )
     if report_path:
         outcome.report.write(report_path)
     if plot_path:
         picture.draw(plot_path, f"{file.name} on {address}", outcome.caption, outcome.traces)
     show(summary(outcome.report))
+    if outcome.report.touch.level_db <= 0:
+        click.echo("warning: nobody would feel this: raise --gain-db, or check --unit and --full-scale", err=True)
     if False in (outcome.report.decoded_equals_offline, outcome.report.dac_equals_offline):
         raise ControllerError(
             "what the controller played is not what was sent: see the underruns and lost packets above, "
@@ -158,7 +198,7 @@ def play_profile(
 def coded_already(file: Path, choices: dict[str, Any]) -> coding.Stream:
     """Read a .vct file to play, to which no option of the two groups applies but the model."""
     model = choices.pop("model")
-    given = [name for name, value in choices.items() if value not in (None, {}, coding.DEFAULT_STREAM_RATE_HZ)]
+    given = [name for name, value in choices.items() if value not in (None, {}, False, coding.DEFAULT_STREAM_RATE_HZ)]
     if given:
         raise click.UsageError(f"{file} is coded already: drop --{given[0].removesuffix('_name').replace('_', '-')}.")
     return coding.read(file, model.image if model else None)
@@ -178,6 +218,14 @@ def playing(update: progress.Update, bits_per_second: float) -> Callable[[player
     return tell
 
 
+def told_touch(touch: Touch) -> str:
+    """Return how far the skin's vibration exceeds the detection threshold, in words."""
+    if touch.level_db > 0:
+        return f"peak {touch.level_db:+.0f} dB re detection threshold at {touch.frequency_hz:.0f} Hz"
+    level = f"peak {touch.level_db:.0f} dB at {touch.frequency_hz:.0f} Hz" if touch.level_db > SILENT_DB else "silence"
+    return f"nothing exceeds the detection threshold ({level})"
+
+
 def summary(report: Report) -> dict[str, object]:
     """Return the lines that `play` prints at its end."""
     latency, limits = report.latency_ms, report.actuator
@@ -186,13 +234,14 @@ def summary(report: Report) -> dict[str, object]:
         "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
         f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
         + (f", model {report.model}" if report.model else ""),
-        "SNR": "none" if report.snr_db is None else f"{report.snr_db:.2f} dB",
+        "quality": told_quality(report),
         "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
         f"{latency.end_to_end:.1f} ms to the skin",
         "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
         "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
         f"slew {limits.slew_limited}, power {limits.power_limited} samples",
+        "touch": told_touch(report.touch),
         "decoded as sent": ANSWERS[report.decoded_equals_offline],
         "DAC as computed": ANSWERS[report.dac_equals_offline],
     }

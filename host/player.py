@@ -139,7 +139,7 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
     if not limits.minimum_rate_hz <= rate_hz <= limits.maximum_rate_hz:
         raise StreamError(
             f"a stream of {rate_hz} Hz, the controller takes {limits.minimum_rate_hz} to {limits.maximum_rate_hz} Hz: "
-            "encode with another --stream-rate-hz"
+            "encode with another `stream_rate_hz`"
         )
 
 

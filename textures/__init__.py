@@ -2,7 +2,7 @@
 
 from vibrocast.textures.arrays import from_array
 from vibrocast.textures.files import AXES, load, load_profile, save_profile, save_wav
-from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass
+from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass, is_vibration
 from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
@@ -21,6 +21,7 @@ __all__ = [
     "TextureError",
     "from_array",
     "highpass",
+    "is_vibration",
     "load",
     "load_profile",
     "resample",

@@ -185,7 +185,7 @@ def _with_axis(contents: Contents, axis: str | None, path: Path) -> Contents:
 
 def scale_of(contents: Contents, unit: str | None, full_scale: float | None, path: Path) -> tuple[str, float]:
     """Return the unit of UNITS, and the factor that turns the file's numbers into it."""
-    given = None if unit is None else known_unit(unit, "--unit")
+    given = None if unit is None else known_unit(unit, "`unit`")
     if full_scale is not None and not (np.isfinite(full_scale) and full_scale > 0):
         raise TextureError(f"--full-scale {full_scale}: it must be positive")
     if contents.unit not in (None, "full scale") and (given not in (None, contents.unit) or full_scale is not None):

@@ -49,8 +49,8 @@ def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> H
         return HighPassed(recording, None, 0.0)
     if not 0 < highpass_hz < recording.rate_hz / 2:
         raise TextureError(
-            f"{recording.name}: highpass_hz is {highpass_hz:g}; it must lie between 0 and half of the sample rate, "
-            f"{recording.rate_hz / 2:g} Hz. Pass None (--keep-dc) to keep the whole band"
+            f"{recording.name}: at {recording.rate_hz:g} Hz no high-pass of {highpass_hz:g} Hz is possible; give one "
+            f"between 0 and {recording.rate_hz / 2:g} Hz, or keep the whole band with `highpass_hz=None`"
         )
     from scipy import signal
 
@@ -75,7 +75,7 @@ class LiveHighPass:
 
     def __init__(self, rate_hz: float, highpass_hz: float = HIGHPASS_HZ) -> None:
         if not 0 < highpass_hz < rate_hz / 2:
-            raise TextureError(f"highpass_hz is {highpass_hz:g}; it must lie between 0 and {rate_hz / 2:g} Hz")
+            raise TextureError(f"at {rate_hz:g} Hz no high-pass of {highpass_hz:g} Hz is possible; give another")
         from scipy import signal
 
         self._sections = signal.butter(LIVE_ORDER, highpass_hz, "highpass", fs=rate_hz, output="sos")

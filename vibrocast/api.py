@@ -133,7 +133,7 @@ def render(
     (ValueError).
     """
     chosen = _stream(stream, None)
-    end_to_end.check_unit(chosen, unit)
+    end_to_end.check_unit(chosen.header.unit, unit)
     return end_to_end.at_the_skin(chosen.with_gain(gain_db), _actuator(actuator))
 
 
@@ -159,7 +159,7 @@ class Connection:
         the controller cannot play, ControllerError or TransportError where the device fails.
         """
         chosen = _stream(stream, None)
-        end_to_end.check_unit(chosen, unit)
+        end_to_end.check_unit(chosen.header.unit, unit)
         name = str(stream) if isinstance(stream, str | Path) else "stream"
         simulated = self._address in devices.WITH_ANY_ACTUATOR
         outcome = end_to_end.play(

@@ -1,0 +1,127 @@
+"""The public API: plain arrays and bytes in and out."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vibrocast
+
+RATE_HZ = 2800
+TIMES_S = np.arange(RATE_HZ) / RATE_HZ
+TEXTURE = np.sin(2 * np.pi * 150 * TIMES_S) + 0.3 * np.random.default_rng(0).normal(size=RATE_HZ)
+
+
+def test_encodes_stores_decodes_measures_and_plays(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stream = vibrocast.encode(TEXTURE, rate_hz=RATE_HZ, unit="m/s^2", snr_db=15)
+    data = bytes(stream)
+    assert vibrocast.Stream.from_bytes(data) == stream
+    stream.save(tmp_path / "wood.vct")
+    decoded = vibrocast.decode(data)
+    for source in (stream, tmp_path / "wood.vct", str(tmp_path / "wood.vct")):
+        np.testing.assert_array_equal(vibrocast.decode(source).samples, decoded.samples)
+    assert (decoded.samples.shape, decoded.rate_hz, decoded.unit) == ((RATE_HZ, 1), RATE_HZ, "m/s^2")
+    quality = vibrocast.measure(TEXTURE[:, None], decoded.samples, rate_hz=RATE_HZ, unit="m/s^2")
+    assert quality.snr_db == pytest.approx(15, abs=0.3)
+    skin = vibrocast.render(stream, actuator="piezo-stack")
+    assert skin.unit == "um" and skin.seconds == pytest.approx(1.0)
+    with vibrocast.connect("sim") as controller:
+        report = controller.play(stream)
+        assert controller.status()["hardware"]
+    assert stream.quality is not None
+    assert report.dac_equals_offline and report.snr_db == stream.quality.snr_db
+    assert capfd.readouterr() == ("", ""), "a library prints nothing"
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.longdouble, np.int8, np.int16, np.int32])
+def test_takes_every_real_dtype(dtype: Any) -> None:
+    values = (100 * TEXTURE / np.max(np.abs(TEXTURE))).astype(dtype)
+    decoded = vibrocast.decode(vibrocast.encode(values, RATE_HZ, "m/s^2", snr_db=20))
+    assert vibrocast.measure(values, decoded.samples[:, 0], RATE_HZ, "m/s^2").snr_db == pytest.approx(20, abs=0.5)
+
+
+def test_takes_lists_channels_and_recordings() -> None:
+    two = np.stack([TEXTURE, -TEXTURE], axis=1)
+    recording = vibrocast.decode(vibrocast.encode(two.tolist(), RATE_HZ, "g"))
+    assert recording.channels == 2
+    assert np.max(recording.samples) == pytest.approx(9.80665 * np.max(np.abs(TEXTURE)), rel=0.2)
+    assert vibrocast.encode(recording, codec="dct", snr_db=10).codec_name == "dct"
+
+
+@pytest.mark.parametrize("added", [9.81, -200.0, 30 * TIMES_S], ids=["gravity", "offset", "drift"])
+def test_an_offset_or_drift_does_not_change_the_quality(added: Any) -> None:
+    clean, moved = (vibrocast.encode(TEXTURE + part, RATE_HZ, "m/s^2", snr_db=15) for part in (0.0, added))
+    assert clean.quality is not None and moved.quality is not None
+    assert moved.quality.snr_db == pytest.approx(clean.quality.snr_db, abs=0.01)
+    assert moved.quality.tactile_snr_db == pytest.approx(clean.quality.tactile_snr_db, abs=0.01)
+    assert moved.quality.removed_energy > 0.9 > 0.1 > clean.quality.removed_energy
+    measured = vibrocast.measure(TEXTURE + added, vibrocast.decode(moved).samples[:, 0], RATE_HZ, "m/s^2")
+    assert measured.snr_db == pytest.approx(15, abs=0.3)
+
+
+def test_the_whole_band_is_kept_on_request() -> None:
+    stream = vibrocast.encode(TEXTURE + 9.81, RATE_HZ, "m/s^2", highpass_hz=None, snr_db=15)
+    assert np.mean(vibrocast.decode(stream).samples) == pytest.approx(9.81, rel=0.2)
+    drive = vibrocast.encode(TEXTURE / 10 + 0.5, RATE_HZ, "drive", snr_db=30)
+    assert np.mean(vibrocast.decode(drive).samples) == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_signal_of_unknown_size_is_no_silent_guess() -> None:
+    stream = vibrocast.encode(TEXTURE / 10, RATE_HZ)
+    with pytest.raises(ValueError, match="`unit` drive"):
+        vibrocast.render(stream)
+    with vibrocast.connect("sim") as controller, pytest.raises(ValueError, match="`unit` drive"):
+        controller.play(stream)
+    assert np.max(vibrocast.render(stream, unit="drive").samples) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((TEXTURE,), "`rate_hz` is missing"),
+        ((TEXTURE, RATE_HZ, "bar"), "unknown unit 'bar'"),
+        ((TEXTURE[None, None], RATE_HZ), r"shape \(1, 1, 2800\)"),
+        ((TEXTURE + 1j, RATE_HZ), "complex128"),
+        ((["a"], RATE_HZ), "store integers or floats"),
+        (([[1.0], [1.0, 2.0]], RATE_HZ), "no array of numbers"),
+        ((np.full(100, np.nan), RATE_HZ), "sample 0 of channel 0 is nan"),
+        ((np.zeros(0), RATE_HZ), "holds no samples"),
+        ((TEXTURE, -1.0), "sample rate -1 Hz"),
+        ((TEXTURE, 30.0), "highpass_hz=None"),
+    ],
+)
+def test_errors_name_the_parameter(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as raised:
+        vibrocast.encode(*arguments)
+    assert "--" not in str(raised.value)
+
+
+def test_damaged_bytes_are_an_error() -> None:
+    data = bytes(vibrocast.encode(TEXTURE, RATE_HZ))
+    for damaged in (b"", data[:-1], data[:20] + bytes((data[20] ^ 1,)) + data[21:]):
+        with pytest.raises(ValueError, match=r"stream|vct"):
+            vibrocast.decode(damaged)
+
+
+def test_level_and_actuator_are_your_own(tmp_path: Path) -> None:
+    stream = vibrocast.encode(TEXTURE, RATE_HZ, "m/s^2", snr_db=15)
+    quiet, loud = (vibrocast.render(stream, gain_db=gain_db).samples for gain_db in (-6.0, 0.0))
+    assert np.std(loud) / np.std(quiet) == pytest.approx(10 ** (6 / 20), rel=0.01)
+    (tmp_path / "mine.toml").write_text('name = "mine"\nmodel = "lra"\ncorner_hz = 160\n')
+    with vibrocast.connect("sim", actuator=tmp_path / "mine.toml") as controller:
+        report = controller.play(stream, gain_db=-20)
+    assert report.actuator.name == "mine" and report.dac_equals_offline
+    for text, message in (("corner_hz = 1", "is missing"), ('model = "lra"\ncolour = 1', "colour"), ("[[", r"no|not a")):
+        (tmp_path / "bad.toml").write_text(text)
+        with pytest.raises(ValueError, match=message):
+            vibrocast.render(stream, tmp_path / "bad.toml")
+    with pytest.raises(ValueError, match="no actuator of that name"):
+        vibrocast.render(stream, "piezo")
+
+
+def test_lists_codecs_and_its_own_names() -> None:
+    assert {"mdct", "dct", "eva"} <= set(vibrocast.codecs())
+    assert set(vibrocast.__all__) <= set(dir(vibrocast))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        vibrocast.__getattr__("nothing")
