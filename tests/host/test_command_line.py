@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -148,7 +149,7 @@ def test_play_loops_over_several_channels(tmp_path: Path) -> None:
 def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
     path, report_path = tmp_path / "extreme.wav", tmp_path / "report.json"
     soundfile.write(path, np.full((samples, 1), level), RATE_HZ, subtype="FLOAT")
-    succeeds("play", path, "--report", report_path, "--plot", tmp_path / "plot.png")
+    succeeds("play", path, "--unit", "drive", "--report", report_path, "--plot", tmp_path / "plot.png")
     report = json.loads(report_path.read_text())
     assert report["dac_equals_offline"] is True
     assert (report["snr_db"] is None) == (level == 0)
@@ -171,7 +172,7 @@ def test_plays_a_height_profile_at_a_hand_speed() -> None:
 
 def test_encode_info_decode(texture: Path, tmp_path: Path) -> None:
     coded_path, wav_path = tmp_path / "out.vct", tmp_path / "out.wav"
-    assert "SNR " in succeeds("encode", texture, coded_path, "--snr-db", 30)
+    assert "SNR " in succeeds("encode", texture, coded_path, "--snr-db", 30, "--keep-dc")
     facts = json.loads(succeeds("info", coded_path, "--json"))
     assert (facts["codec"], facts["rate_hz"], facts["unit"], facts["samples"]) == ("mdct", RATE_HZ, "m/s^2", 560)
     assert facts["size_bytes"] == coded_path.stat().st_size
@@ -271,7 +272,7 @@ def test_a_model_of_ones_own_is_named_by_its_file(texture: Path, tmp_path: Path)
     own.write_bytes(ModelImage(1, "own", "1", "", shipped.tables).pack())
     succeeds("encode", texture, coded_path, "--model", own)
     for command in (("decode", coded_path, tmp_path / "out.wav"), ("play", coded_path)):
-        assert "give its folder or its file with --model" in fails(2, *command)
+        assert "give its folder or its file as --model" in fails(2, *command)
         succeeds(*command, "--model", own)
     assert "not coded for" in fails(2, "decode", coded_path, tmp_path / "out.wav", "--model", "mdct-textures")
     assert json.loads(succeeds("info", coded_path, "--json"))["model"] is None
@@ -396,7 +397,7 @@ def test_names_the_controllers_limits_before_encoding(
     succeeds("encode", wide, coded)
     monkeypatch.setattr("vibrocast.host.coding.encode", None)
     for path in (wide, coded):
-        assert "16 channels, the controller has 8" in fails(2, "play", path)
+        assert "16 channels, the controller has 8" in fails(2, "play", path, "--unit", "drive")
     assert "100 to 48000 Hz" in fails(2, "play", texture, "--stream-rate-hz", 99)
 
 
@@ -524,3 +525,31 @@ def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monk
 )
 def test_encodes_every_kind_of_shared_recording(name: str, options: tuple[object, ...], tmp_path: Path) -> None:
     assert "SNR 1" in succeeds("encode", SHARED / name, tmp_path / "out.vct", *options)
+
+
+def test_play_asks_for_the_unit_of_a_file_that_states_none(tmp_path: Path) -> None:
+    plain, coded_path = tmp_path / "plain.wav", tmp_path / "plain.vct"
+    soundfile.write(plain, 0.1 * np.random.default_rng(0).normal(size=560), RATE_HZ)
+    succeeds("encode", plain, coded_path)
+    for path in (plain, coded_path):
+        assert "encode it with --unit (and --full-scale), or pass --unit drive" in fails(2, "play", path)
+        assert "re detection threshold" in succeeds("play", path, "--unit", "drive")
+
+
+def test_an_offset_does_not_change_the_quality(texture: Path, tmp_path: Path) -> None:
+    moved, recording = tmp_path / "moved.wav", textures.load(texture)
+    textures.save_wav(moved, replace(recording, samples=recording.samples + 9.81), sixteen_bit=False)
+    told = [succeeds("encode", path, tmp_path / "out.vct", "--snr-db", 15) for path in (texture, moved)]
+    figures = [re.search(r"SNR (\S+) dB .* (\S+) % of the energy removed below 20 Hz", text) for text in told]
+    assert figures[0] and figures[1]
+    assert figures[0][1] == figures[1][1] and float(figures[1][2]) > 98 > float(figures[0][2])
+    assert "removed" not in succeeds("encode", moved, tmp_path / "out.vct", "--keep-dc")
+
+
+def test_level_and_actuator_are_your_own(texture: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\nmodel = "voice-coil"\ncorner_hz = 80\n')
+    loud = succeeds("play", texture, "--actuator", tmp_path / "mine.toml")
+    assert re.search(r"touch +peak \+\d+ dB re detection threshold", loud) and "mine, clipped" in loud
+    quiet = vibrocast("play", texture, "--gain-db", -80)
+    assert "nothing exceeds the detection threshold" in quiet.stdout and "raise --gain-db" in quiet.stderr
+    assert "no actuator of that name" in fails(2, "play", texture, "--actuator", "none")

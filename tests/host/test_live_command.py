@@ -31,17 +31,23 @@ def test_raw_samples_are_streamed_to_their_end(name: str, kind: str) -> None:
 
 
 def test_no_sample_is_no_error() -> None:
-    assert run("-").exit_code == 0
+    assert run("-", "--unit", "drive").exit_code == 0
+
+
+def test_the_unit_of_raw_samples_is_asked_for() -> None:
+    result = run("-")
+    assert result.exit_code == 2
+    assert "--unit is missing" in result.output
 
 
 def test_a_recording_that_is_piped_in_is_refused() -> None:
-    result = run("-", data=bytes(2 * 2800 * 120))
+    result = run("-", "--unit", "g", data=bytes(2 * 2800 * 120))
     assert result.exit_code == 2
     assert "a live one keeps its rate" in result.output
 
 
 def test_samples_that_are_no_numbers_are_refused() -> None:
-    result = run("-", "--format", "float32", data=np.full(800, np.nan, "<f4").tobytes())
+    result = run("-", "--unit", "m/s^2", "--format", "float32", data=np.full(800, np.nan, "<f4").tobytes())
     assert result.exit_code == 2
     assert "NaN" in result.output
 
