@@ -1,6 +1,7 @@
-"""Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
+"""Recordings and height profiles in and out: files, data sets, units, resampling; and a texture generator."""
 
-from vibrocast.textures.files import AXES, load, load_profile, save_profile, save_wav
+from vibrocast.textures.axes import AXES, REDUCTIONS
+from vibrocast.textures.files import SAVED_SUFFIXES, load, load_profile, save, save_profile
 from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
@@ -10,6 +11,8 @@ __all__ = [
     "AXES",
     "GENERATORS",
     "INPUT_UNITS",
+    "REDUCTIONS",
+    "SAVED_SUFFIXES",
     "UNITS",
     "Profile",
     "Recording",
@@ -17,8 +20,8 @@ __all__ = [
     "load",
     "load_profile",
     "resample",
+    "save",
     "save_profile",
-    "save_wav",
     "surface_profile",
     "varying_speed",
 ]

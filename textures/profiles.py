@@ -52,6 +52,6 @@ class Profile:
         TextureError on a speed that is not positive.
         """
         if not np.isfinite(hand_speed_mm_s) or hand_speed_mm_s <= 0:
-            raise TextureError(f"hand speed {hand_speed_mm_s} mm/s; it must be positive (--hand-speed-mm-s)")
+            raise TextureError(f"hand speed {hand_speed_mm_s} mm/s; it must be positive (hand_speed_mm_s)")
         rate_hz = 1000 * hand_speed_mm_s / self.spacing_um
         return Recording(self.without_form().reshape(-1, 1), rate_hz, "um", self.name)
