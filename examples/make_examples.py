@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vibrocast.textures import Recording, save_profile, save_wav
+from vibrocast.textures import Recording, save, save_profile
 from vibrocast.textures.generate import ridges, rough, rough_profile, taps, varying_speed, wood
 
 RATE_HZ = 2800.0
@@ -16,10 +16,14 @@ FINGER_DISTANCE_S = 0.25  # two fingertips 15 mm apart, moved at 60 mm/s
 def make_examples(folder: Path) -> None:
     """Write every example into `folder`."""
     hand = varying_speed(SECONDS, RATE_HZ, mean_mm_s=60, variation=0.6, period_s=1.6)
-    save_wav(folder / "oak.wav", wood(1, SECONDS, hand, RATE_HZ))
-    save_wav(folder / "cloth_two_fingers.wav", two_fingers())
-    save_wav(folder / "sandpaper.wav", rough(3, SECONDS, 60.0, RATE_HZ, hurst=0.3, roll_off_mm=0.4, rms_um=6))
-    save_wav(folder / "taps.wav", taps(4, SECONDS, 50.0, RATE_HZ))
+    save(folder / "oak.wav", wood(1, SECONDS, hand, RATE_HZ), sixteen_bit=True)
+    save(folder / "cloth_two_fingers.wav", two_fingers(), sixteen_bit=True)
+    save(
+        folder / "sandpaper.wav",
+        rough(3, SECONDS, 60.0, RATE_HZ, hurst=0.3, roll_off_mm=0.4, rms_um=6),
+        sixteen_bit=True,
+    )
+    save(folder / "taps.wav", taps(4, SECONDS, 50.0, RATE_HZ), sixteen_bit=True)
     save_profile(folder / "leather_profile.csv", rough_profile(5, length_mm=8.0, spacing_um=4.0, rms_um=6.0))
 
 

@@ -69,6 +69,7 @@ class FolderSource:
     unit: str | None = None
     full_scale: float | None = within(1e-12, 1e12, None)
     axis: str | None = None
+    reduce: str | None = None
     hand_speed_mm_s: float | None = within(1e-3, 1e4, None)
 
     @property
@@ -79,7 +80,8 @@ class FolderSource:
     @property
     def options(self) -> dict[str, Any]:
         """What `textures.load` is told of every recording."""
-        return {name: getattr(self, name) for name in ("rate_hz", "unit", "full_scale", "axis", "hand_speed_mm_s")}
+        names = ("rate_hz", "unit", "full_scale", "axis", "reduce", "hand_speed_mm_s")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True)

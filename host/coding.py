@@ -16,6 +16,7 @@ from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.host.input_files import read_input
 from vibrocast.host.output_files import whole_file
+from vibrocast.textures.memory import shortage
 
 Made = TypeVar("Made")
 
@@ -161,9 +162,12 @@ class Stream:
     def decode_integers(self, progress: Callable[[float], None] | None = None) -> NDArray[np.int16]:
         """Return what a controller decodes: int16 (packets * packet_samples, channels).
 
-        `progress` is called with the part done, from 0 to 1. Raises CodecError.
+        `progress` is called with the part done, from 0 to 1. Raises CodecError, and StreamError where memory lacks.
         """
         header = self.header
+        # As integers and, when all are there, as float64 in the header's unit.
+        if lack := shortage(self.samples * header.channels * (2 + 8)):
+            raise StreamError(f"decoding {self.samples} samples {lack}")
         decoder = codec.decoder(
             header.codec_identifier, header.configuration, header.channels, self.tables, self.runtime
         )
@@ -177,7 +181,7 @@ class Stream:
     def decode(self, progress: Callable[[float], None] | None = None) -> NDArray[np.float64]:
         """Return float64 (samples, channels) in the header's unit, the codec's delay removed.
 
-        `progress` as in `decode_integers`. Raises CodecError.
+        `progress` as in `decode_integers`. Raises as that.
         """
         start = self.decoder().delay_samples
         integers = self.decode_integers(progress)[start : start + self.samples]
@@ -490,19 +494,20 @@ def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] 
     return profile
 
 
-def write_wav(path: Path, stream: Stream, sixteen_bit: bool, progress: Callable[[float], None] | None = None) -> float:
-    """Decode a stream into a WAV file; return the physical value, in the header's unit, of 1.0 in that file.
+def write_recording(
+    path: Path, stream: Stream, sixteen_bit: bool = False, progress: Callable[[float], None] | None = None
+) -> float:
+    """Decode a stream into a file of any format that `textures.save` writes, and return its full scale as that does.
 
-    As 32-bit float the file holds the physical values exactly. `progress` as in `Stream.decode`. Raises StreamError for
-    a height profile, CodecError, TextureError or OSError.
+    `progress` as in `Stream.decode`. Raises StreamError for a height profile, CodecError, TextureError or OSError.
     """
     recording = stream.recording(path.stem, progress)
     with whole_file(path) as partial:
         try:
-            return textures.save_wav(partial, recording, sixteen_bit)
+            return textures.save(partial, recording, sixteen_bit)
         except textures.TextureError as error:
-            # It names the partial file, and libsndfile keeps to itself what was wrong.
-            raise textures.TextureError(f"{path}: cannot be written; make room, or write elsewhere") from error
+            # It names the partial file.
+            raise textures.TextureError(str(error).replace(str(partial), str(path))) from error
 
 
 def _finite(ratio_db: float | None) -> float | None:

@@ -29,7 +29,9 @@ SUBCOMMANDS: Mapping[str, Subcommand] = {
     "codecs": Subcommand("file_commands", "codecs", "List the codecs and the parameters of their settings."),
     "conformance": Subcommand("conformance_command", "conformance", "Test a controller against docs/protocol.md."),
     "decode": Subcommand(
-        "file_commands", "decode", "Decode a .vct file into a WAV file, or a height profile into a CSV file."
+        "file_commands",
+        "decode",
+        "Decode a .vct file into a WAV, CSV, NPY or MAT file, or a height profile into a CSV file.",
     ),
     "devices": Subcommand("device_commands", "list_devices", "List what may be a controller."),
     "encode": Subcommand(

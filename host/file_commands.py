@@ -124,27 +124,38 @@ def codecs(as_json: bool) -> None:
 
 @click.command()
 @click.argument("file", type=INPUT)
-@click.argument("out", type=OutputFile(".wav", ".csv"))
-@click.option("--format", "sample_format", type=click.Choice(("float", "16-bit")), default="float", show_default=True)
+@click.argument("out", type=OutputFile(*textures.SAVED_SUFFIXES))
+@click.option(
+    "--format",
+    "sample_format",
+    type=click.Choice(("float", "16-bit")),
+    default="float",
+    show_default=True,
+    help="Choose the samples of a WAV file.",
+)
 @model_option
 @runtime_option
 def decode(file: Path, out: Path, sample_format: str, model: models.Model | None, runtime: str | None) -> None:
-    """Decode a .vct file into a WAV file, or a height profile into a CSV file.
+    """Decode a .vct file into a WAV, CSV, NPY or MAT file, or a height profile into a CSV file.
 
-    As float it holds physical values, exactly as decoded; as 16-bit it is relative to a full scale. The file states
-    its unit and full scale in its comment, from which this program knows them again.
+    The file holds physical values, exactly as decoded; a WAV file of 16 bit is relative to a full scale. All but NPY
+    state rate and unit, from which this program knows them again.
     """
+    sixteen_bit = sample_format == "16-bit"
+    if sixteen_bit and out.suffix.lower() != ".wav":
+        raise click.UsageError("--format is for a WAV file; drop it.")
     refuse_overwriting([out], [file, *files_of(model)])
     stream = replace(coding.read(file, model.image if model else None), runtime=runtime)
-    if out.suffix.lower() == ".csv":
+    if stream.header.spatial and out.suffix.lower() == ".csv":
         with progress.shown("decoding") as update:
             profile = coding.write_profile(out, stream, progress=update)
         click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
         return
     with progress.shown("decoding") as update:
-        full_scale = coding.write_wav(out, stream, sixteen_bit=sample_format == "16-bit", progress=update)
+        full_scale = coding.write_recording(out, stream, sixteen_bit, progress=update)
     header = stream.header
-    click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, 1.0 is {full_scale:g} {header.unit}")
+    unit = f"1.0 is {full_scale:g} {header.unit}" if out.suffix.lower() == ".wav" else f"in {header.unit}"
+    click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, {unit}")
 
 
 @click.command()
@@ -189,5 +200,5 @@ def generate(kind: str, out: Path, speed_variation: float, **choices: Any) -> No
         )
     recording = textures.GENERATORS[kind](**choices)
     with whole_file(out) as partial:
-        full_scale = textures.save_wav(partial, recording)
+        full_scale = textures.save(partial, recording, sixteen_bit=True)
     click.echo(f"{out}: {recording.seconds:.3f} s at {recording.rate_hz:g} Hz, 1.0 is {full_scale:g} {recording.unit}")

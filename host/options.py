@@ -136,14 +136,25 @@ plan_option = click.option(
 )
 
 recording_options = options(
-    click.option("--rate-hz", type=POSITIVE, help="Sample rate, where the file does not state it."),
+    click.option("--rate-hz", type=POSITIVE, help="Give the sample rate, if the file does not state it."),
     click.option(
-        "--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit, where the file does not state it."
+        "--unit",
+        type=click.Choice(list(textures.INPUT_UNITS)),
+        help="Give the unit, if the file does not state it; drive: the actuator's drive signal.",
     ),
-    click.option("--full-scale", type=POSITIVE, help="Value of 1.0 of a WAV file, in --unit."),
-    click.option("--axis", type=click.Choice(textures.AXES), help="Axis of a three-axis trace, or all three reduced."),
-    click.option("--key", help="Which array of an NPZ file."),
-    click.option("--hand-speed-mm-s", type=POSITIVE, help="Speed of the hand over a height profile."),
+    click.option("--full-scale", type=POSITIVE, help="Give the value, in --unit, of 1.0 in a WAV file."),
+    click.option(
+        "--axis",
+        type=click.Choice(textures.AXES, case_sensitive=False),
+        help="Take one axis of a three-axis recording.",
+    ),
+    click.option(
+        "--reduce",
+        type=click.Choice(textures.REDUCTIONS),
+        help="Make one signal of three axes, or keep them. Default: dft321 for P1918.1.1 traces only.",
+    ),
+    click.option("--key", help="Choose an array of an NPZ, MAT or HDF5 file."),
+    click.option("--hand-speed-mm-s", type=POSITIVE, help="Give the speed of the hand over a height profile."),
 )
 
 runtime_option = click.option(

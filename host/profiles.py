@@ -22,7 +22,9 @@ def recording_of(path: Path, **choices: Any) -> textures.Recording:
     Raises TextureError.
     """
     if choices.get("hand_speed_mm_s") is not None:
-        raise textures.TextureError(f"{path}: a spatial stream is coded for every hand speed; drop --hand-speed-mm-s")
+        raise textures.TextureError(
+            f"{path}: a spatial stream is coded for every hand speed; leave out hand_speed_mm_s"
+        )
     # A hand at 1 m/s passes as many samples in a second as there are in a metre.
     recording = textures.load(path, **{**choices, "hand_speed_mm_s": 1000.0})
     if recording.unit != "um":

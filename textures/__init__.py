@@ -1,7 +1,7 @@
-"""Recordings and height profiles in: files, data sets, units, resampling; and a texture generator."""
+"""Recordings and height profiles in and out: files, data sets, units, resampling; and a texture generator."""
 
-from vibrocast.textures.arrays import from_array
-from vibrocast.textures.files import AXES, load, load_profile, save_profile, save_wav
+from vibrocast.textures.axes import AXES, REDUCTIONS
+from vibrocast.textures.files import SAVED_SUFFIXES, from_array, load, load_profile, save, save_profile
 from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass, is_vibration
 from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
 from vibrocast.textures.profiles import Profile
@@ -13,6 +13,8 @@ __all__ = [
     "GENERATORS",
     "HIGHPASS_HZ",
     "INPUT_UNITS",
+    "REDUCTIONS",
+    "SAVED_SUFFIXES",
     "UNITS",
     "HighPassed",
     "LiveHighPass",
@@ -25,8 +27,8 @@ __all__ = [
     "load",
     "load_profile",
     "resample",
+    "save",
     "save_profile",
-    "save_wav",
     "surface_profile",
     "varying_speed",
 ]

@@ -1,25 +1,149 @@
-"""Plain arrays as recordings."""
+"""Reads NPY and NPZ files, and says what the arrays of any file mean: the chosen one, its rate and its unit."""
 
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from math import prod
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
-from vibrocast.textures.files import contents_of, scale_of
-from vibrocast.textures.recording import Recording, TextureError
+from vibrocast.textures.memory import shortage
+from vibrocast.textures.recording import Contents, TextureError
+from vibrocast.textures.text import known_unit
+
+SAMPLES_KEY, RATE_KEY, UNIT_KEY = "samples", "rate_hz", "unit"
+# Names of what states the rate and the unit, in any case.
+RATE_NAMES = (RATE_KEY, "fs", "sample_rate", "sample_rate_hz", "sampling_rate")
+UNIT_NAMES = (UNIT_KEY, "units")
+MOST_CHARACTERS = 100  # of a unit
+
+_ZIP_MAGIC = b"PK"
+_MOST_LISTED = 10
 
 
-def from_array(
-    samples: ArrayLike, rate_hz: float, unit: str, full_scale: float | None = None, name: str = "samples"
-) -> Recording:
-    """Return samples (n,) or (n, channels) of integers or floats of any size as a recording.
+def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+    """Read an NPY or NPZ file; `key` and `rate_hz` as `textures.load` takes them. Raises TextureError, OSError."""
+    with parsing(path, "an array of numbers in NumPy's format"), path.open("rb") as file:
+        zipped = file.read(len(_ZIP_MAGIC)) == _ZIP_MAGIC
+        file.seek(0)
+        if not zipped:
+            return contents_of(_read_array(file, path), path)
+        with zipfile.ZipFile(file) as archive:
+            members = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
+            stated = {}
+            for name in members:
+                if states_something(name):
+                    with archive.open(members[name]) as member:
+                        stated[name] = _read_array(member, path)
+            chosen = chosen_key([name for name in members if name not in stated], key, path)
+            with archive.open(members[chosen]) as member:
+                return contents_of(_read_array(member, path), path, stated, rate_hz)
 
-    `rate_hz`, `unit` (one of INPUT_UNITS), `full_scale`: as `load` takes them of an NPY file. Raises TextureError.
-    """
+
+@contextmanager
+def parsing(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a library's parser raises on a damaged or foreign file into a TextureError, except OSError."""
     try:
-        array = np.asarray(samples)
-    except ValueError as error:
-        raise TextureError(f"{name}: no array of numbers ({error}); pass shape (n,) or (n, channels)") from error
-    contents = contents_of(array, None, None, Path(name))
-    output_unit, scale = scale_of(contents, unit, full_scale, Path(name))
-    return Recording(contents.samples * scale, rate_hz, output_unit, name)
+        yield
+    except (TextureError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        raise TextureError(f"{path}: not {kind} that can be read; save it again ({reason})") from error
+
+
+def refuse_too_large(shape: Sequence[int], dtype: np.dtype[Any], path: Path, besides_bytes: int = 0) -> None:
+    """Raise TextureError where an array does not fit into memory as it is in the file, `besides_bytes`, and float64."""
+    each_bytes = 8 if dtype == np.float64 else 8 + dtype.itemsize
+    if lack := shortage(prod(shape) * each_bytes + besides_bytes):
+        raise TextureError(f"{path}: an array of shape {tuple(shape)} {lack}")
+
+
+def states_something(name: str) -> bool:
+    """Return whether an array or attribute of this name states the rate or the unit."""
+    return name.lower() in RATE_NAMES + UNIT_NAMES
+
+
+def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mapping[str, str] | None = None) -> str:
+    """Return the name of the array to read: that of `key`, `samples` or the only one. Raises TextureError.
+
+    `others`: what the file holds besides arrays of numbers, and of which kind it is.
+    """
+    if key is None and SAMPLES_KEY in names:
+        return SAMPLES_KEY
+    if key is None and len(names) == 1:
+        return names[0]
+    if key is None or key not in names:
+        unusable = {key: others[key]} if key is not None and others and key in others else others
+        if unusable and (key in unusable or not names):
+            listed = _listed([f"{name} is a {kind}" for name, kind in unusable.items()])
+            raise TextureError(f"{path}: {listed}, not an array of numbers; save the numbers in it by themselves")
+        problem = "choose an array with `key`" if key is None else f"no array of numbers `key`={key}"
+        raise TextureError(f"{path}: {problem}; there are {_listed(names)}")
+    return key
+
+
+def contents_of(
+    array: NDArray[Any], path: Path, stated: Mapping[str, Any] | None = None, rate_hz: float | None = None
+) -> Contents:
+    """Return an array as the channels of a recording, with what `stated` says of it.
+
+    `stated`: values by name, all of names that `states_something` knows. `rate_hz`: what the user says, which chooses
+    where several rates are stated. Raises TextureError.
+    """
+    if array.dtype.kind not in "iuf" or array.ndim not in (1, 2):
+        raise TextureError(
+            f"{path}: an array of type {array.dtype} and shape {array.shape}; "
+            "store integers or floats of shape (samples,) or (samples, channels)"
+        )
+    full_scale: float | None = 1.0
+    if array.dtype.kind != "f":
+        # The range of longer or unsigned integers says nothing of the signal's.
+        pcm = array.dtype.kind == "i" and array.dtype.itemsize <= 4
+        full_scale = float(2 ** (8 * array.dtype.itemsize - 1)) if pcm else None
+    samples = array.astype(np.float64, copy=False)
+    columns = samples.reshape(-1, 1) if array.ndim == 1 else samples
+    rates = {name: _number(name, value, path) for name, value in (stated or {}).items() if name.lower() in RATE_NAMES}
+    units = [_text(value) for name, value in (stated or {}).items() if name.lower() in UNIT_NAMES]
+    unit = next((known_unit(text, f"{path}: {UNIT_KEY}") for text in units if text), None)
+    return Contents(columns, _only_rate(rates, rate_hz, path), unit, full_scale)
+
+
+def _read_array(file: IO[bytes], path: Path) -> NDArray[Any]:
+    """Read an array in NPY format, unless it is too large. Raises ValueError and whatever else NumPy raises."""
+    version = np.lib.format.read_magic(file)
+    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+    shape, _, dtype = header(file)
+    refuse_too_large(shape, dtype, path)
+    file.seek(0)
+    array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+    return array
+
+
+def _listed(texts: Sequence[str]) -> str:
+    more = f" and {len(texts) - _MOST_LISTED} more" if len(texts) > _MOST_LISTED else ""
+    return (", ".join(texts[:_MOST_LISTED]) or "none") + more
+
+
+def _only_rate(rates: Mapping[str, float], rate_hz: float | None, path: Path) -> float | None:
+    different = set(rates.values())
+    if len(different) > 1 and rate_hz not in different:
+        listed = ", ".join(f"{name} {value:g}" for name, value in rates.items())
+        raise TextureError(f"{path}: states several rates, {listed}; choose one with `rate_hz`")
+    return rate_hz if len(different) > 1 else next(iter(different), None)
+
+
+def _number(name: str, value: Any, path: Path) -> float:
+    try:
+        return float(np.asarray(value).item())
+    except (TypeError, ValueError) as error:
+        raise TextureError(f"{path}: {name} is not one number; correct it") from error
+
+
+def _text(value: Any) -> str:
+    """Return a text that a file holds as such, as bytes or as an array of one."""
+    item = np.asarray(value).item() if np.size(value) == 1 else ""
+    return item.decode(errors="replace") if isinstance(item, bytes) else str(item)

@@ -100,7 +100,7 @@ def load(
     recording = textures.load(trace.path, hand_speed_mm_s=hand_speed_mm_s, **options)
     if stream_rate_hz is None and not recording.rate_hz.is_integer():
         raise textures.TextureError(
-            f"{trace.path}: {recording.rate_hz:g} Hz is no whole number; give the rate to code it at: --stream-rate-hz"
+            f"{trace.path}: {recording.rate_hz:g} Hz is no whole number; give the rate to code it at: `stream_rate_hz`"
         )
     return textures.resample(recording, stream_rate_hz or recording.rate_hz)
 

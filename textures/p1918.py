@@ -10,22 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
-from vibrocast.textures.recording import Contents, Signal, TextureError
+from vibrocast.textures.axes import AXES
+from vibrocast.textures.recording import Contents, TextureError
 from vibrocast.textures.text import read_table, signal_of
 
 RATE_HZ = 2800.0
-AXES = ("X", "Y", "Z")
-DFT321 = "dft321"
 
 _AXIS_FILE = re.compile(r"(.+)_([XYZ])\.txt", re.IGNORECASE | re.DOTALL)
 _REFERENCE_TRACE = re.compile(r".+_-_.+_-_.+_-_[^_]+", re.DOTALL)
 
 
-def read_folder(path: Path, axis: str | None) -> Contents:
+def read_folder(path: Path, axis: str | None, rate_hz: float | None) -> Contents:
     """Read one trace of a folder: `path` is a folder of one trace, or FOLDER/TRACE without axis and `.txt`.
 
-    `axis`: one of AXES, or None for all that DFT321 needs. Returns one channel for each axis. Raises TextureError with
-    the traces to choose from or the files that are missing, OSError when a file cannot be read.
+    `axis`: one of AXES, or None for all. `rate_hz`: as `textures.load` takes it. Returns one channel for each axis.
+    Raises TextureError with the traces to choose from or the files that are missing, OSError when a file cannot be
+    read.
     """
     folder = path if path.is_dir() else path.parent
     traces = _traces(folder) if folder.is_dir() else {}
@@ -45,18 +45,20 @@ def read_folder(path: Path, axis: str | None) -> Contents:
     if missing := [letter for letter in wanted if letter not in files]:
         raise TextureError(
             f"{folder / trace}: no file for axis {', '.join(missing)}; add it, or choose one of the axes there: "
-            f"--axis {' or '.join(sorted(files))}"
+            f"`axis`={' or '.join(sorted(files))}"
         )
-    axes = [with_known_rate(signal_of(read_table(files[letter]), files[letter]), files[letter]) for letter in wanted]
+    paths = [files[letter] for letter in wanted]
+    axes = [with_known_rate(signal_of(read_table(one), one, rate_hz), one) for one in paths]
     if any(one.samples.shape[1] != 1 for one in axes):
         raise TextureError(f"{folder / trace}: several columns in the file of one axis; keep one")
     if len({(len(one.samples), one.rate_hz, one.unit) for one in axes}) > 1:
         lengths = ", ".join(str(len(one.samples)) for one in axes)
         raise TextureError(
             f"{folder / trace}: axes differ in length ({lengths} samples), rate or unit; repair them, or choose one "
-            "with --axis"
+            "with `axis`"
         )
-    return replace(axes[0], samples=np.hstack([one.samples for one in axes]))
+    samples = np.hstack([one.samples for one in axes])
+    return replace(axes[0], samples=samples, axes=AXES if axis is None else ())
 
 
 def with_known_rate(contents: Contents, path: Path) -> Contents:
@@ -71,18 +73,6 @@ def axis_of(path: Path) -> str | None:
     """Return the axis that a file name ends in, or None."""
     match = _AXIS_FILE.fullmatch(path.name)
     return match[2].upper() if match else None
-
-
-def dft321(samples: Signal) -> Signal:
-    """Reduce three axes, float64 (n, 3), to one, (n, 1), that has their energy at every frequency.
-
-    |A(f)| = sqrt(|X|^2 + |Y|^2 + |Z|^2), with the phase of X + Y + Z: DFT321 of N. Landin, J. Romano, W. McMahan,
-    K. Kuchenbecker, "Dimensional Reduction of High-Frequency Accelerations for Haptic Rendering", EuroHaptics 2010.
-    """
-    spectra = np.fft.rfft(samples, axis=0)
-    magnitude = np.sqrt(np.sum(np.abs(spectra) ** 2, axis=1))
-    phase = np.angle(np.sum(spectra, axis=1))
-    return np.fft.irfft(magnitude * np.exp(1j * phase), n=len(samples)).reshape(-1, 1)
 
 
 def _traces(folder: Path) -> dict[str, list[Path]]:

@@ -15,7 +15,7 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 1e7  # beyond any texture; such a rate is a sli
 # Unit as people write it: the unit of UNITS that it becomes, and the factor. Standard gravity: CGPM 1901, exact.
 INPUT_UNITS: dict[str, tuple[str, float]] = {
     "full scale": ("full scale", 1.0),
-    "drive": ("full scale", 1.0),
+    "drive": ("full scale", 1.0),  # the numbers are the actuator's drive signal
     "m/s^2": ("m/s^2", 1.0),
     "g": ("m/s^2", 9.80665),
     "nm": ("um", 1e-3),
@@ -34,15 +34,14 @@ class Contents:
 
     `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of INPUT_UNITS): None where the
     file does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None
-    where the file's integers are of a type that says nothing of it. `rate_tolerance_hz`: how far `rate_hz` may be off,
-    for all that the file says.
+    where the file's integers are of a type that says nothing of it. `axes`: as in Recording.
     """
 
     samples: Signal
     rate_hz: float | None
     unit: str | None
     full_scale: float | None = 1.0
-    rate_tolerance_hz: float = 0.0
+    axes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +50,16 @@ class Recording:
 
     `samples`: float64 (n, channels), n >= 1, up to MAX_MAGNITUDE; one channel is one tactor. `rate_hz`: samples a
     second, MIN_RATE_HZ to MAX_RATE_HZ. `unit`: "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is
-    the full stroke of whatever plays it. `name`: what a person calls it. Raises TextureError on anything else.
+    the full stroke of whatever plays it. `name`: what a person calls it. `axes`: the axis of each channel, where the
+    channels are the axes of one texture; empty where each channel is a texture of its own. Raises TextureError on
+    anything else.
     """
 
     samples: Signal
     rate_hz: float
     unit: str
     name: str
+    axes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.dtype != np.float64:
@@ -69,6 +71,8 @@ class Recording:
                 f"{self.name}: {self.channels} channels, at most {MAX_CHANNELS} can be played; "
                 "rows must be samples and columns channels"
             )
+        if self.axes and len(self.axes) != self.channels:
+            raise TextureError(f"{self.name}: {len(self.axes)} axes for {self.channels} channels; name each channel's")
         check_rate(self.rate_hz, self.name)
         if self.unit not in UNITS:
             raise TextureError(f"{self.name}: unit {self.unit!r} is not one of {', '.join(UNITS)}")

@@ -1,11 +1,13 @@
 """Changes the sample rate of a recording, with a stated band."""
 
+from dataclasses import replace
+
 import numpy as np
 import soxr
 
+from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import Recording, TextureError, check_rate
 
-MAX_SAMPLES = 2**30  # 8 GiB of float64 in all channels together
 MAX_RATIO = 1e5  # of the rates: far above, the filters of soxr take minutes and gigabytes
 
 
@@ -15,7 +17,7 @@ def resample(recording: Recording, rate_hz: float) -> Recording:
     The resampler is soxr in quality "HQ", linear phase, no delay. Below, Nyquist is half of the lower rate. Up to
     0.91 Nyquist (1274 Hz for 2800 Hz) the gain is within 0.02 dB of one; what lies above Nyquist is at least 120 dB
     down. The signal is taken as silent before its start and after its end. Raises TextureError on a rate that no
-    recording has, that is more than MAX_RATIO away, or that makes less than one sample or more than MAX_SAMPLES.
+    recording has, that is more than MAX_RATIO away, or that makes less than one sample or more than fit into memory.
     """
     check_rate(rate_hz, recording.name)
     if rate_hz == recording.rate_hz:
@@ -31,12 +33,11 @@ def resample(recording: Recording, rate_hz: float) -> Recording:
             f"{recording.name}: {len(recording.samples)} samples at {recording.rate_hz:g} Hz last less than one sample "
             f"at {rate_hz:g} Hz; correct the rate, or record for longer"
         )
-    if count * recording.channels > MAX_SAMPLES:
+    if lack := shortage(8 * count * recording.channels):
         raise TextureError(
-            f"{recording.name}: {recording.seconds:.0f} s are too long for {rate_hz:g} Hz; "
-            "cut the recording or choose a lower rate"
+            f"{recording.name}: {recording.seconds:.0f} s at {rate_hz:g} Hz {lack}, or choose a lower rate"
         )
     resampled = soxr.resample(recording.samples, recording.rate_hz, rate_hz, quality="HQ")[:count]
     if len(resampled) < count:  # soxr rounds the length down and may leave out the last sample
         resampled = np.pad(resampled, ((0, count - len(resampled)), (0, 0)))
-    return Recording(resampled, rate_hz, recording.unit, recording.name)
+    return replace(recording, samples=resampled, rate_hz=rate_hz)

@@ -8,7 +8,9 @@ from typing import TextIO
 
 import numpy as np
 
-from vibrocast.textures.recording import INPUT_UNITS, Contents, Signal, TextureError
+from vibrocast.textures.axes import AXES, order_of_axes
+from vibrocast.textures.memory import shortage
+from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, Signal, TextureError
 
 TIME_NAMES = ("t", "time", "timestamp")
 INDEX_NAMES = ("", "index", "n", "sample", "unnamed: 0")  # the first and the last as pandas writes and reads its index
@@ -26,6 +28,7 @@ ENCODING = "utf-8-sig"
 MAX_LINE_CHARACTERS = 100_000
 GRID_TOLERANCE = 0.25  # of a step: how far a time or position may lie from the uniform grid
 RATE_TOLERANCE = 1e-9  # what the arithmetic of times leaves uncertain
+PLAUSIBLE_RATES_HZ = (200.0, 200_000.0)  # of a texture, where a column of times states no unit
 
 _STATEMENT = re.compile(r"[#\s]*(rate_hz|unit)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
 _DECIMAL_COMMA = r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?"
@@ -38,13 +41,21 @@ class Table:
     """Numbers of a text file with what the file says of them.
 
     `values`: float64 (rows, columns). `names`: one for each column, in lower case, empty where the file has none.
-    `units`: likewise, spelt as in INPUT_UNITS or SECONDS, or None. `rate_hz`: from a line such as `# rate_hz: 2800`.
+    `own_units`: of each column by its name, spelt as in INPUT_UNITS or SECONDS, or None. `unit` and `rate_hz`: of all
+    channels, from lines such as `# unit: m/s^2` and `# rate_hz: 2800`, or None.
     """
 
     values: Signal
     names: tuple[str, ...]
-    units: tuple[str | None, ...]
+    own_units: tuple[str | None, ...]
+    unit: str | None
     rate_hz: float | None
+
+    @property
+    def units(self) -> tuple[str | None, ...]:
+        """The unit of each column: its own, or that of all channels."""
+        common = (None if name in TIME_NAMES else self.unit for name in self.names)
+        return tuple(own or unit for own, unit in zip(self.own_units, common, strict=True))
 
 
 def read_table(path: Path) -> Table:
@@ -54,6 +65,9 @@ def read_table(path: Path) -> Table:
     named an index and counts the lines are left out.
     Raises TextureError with what to do, also where commas may be decimal ones; OSError when the file cannot be read.
     """
+    # A number of text takes about as many bytes as its float64.
+    if lack := shortage(path.stat().st_size):
+        raise TextureError(f"{path}: {lack}")
     try:
         with path.open(encoding=ENCODING) as file:
             return _read(file, path)
@@ -61,10 +75,23 @@ def read_table(path: Path) -> Table:
         raise TextureError(f"{path}: not UTF-8 text; save it as a UTF-8 CSV file") from error
 
 
-def signal_of(table: Table, path: Path) -> Contents:
+def write_table(path: Path, recording: Recording) -> None:
+    """Write a recording as CSV: its rate in a comment, its unit and axes in the column names. Raises OSError."""
+    names = [axis.lower() for axis in recording.axes] or [
+        f"channel {number + 1}" for number in range(recording.channels)
+    ]
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        file.write(f"# rate_hz: {float(recording.rate_hz)}\n")
+        file.write(",".join(f"{name} ({recording.unit})" for name in names) + "\n")
+        file.writelines(",".join(map(repr, row.tolist())) + "\n" for row in recording.samples)
+
+
+def signal_of(table: Table, path: Path, rate_hz: float | None = None) -> Contents:
     """Return the channels of a table: every column but the time, whose steps give the rate.
 
-    Raises TextureError where the columns contradict each other, or a time or an index may be among the channels.
+    `rate_hz`: what the user says; it wins among the rates that the times allow. Columns x, y and z are put into this
+    order. Raises TextureError where the columns contradict each other, a comment or `rate_hz`, or a time or an index
+    may be among the channels.
     """
     times = [index for index, name in enumerate(table.names) if name in TIME_NAMES]
     channels = [index for index in range(len(table.names)) if index not in times]
@@ -72,17 +99,11 @@ def signal_of(table: Table, path: Path) -> Contents:
         raise TextureError(f"{path}: {len(times)} columns of times; keep one")
     if not channels:
         raise TextureError(f"{path}: no column of a signal beside those of a time or an index; add one")
-    rate_hz, tolerance_hz = table.rate_hz, 0.0
-    if times and table.units[times[0]] in SECONDS:
-        seconds = SECONDS[table.units[times[0]] or ""]
-        rate_hz, tolerance_hz = _rate_of_times(table.values[:, times[0]] * seconds, path)
-        if table.rate_hz is not None:
-            if abs(table.rate_hz - rate_hz) > tolerance_hz:
-                raise TextureError(
-                    f"{path}: the times say {rate_hz:g} Hz, a comment says {table.rate_hz:g}; correct one"
-                )
-            rate_hz, tolerance_hz = table.rate_hz, 0.0
-    if not times and len(channels) > 1 and _is_ramp(table.values[:, 0]):
+    stated_hz = table.rate_hz
+    if times:
+        column = _TimeColumn(path, table.names[times[0]], table.own_units[times[0]], table.values[:, times[0]])
+        stated_hz = column.rate_hz(table.rate_hz, rate_hz)
+    elif len(channels) > 1 and table.own_units[0] is None and _is_ramp(table.values[:, 0]):
         raise TextureError(
             f"{path}: the first column rises in equal steps, like a time or an index; name it time_s, time_ms or "
             "index in a first line, or remove it"
@@ -93,8 +114,11 @@ def signal_of(table: Table, path: Path) -> Contents:
     unit = units.pop()
     if unit in SECONDS:
         raise TextureError(f"{path}: a channel in {unit}; name a column of times time_{unit}, remove any other")
-    samples = table.values[:, channels] if times else table.values
-    return Contents(samples, rate_hz, unit, rate_tolerance_hz=tolerance_hz)
+    axes: tuple[str, ...] = ()
+    if order := order_of_axes([table.names[index] for index in channels]):
+        channels, axes = [channels[place] for place in order], AXES
+    samples = table.values if channels == list(range(len(table.names))) else table.values[:, channels]
+    return Contents(samples, stated_hz, unit, axes=axes)
 
 
 def known_unit(text: str, place: str) -> str:
@@ -108,36 +132,91 @@ def known_unit(text: str, place: str) -> str:
 def uniform_step(values: Signal, place: str) -> float:
     """Return the step of rising values (n,) that lie on a uniform grid, to GRID_TOLERANCE of a step.
 
-    Raises TextureError, naming the `place`, where they do not.
+    Raises TextureError, naming the `place`, the line and the size of the flaw, where they do not.
     """
+    if len(values) < 2:
+        raise TextureError(f"{place}: a single line, which has no step; give two lines or more")
+    if not np.isfinite(values).all():
+        raise TextureError(f"{place}: line {int(np.isfinite(values).argmin()) + 1} holds no number; repair that line")
     with np.errstate(over="ignore", invalid="ignore"):
-        step = float(values[-1] - values[0]) / max(len(values) - 1, 1)
+        step = float(values[-1] - values[0]) / (len(values) - 1)
         deviation = np.abs(values - (values[0] + step * np.arange(len(values))))
-    if not np.isfinite(step) or step <= 0:
-        raise TextureError(f"{place}: does not rise from line to line; sort the lines")
-    if not deviation.max() <= GRID_TOLERANCE * step:
+        if np.isfinite(step) and step > 0 and deviation.max() <= GRID_TOLERANCE * step:
+            return step
+        steps = np.diff(values)
+    rises = (steps > 0) & np.isfinite(steps)
+    if not rises.all():
+        raise TextureError(f"{place}: does not rise after line {int(rises.argmin()) + 1}; sort the lines")
+    usual, longest = float(np.median(steps)), int(steps.argmax())
+    if steps[longest] > 1.5 * usual:
         raise TextureError(
-            f"{place}: not uniform, line {int(deviation.argmax()) + 1} of the numbers is off by more than "
-            f"{GRID_TOLERANCE:.0%} of a step; resample to equal steps first"
+            f"{place}: a gap of {steps[longest]:g} after line {longest + 1}, where the usual step is {usual:g}; fill "
+            "the gap, or cut the file there"
         )
-    return step
+    worst = int(deviation.argmax())
+    raise TextureError(
+        f"{place}: jitter, line {worst + 1} is off the uniform grid by {deviation[worst]:.3g}, "
+        f"{deviation[worst] / step:.0%} of a step; resample to equal steps first"
+    )
 
 
-def _rate_of_times(times_s: Signal, path: Path) -> tuple[float, float]:
-    """Return the rate, a whole number if the times allow one, and how far from it they allow the rate to be, in hertz.
+@dataclass(frozen=True)
+class _TimeColumn:
+    """A column of times. `unit`: one of SECONDS where the name states it, None where it states none."""
 
-    Times printed with few digits scatter about their grid, and so may the first and the last, which give the rate.
-    """
-    try:
-        step_s = uniform_step(times_s, f"{path}: column of times")
-    except TextureError as error:
-        raise TextureError(f"{error}, or remove that column and give --rate-hz") from error
-    rate_hz = 1 / step_s
-    intervals = np.arange(len(times_s))
-    scatter_s = float(np.ptp(times_s - step_s * intervals))
-    tolerance_hz = rate_hz * (scatter_s * rate_hz / intervals[-1] + RATE_TOLERANCE)
-    whole_hz = float(np.round(rate_hz))
-    return (whole_hz if abs(rate_hz - whole_hz) <= tolerance_hz else rate_hz), tolerance_hz
+    path: Path
+    name: str
+    unit: str | None
+    values: Signal
+
+    def rate_hz(self, commented_hz: float | None, given_hz: float | None) -> float:
+        """Return the rate, in hertz, that a comment or the user says, if the times allow it, else that of the times.
+
+        Raises TextureError where they contradict each other, and where the unit is not stated nor plain to see.
+        """
+        if self.unit is not None and self.unit not in SECONDS:
+            raise TextureError(f"{self.path}: times in {self.unit}; name the column time_s, time_ms or time_us")
+        rates_hz = self._rates_hz()
+        slowest_hz, fastest_hz = PLAUSIBLE_RATES_HZ
+        plausible = [unit for unit, (rate_hz, _) in rates_hz.items() if slowest_hz <= rate_hz <= fastest_hz]
+        said = rates_hz[(plausible or list(rates_hz))[0]][0]
+        for stated_hz, contradiction in (
+            (commented_hz, "a comment says {:g} Hz; correct one of them"),
+            (given_hz, "leave out `rate_hz`={:g}, or correct the column"),
+        ):
+            if stated_hz is not None and not any(
+                abs(stated_hz - rate_hz) <= off_hz for rate_hz, off_hz in rates_hz.values()
+            ):
+                problem = f"{self.path}: the time column says {said:g} Hz"
+                raise TextureError(f"{problem}; {contradiction.format(stated_hz)}")
+        if stated := commented_hz or given_hz:
+            return stated
+        if self.unit is None and "s" not in plausible:
+            possible = ", ".join(f"{rate_hz:g} Hz in {unit}" for unit, (rate_hz, _) in rates_hz.items())
+            raise TextureError(
+                f"{self.path}: the column {self.name!r} states no unit, and its rate may be {possible}; name it "
+                "time_s, time_ms or time_us (or index, if it counts the samples), or give `rate_hz`"
+            )
+        return said
+
+    def _rates_hz(self) -> dict[str, tuple[float, float]]:
+        """Return for each unit that the times may have: the rate, whole if they allow it, and how far off it may be.
+
+        Times printed with few digits scatter about their grid, and so may the first and the last, which give the rate.
+        """
+        try:
+            step = uniform_step(self.values, f"{self.path}: column of times")
+        except TextureError as error:
+            raise TextureError(f"{error}; or remove that column and give `rate_hz`") from error
+        intervals = np.arange(len(self.values))
+        scatter = float(np.ptp(self.values - step * intervals))
+        rates_hz = {}
+        for unit in [self.unit] if self.unit else SECONDS:
+            rate_hz = 1 / step / SECONDS[unit]
+            off_hz = rate_hz * (scatter / step / intervals[-1] + RATE_TOLERANCE)
+            whole_hz = float(np.round(rate_hz))
+            rates_hz[unit] = (whole_hz if abs(rate_hz - whole_hz) <= off_hz else rate_hz, off_hz)
+        return rates_hz
 
 
 def _is_ramp(values: Signal) -> bool:
@@ -191,14 +270,12 @@ def _read(file: TextIO, path: Path) -> Table:
         kept = [index for index, column in enumerate(columns) if not _is_index(*column, values[:, index])]
         values, columns = values[:, kept], [columns[index] for index in kept]
     names, units = tuple(name for name, _ in columns), tuple(unit for _, unit in columns)
-    if "unit" in statements:
-        unit = known_unit(statements["unit"], str(path))
-        units = tuple(own or unit for own in units)
+    unit = known_unit(statements["unit"], str(path)) if "unit" in statements else None
     try:
         rate_hz = float(statements["rate_hz"]) if "rate_hz" in statements else None
     except ValueError as error:
         raise TextureError(f"{path}: rate_hz {statements['rate_hz']!r} is not a number; correct it") from error
-    return Table(values, names, units, rate_hz)
+    return Table(values, names, units, unit, rate_hz)
 
 
 def _delimiter(line: str) -> str | None:

@@ -51,8 +51,8 @@ class Sensor:
     """A sensor on an actuator, read by a program that records into a file.
 
     `command`: program and arguments, with {file} and {seconds} to be filled in. `suffix`: of the file's name, one of
-    SUFFIXES. `rate_hz`, `unit` (one of textures.INPUT_UNITS), `axis`: as `textures.load` takes them. `sensitivity`:
-    what one `unit` makes in the file's numbers, where full scale of a WAV file or of integers is 1.
+    SUFFIXES. `rate_hz`, `unit` (one of textures.INPUT_UNITS), `axis`, `reduce`: as `textures.load` takes them.
+    `sensitivity`: what one `unit` makes in the file's numbers, where full scale of a WAV file or of integers is 1.
     """
 
     name: str
@@ -65,6 +65,7 @@ class Sensor:
     unit: str | None
     sensitivity: float | None
     axis: str | None
+    reduce: str | None = None
 
 
 @dataclass(frozen=True)
@@ -216,6 +217,7 @@ def _sensor(table: Table, controllers: list[str]) -> Sensor:
         unit=table.word("unit", textures.INPUT_UNITS, None),
         sensitivity=table.number("sensitivity", None),
         axis=table.word("axis", textures.AXES, None),
+        reduce=table.word("reduce", textures.REDUCTIONS, None),
     )
     if entry.sensitivity is not None and entry.unit is None:
         raise table.refuse("sensitivity needs its unit: add unit, such as 'm/s^2'")
@@ -245,6 +247,7 @@ def _texture(table: Table) -> Callable[[], Recording]:
         "unit": table.word("unit", textures.INPUT_UNITS, None),
         "full_scale": table.number("full_scale", None),
         "axis": table.word("axis", textures.AXES, None),
+        "reduce": table.word("reduce", textures.REDUCTIONS, None),
         "key": table.text("key", None),
         "hand_speed_mm_s": table.number("hand_speed_mm_s", None),
     }

@@ -87,7 +87,12 @@ def read_recording(sensor: Sensor, file: Path) -> Recording:
     try:
         full_scale = None if sensor.sensitivity is None else 1 / sensor.sensitivity
         recording = textures.load(
-            file, rate_hz=sensor.rate_hz, unit=sensor.unit, full_scale=full_scale, axis=sensor.axis
+            file,
+            rate_hz=sensor.rate_hz,
+            unit=sensor.unit,
+            full_scale=full_scale,
+            axis=sensor.axis,
+            reduce=sensor.reduce,
         )
     except textures.TextureError as error:
         raise SensorError(f"sensor {sensor.name}: {error}") from error
@@ -99,7 +104,7 @@ def read_recording(sensor: Sensor, file: Path) -> Recording:
         )
     if recording.channels != 1:
         raise SensorError(
-            f"sensor {sensor.name}: a recording of {recording.channels} channels; record one, or give axis"
+            f"sensor {sensor.name}: a recording of {recording.channels} channels; record one, or give axis or reduce"
         )
     return recording
 

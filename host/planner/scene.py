@@ -429,6 +429,7 @@ def read_options(table: Table, generated: bool) -> dict[str, Any]:
     else:
         options["unit"] = table.word("unit", textures.INPUT_UNITS, None)
         options["axis"] = table.word("axis", textures.AXES, None)
+        options["reduce"] = table.word("reduce", textures.REDUCTIONS, None)
         options["key"] = table.text("key", None)
     table.end()
     return {key: value for key, value in options.items() if value is not None}

@@ -78,8 +78,8 @@ def written(results: Path, measured: Results) -> dict[str, bytes]:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "recordings").mkdir()
-    textures.save_wav(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
-    textures.save_wav(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
+    textures.save(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
+    textures.save(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
     return tmp_path / "recordings"
 
 

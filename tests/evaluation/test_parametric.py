@@ -16,7 +16,7 @@ from vibrocast.textures.generate import wood
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recordings = tmp_path_factory.mktemp("recordings")
     for seed in (1, 2):
-        textures.save_wav(recordings / f"wood{seed}.wav", wood(seed=seed, seconds=1.0))
+        textures.save(recordings / f"wood{seed}.wav", wood(seed=seed, seconds=1.0))
     return recordings
 
 

@@ -13,7 +13,7 @@ from vibrocast.evaluation.planning import FREE, HELD, ROWS, WEIGHTS, main
 def test_the_page_and_its_rows(tmp_path: Path) -> None:
     folder = tmp_path / "made"
     folder.mkdir()
-    textures.save_wav(folder / "rough.wav", textures.GENERATORS["rough"](seconds=0.5, rate_hz=2800))
+    textures.save(folder / "rough.wav", textures.GENERATORS["rough"](seconds=0.5, rate_hz=2800))
     (folder / "bad.csv").write_text("no texture\n")
     done = CliRunner().invoke(main, [str(folder), "--out", str(tmp_path / "docs")])
     assert done.exit_code == 0, done.output

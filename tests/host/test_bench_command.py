@@ -62,8 +62,8 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "recordings").mkdir()
-    textures.save_wav(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
-    textures.save_wav(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
+    textures.save(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
+    textures.save(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
     return tmp_path / "recordings"
 
 
@@ -82,7 +82,7 @@ def test_figures_are_written_and_the_table_names_the_curves(folder: Path, tmp_pa
 @pytest.mark.usefixtures("quick")
 def test_failures_are_listed_and_the_exit_code_says_so(folder: Path, tmp_path: Path) -> None:
     np.savetxt(folder / "nan.csv", [0.0, np.nan, 1.0], header="rate_hz: 2800\n# unit: um")
-    textures.save_wav(folder / "stereo.wav", textures.Recording(np.zeros((99, 2)), 2800.0, "full scale", "stereo"))
+    textures.save(folder / "stereo.wav", textures.Recording(np.zeros((99, 2)), 2800.0, "full scale", "stereo"))
     said = fails(1, folder, "--codecs", FAST, "--out", tmp_path / "out", "--repeats", "0")
     assert "failed: nan: " in said and "is nan" in said
     assert "failed: dct-threshold: stereo" in said and "and 10 more: the detection threshold is one" in said
@@ -100,7 +100,7 @@ def test_failures_are_listed_and_the_exit_code_says_so(folder: Path, tmp_path: P
 def test_a_ladder_that_needs_a_unit_is_left_out_unless_it_is_named(tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
     signal = textures.Recording(wood(1, 0.2).samples, 2800.0, "full scale", "plain")
-    textures.save_wav(tmp_path / "recordings" / "plain.wav", signal)
+    textures.save(tmp_path / "recordings" / "plain.wav", signal)
     arguments = (tmp_path / "recordings", "--out", tmp_path / "out", "--repeats", "0", "--codecs")
     result = vibrocast_bench(*arguments, "dct")
     assert result.exit_code == 0, result.output
@@ -145,8 +145,8 @@ def test_peers_on_other_traces_are_told_of(folder: Path, tmp_path: Path) -> None
 
 @pytest.mark.usefixtures("quick")
 def test_a_silent_trace_leaves_the_means_of_the_others(folder: Path, tmp_path: Path) -> None:
-    textures.save_wav(folder / "silent.wav", textures.Recording(np.zeros((900, 1)), 2800.0, "um", "silent"))
-    textures.save_wav(folder / "short.wav", textures.Recording(np.ones((1, 1)), 2800.0, "um", "short"))
+    textures.save(folder / "silent.wav", textures.Recording(np.zeros((900, 1)), 2800.0, "um", "silent"))
+    textures.save(folder / "short.wav", textures.Recording(np.ones((1, 1)), 2800.0, "um", "short"))
     result = vibrocast_bench(folder, "--codecs", "mdct", "--out", tmp_path / "out", "--repeats", "0")
     assert result.exit_code == 0, result.output
     (row,) = (line.split() for line in result.stdout.splitlines() if line.split()[:1] == ["mdct"])

@@ -150,8 +150,8 @@ def test_a_live_header_leaves_the_length_to_the_packets() -> None:
 
 def test_float_wav_is_exact_and_16_bit_wav_is_near(tmp_path: Path) -> None:
     stream = coding.encode(noise(channels=2)).stream
-    assert coding.write_wav(tmp_path / "float.wav", stream, sixteen_bit=False) == 1.0
-    full_scale = coding.write_wav(tmp_path / "short.wav", stream, sixteen_bit=True)
+    assert coding.write_recording(tmp_path / "float.wav", stream, sixteen_bit=False) == 1.0
+    full_scale = coding.write_recording(tmp_path / "short.wav", stream, sixteen_bit=True)
     exact, near = textures.load(tmp_path / "float.wav"), textures.load(tmp_path / "short.wav")
     np.testing.assert_array_equal(exact.samples, stream.decode())
     np.testing.assert_allclose(near.samples, stream.decode(), atol=full_scale / 32768)
@@ -163,9 +163,9 @@ def test_a_wav_that_cannot_be_written_is_named_as_asked_for(tmp_path: Path, monk
         raise textures.TextureError(f"{path}: cannot be written: System error.")
 
     stream = coding.encode(noise()).stream
-    monkeypatch.setattr("vibrocast.textures.save_wav", fail)
-    with pytest.raises(textures.TextureError, match=r"/out\.wav: cannot be written; make room"):
-        coding.write_wav(tmp_path / "out.wav", stream, sixteen_bit=False)
+    monkeypatch.setattr("vibrocast.textures.save", fail)
+    with pytest.raises(textures.TextureError, match=r"/out\.wav: cannot be written"):
+        coding.write_recording(tmp_path / "out.wav", stream, sixteen_bit=False)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -60,7 +60,7 @@ def texture(tmp_path: Path) -> Path:
     """A texture short enough to lie in the controller's buffer before it is played: no busy machine disturbs it."""
     path = tmp_path / "texture.wav"
     samples = np.random.default_rng(3).normal(size=(RATE_HZ // 5, 1))
-    textures.save_wav(path, textures.Recording(samples, RATE_HZ, "m/s^2", "texture"))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "texture"))
     return path
 
 
@@ -137,7 +137,7 @@ def test_report_page_explains_every_field() -> None:
 def test_play_loops_over_several_channels(tmp_path: Path) -> None:
     path, report_path = tmp_path / "two.wav", tmp_path / "report.json"
     samples = np.random.default_rng(4).normal(size=(400, 2))
-    textures.save_wav(path, textures.Recording(samples, RATE_HZ, "um", "two"))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "um", "two"))
     succeeds("play", path, "--loop", 3, "--snr-db", 10, "--report", report_path, "--plot", tmp_path / "two.svg")
     report = json.loads(report_path.read_text())
     assert (report["loops"], report["channels"]) == (3, 2)
@@ -324,7 +324,7 @@ def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
     number: signal.Signals, tmp_path: Path, watched: Watched
 ) -> None:
     path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
-    textures.save_wav(path, textures.GENERATORS["rough"](seconds=60.0))
+    textures.save(path, textures.GENERATORS["rough"](seconds=60.0))
     process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
     assert watched.moved.wait(30)
     process.send_signal(number)
@@ -338,7 +338,7 @@ def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
 
 def test_pulled_cable_is_found_again(tmp_path: Path, watched: Watched) -> None:
     path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
-    textures.save_wav(path, textures.GENERATORS["rough"](seconds=1.5))
+    textures.save(path, textures.GENERATORS["rough"](seconds=1.5))
     process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
     assert watched.moved.wait(30)
     watched.port.unplug()
@@ -350,7 +350,7 @@ def test_pulled_cable_is_found_again(tmp_path: Path, watched: Watched) -> None:
 def test_play_says_where_it_is_where_there_is_no_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vibrocast.host.progress.LINE_INTERVAL_S", 0.0)
     path = tmp_path / "texture.wav"
-    textures.save_wav(path, textures.GENERATORS["rough"](seconds=0.5))
+    textures.save(path, textures.GENERATORS["rough"](seconds=0.5))
     result = vibrocast("play", path, "--snr-db", 5)
     assert result.exit_code == 0
     lines = result.stderr.splitlines()
@@ -409,7 +409,7 @@ def test_says_where_there_is_no_room(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    monkeypatch.setattr("vibrocast.textures.save_wav", full)
+    monkeypatch.setattr("vibrocast.textures.save", full)
     command = ("encode", texture) if name == "out.vct" else ("decode", coded)
     assert fails(2, *command, tmp_path / name).endswith(
         f"{name}: No space left on device; make room, or write elsewhere\n"
@@ -538,7 +538,7 @@ def test_play_asks_for_the_unit_of_a_file_that_states_none(tmp_path: Path) -> No
 
 def test_an_offset_does_not_change_the_quality(texture: Path, tmp_path: Path) -> None:
     moved, recording = tmp_path / "moved.wav", textures.load(texture)
-    textures.save_wav(moved, replace(recording, samples=recording.samples + 9.81), sixteen_bit=False)
+    textures.save(moved, replace(recording, samples=recording.samples + 9.81))
     told = [succeeds("encode", path, tmp_path / "out.vct", "--snr-db", 15) for path in (texture, moved)]
     figures = [re.search(r"SNR (\S+) dB .* (\S+) % of the energy removed below 20 Hz", text) for text in told]
     assert figures[0] and figures[1]

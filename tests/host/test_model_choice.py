@@ -93,7 +93,7 @@ def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monke
 @pytest.mark.parametrize("runtime", [(), ("--runtime", "core"), ("--runtime", "onnx")])
 def test_play_on_a_simulated_controller_needs_nothing_else(runtime: tuple[str, ...], tmp_path: Path) -> None:
     path = tmp_path / "rough.wav"
-    textures.save_wav(path, texture())
+    textures.save(path, texture())
     output = succeeds("play", path, "--codec", "eva", *runtime)
     assert "codec eva, model all" in output
     assert "decoded as sent  yes" in output
@@ -101,7 +101,7 @@ def test_play_on_a_simulated_controller_needs_nothing_else(runtime: tuple[str, .
 
 def test_commands_name_the_model_that_they_chose(tmp_path: Path) -> None:
     path, coded = tmp_path / "rough.wav", tmp_path / "rough.vct"
-    textures.save_wav(path, texture())
+    textures.save(path, texture())
     assert "model low" in succeeds("encode", path, coded, "--codec", "eva", "--snr-db", 4)
     assert "low" in succeeds("info", coded)
     assert "runtime core" in fails(2, "decode", coded, tmp_path / "out.wav", "--runtime", "onnx")

@@ -11,7 +11,7 @@ from tests.planner.scenes import ASKED, CONTROLLER, scene
 from vibrocast.host.planner.candidates import Workbench
 from vibrocast.host.planner.choose import Choice, Refusal, choose, plan
 from vibrocast.host.planner.scene import SceneError
-from vibrocast.textures import Recording, save_wav
+from vibrocast.textures import Recording, save
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_
 
 
 def test_a_texture_that_nobody_can_feel_is_told(tmp_path: Path) -> None:
-    save_wav(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
+    save(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
     read = scene(tmp_path, texture='[[textures]]\nfile = "weak.wav"\nunit = "nm"\nfull_scale = 0.001\n')
     with pytest.raises(Refusal, match="weak: the band worth coding is empty: the most that the texture holds lies"):
         plan(read)

@@ -68,7 +68,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
     wood = textures.GENERATORS["wood"](hand_speed_mm_s=60, seconds=5, rate_hz=1600)
     samples = wood.samples.copy()
     samples[3200:4800] *= 2
-    textures.save_wav(tmp_path / "loud.wav", replace(wood, samples=samples))
+    textures.save(tmp_path / "loud.wav", replace(wood, samples=samples))
     limited = scene(
         tmp_path,
         texture='[[textures]]\nfile = "loud.wav"\n',

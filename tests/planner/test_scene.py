@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
 from vibrocast.host.planner.scene import SceneError, read_scene
-from vibrocast.textures import Recording, save_wav
+from vibrocast.textures import Recording, save
 
 
 def test_a_scene_is_read(tmp_path: Path) -> None:
@@ -29,7 +29,7 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
     folder.mkdir()
     for name, seconds in (("a", 0.2), ("b", 0.3)):
         noise = np.random.default_rng(1).normal(size=(round(2800 * seconds), 1))
-        save_wav(folder / f"{name}.wav", Recording(noise, 2800, "m/s^2", name))
+        save(folder / f"{name}.wav", Recording(noise, 2800, "m/s^2", name))
     read = scene(tmp_path, texture='[[textures]]\nfile = "recordings"\n')
     assert [texture.name for texture in read.textures] == ["a", "b"]
     (both,) = scene(tmp_path, texture='[[textures]]\nfile = ["recordings/a.wav", "recordings/b.wav"]\n').textures

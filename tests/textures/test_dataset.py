@@ -34,7 +34,7 @@ def write_axes(folder: Path, trace: str, axes: str) -> None:
 
 
 def test_every_kind_of_file_is_a_trace_and_three_axes_are_one(tmp_path: Path) -> None:
-    textures.save_wav(tmp_path / "wood.wav", wood(0, 0.1))
+    textures.save(tmp_path / "wood.wav", wood(0, 0.1))
     np.save(tmp_path / "wood.npy", np.zeros(10))
     write_axes(tmp_path, REFERENCE[0], "XYZ")
     write_axes(tmp_path, REFERENCE[1], "Z")
@@ -51,11 +51,11 @@ def test_every_kind_of_file_is_a_trace_and_three_axes_are_one(tmp_path: Path) ->
 
 
 def test_a_hand_speed_is_for_profiles_and_the_rate_becomes_whole(tmp_path: Path) -> None:
-    textures.save_wav(tmp_path / "wood.wav", wood(0, 0.1))
+    textures.save(tmp_path / "wood.wav", wood(0, 0.1))
     textures.save_profile(tmp_path / "profile.csv", textures.surface_profile("grating", seconds=0.1, rate_hz=3000))
     profile, recording = traces(tmp_path)
     assert load(recording, hand_speed_mm_s=50).rate_hz == 2800
-    with pytest.raises(TextureError, match="--stream-rate-hz"):
+    with pytest.raises(TextureError, match="`stream_rate_hz`"):
         load(profile, hand_speed_mm_s=33.3)
     resampled = load(profile, stream_rate_hz=2800, hand_speed_mm_s=33.3)
     assert (resampled.rate_hz, resampled.unit) == (2800, "um")

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vibrocast import textures
-from vibrocast.textures import Recording, TextureError, load, save_wav
+from vibrocast.textures import Recording, TextureError, load, save
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
@@ -54,10 +54,14 @@ def test_a_wav_file_takes_its_physical_value_from_unit_and_full_scale(tmp_path: 
     recording = load(tmp_path / "a.wav", unit="g", full_scale=2)
     assert recording.unit == "m/s^2"
     np.testing.assert_allclose(recording.samples, NOISE * 2 * 9.80665)
+    drive = load(tmp_path / "a.wav", unit="drive")
+    assert drive.unit == "full scale"
+    np.testing.assert_array_equal(drive.samples, NOISE)
     for options, message in (
-        ({"unit": "g"}, "give --full-scale too"),
-        ({"full_scale": 2.0}, "give its --unit too"),
-        ({"rate_hz": 2800.0}, "states 1000 Hz"),
+        ({"unit": "g"}, "give `full_scale` too"),
+        ({"full_scale": 2.0}, "give its `unit` too"),
+        ({"rate_hz": 2800.0}, "states 1000 Hz; leave out `rate_hz`=2800"),
+        ({"unit": "drive", "full_scale": 2.0}, "give its `unit` too"),
     ):
         with pytest.raises(TextureError, match=message):
             load(tmp_path / "a.wav", **options)
@@ -78,7 +82,7 @@ def test_a_saved_recording_states_its_unit(
     tmp_path: Path, sixteen_bit: bool, unit: str, peak: float, full_scale: float
 ) -> None:
     recording = Recording(NOISE / np.abs(NOISE).max() * peak, 2800.0, unit, "saved")
-    stated = save_wav(tmp_path / "saved.wav", recording, sixteen_bit)
+    stated = save(tmp_path / "saved.wav", recording, sixteen_bit)
     assert stated == (pytest.approx(full_scale) if sixteen_bit else 1)
     loaded = load(tmp_path / "saved.wav")
     assert (loaded.rate_hz, loaded.unit, loaded.name) == (2800, unit, "saved")
@@ -88,7 +92,7 @@ def test_a_saved_recording_states_its_unit(
 
 
 def test_silence_is_saved(tmp_path: Path) -> None:
-    assert save_wav(tmp_path / "silence.wav", Recording(np.zeros((3, 1)), 2800, "um", "silence")) == 1
+    assert save(tmp_path / "silence.wav", Recording(np.zeros((3, 1)), 2800, "um", "silence")) == 1
     assert not load(tmp_path / "silence.wav").samples.any()
 
 
@@ -106,9 +110,9 @@ def test_other_comments_of_a_wav_file_say_nothing(tmp_path: Path, comment: str) 
 
 def test_what_cannot_be_saved(tmp_path: Path) -> None:
     with pytest.raises(TextureError, match="resample first"):
-        save_wav(tmp_path / "a.wav", Recording(NOISE, 2800.5, "um", "a"))
+        save(tmp_path / "a.wav", Recording(NOISE, 2800.5, "um", "a"))
     with pytest.raises(TextureError, match="cannot be written"):
-        save_wav(tmp_path / "missing" / "a.wav", Recording(NOISE, 2800, "um", "a"))
+        save(tmp_path / "missing" / "a.wav", Recording(NOISE, 2800, "um", "a"))
 
 
 def test_arrays(tmp_path: Path) -> None:
@@ -139,14 +143,14 @@ def test_integers_of_an_array_are_numbers_or_full_scale(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arrays", "options", "message"),
     [
-        ({"a": [1.0], "b": [2.0]}, {}, "choose an array with --key; there are a, b"),
-        ({"a": [1.0], "b": [2.0]}, {"key": "c"}, "no array 'c' to --key; there are a, b"),
+        ({"a": [1.0], "b": [2.0]}, {}, "choose an array with `key`; there are a, b"),
+        ({"a": [1.0], "b": [2.0]}, {"key": "c"}, "no array of numbers `key`=c; there are a, b"),
         ({"rate_hz": 5}, {}, "there are none"),
-        ({"samples": [1.0]}, {}, "give --rate-hz"),
-        ({"samples": [1.0], "rate_hz": 5}, {}, "give --unit"),
+        ({"samples": [1.0]}, {}, "give `rate_hz`"),
+        ({"samples": [1.0], "rate_hz": 5}, {}, "give `unit`"),
         ({"samples": [1.0], "rate_hz": 5, "unit": "volt"}, {}, "unknown unit 'volt'"),
-        ({"samples": [1.0], "rate_hz": [5, 6]}, {"unit": "um"}, "NumPy's format"),
-        ({"samples": [1.0], "rate_hz": "quick"}, {"unit": "um"}, "NumPy's format"),
+        ({"samples": [1.0], "rate_hz": [5, 6]}, {"unit": "um"}, "rate_hz is not one number"),
+        ({"samples": [1.0], "rate_hz": "quick"}, {"unit": "um"}, "rate_hz is not one number"),
         ({"samples": [1.0], "rate_hz": 0}, {"unit": "um"}, "sample rate 0"),
         ({"samples": 1.0}, {}, "shape"),
         ({"samples": np.zeros((2, 2, 2))}, {}, "shape"),
@@ -174,7 +178,7 @@ def test_arrays_refused_with_what_to_do(
         (np.array([0.0, 0.5]), {"full_scale": 1e308, "unit": "g"}),
         (np.array([0.0, 1e308]), {"unit": "g"}),
         (np.array([0.0, np.longdouble(10) ** 4000]), {"unit": "um"}),
-        (np.full((9, 3), 1e308), {"unit": "um", "axis": "dft321"}),
+        (np.full((9, 3), 1e308), {"unit": "um", "reduce": "dft321"}),
         (np.array([0.0, 1e300]), {"unit": "um"}),
     ],
 )
@@ -232,7 +236,7 @@ def test_a_damaged_file_loads_or_is_refused(
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"damaged-{name}"
     if name.endswith("wav"):
-        save_wav(path, Recording(NOISE, 2800, "um", "a"))
+        save(path, Recording(NOISE, 2800, "um", "a"))
     elif name.endswith("npy"):
         np.save(path, NOISE)
     else:
@@ -260,7 +264,7 @@ def test_any_bytes_load_or_are_refused(
 
 @pytest.mark.parametrize("stated_bytes", [0x7FFFF000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFF0, 0xFFFFFFFF])
 def test_a_wav_file_written_into_a_pipe(tmp_path: Path, stated_bytes: int) -> None:
-    save_wav(tmp_path / "a.wav", Recording(NOISE, 2800, "um", "a"))
+    save(tmp_path / "a.wav", Recording(NOISE, 2800, "um", "a"))
     data = bytearray((tmp_path / "a.wav").read_bytes())
     start = data.index(b"data") + 4
     data[start : start + 4] = struct.pack("<I", stated_bytes)

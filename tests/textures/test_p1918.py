@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from vibrocast.textures import TextureError, load
-from vibrocast.textures.p1918 import dft321
+from vibrocast.textures.axes import dft321
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 TRACE = "Direct_-_1spike_Probe_-_cork_-_slow"
@@ -29,7 +29,12 @@ def test_a_folder_of_one_trace_is_reduced(tmp_path: Path) -> None:
     recording = load(tmp_path, unit="g")
     assert (recording.rate_hz, recording.unit, recording.channels) == (2800, "m/s^2", 1)
     np.testing.assert_allclose(recording.samples, dft321(AXES) * 9.80665)
-    np.testing.assert_allclose(load(tmp_path, unit="g", axis="dft321").samples, recording.samples)
+    assert recording.axes == ()
+    np.testing.assert_allclose(load(tmp_path, unit="g", reduce="dft321").samples, recording.samples)
+    kept = load(tmp_path, unit="m/s^2", reduce="none")
+    assert kept.axes == ("X", "Y", "Z")
+    np.testing.assert_allclose(kept.samples, AXES)
+    np.testing.assert_allclose(load(tmp_path, unit="m/s^2", reduce="norm").samples[:, 0], np.linalg.norm(AXES, axis=1))
 
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
@@ -52,19 +57,19 @@ def test_one_of_several_traces_is_named(tmp_path: Path) -> None:
 
 def test_other_names_do_not_state_a_rate(tmp_path: Path) -> None:
     write_trace(tmp_path, "mine")
-    with pytest.raises(TextureError, match="give --rate-hz"):
+    with pytest.raises(TextureError, match="give `rate_hz`"):
         load(tmp_path, unit="g")
     assert load(tmp_path, unit="g", rate_hz=1000).rate_hz == 1000
 
 
 def test_the_unit_is_asked_for(tmp_path: Path) -> None:
-    with pytest.raises(TextureError, match="give --unit"):
+    with pytest.raises(TextureError, match="give `unit`"):
         load(write_trace(tmp_path))
 
 
 def test_a_missing_axis(tmp_path: Path) -> None:
     stem = write_trace(tmp_path, axes="XZ")
-    with pytest.raises(TextureError, match=r"no file for axis Y; .* --axis X or Z"):
+    with pytest.raises(TextureError, match=r"no file for axis Y; .* `axis`=X or Z"):
         load(tmp_path, unit="g")
     with pytest.raises(TextureError, match="no file for axis Y"):
         load(stem, unit="g", axis="Y")
@@ -89,8 +94,10 @@ def test_axes_that_do_not_fit_together(tmp_path: Path) -> None:
 
 def test_files_that_are_not_one_axis(tmp_path: Path) -> None:
     write_trace(tmp_path)
-    with pytest.raises(TextureError, match=r"holds axis X; for --axis Y give .*slow$"):
+    with pytest.raises(TextureError, match=r"holds axis X; for `axis`=Y give .*slow$"):
         load(tmp_path / f"{TRACE}_X.txt", unit="g", axis="Y")
+    with pytest.raises(TextureError, match=r"holds axis X; for `reduce`=norm give .*slow$"):
+        load(tmp_path / f"{TRACE}_X.txt", unit="g", reduce="norm")
     (tmp_path / f"{TRACE}_Y.txt").write_text("1 2\n" * 300)
     with pytest.raises(TextureError, match="several columns"):
         load(tmp_path, unit="g")

@@ -16,6 +16,12 @@ def test_duration_and_channels() -> None:
     assert recording.channels == 3
 
 
+def test_each_channel_has_its_axis() -> None:
+    assert Recording(np.zeros((9, 1)), 2800, "um", "one").axes == ()
+    with pytest.raises(TextureError, match="2 axes for 3 channels"):
+        Recording(np.zeros((9, 3)), 2800, "um", "three", ("X", "Y"))
+
+
 @pytest.mark.parametrize(
     ("samples", "rate_hz", "unit", "message"),
     [

@@ -73,9 +73,21 @@ def test_refused_rates(rate_hz: float) -> None:
         (10, 1e7, 50, "too far from the 50 Hz"),
         (10, 0.01, 2800, "too far from the 2800 Hz"),
         (3, 1e6, 2800, "3 samples at 1e[+]06 Hz last less than one sample at 2800 Hz"),
-        (2_000_000, 0.1, 2800, "too long for 2800 Hz"),
     ],
 )
 def test_refused_pairs_of_rates(count: int, old_hz: float, new_hz: float, message: str) -> None:
     with pytest.raises(TextureError, match=message):
         resample(Recording(np.ones((count, 1)), old_hz, "um", "ones"), new_hz)
+
+
+def test_a_slow_recording_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vibrocast.textures.memory.available_bytes", lambda: 10_000_000)
+    recording = Recording(np.ones((1000, 1)), 1, "um", "slow")
+    with pytest.raises(TextureError, match=r"slow: 1000 s at 2800 Hz needs .* of memory, .* choose a lower rate"):
+        resample(recording, 2800)
+    assert len(resample(recording, 1000).samples) == 1_000_000
+
+
+def test_axes_are_kept() -> None:
+    recording = Recording(np.ones((100, 3)), 1000, "m/s^2", "three", ("X", "Y", "Z"))
+    assert resample(recording, 2800).axes == ("X", "Y", "Z")

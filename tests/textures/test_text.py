@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vibrocast.textures import TextureError, load
+from vibrocast.textures.axes import dft321
 
 
 def written(folder: Path, text: str, name: str = "file.csv") -> Path:
@@ -54,6 +55,8 @@ def test_what_a_file_does_not_state_is_given(tmp_path: Path) -> None:
     assert (recording.rate_hz, recording.unit) == (1000, "m/s^2")
     np.testing.assert_allclose(recording.samples, [[9.80665], [2 * 9.80665]])
     np.testing.assert_allclose(load(path, rate_hz=1, unit="um", full_scale=40).samples, [[40], [80]])
+    drive = load(path, rate_hz=1, unit="drive")
+    assert (drive.unit, drive.samples.tolist()) == ("full scale", [[1], [2]])
 
 
 def with_times(folder: Path, rate_hz: float, form: str, start_s: float = 0.0, count: int = 3000) -> Path:
@@ -69,7 +72,7 @@ def test_a_rate_is_not_lost_in_the_digits_of_times(tmp_path: Path, rate_hz: floa
     assert load(path).rate_hz == rate_hz
     assert load(path, rate_hz=rate_hz).rate_hz == rate_hz
     for other_hz in (0.998 * rate_hz, 1.002 * rate_hz):
-        with pytest.raises(TextureError, match="leave out --rate-hz"):
+        with pytest.raises(TextureError, match="leave out `rate_hz`"):
             load(path, rate_hz=other_hz)
 
 
@@ -93,14 +96,14 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("", {}, "no numbers"),
         ("# only a comment\n", {}, "no numbers"),
         ("x,y\n", {}, "no numbers"),
-        ("1\n2\n", {"unit": "um"}, "give --rate-hz"),
-        ("1\n2\n", {"rate_hz": 10}, "give --unit"),
+        ("1\n2\n", {"unit": "um"}, "give `rate_hz`"),
+        ("1\n2\n", {"rate_hz": 10}, "give `unit`"),
         ("1\n2\n", {"rate_hz": 10, "unit": "volt"}, "unknown unit 'volt'; known are"),
         ("1\n2\n", {"rate_hz": 0, "unit": "um"}, "sample rate 0"),
         ("1\n2\n", {"rate_hz": float("nan"), "unit": "um"}, "sample rate nan"),
         ("1\n2\n", {"rate_hz": 10, "unit": "um", "full_scale": -1}, "must be positive"),
-        ("1\n2\n", {"rate_hz": 10, "unit": "full scale", "full_scale": 3}, "give its --unit too"),
-        ("1\nnan\n", {"rate_hz": 10, "unit": "um"}, "sample 1 of channel 0 is nan"),
+        ("1\n2\n", {"rate_hz": 10, "unit": "full scale", "full_scale": 3}, "give its `unit` too"),
+        ("1\nnan\n", {"rate_hz": 10, "unit": "um"}, "/file.csv: sample 1 of channel 0 is nan"),
         ("1\n-inf\n", {"rate_hz": 10, "unit": "um"}, "is -inf"),
         ("1,2\n3\n", {"rate_hz": 10, "unit": "um"}, "number of columns"),
         ("1,2\n3,\n", {"rate_hz": 10, "unit": "um"}, "convert string"),
@@ -121,7 +124,7 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("# unit: volt\n1\n", {}, "unknown unit 'volt'"),
         ("# rate_hz: fast\n1\n", {}, "'fast' is not a number"),
         ("# rate_hz: -3\nx_um\n1\n", {}, "sample rate -3"),
-        ("# rate_hz: 10\nx_um\n1\n", {"rate_hz": 20}, "states 10 Hz; leave out --rate-hz 20"),
+        ("# rate_hz: 10\nx_um\n1\n", {"rate_hz": 20}, "states 10 Hz; leave out `rate_hz`=20"),
         ("# rate_hz: 10\nx_um\n1\n", {"unit": "m/s^2"}, "states its unit"),
         ("# rate_hz: 10\nx_um\n1\n", {"full_scale": 2}, "states its unit"),
         ("# rate_hz: 10\nx_um,y_g\n1,2\n", {}, "different units"),
@@ -131,20 +134,21 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("time_s,t_ms,x\n0,0,1\n1,1,1\n", {}, "2 columns of times; keep one"),
         ("index,time_s\n0,0\n1,1\n", {}, "no column of a signal"),
         ("index\n0\n1\n", {}, "no column of a signal"),
-        ("index,x_um\n0,1\n1,2\n", {}, "give --rate-hz"),
-        ("time_s,x_um\n0,1\n1,1\n5,1\n", {}, "not uniform, line 2"),
+        ("index,x_um\n0,1\n1,2\n", {}, "give `rate_hz`"),
+        ("time_s,x_um\n0,1\n1,1\n5,1\n", {}, "a gap of 4 after line 2, where the usual step is 2.5"),
         ("time_s,x_um\n0,1\n0,1\n", {}, "does not rise"),
-        ("time_s,x_um\n0,1\n", {}, "does not rise"),
-        ("time_s,x_um\n0,1\nnan,1\n", {}, "does not rise"),
+        ("time_s,x_um\n0,1\n", {}, "a single line"),
+        ("time_s,x_um\n0,1\nnan,1\n", {}, "line 2 holds no number"),
         ("time_s,x_um\n-1e308,1\n1e308,1\n", {}, "does not rise"),
         ("time_s,x_um\n0,1\n1e-310,1\n2e-310,1\n", {}, "sample rate inf"),
-        ("# rate_hz: 3\ntime_s,x_um\n0,1\n1,1\n", {}, "times say 1 Hz, a comment says 3"),
-        ("time,x_um\n0,1\n1,1\n", {}, "give --rate-hz"),
+        ("# rate_hz: 3\ntime_s,x_um\n0,1\n1,1\n", {}, "the time column says 1 Hz; a comment says 3 Hz; correct one"),
+        ("time,x_um\n0,1\n1,1\n", {}, "1 Hz in s, 1000 Hz in ms, 1e[+]06 Hz in us; name it .* or give `rate_hz`"),
         ("0,5\n1,6\n2,-8\n", {"rate_hz": 10, "unit": "um"}, "first column rises in equal steps"),
-        ("1\n2\n", {"axis": "X"}, "needs three channels"),
-        ("1\n2\n", {"axis": "W"}, "not one of X, Y, Z, dft321"),
+        ("1\n2\n", {"axis": "X"}, "axis needs three channels"),
+        ("1\n2\n", {"reduce": "norm"}, "reduce needs three channels"),
+        ("1\n2\n", {"axis": "W"}, "`axis`=W: not one of X, Y, Z; .* give `reduce`"),
         ("1\n2\n", {"key": "a"}, "leave it out"),
-        ("1\n2\n", {"hand_speed_mm_s": 5}, "leave out --hand-speed-mm-s"),
+        ("1\n2\n", {"hand_speed_mm_s": 5}, "leave out `hand_speed_mm_s`"),
         ("\0\0\0", {}, "not a text file"),
         ("7" * 200_000, {}, "not a text file"),
     ],
@@ -154,11 +158,101 @@ def test_refused_with_what_to_do(tmp_path: Path, text: str, options: dict[str, f
         load(written(tmp_path, text), **options)  # type: ignore[arg-type]
 
 
-def test_three_columns_are_three_axes_on_request(tmp_path: Path) -> None:
-    path = written(tmp_path, "# rate_hz: 10\nx_um,y_um,z_um\n1,5,2\n2,3,4\n1,1,1\n")
-    assert load(path).channels == 3
+@pytest.mark.parametrize("form", ["time,x_um\n{}", "T;x_um\n{}", "timestamp\tx_um\n{}", "# unit: um\ntime,x\n{}"])
+def test_a_time_column_without_a_unit_is_in_seconds(tmp_path: Path, form: str) -> None:
+    delimiter = form.partition("x")[0][-1]
+    lines = "\n".join(f"{3 + index / 10_000:.6f}{delimiter}{index % 7}" for index in range(1000))
+    path = written(tmp_path, form.format(lines))
+    recording = load(path)
+    assert (recording.rate_hz, recording.unit, recording.channels) == (10_000, "um", 1)
+    assert load(path, rate_hz=10_000).rate_hz == 10_000
+    with pytest.raises(TextureError, match=r"the time column says 10000 Hz; leave out `rate_hz`=1000"):
+        load(path, rate_hz=1000)
+
+
+@pytest.mark.parametrize(("step", "unit"), [(0.1, "ms"), (1, "ms"), (100, "us"), (500, "us")])
+def test_a_time_column_of_another_unit_must_state_it(tmp_path: Path, step: float, unit: str) -> None:
+    rate_hz = {"ms": 1e3, "us": 1e6}[unit] / step
+    lines = "\n".join(f"{index * step:g},{index % 7}" for index in range(100))
+    path = written(tmp_path, f"time,x_um\n{lines}")
+    with pytest.raises(TextureError, match=rf"'time' states no unit.* {rate_hz:g} Hz in {unit}.* or give `rate_hz`"):
+        load(path)
+    assert load(path, rate_hz=rate_hz).rate_hz == rate_hz
+    with pytest.raises(TextureError, match="the time column says"):
+        load(path, rate_hz=1.01 * rate_hz)
+    assert load(written(tmp_path, f"# rate_hz: {rate_hz}\ntime,x_um\n{lines}")).rate_hz == rate_hz
+    assert load(written(tmp_path, f"time_{unit},x_um\n{lines}")).rate_hz == rate_hz
+
+
+def test_flaws_of_times_are_named_with_line_and_size(tmp_path: Path) -> None:
+    times_ms = np.arange(1000.0)
+    for change, message in (
+        (lambda times: np.delete(times, range(700, 732)), "a gap of 33 after line 700, where the usual step is 1;"),
+        (lambda times: times + 0.3 * (times == 400), "jitter, line 401 is off the uniform grid by 0.3, 30% of a step"),
+        (lambda times: times - 2 * (times == 400), "does not rise after line 400"),
+    ):
+        lines = (f"{time_ms:.3f},{index % 7}" for index, time_ms in enumerate(change(times_ms)))
+        path = written(tmp_path, "\n".join(["time_ms,x_um", *lines]))
+        with pytest.raises(
+            TextureError, match=f"column of times: {message}.*; or remove that column and give `rate_hz`"
+        ):
+            load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time (g),x_um\n0,1\n1,1\n", "times in g; name the column time_s, time_ms or time_us"),
+        ("time_s,x_um\n0,1\n1e-318,1\n", "sample rate inf"),
+        ("time,x_um\n0,1\n1e-318,1\n", "states no unit"),
+    ],
+)
+def test_times_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(TextureError, match=message):
+        load(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "names", ["x_um,y_um,z_um", "X (um),Y (um),Z (um)", "ax_um,ay_um,az_um", "acc_x_um,acc_y_um,acc_z_um"]
+)
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_columns_x_y_and_z_are_axes_of_one_texture(tmp_path: Path, names: str, order: tuple[int, ...]) -> None:
+    rows = np.array([[1, 5, 2], [2, 3, 4], [1, 1, 1], [0, 4, 1]])
+    lines = [",".join(names.split(",")[column] for column in order)]
+    lines += [",".join(str(row[column]) for column in order) for row in rows]
+    path = written(tmp_path, "# rate_hz: 10\n" + "\n".join(lines))
+    for recording in (load(path), load(path, reduce="none")):
+        assert recording.axes == ("X", "Y", "Z")
+        np.testing.assert_array_equal(recording.samples, rows)
+    for recording, samples in (
+        (load(path, axis="y"), rows[:, [1]]),
+        (load(path, reduce="norm"), np.sqrt(np.sum(rows**2, axis=1, keepdims=True))),
+        (load(path, reduce="dft321"), dft321(rows.astype(float))),
+    ):
+        assert recording.axes == ()
+        np.testing.assert_allclose(recording.samples, samples)
+
+
+@pytest.mark.parametrize(
+    "names", ["", "left_um,middle_um,right_um", "x_um,x_um,y_um", "x_um,y_um", "ax_um,by_um,cz_um"]
+)
+def test_other_columns_are_textures_of_their_own(tmp_path: Path, names: str) -> None:
+    row = "1,5,2" if names.count(",") != 1 else "1,5"
+    path = written(tmp_path, f"# rate_hz: 10\n# unit: um\n{names}\n{row}\n{row}\n")
+    assert load(path).axes == ()
+
+
+def test_three_columns_without_names_are_axes_on_request(tmp_path: Path) -> None:
+    path = written(tmp_path, "# rate_hz: 10\n# unit: um\n1,5,2\n2,3,4\n1,1,1\n")
+    assert load(path).axes == ()
+    assert load(path, reduce="none").axes == ("X", "Y", "Z")
     np.testing.assert_allclose(load(path, axis="Y").samples, [[5], [3], [1]])
-    assert load(path, axis="dft321").channels == 1
+    for options, message in (
+        ({"axis": "X", "reduce": "norm"}, "give only one of them"),
+        ({"reduce": "mean"}, "`reduce`=mean: not one of dft321, norm, none"),
+    ):
+        with pytest.raises(TextureError, match=message):
+            load(path, **options)  # type: ignore[arg-type]
 
 
 def test_other_encodings_are_refused(tmp_path: Path) -> None:

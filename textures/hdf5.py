@@ -1,0 +1,93 @@
+"""Reads HDF5 files, and MATLAB's .mat files of version 7.3, which are HDF5 with attributes of MATLAB's."""
+
+from collections.abc import Collection, Iterable, Mapping
+from math import prod
+from pathlib import Path
+from typing import Any
+
+from vibrocast.textures import arrays
+from vibrocast.textures.recording import Contents, TextureError
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+MATLAB_START_BYTES = 512  # before the magic of a .mat file
+MATLAB_CLASS = "MATLAB_class"
+MATLAB_REFERENCED = "#refs#"  # the group of all that cells refer to
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a file begins as HDF5, or as a .mat file of version 7.3. Raises OSError."""
+    with path.open("rb") as file:
+        start = file.read(MATLAB_START_BYTES + len(MAGIC))
+    return start.startswith(MAGIC) or start[MATLAB_START_BYTES:] == MAGIC
+
+
+def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+    """Read a dataset of numbers; `key`, its path in the file, and `rate_hz` as `textures.load` takes them.
+
+    Rate and unit are attributes or datasets of one value: of the dataset, else of its group, else of the file. MATLAB
+    stores arrays with their axes in the other order; they are turned, and a row is one channel, as a column is.
+    Raises TextureError, OSError.
+    """
+    import h5py
+
+    with arrays.parsing(path, "an HDF5 file"), h5py.File(path, "r") as file:
+        datasets: dict[str, Any] = {}
+
+        def keep(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and not name.startswith(MATLAB_REFERENCED):
+                datasets[name] = item
+
+        file.visititems(keep)  # follows no links to other files
+        signals = [name for name, dataset in datasets.items() if _is_of_numbers(dataset) and dataset.size > 1]
+        others = {name: _kind(datasets[name]) for name in datasets if name not in signals}
+        chosen = arrays.chosen_key(signals, key and key.strip("/"), path, others)
+        dataset = datasets[chosen]
+        if dataset.external or dataset.is_virtual:
+            raise TextureError(f"{path}: {chosen} keeps its numbers in other files; save them in this one")
+        chunk_bytes = prod(dataset.chunks) * dataset.dtype.itemsize if dataset.chunks else 0
+        arrays.refuse_too_large(dataset.shape, dataset.dtype, path, chunk_bytes)
+        group = chosen.rpartition("/")[0]
+        places = [
+            dataset.attrs,
+            dataset.parent.attrs,
+            _values_in(group, datasets),
+            file.attrs,
+            _values_in("", datasets),
+        ]
+        stated = _nearest(places, arrays.RATE_NAMES) | _nearest(places, arrays.UNIT_NAMES)
+        array = dataset[()]
+        if MATLAB_CLASS in dataset.attrs and array.ndim == 2:
+            array = array if array.shape[1] == 1 else array.T
+        return arrays.contents_of(array, path, stated, rate_hz)
+
+
+def _is_of_numbers(dataset: Any) -> bool:
+    return dataset.dtype.kind in "iuf" and dataset.size is not None and _kind(dataset) not in ("char", "logical")
+
+
+def _kind(dataset: Any) -> str:
+    """Return what a person calls a dataset of this type."""
+    matlab_class = dataset.attrs.get(MATLAB_CLASS)
+    return f"dataset of type {dataset.dtype}" if matlab_class is None else matlab_class.decode()
+
+
+def _values_in(group: str, datasets: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the datasets of one value, or of a text of MATLAB's, in a group state, by their names in it."""
+    values: dict[str, Any] = {}
+    for path, dataset in datasets.items():
+        place, _, name = path.rpartition("/")
+        if place != group or not arrays.states_something(name):
+            continue
+        if _kind(dataset) == "char" and dataset.size <= arrays.MOST_CHARACTERS:
+            values[name] = "".join(map(chr, dataset[()].ravel()))
+        elif dataset.size == 1:
+            values[name] = dataset[()]
+    return values
+
+
+def _nearest(places: Iterable[Mapping[str, Any]], names: Collection[str]) -> dict[str, Any]:
+    """Return what the first place that has any of these names, in any case, says by them."""
+    for place in places:
+        if found := {name: place[name] for name in place if name.lower() in names}:
+            return found
+    return {}
