@@ -38,7 +38,7 @@ def library() -> Any:
         raise RuntimeError("the C core is not compiled; install vibrocast with pip, or run `make install`")
     ffi.cdef((folder / "vibrocast_core.cdef").read_text(encoding="utf-8"), override=True)
     # Every processor can run the baseline core, so this one asks the processor.
-    cores = {"baseline": ffi.dlopen(str(baseline))}
+    cores: dict[str, Any] = {"baseline": ffi.dlopen(str(baseline))}
     if cores["baseline"].vc_runs_x86_64_v3() and faster.exists():
         cores["x86_64_v3"] = ffi.dlopen(str(faster))
     name = os.environ.get(CORE_VARIABLE) or list(cores)[-1]
