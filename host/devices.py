@@ -117,7 +117,8 @@ def _firmware(address: str) -> Iterator[str]:
 
     if address == "host" and not has_pseudo_terminals():
         raise TransportError(
-            "host cannot run: its serial port is a pseudo-terminal, which this system lacks. Use sim or an emulated board."
+            "host cannot run: its serial port is a pseudo-terminal, which this system lacks. Use sim or an emulated "
+            "board."
         )
     try:
         port = HostProcess() if address == "host" else serial_port(emulated(address))

@@ -54,7 +54,9 @@ def test_the_processor_chooses_the_core_unless_one_is_named(core: str | None) ->
 
 
 def test_a_core_that_is_not_there_is_an_error_of_one_line() -> None:
-    done = run_with("sparc", "-c", "from vibrocast.host.entry import main; main()", "info", "tests/codec/golden_mdct.vct")
+    done = run_with(
+        "sparc", "-c", "from vibrocast.host.entry import main; main()", "info", "tests/codec/golden_mdct.vct"
+    )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "VIBROCAST_CORE is 'sparc', which this machine cannot run; set it to baseline" in done.stderr
@@ -75,5 +77,6 @@ def test_a_processor_runs_x86_64_v3_only_with_all_that_it_asks_for() -> None:
 def test_the_answer_is_that_of_the_system() -> None:
     lines = Path("/proc/cpuinfo").read_text().splitlines()
     flags = set(next((line.split(":")[1].split() for line in lines if line.startswith("flags")), []))
-    needed = set("avx avx2 bmi1 bmi2 f16c fma abm movbe xsave cx16 lahf_lm popcnt pni sse4_1 sse4_2 ssse3".split())
+    needed = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"}
+    needed |= {"cx16", "lahf_lm", "popcnt", "pni", "sse4_1", "sse4_2", "ssse3"}
     assert runs_x86_64_v3() == (needed <= flags)

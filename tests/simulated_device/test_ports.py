@@ -204,7 +204,9 @@ def test_socket_goes_away_with_a_controller_that_fails_and_says_why() -> None:
             host.request_status()
 
 
-@pytest.mark.parametrize("url", ["socket://127.0.0.1", "socket://127.0.0.1:x", "socket://127.0.0.1:99999", "no-such://x"])
+@pytest.mark.parametrize(
+    "url", ["socket://127.0.0.1", "socket://127.0.0.1:x", "socket://127.0.0.1:99999", "no-such://x"]
+)
 def test_url_that_is_no_port_is_an_error(url: str) -> None:
     with pytest.raises(TransportError, match="cannot open serial port"):
         open_transport(f"serial:{url}")

@@ -7,7 +7,7 @@
 
 #define VC_OSXSAVE (1u << 27)
 /* SSE3, SSSE3, FMA, CMPXCHG16B, SSE4.1, SSE4.2, MOVBE, POPCNT, OSXSAVE, AVX, F16C */
-#define VC_LEAF_1_ECX \
+#define VC_LEAF_1_ECX                                                                                                  \
     (1u | 1u << 9 | 1u << 12 | 1u << 13 | 1u << 19 | 1u << 20 | 1u << 22 | 1u << 23 | VC_OSXSAVE | 1u << 28 | 1u << 29)
 #define VC_LEAF_7_EBX (1u << 3 | 1u << 5 | 1u << 8) /* BMI1, AVX2, BMI2 */
 #define VC_LEAF_80000001_ECX (1u | 1u << 5)         /* LAHF, LZCNT */
