@@ -1,6 +1,7 @@
 """The integer core (firmware/core), compiled while installing and loaded through cffi."""
 
 import copy
+import os
 import sys
 from functools import cache
 from pathlib import Path
@@ -18,20 +19,32 @@ MAX_PACKET_BYTES = 65_535
 ffi = FFI()
 
 
+CORE_VARIABLE = "VIBROCAST_CORE"
+"""Environment variable that names the compiled core to load, for tests and to look for faults."""
+
+
 @cache
 def library() -> Any:
     """Load the compiled core; its functions are those of firmware/core/vibrocast_core.h.
 
-    Raises RuntimeError when the core has not been compiled.
+    A machine with an x86-64 processor has two cores, "baseline" and "x86_64_v3", which produce the same bits. The
+    processor tells which is loaded. Raises RuntimeError if the core has not been compiled, and CodecError if the
+    environment variable VIBROCAST_CORE names a core that this machine cannot run.
     """
     folder = Path(__file__).parent
-    compiled = folder / {"darwin": "vibrocast_core.dylib", "win32": "vibrocast_core.dll"}.get(
-        sys.platform, "vibrocast_core.so"
-    )
-    if not compiled.exists():
+    suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+    baseline, faster = (folder / f"vibrocast_core.{name}{suffix}" for name in ("baseline", "x86_64_v3"))
+    if not baseline.exists():
         raise RuntimeError("the C core is not compiled; install vibrocast with pip, or run `make install`")
-    ffi.cdef((folder / "vibrocast_core.cdef").read_text(), override=True)
-    return ffi.dlopen(str(compiled))
+    ffi.cdef((folder / "vibrocast_core.cdef").read_text(encoding="utf-8"), override=True)
+    # Every processor can run the baseline core, so this one asks the processor.
+    cores: dict[str, Any] = {"baseline": ffi.dlopen(str(baseline))}
+    if cores["baseline"].vc_runs_x86_64_v3() and faster.exists():
+        cores["x86_64_v3"] = ffi.dlopen(str(faster))
+    name = os.environ.get(CORE_VARIABLE) or list(cores)[-1]
+    if name not in cores:
+        raise CodecError(f"{CORE_VARIABLE} is {name!r}, which this machine cannot run; set it to {' or '.join(cores)}")
+    return cores[name]
 
 
 class Structure:

@@ -19,6 +19,7 @@ VENDOR_INTERFACE_CLASS = 0xFF
 _WRITE_TIMEOUT_S = 1.0
 # A multiple of every bulk packet size (64 and 512), so that no read can overflow.
 _USB_READ_BYTES = 4096
+_SOCKET_READ_BYTES = 65_536
 
 
 class TransportError(OSError):
@@ -64,16 +65,20 @@ class _Closing(ABC):
 
 
 class SerialTransport(_Closing):
-    """A serial port: a UART, a USB serial port or a pseudo-terminal. Raises TransportError if it cannot be opened."""
+    """A serial port: a UART, a USB serial port, a pseudo-terminal, or a URL of pyserial, such as socket://HOST:PORT.
+
+    Raises TransportError if it cannot be opened.
+    """
 
     def __init__(self, port: str, baud: int = BAUD) -> None:
         self._port, self._baud = port, baud
+        self._is_socket = port.startswith("socket://")
         self._serial = self._open()
 
-    def _open(self) -> serial.Serial:
+    def _open(self) -> Any:
         try:
             # Exclusive: two programs on one port would garble each other's frames.
-            return serial.Serial(self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
+            return serial.serial_for_url(self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
         except (OSError, ValueError) as error:
             raise TransportError(
                 f"cannot open serial port {self._port}: {error}. Check the name (`vibrocast devices` lists the ports), "
@@ -81,7 +86,10 @@ class SerialTransport(_Closing):
             ) from error
 
     def _broken(self, error: Exception) -> TransportError:
-        return TransportError(f"serial port {self._port} broke off ({error}). Check the cable and the controller.")
+        return TransportError(
+            f"serial port {self._port} broke off ({error}). Check the cable and the controller, and that no other "
+            "program uses the port."
+        )
 
     def write(self, data: bytes) -> None:
         try:
@@ -97,8 +105,15 @@ class SerialTransport(_Closing):
         try:
             if self._serial.timeout != timeout_s:
                 self._serial.timeout = timeout_s
-            first = self._serial.read(1)
-            return first + self._serial.read(self._serial.in_waiting) if first else b""
+            first: bytes = self._serial.read(1)
+            if not first:
+                return b""
+            waiting: int = self._serial.in_waiting
+            if self._is_socket:
+                # pyserial tells only that bytes wait, not how many; with this timeout it gives those that do.
+                self._serial.timeout, waiting = 0, _SOCKET_READ_BYTES
+            rest: bytes = self._serial.read(waiting)
+            return first + rest
         except OSError as error:
             raise self._broken(error) from error
 
@@ -188,7 +203,7 @@ class UsbTransport(_Closing):
 
 
 def open_transport(address: str, usb_backend: Any = None) -> Transport:
-    """Open "serial:PORT" or "usb:VID:PID" (hexadecimal). Raises TransportError."""
+    """Open "serial:PORT", as SerialTransport does, or "usb:VID:PID" (hexadecimal). Raises TransportError."""
     kind, _, rest = address.partition(":")
     if kind == "serial" and rest:
         return SerialTransport(rest)

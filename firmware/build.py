@@ -99,7 +99,6 @@ def _mps2(core: str, processor: str, board: str, script: str = "mps2.ld", **defi
 
 
 _POSITION_INDEPENDENT = () if sys.platform == "win32" else ("-fPIC",)
-_PROCESSOR = os.environ.get("VIBROCAST_CPU", "native")
 # Four channels, and captures of some 20 s, in 4 MiB.
 _EMULATED = {
     "VC_CHANNELS": 4,
@@ -132,10 +131,10 @@ TARGETS: Mapping[str, Target] = {
     "native": Target(
         "shared library of core and controller, for cffi",
         _LIBRARY_SUFFIX,
-        ("-shared", *_POSITION_INDEPENDENT, f"-mcpu={_PROCESSOR}"),
+        ("-shared", *_POSITION_INDEPENDENT, "-mcpu=native"),
     ),
     "host": Target(
-        "program for this machine, behind a pseudo-terminal", "", (f"-mcpu={_PROCESSOR}",), ("ports", "ports/host")
+        "program for this machine, behind a pseudo-terminal", "", ("-mcpu=native",), ("ports", "ports/host")
     ),
     **_mps2("cortex-m4", M4F, "an386"),
     **_mps2("cortex-m7", M7, "an500"),

@@ -10,7 +10,7 @@ def cffi_declarations(folder: Path) -> str:
 
     A header's part comes after those of the headers that it includes.
     """
-    texts = {path.name: path.read_text() for path in sorted(folder.glob("*.h"))}
+    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.h"))}
     included = {
         name: [other for other in re.findall(r'#include "(.*?)"', text) if other in texts]
         for name, text in texts.items()

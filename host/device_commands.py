@@ -1,7 +1,7 @@
 """The subcommands on controllers: `devices`, `flash`, `status` and `simulate`."""
 
 import sys
-import threading
+import time
 from pathlib import Path
 
 import click
@@ -62,18 +62,20 @@ def status(address: str, as_json: bool) -> None:
 def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: str | None) -> None:
     """Run a simulated controller until Ctrl-C.
 
-    It is behind a pseudo-terminal, whose address is printed; other programs open it as a serial port.
+    It prints the address of its serial port, which other programs open: a pseudo-terminal on Linux and macOS, a socket
+    on Windows.
     """
     from vibrocast.simulated_device.controller import FLASH_BYTES, Settings
     from vibrocast.simulated_device.controller import Controller as SimulatedController
     from vibrocast.simulated_device.flash import FlashMemory
-    from vibrocast.simulated_device.pty_port import PtyPort
+    from vibrocast.simulated_device.serial_port import serial_port
 
     if flash_file and flash_file.exists() and not (flash_file.is_file() and flash_file.stat().st_size == FLASH_BYTES):
         raise BadInput(f"{flash_file}: not the {FLASH_BYTES} bytes of this flash memory; give a name for a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm, runtime=runtime)
-    with PtyPort(SimulatedController(settings, flash_memory)) as port:
+    with serial_port(SimulatedController(settings, flash_memory)) as port:
         click.echo(f"serial:{port.name}")
         sys.stdout.flush()
-        threading.Event().wait()
+        while True:
+            time.sleep(1.0)  # on Windows, Ctrl-C interrupts no wait for an event

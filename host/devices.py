@@ -40,7 +40,7 @@ FIRMWARE = {
 EMULATED = tuple(name for name in FIRMWARE if name != "host")
 """Those whose processor is emulated."""
 SIMULATED = {
-    "sim": "simulated controller behind a pseudo-terminal",
+    "sim": "simulated controller behind a serial port",
     "sim-usb": "simulated controller behind a simulated USB device",
     **FIRMWARE,
 }
@@ -72,14 +72,16 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
             decoding_runtime(address, runtime)
             transport = SerialTransport(stack.enter_context(_firmware(address)))
         elif address in SIMULATED:
-            from vibrocast.simulated_device.pty_port import PtyPort
+            from vibrocast.simulated_device.serial_port import serial_port
             from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
             if address == "sim":
-                transport = SerialTransport(stack.enter_context(PtyPort(simulated(runtime, actuator))).name)
+                port = serial_port(simulated(runtime, actuator))
+                stack.enter_context(port)
+                transport = SerialTransport(port.name)
             else:
-                port = UsbPort(simulated(runtime, actuator))
-                transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(port))
+                usb_port = UsbPort(simulated(runtime, actuator))
+                transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(usb_port))
         else:
             transport = open_transport(address)
         yield stack.enter_context(transport)
@@ -111,10 +113,15 @@ def _firmware(address: str) -> Iterator[str]:
     """Run one of FIRMWARE and tell its serial port. Raises TransportError."""
     from vibrocast.firmware.build import BuildError
     from vibrocast.simulated_device.host_process import HostProcess
-    from vibrocast.simulated_device.pty_port import PtyPort
+    from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
 
+    if address == "host" and not has_pseudo_terminals():
+        raise TransportError(
+            "host cannot run: its serial port is a pseudo-terminal, which this system lacks. Use sim or an emulated "
+            "board."
+        )
     try:
-        port = HostProcess() if address == "host" else PtyPort(emulated(address))
+        port = HostProcess() if address == "host" else serial_port(emulated(address))
     except BuildError as error:
         raise TransportError(str(error)) from error
     with port:

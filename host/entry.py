@@ -8,7 +8,10 @@ from types import FrameType
 from typing import NoReturn
 
 INTERRUPTED = 130
-STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Windows has no SIGHUP.
+STOPPING_SIGNALS: tuple[signal.Signals, ...] = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 
 
 def main() -> None:
@@ -35,6 +38,6 @@ def _leave(_number: int, _frame: FrameType | None) -> NoReturn:
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     """Interrupt what is under way. A closed terminal may signal twice; only Ctrl-C may cut the cleaning up short."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in STOPPING_SIGNALS[1:]:
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt

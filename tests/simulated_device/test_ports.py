@@ -1,7 +1,10 @@
-"""The controller behind a real pseudo-terminal and as a USB device: plugged, unplugged, opened and closed."""
+"""The controller behind a real pseudo-terminal, a socket and a USB device: plugged, unplugged, opened and closed."""
 
 import errno
 import os
+import socket
+import struct
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,18 +14,26 @@ import usb.core
 
 from tests.simulated_device.bench import stream
 from vibrocast.device_protocol.messages import State, Status
-from vibrocast.device_protocol.transports import SerialTransport, TransportError, UsbTransport
+from vibrocast.device_protocol.transports import SerialTransport, TransportError, UsbTransport, open_transport
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import Progress, play
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.memory_link import FaultyLine
 from vibrocast.simulated_device.pty_port import PtyPort
+from vibrocast.simulated_device.serial_port import serial_port
+from vibrocast.simulated_device.socket_port import SocketPort
 from vibrocast.simulated_device.usb_backend import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT_ID, VENDOR_ID, UsbPort
 
 
 @pytest.fixture
 def pty_port() -> Iterator[PtyPort]:
     with PtyPort(Controller()) as port:
+        yield port
+
+
+@pytest.fixture
+def socket_port() -> Iterator[SocketPort]:
+    with SocketPort(Controller()) as port:
         yield port
 
 
@@ -104,6 +115,101 @@ def test_pty_goes_away_with_a_controller_that_fails_and_says_why() -> None:
         port.unplug()
     port.close()
     assert not Path(port.name).exists()
+
+
+def test_system_without_pseudo_terminals_has_a_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    with serial_port(Controller()) as port:
+        assert isinstance(port, PtyPort)
+    monkeypatch.setitem(sys.modules, "termios", None)
+    with serial_port(Controller()) as port:
+        assert isinstance(port, SocketPort)
+
+
+def connected(port: SocketPort) -> socket.socket:
+    address, _, number = port.name.removeprefix("socket://").partition(":")
+    return socket.create_connection((address, int(number)), timeout=10)
+
+
+def test_stream_plays_over_a_socket(socket_port: SocketPort) -> None:
+    played = stream(1.0)
+    with Host(open_transport(f"serial:{socket_port.name}")) as host:
+        result = play(host, played.header, played.packets, played.packet_samples, capture=True)
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+    assert result.decoded is not None
+    np.testing.assert_array_equal(result.decoded, played.decoded)
+
+
+def test_socket_listens_to_this_machine_alone(socket_port: SocketPort) -> None:
+    assert socket_port.name.startswith("socket://127.0.0.1:")
+
+
+def test_socket_survives_hosts_that_open_and_close_it_while_playing(socket_port: SocketPort) -> None:
+    played = stream(1.0)
+
+    def leave(progress: Progress) -> None:
+        raise KeyError("the host has had enough")
+
+    for _ in range(2):
+        with Host(SerialTransport(socket_port.name)) as host:
+            assert isinstance(host.request_status(), Status)
+            with pytest.raises(KeyError):
+                play(host, played.header, played.packets, played.packet_samples, progress=leave)
+
+
+def test_socket_survives_a_host_that_never_reads_and_garbage(socket_port: SocketPort) -> None:
+    with connected(socket_port) as rude:
+        for _ in range(200):
+            rude.sendall(os.urandom(300) + b"\0")
+    # The next host comes at once, while the garbage is still being read.
+    with Host(SerialTransport(socket_port.name)) as host:
+        assert host.request_status().bad_frames > 0
+
+
+def test_socket_survives_a_host_that_is_cut_off(socket_port: SocketPort) -> None:
+    rude = connected(socket_port)
+    rude.sendall(b"x")
+    rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closing resets the connection
+    rude.close()
+    with Host(SerialTransport(socket_port.name)) as host:
+        assert isinstance(host.request_status(), Status)
+
+
+def test_socket_serves_one_host_at_a_time(socket_port: SocketPort) -> None:
+    with Host(SerialTransport(socket_port.name)) as host:
+        assert isinstance(host.request_status(), Status)
+        with pytest.raises(TransportError, match="no other program"):
+            Host(SerialTransport(socket_port.name))
+        assert isinstance(host.request_status(), Status)
+        host.reconnect(5.0)
+        assert isinstance(host.request_status(), Status)
+
+
+def test_socket_that_is_closed_breaks_the_transport() -> None:
+    with SocketPort(Controller()) as port:
+        host = Host(SerialTransport(port.name))
+        port.close()
+        with pytest.raises(TransportError, match="broke off"):
+            host.request_status()
+        with pytest.raises(TransportError, match="cannot open"):
+            host.reconnect(0.0)
+    port.close()
+
+
+def test_socket_goes_away_with_a_controller_that_fails_and_says_why() -> None:
+    controller = FailingController()
+    with pytest.raises(TransportError, match="out of order"), SocketPort(controller) as port:
+        host = Host(SerialTransport(port.name))
+        controller.faulty = True
+        with pytest.raises(TransportError, match="broke off"):
+            host.request_status()
+
+
+@pytest.mark.parametrize(
+    "url", ["socket://127.0.0.1", "socket://127.0.0.1:x", "socket://127.0.0.1:99999", "no-such://x"]
+)
+def test_url_that_is_no_port_is_an_error(url: str) -> None:
+    with pytest.raises(TransportError, match="cannot open serial port"):
+        open_transport(f"serial:{url}")
 
 
 def test_usb_device_goes_away_with_a_controller_that_fails_and_says_why() -> None:
