@@ -1,10 +1,11 @@
 """The cells of a benchmark, one trace at one setting of one codec: what they are, how each is measured."""
 
 import hashlib
+import sys
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,9 @@ class Cell:
         digest = hashlib.sha256(recording.samples.tobytes())
         signal_format = recording.samples.shape, recording.rate_hz, recording.unit
         model = self.model and (self.model.name, trained.digest(self.model))
-        work = self.method.name, self.method.coder, self.setting, model, self.repeats
+        coder = self.method.coder
+        source = source_of(codec.CODECS[coder]) if coder in codec.CODECS else ""
+        work = self.method.name, coder, source, self.setting, model, self.repeats
         digest.update(repr((self.trace, signal_format, work, program_version(), _core())).encode())
         return digest.hexdigest()
 
@@ -231,7 +234,26 @@ def program_version() -> str:
     sources = hashlib.sha256()
     for path in (path for pattern in _SOURCES for path in sorted(_ROOT.glob(pattern))):
         sources.update(path.read_bytes())
-    return ", ".join([*(f"{name} {version(name)}" for name in _LIBRARIES), f"sources {sources.hexdigest()[:12]}"])
+    return ", ".join([*(f"{name} {_version(name)}" for name in _LIBRARIES), f"sources {sources.hexdigest()[:12]}"])
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:  # what only trains needs no library that measures
+        return "none"
+
+
+def source_of(chosen: codec.Codec) -> str:
+    """Return a hash of the modules that make a codec's encoder and decoder; "" where they have no file."""
+    digest = hashlib.sha256()
+    found = False
+    for maker in (chosen.make_encoder, chosen.make_decoder):
+        file = getattr(sys.modules.get(getattr(maker, "__module__", "")), "__file__", None)
+        if file and Path(file).is_file():
+            digest.update(Path(file).read_bytes())
+            found = True
+    return digest.hexdigest() if found else ""
 
 
 @cache

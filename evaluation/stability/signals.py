@@ -30,6 +30,12 @@ LOUDER_DB, FAR_LOUDER_DB = 3.0, 6.0
 SILENT, NEARLY_SILENT = 1e-4, 1e-2  # of full scale: -80 and -40 dB
 PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB = -30.0, -6.0
 
+TACTILE_HZ = 20.0
+GRAVITY_M_S2 = 9.81
+DRIFT_RMS = 8.0
+"""Of a drift: how far it goes to either side, relative to the texture's RMS value."""
+SWING_HZ = 0.3
+
 HOUR_S = 3600
 _ONSET_HZ = 250.0
 _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls anywhere in a block
@@ -37,12 +43,17 @@ _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls an
 
 @dataclass(frozen=True)
 class Condition:
-    """A hard signal. `judged_from`: the first of its samples that counts. `refused`: that it must be refused."""
+    """A hard signal. `judged_from`: the first of its samples that counts. `refused`: that it must be refused.
+
+    `tactile`: that it counts above TACTILE_HZ only, in what is coded and in what is decoded.
+    """
 
     make: Callable[[], Signal]
     rate_hz: int = RATE_HZ
     judged_from: int = 0
     refused: bool = False
+    unit: str = "full scale"
+    tactile: bool = False
 
 
 def texture(rate_hz: int = RATE_HZ, seconds: float = SECONDS, channels: int = 1) -> Signal:
@@ -89,6 +100,29 @@ def _with(value: float) -> Signal:
     return samples
 
 
+def _with_gravity() -> Signal:
+    """A texture of an accelerometer that lies flat."""
+    return texture() + GRAVITY_M_S2
+
+
+def _on_a_ramp() -> Signal:
+    samples = texture()
+    return samples + DRIFT_RMS * np.std(samples) * np.linspace(-1, 1, len(samples))[:, None]
+
+
+def _on_a_swing() -> Signal:
+    samples = texture()
+    return np.asarray(samples + DRIFT_RMS * np.std(samples) * np.sin(2 * np.pi * SWING_HZ * _time_s()))
+
+
+def tactile_part(samples: Signal, rate_hz: int) -> Signal:
+    """Return what lies above TACTILE_HZ of samples (n, channels), without delay."""
+    from scipy.signal import butter, sosfiltfilt
+
+    filtered = sosfiltfilt(butter(4, TACTILE_HZ, "highpass", fs=rate_hz, output="sos"), samples, axis=0)
+    return np.asarray(filtered, np.float64)
+
+
 CONDITIONS: dict[str, Condition] = {
     "texture": Condition(texture),
     "silence": Condition(lambda: 0 * _time_s()),
@@ -104,6 +138,9 @@ CONDITIONS: dict[str, Condition] = {
     "texture at +60 dB": Condition(lambda: 1000 * texture()),
     "texture at -60 dB": Condition(lambda: 0.001 * texture()),
     "texture 60 dB below a click": Condition(_click_above, judged_from=round(0.1 * SECONDS * RATE_HZ)),
+    "texture with gravity": Condition(_with_gravity, unit="m/s^2", tactile=True),
+    "texture on a ramp": Condition(_on_a_ramp, unit="m/s^2", tactile=True),
+    "texture on a slow swing": Condition(_on_a_swing, unit="m/s^2", tactile=True),
     "texture of 8 bits": Condition(partial(_of_bits, 8)),
     "texture of 4 bits": Condition(partial(_of_bits, 4)),
     "texture on 16 channels": Condition(partial(texture, channels=16)),
@@ -178,8 +215,11 @@ def measure(rung: Rung, name: str) -> Measured:
     """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec refuses."""
     condition = CONDITIONS[name]
     samples = condition.make()
-    heard, stream = decoded(samples, condition.rate_hz, rung)
-    measured = judge(samples[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rung))
+    heard, stream = decoded(samples, condition.rate_hz, rung, condition.unit)
+    wanted = samples
+    if condition.tactile:
+        wanted, heard = (tactile_part(each, condition.rate_hz) for each in (samples, heard))
+    measured = judge(wanted[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rung))
     bits = 8 * stream.size_bytes / samples.size
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
@@ -300,7 +340,10 @@ SIGNALS = Map(
     f"or RMS value). D: degraded, less than that. F: fails, the SNR is below {FAILED_SNR_DB:g} dB (silence would be "
     f"nearer), the result more than {FAR_LOUDER_DB:g} dB louder or not finite, or the program crashes or "
     f"hangs. R: refused with an error that says what to do. Silence holds where the result stays below {SILENT:g} "
-    f"of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting.",
+    f"of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting. "
+    f"Gravity adds {GRAVITY_M_S2:g} m/s^2 to a texture with a peak of {PEAK:g} m/s^2; a ramp and a swing of "
+    f"{SWING_HZ:g} Hz go {DRIFT_RMS:g} times its RMS value to either side. These three "
+    f"are judged above {TACTILE_HZ:g} Hz.",
     "",
     _trials,
     _draw,
