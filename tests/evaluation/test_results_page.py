@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 from vibrocast.codec import CODECS
 from vibrocast.evaluation import bench, learned_page, results_page
 from vibrocast.evaluation.bd_rate import SNR
-from vibrocast.evaluation.charts import LONGEST_NAME, _set_log_axis, _short
+from vibrocast.evaluation.charts import FAR_DB, LONGEST_NAME, _set_log_axis, _short, plot_marks
 from vibrocast.evaluation.comparison import (
     TIMES,
     Excess,
+    Mark,
     MeanBdRate,
     MeanPoint,
     Measurements,
@@ -393,6 +394,25 @@ def test_results_of_few_points_are_marked(tmp_path: Path) -> None:
     rows = read_rows(tmp_path / "results" / "bd_rate_traces.csv", TraceBdRate)
     assert {row.points for row in rows if row.codec == "few"} == {4}
     assert {row.points for row in rows if row.codec == "slp"} == {len(SNRS_DB)}
+
+
+def test_one_codec_far_off_does_not_squeeze_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limits: list[tuple[float, float]] = []
+    texts: list[str] = []
+
+    def note(figure: Figure, *_: object, **__: object) -> None:
+        limits.extend(axes.get_ylim() for axes in figure.axes)
+        texts.extend(text.get_text() for axes in figure.axes for text in axes.texts)
+
+    monkeypatch.setattr(Figure, "savefig", note)
+    marks = [
+        Mark(1.6, name, "measured", snr_db, "delay_ms", 20.0, 1000, True)
+        for name, snr_db in (("mdct", 15.0), ("flac", -577.0))
+    ]
+    plot_marks(tmp_path / "far.png", marks, SNR)
+    assert limits == [(SNR.low - FAR_DB, 16.0)]
+    assert "flac: -577 (off)" in texts and any(text.startswith("mdct, ") for text in texts)
+    plot_marks(tmp_path / "all_far.png", marks[1:], SNR)
 
 
 def test_without_trained_models_there_is_no_section_of_them(tmp_path: Path, written: Path) -> None:
