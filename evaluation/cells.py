@@ -1,11 +1,12 @@
 """The cells of a benchmark, one trace at one setting of one codec: what they are, how each is measured."""
 
 import hashlib
-import sys
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vibrocast import codec, textures
-from vibrocast.codec import Setting, Signal
+from vibrocast.codec import Setting, Signal, plugins
 from vibrocast.device_protocol import coded_stream
 from vibrocast.evaluation import cost, external, metrics, trained
 from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
@@ -97,7 +98,7 @@ class Cell:
         signal_format = recording.samples.shape, recording.rate_hz, recording.unit
         model = self.model and (self.model.name, trained.digest(self.model))
         coder = self.method.coder
-        source = source_of(codec.CODECS[coder]) if coder in codec.CODECS else ""
+        source = "" if isinstance(coder, external.Program) or coder in codec.BUILT_IN else _other_packages()
         work = self.method.name, coder, source, self.setting, model, self.repeats
         digest.update(repr((self.trace, signal_format, work, program_version(), _core())).encode())
         return digest.hexdigest()
@@ -244,16 +245,17 @@ def _version(library: str) -> str:
         return "none"
 
 
-def source_of(chosen: codec.Codec) -> str:
-    """Return a hash of the modules that make a codec's encoder and decoder; "" where they have no file."""
+@cache
+def _other_packages() -> str:
+    """Return a hash of the modules that other packages register as codecs, and of these packages' versions."""
     digest = hashlib.sha256()
-    found = False
-    for maker in (chosen.make_encoder, chosen.make_decoder):
-        file = getattr(sys.modules.get(getattr(maker, "__module__", "")), "__file__", None)
-        if file and Path(file).is_file():
-            digest.update(Path(file).read_bytes())
-            found = True
-    return digest.hexdigest() if found else ""
+    for point in sorted(plugins.entry_points(group=plugins.GROUP), key=lambda each: each.name):
+        with suppress(ImportError, ValueError):  # what cannot be loaded has no cells
+            spec = find_spec(point.module)
+            file = Path(spec.origin) if spec and spec.origin else Path()
+            digest.update(repr((point.name, point.dist and point.dist.version)).encode())
+            digest.update(file.read_bytes() if file.is_file() else b"")
+    return digest.hexdigest()
 
 
 @cache

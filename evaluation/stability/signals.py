@@ -15,6 +15,7 @@ from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung, three_rungs
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.host import coding
+from vibrocast.textures import HIGHPASS_HZ, Recording, highpass
 from vibrocast.textures.generate import wood
 
 Signal = NDArray[np.float64]
@@ -30,7 +31,6 @@ LOUDER_DB, FAR_LOUDER_DB = 3.0, 6.0
 SILENT, NEARLY_SILENT = 1e-4, 1e-2  # of full scale: -80 and -40 dB
 PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB = -30.0, -6.0
 
-TACTILE_HZ = 20.0
 GRAVITY_M_S2 = 9.81
 DRIFT_RMS = 8.0
 """Of a drift: how far it goes to either side, relative to the texture's RMS value."""
@@ -45,7 +45,7 @@ _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls an
 class Condition:
     """A hard signal. `judged_from`: the first of its samples that counts. `refused`: that it must be refused.
 
-    `tactile`: that it counts above TACTILE_HZ only, in what is coded and in what is decoded.
+    `tactile`: that it counts above HIGHPASS_HZ only, in what is coded and in what is decoded.
     """
 
     make: Callable[[], Signal]
@@ -115,14 +115,20 @@ def _on_a_swing() -> Signal:
     return np.asarray(samples + DRIFT_RMS * np.std(samples) * np.sin(2 * np.pi * SWING_HZ * _time_s()))
 
 
-def tactile_part(samples: Signal, rate_hz: int) -> Signal:
-    """Return what lies above TACTILE_HZ of samples (n, channels), without delay."""
-    from scipy.signal import butter, sosfiltfilt
-
-    filtered = sosfiltfilt(butter(4, TACTILE_HZ, "highpass", fs=rate_hz, output="sos"), samples, axis=0)
-    return np.asarray(filtered, np.float64)
+def tactile_part(samples: Signal, rate_hz: int = RATE_HZ) -> Signal:
+    """Return what lies above HIGHPASS_HZ of samples (n, channels), without delay."""
+    return highpass(Recording(samples, float(rate_hz), "m/s^2", "signal")).recording.samples
 
 
+def _high_passed(make: Callable[[], Signal]) -> Signal:
+    return tactile_part(make())
+
+
+DRIFTING = {
+    "texture with gravity": _with_gravity,
+    "texture on a ramp": _on_a_ramp,
+    "texture on a slow swing": _on_a_swing,
+}
 CONDITIONS: dict[str, Condition] = {
     "texture": Condition(texture),
     "silence": Condition(lambda: 0 * _time_s()),
@@ -138,9 +144,11 @@ CONDITIONS: dict[str, Condition] = {
     "texture at +60 dB": Condition(lambda: 1000 * texture()),
     "texture at -60 dB": Condition(lambda: 0.001 * texture()),
     "texture 60 dB below a click": Condition(_click_above, judged_from=round(0.1 * SECONDS * RATE_HZ)),
-    "texture with gravity": Condition(_with_gravity, unit="m/s^2", tactile=True),
-    "texture on a ramp": Condition(_on_a_ramp, unit="m/s^2", tactile=True),
-    "texture on a slow swing": Condition(_on_a_swing, unit="m/s^2", tactile=True),
+    **{name: Condition(make, unit="m/s^2", tactile=True) for name, make in DRIFTING.items()},
+    **{
+        f"{name}, high-passed": Condition(partial(_high_passed, make), unit="m/s^2", tactile=True)
+        for name, make in DRIFTING.items()
+    },
     "texture of 8 bits": Condition(partial(_of_bits, 8)),
     "texture of 4 bits": Condition(partial(_of_bits, 4)),
     "texture on 16 channels": Condition(partial(texture, channels=16)),
@@ -342,8 +350,8 @@ SIGNALS = Map(
     f"hangs. R: refused with an error that says what to do. Silence holds where the result stays below {SILENT:g} "
     f"of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting. "
     f"Gravity adds {GRAVITY_M_S2:g} m/s^2 to a texture with a peak of {PEAK:g} m/s^2; a ramp and a swing of "
-    f"{SWING_HZ:g} Hz go {DRIFT_RMS:g} times its RMS value to either side. These three "
-    f"are judged above {TACTILE_HZ:g} Hz.",
+    f"{SWING_HZ:g} Hz go {DRIFT_RMS:g} times its RMS value to either side. These "
+    f"are judged above {HIGHPASS_HZ:g} Hz.",
     "",
     _trials,
     _draw,
