@@ -26,6 +26,8 @@ if TYPE_CHECKING:  # what measures takes a second to load, which other commands 
 
 SNRS_DB = (5.0, 10.0, 15.0, 20.0)
 SHOWN_FAILURES = 10
+MUCH_REMOVED = 0.5
+"""Of a trace's energy: a person should know."""
 
 
 def separate_names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str]:
@@ -79,6 +81,9 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     help="Times are the median of so many runs; 0 for none.",
 )
 @click.option("--stream-rate-hz", type=click.IntRange(1, MAX_RATE_HZ), help="Instead of each recording's own rate.")
+@click.option(
+    "--keep-dc", is_flag=True, help=f"Code all below {textures.HIGHPASS_HZ:g} Hz too. Default: remove it first."
+)
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure, such as tcp://host:8786.")
 @click.option("--fresh", is_flag=True, help="Measure all anew, whatever a run before has measured.")
 @recording_options
@@ -94,6 +99,7 @@ def bench(
     split_by: str,
     seed: int,
     repeats: int,
+    keep_dc: bool,
     scheduler: str | None,
     fresh: bool,
     **options: Any,
@@ -120,11 +126,13 @@ def bench(
         kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
         mine = {trace.name for trace in traces}
         units: dict[str, str] = {}
+        removed: dict[str, float] = {}
 
         def load(trace: Trace) -> textures.Recording:
-            recording = dataset.load(trace, **options)
-            units[trace.name] = recording.unit
-            return recording
+            loaded = dataset.load(trace, **options)
+            passed = textures.highpass(loaded, None if keep_dc else textures.HIGHPASS_HZ)
+            units[trace.name], removed[trace.name] = loaded.unit, passed.removed_energy
+            return passed.recording
 
         imported: tuple[list[Point], list[Timing]] = ([], [])
         if peers:
@@ -170,6 +178,11 @@ def bench(
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
         click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
+    if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
+        click.echo(
+            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {len(drifting)} "
+            f"traces, the first {drifting[0]} (--keep-dc codes it)"
+        )
     relative = [name for name, unit in units.items() if unit == "full scale"]
     if options["unit"] not in (None, "full scale") and relative:
         click.echo(

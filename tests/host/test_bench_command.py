@@ -201,6 +201,26 @@ def test_one_folder_of_many_kinds_rates_and_folders(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick")
+def test_an_offset_does_not_change_the_quality(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    texture = wood(1, 1.0)
+    for name, offset in (("flat", 0.0), ("gravity", 9.81)):
+        shifted = textures.Recording(texture.samples + offset, texture.rate_hz, "m/s^2", name)
+        textures.save_wav(tmp_path / "data" / f"{name}.wav", shifted, sixteen_bit=False)
+    arguments = (tmp_path / "data", "--codecs", "mdct-live", "--repeats", "0")
+    result = vibrocast_bench(*arguments, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "more than 50% of the energy of 1 traces, the first gravity" in result.stdout
+    points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
+    flat, gravity = ([point.snr_db for point in points if point.trace == name] for name in ("flat", "gravity"))
+    np.testing.assert_allclose(flat, gravity, atol=0.2)
+    result = vibrocast_bench(*arguments, "--out", tmp_path / "kept", "--keep-dc")
+    assert "removed below" not in result.stdout
+    kept = read_rows(tmp_path / "kept" / "results" / "points.csv", Point)
+    assert kept[0].bytes_total > 0 and [p.snr_db for p in kept if p.trace == "gravity"] != gravity
+
+
+@pytest.mark.usefixtures("quick")
 def test_a_manifest_in_place_of_a_folder(folder: Path, tmp_path: Path) -> None:
     manifest = tmp_path / "manifest.csv"
     manifest.write_text(
