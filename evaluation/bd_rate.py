@@ -13,7 +13,10 @@ from scipy.interpolate import PchipInterpolator
 
 from vibrocast.evaluation.points import Point
 
-MIN_POINTS = 6
+MIN_POINTS = 4
+"""Of each curve: what the field's reports of four rates have."""
+ENOUGH_POINTS = 6
+"""With fewer, a result is marked: one point decides much of the curve."""
 MIN_OVERLAP = 0.2
 """Least part of a window that two curves must share."""
 METHODS = ("pchip", "akima")  # the first is reported, the second checks it
@@ -59,13 +62,14 @@ class BdRate:
     """The rate of a codec relative to another's at equal quality: -50 is half the bits.
 
     `percent` by pchip and `akima_percent` as a check, over the quality from `low` to `high`: the part of the window
-    where both codecs have points.
+    where both codecs have points. `points`: of the envelope that has the fewer.
     """
 
     percent: float
     akima_percent: float
     low: float
     high: float
+    points: int
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,8 @@ class Summary:
     """BD-rates over several traces, in percent.
 
     `interval_low`, `interval_high`: the 95 % interval of the mean by bootstrap over the traces, None for fewer than
-    three. `low`, `high`: all qualities compared; `whole_window_traces` of the traces cover the window whole.
+    three. `low`, `high`: all qualities compared; `whole_window_traces` of the traces cover the window whole. `points`:
+    of the envelope that has the fewest.
     """
 
     mean: float
@@ -87,6 +92,7 @@ class Summary:
     low: float
     high: float
     whole_window_traces: int
+    points: int
 
 
 def monotone_envelope(curve: Curve) -> list[tuple[float, float]]:
@@ -111,14 +117,15 @@ def bd_rate(anchor: Curve, test: Curve, scale: Scale) -> BdRate | None:
     either envelope has fewer than MIN_POINTS, or they share less than MIN_OVERLAP of the scale's window.
     """
     curves = monotone_envelope(anchor), monotone_envelope(test)
-    if min(map(len, curves)) < MIN_POINTS:
+    points = min(map(len, curves))
+    if points < MIN_POINTS:
         return None
     low = max(scale.low, *(curve[0][1] for curve in curves))
     high = min(scale.high, *(curve[-1][1] for curve in curves))
     if high - low < MIN_OVERLAP * (scale.high - scale.low):
         return None
     percent, akima_percent = (_percent(*curves, low, high, method) for method in METHODS)
-    return BdRate(percent, akima_percent, low, high)
+    return BdRate(percent, akima_percent, low, high, points)
 
 
 def bits_per_sample_at(curve: Curve, qualities: ArrayLike) -> NDArray[np.float64]:
@@ -155,6 +162,7 @@ def summary(rates: Sequence[BdRate], scale: Scale) -> Summary:
         min(rate.low for rate in rates),
         max(rate.high for rate in rates),
         sum((rate.low, rate.high) == (scale.low, scale.high) for rate in rates),
+        min(rate.points for rate in rates),
     )
 
 

@@ -2,9 +2,11 @@
 
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache, partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vibrocast import codec, textures
-from vibrocast.codec import Setting, Signal
+from vibrocast.codec import Setting, Signal, plugins
 from vibrocast.device_protocol import coded_stream
 from vibrocast.evaluation import cost, external, metrics, trained
 from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
@@ -95,7 +97,9 @@ class Cell:
         digest = hashlib.sha256(recording.samples.tobytes())
         signal_format = recording.samples.shape, recording.rate_hz, recording.unit
         model = self.model and (self.model.name, trained.digest(self.model))
-        work = self.method.name, self.method.coder, self.setting, model, self.repeats
+        coder = self.method.coder
+        source = "" if isinstance(coder, external.Program) or coder in codec.BUILT_IN else _other_packages()
+        work = self.method.name, coder, source, self.setting, model, self.repeats
         digest.update(repr((self.trace, signal_format, work, program_version(), _core())).encode())
         return digest.hexdigest()
 
@@ -231,7 +235,27 @@ def program_version() -> str:
     sources = hashlib.sha256()
     for path in (path for pattern in _SOURCES for path in sorted(_ROOT.glob(pattern))):
         sources.update(path.read_bytes())
-    return ", ".join([*(f"{name} {version(name)}" for name in _LIBRARIES), f"sources {sources.hexdigest()[:12]}"])
+    return ", ".join([*(f"{name} {_version(name)}" for name in _LIBRARIES), f"sources {sources.hexdigest()[:12]}"])
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:  # what only trains needs no library that measures
+        return "none"
+
+
+@cache
+def _other_packages() -> str:
+    """Return a hash of the modules that other packages register as codecs, and of these packages' versions."""
+    digest = hashlib.sha256()
+    for point in sorted(plugins.entry_points(group=plugins.GROUP), key=lambda each: each.name):
+        with suppress(ImportError, ValueError):  # what cannot be loaded has no cells
+            spec = find_spec(point.module)
+            file = Path(spec.origin) if spec and spec.origin else Path()
+            digest.update(repr((point.name, point.dist and point.dist.version)).encode())
+            digest.update(file.read_bytes() if file.is_file() else b"")
+    return digest.hexdigest()
 
 
 @cache

@@ -19,7 +19,6 @@ from vibrocast.evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
 from vibrocast.evaluation.comparison import (
     MEAN,
     TIMES,
-    WANTED_PERCENT,
     Excess,
     Mark,
     MeanPoint,
@@ -46,6 +45,8 @@ SATURATING = {ST_SIM_2800: (0.5, 0.998), ST_SIM_8000: (0.5, 0.998), SPQI: (0.1, 
 """Qualities whose axis is spread towards 1, with its limits."""
 SATURATING_TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998)
 BELOW_WINDOW_DB, ABOVE_WINDOW_DB = 5, 15
+FAR_DB = 20.0
+"""Beyond the window by more: drawn on the edge, and named with its value."""
 
 DASHES: Sequence[Any] = ("-", (0, (5, 2)), (0, (1, 1.3)), (0, (6, 2, 1, 2)), (0, (2.5, 1)), (0, (6, 2, 1, 2, 1, 2)))
 MARKERS = ("o", "x", "^")
@@ -179,7 +180,19 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
         first.set_title(f"at {rate:g} bit/sample", fontsize=FONT_POINTS, loc="left")
         right = last.get_xlim()[1]
         marks = [of_codec[0] for of_codec in by_codec(of_rate).values()]
-        _write_labels(last, [_Label(right, row.quality, row, _name_and_bytes(row)) for row in marks])
+        low, high = last.get_ylim()
+        _write_labels(
+            last,
+            [
+                _Label(
+                    right,
+                    float(np.clip(row.quality, low, high)),
+                    row,
+                    _name_and_bytes(row) if low <= row.quality <= high else f"{name(row)}: {row.quality:.0f} (off)",
+                )
+                for row in marks
+            ],
+        )
     figure.savefig(path)
 
 
@@ -204,7 +217,6 @@ def plot_bd_rates(path: Path, rows: Sequence[TraceBdRate], scales: Sequence[Scal
                 mean = np.clip(fmean(row.percent for row in own), -FAR_PERCENT, FAR_PERCENT)
                 axes.plot([mean, mean], [place - 0.35, place + 0.35], color="black", linewidth=2)
         axes.axvline(0, color="black", linewidth=0.8)
-        axes.axvline(WANTED_PERCENT, color="0.6", linewidth=0.8, linestyle=(0, (5, 2)))
         axes.set_title(scale.label.split(",")[0], fontsize=FONT_POINTS, loc="left")
         axes.grid(axis="x", color="0.92")
         axes.set_axisbelow(True)
@@ -358,7 +370,9 @@ def _set_quality_axis(axes: Axes, scale: Scale, values: Sequence[float] | None =
         axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     elif values:
-        low, high = min(values) - 1, max(values) + 1
+        # One codec far off, such as one that loses all, would squeeze the others.
+        low = float(np.clip(min(values) - 1, scale.low - FAR_DB, scale.high))
+        high = float(np.clip(max(values) + 1, scale.low, scale.high + FAR_DB))
     else:
         low, high = scale.low - BELOW_WINDOW_DB, scale.high + ABOVE_WINDOW_DB
         axes.axhspan(scale.low, scale.high, color="0.96", zorder=0)

@@ -36,8 +36,6 @@ ANCHORS = ("mdct", "slp", "vcpwq")
 reference of IEEE 1918.1.1."""
 REFERENCE = "slp"
 """The anchor of the EVA paper's kind, which learned codecs are held against."""
-WANTED_PERCENT = -15.0
-"""BD-rate of the paper's best claims, rounded: 14.98 % less at equal PSNR, 13.08 % at equal ST-SIM."""
 LEARNED_SCALES = (PSNR, ST_SIM_2800, SPQI)
 EQUAL_SNR_DB = 12.0
 NEEDED_SNR_DB = 10.0

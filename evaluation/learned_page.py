@@ -5,30 +5,32 @@ from functools import partial
 from pathlib import Path
 
 from vibrocast.evaluation import charts
-from vibrocast.evaluation.bd_rate import PSNR, ST_SIM_2800, Scale
+from vibrocast.evaluation.bd_rate import ENOUGH_POINTS, PSNR, Scale
 from vibrocast.evaluation.comparison import (
     LEARNED_SCALES,
     REFERENCE,
-    WANTED_PERCENT,
-    CurveCost,
     MeanBdRate,
     Measurements,
     Price,
     TraceBdRate,
-    curve_costs,
     pair_bd_rates,
     prices,
     rival_bd_rates,
     with_runtime,
 )
-from vibrocast.evaluation.page_parts import chart, code, listed, number, paragraphs, percent, table
+from vibrocast.evaluation.page_parts import (
+    FEW_POINTS_MARK,
+    bd_rate_text,
+    chart,
+    code,
+    listed,
+    number,
+    paragraphs,
+    percent,
+    table,
+)
 from vibrocast.evaluation.points import write_rows
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATIO
-
-OWN = "mdct"
-"""The project's codec without learning, which the learned ones have to beat."""
-TARGETS_S = {128: 1.0, 16: 0.1}
-"""Seconds per million samples that a model of so many channels should not exceed, encoding or decoding."""
 
 
 def section(folder: Path, measurements: Measurements) -> str:
@@ -40,12 +42,10 @@ def section(folder: Path, measurements: Measurements) -> str:
     return paragraphs(
         "## Trained models",
         f"Curves of trained models: {', '.join(map(code, measurements.learned))}.",
-        _targets(measurements, rivals),
-        _speed_targets(measurements),
         "### Where they win and lose",
         "Bits of each relative to every other codec's at equal quality: BD-rate, mean over the traces that can be "
-        "compared. The nearest rivals first; all pairs, also by kind of texture: "
-        "[learned_bd_rate.csv](results/learned_bd_rate.csv).",
+        f"compared. The nearest rivals first; {FEW_POINTS_MARK} marks fewer than {ENOUGH_POINTS} points of a curve. "
+        "All pairs, also by kind of texture: [learned_bd_rate.csv](results/learned_bd_rate.csv).",
         "\n".join(_verdict(rivals, learned) for learned in measurements.learned),
         "By kind of texture; in brackets the traces on which it needs fewer bits, of those compared.",
         _kinds_table(measurements, rivals),
@@ -53,58 +53,6 @@ def section(folder: Path, measurements: Measurements) -> str:
         "### What one more decibel costs",
         _prices(folder, measurements),
     )
-
-
-def _targets(measurements: Measurements, rivals: Sequence[MeanBdRate]) -> str:
-    """Say how the best learned codec stands against the reference and the project's own."""
-    wanted = (
-        f"Wanted: {-WANTED_PERCENT:g} % fewer bits than {code(REFERENCE)} at equal PSNR and at equal ST-SIM, as the "
-        "EVA paper has it against PVC-SLP."
-    )
-    against = {(row.codec, row.quality): row for row in rivals if row.anchor == REFERENCE and not row.kind}
-    both = {
-        learned: (against[learned, PSNR.field], against[learned, ST_SIM_2800.field])
-        for learned in measurements.learned
-        if (learned, PSNR.field) in against and (learned, ST_SIM_2800.field) in against
-    }
-    if both:
-        best = min(both, key=lambda learned: max(row.mean for row in both[learned]))
-        verdict = "Met" if max(row.mean for row in both[best]) <= WANTED_PERCENT else "Missed"
-        figures = listed([f"{percent(row.mean)} on {row.traces} traces" for row in both[best]])
-        sentences = [f"{wanted} **{verdict}**: the best, {code(best)}, stands at {figures}."]
-    else:
-        sentences = [f"{wanted} **Missed**: no model can be compared with it at both."]
-    own = [row for row in rivals if row.anchor == OWN and row.quality == PSNR.field and row.codec != OWN]
-    if own:
-        won = [f"{row.kind} by {code(row.codec)} ({percent(row.mean)})" for row in own if row.kind and row.mean < 0]
-        nearest = min((row for row in own if not row.kind), key=lambda row: row.mean, default=None)
-        sentences.append(
-            f"Wanted beyond that: fewer bits than {code(OWN)} on some kind of texture. "
-            + (f"**Met** at equal PSNR: {listed(won)}." if won else "**Missed** at equal PSNR.")
-            + (f" Over all traces the nearest is {code(nearest.codec)}: {percent(nearest.mean)}." if nearest else "")
-        )
-    return " ".join(sentences)
-
-
-def _speed_targets(measurements: Measurements) -> str:
-    """Say which models are as fast as they should be."""
-    sentences = []
-    for row in curve_costs(measurements):
-        times_s = row.encode_s_per_megasample, row.decode_s_per_megasample
-        if row.codec in measurements.learned and row.width in TARGETS_S and None not in times_s:
-            target_s = TARGETS_S[row.width]
-            verdict = "met" if max(filter(None, times_s), default=0.0) <= target_s else "missed"
-            sentences.append(
-                f"{code(row.codec)}, {row.width} channels, decoded by {_runtime(row)}: {number(times_s[0])} s to "
-                f"encode and {number(times_s[1])} s to decode, wanted {target_s:g}: **{verdict}**"
-            )
-    return (
-        f"Speed, for a million samples near compression ratio {RATIO:g}: {'; '.join(sentences)}." if sentences else ""
-    )
-
-
-def _runtime(row: CurveCost | Price) -> str:
-    return {"onnx": "ONNX Runtime", "core": "the integer core"}.get(row.runtime, row.runtime)
 
 
 def _prices(folder: Path, measurements: Measurements) -> str:
@@ -149,8 +97,8 @@ def _verdict(rivals: Sequence[MeanBdRate], learned: str) -> str:
     for scale in LEARNED_SCALES:
         rows = [row for row in rivals if (row.codec, row.quality, row.kind) == (learned, scale.field, "")]
         ranked = sorted(rows, key=lambda row: abs(row.mean))
-        lost = [f"{code(row.anchor)} ({percent(row.mean)})" for row in ranked if row.mean >= 0]
-        won = [f"{code(row.anchor)} ({percent(row.mean)})" for row in ranked if row.mean < 0]
+        lost = [f"{code(row.anchor)} ({bd_rate_text(row)})" for row in ranked if row.mean >= 0]
+        won = [f"{code(row.anchor)} ({bd_rate_text(row)})" for row in ranked if row.mean < 0]
         if rows:
             parts.append(
                 f"at equal {_short(scale)} it loses to {listed(lost) or 'none'}"
@@ -172,7 +120,7 @@ def _kinds_table(measurements: Measurements, rivals: Sequence[MeanBdRate]) -> st
         for anchor in measurements.anchors:
             cells = [found.get((learned, anchor, kind)) for kind in kinds]
             if any(cells) and anchor != learned:
-                texts = [f"{percent(row.mean)} ({row.won} of {row.traces})" if row else "" for row in cells]
+                texts = [f"{bd_rate_text(row)} ({row.won} of {row.traces})" if row else "" for row in cells]
                 lines.append((learned, anchor, *texts))
     return table(("bits at equal PSNR", "relative to", *(kind or "all" for kind in kinds)), lines)
 
@@ -187,7 +135,7 @@ def _spread_chart(folder: Path, measurements: Measurements) -> str:
         for row in pair_bd_rates(measurements, anchor, learned, scale)
     ]
     return paragraphs(
-        f"Each trace relative to {code(anchor)}; a bar is the mean, the dashed line {WANTED_PERCENT:g} %.",
+        f"Each trace relative to {code(anchor)}; a bar is the mean.",
         chart(
             folder,
             "learned_bd_rate_traces",

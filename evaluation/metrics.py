@@ -3,12 +3,10 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any
 
 import numpy as np
-from vibromaf.metrics.spqi import SPQI
-from vibromaf.metrics.stsim import STSIM
-from vibromaf.signal.perception import PerceptualThreshold
-from vibromaf.signal.transform import PerceptualSpectrumBuilder
 
 from vibrocast import codec
 from vibrocast.codec import Signal
@@ -26,17 +24,6 @@ THIRD_OCTAVES = np.arange(-14, 0)
 """Bands by their number x: 1000 * 10^(x / 10) Hz in the middle, 40 to 800 Hz. IEC 61260-1:2014, 5.2 to 5.5."""
 LARGEST_MAGNITUDE, SMALLEST_PEAK = 2.0**127, 2.0**-120
 """What the codecs take: between them, no square of a ratio overflows."""
-
-
-class _StSim2800(STSIM):  # type: ignore[misc, unused-ignore]  # vibromaf is not typed
-    """ST-SIM with the axis of its thresholds at 2800 Hz."""
-
-    perceptual_spectrum_builder = PerceptualSpectrumBuilder(perceptual_threshold=PerceptualThreshold(2800))
-
-
-_ST_SIM_2800 = _StSim2800(eta=2 / 3)
-_ST_SIM_8000 = STSIM(eta=2 / 3)
-_SPQI = SPQI(eta=0.3, threshold=-2.0)
 
 
 @dataclass(frozen=True)
@@ -107,9 +94,9 @@ def _measure_channel(reference: Signal, decoded: Signal, rate_hz: float, unit: s
     return Quality(
         snr_db=snr_db,
         psnr_db=snr_db - 10 * math.log10(np.mean(np.square(reference / peak))),
-        st_sim_2800=_similarity(_ST_SIM_2800, x, y),
-        st_sim_8000=_similarity(_ST_SIM_8000, x, y),
-        spqi=_similarity(_SPQI, x, y),
+        st_sim_2800=_similarity("st_sim_2800", x, y),
+        st_sim_8000=_similarity("st_sim_8000", x, y),
+        spqi=_similarity("spqi", x, y),
         log_spectral_distance_db=_log_spectral_distance_db(reference / peak, decoded / peak, rate_hz),
         third_octave_distance_db=_third_octave_distance_db(reference / peak, decoded / peak, rate_hz, unit, peak),
     )
@@ -127,10 +114,31 @@ def _blocks_with_signal(reference: Signal, decoded: Signal, peak: float) -> tupl
     return x[kept].ravel(), y[kept].ravel()
 
 
-def _similarity(metric: STSIM | SPQI, reference: Signal, decoded: Signal) -> float | None:
+@cache
+def _vibromaf() -> dict[str, Any]:
+    """Return vibromaf's metrics by their names in Quality; only who measures needs the package."""
+    from vibromaf.metrics.spqi import SPQI
+    from vibromaf.metrics.stsim import STSIM
+    from vibromaf.signal.perception import PerceptualThreshold
+    from vibromaf.signal.transform import PerceptualSpectrumBuilder
+
+    class StSim2800(STSIM):  # type: ignore[misc, unused-ignore]  # vibromaf is not typed
+        """ST-SIM with the axis of its thresholds at 2800 Hz."""
+
+        perceptual_spectrum_builder = PerceptualSpectrumBuilder(perceptual_threshold=PerceptualThreshold(2800))
+
+    return {
+        "st_sim_2800": StSim2800(eta=2 / 3),
+        "st_sim_8000": STSIM(eta=2 / 3),
+        "spqi": SPQI(eta=0.3, threshold=-2.0),
+    }
+
+
+def _similarity(name: str, reference: Signal, decoded: Signal) -> float | None:
     """Return vibromaf's score of whole blocks, None for none; 0 for ST-SIM where the blocks correlate negatively."""
     if len(reference) == 0:
         return None
+    metric = _vibromaf()[name]
     with np.errstate(divide="ignore"):  # the logarithm of a spectrum's zeros; what is made of it is 0 again
         score = metric.calculate(decoded, reference)
     # A negative mean correlation to the power 2/3 is a complex number.

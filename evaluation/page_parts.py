@@ -3,8 +3,12 @@
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+from vibrocast.evaluation.bd_rate import ENOUGH_POINTS, Summary
 from vibrocast.evaluation.charts import CodecRow
 from vibrocast.evaluation.points import write_rows
+
+FEW_POINTS_MARK = "†"
+"""Behind a BD-rate that rests on fewer than ENOUGH_POINTS points of a curve."""
 
 
 def paragraphs(*parts: str) -> str:
@@ -43,6 +47,11 @@ def number(value: float | None) -> str:
 def percent(value: float | None) -> str:
     """Return a difference in percent; empty where there is none."""
     return "" if value is None else f"{value:+.1f} %"
+
+
+def bd_rate_text(row: Summary) -> str:
+    """Return a mean BD-rate in percent, marked where a curve has few points."""
+    return percent(row.mean) + FEW_POINTS_MARK * (row.points < ENOUGH_POINTS)
 
 
 def listed(items: Sequence[str]) -> str:

@@ -2,16 +2,20 @@
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, dataclass, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeVar, get_type_hints
 
-from vibrocast.textures.dataset import printable
+from vibrocast.textures import Recording, TextureError
+from vibrocast.textures.dataset import Trace, printable
 
 MEASURED, PROGRAM, IMPORTED = "measured", "program", "imported"
 """Where figures come from: a codec here, a program of the user's here, a table of others' figures."""
 
+IMPORTED_COLUMNS = ("bits_per_sample", "bytes_payload", "encode_s", "decode_s")
+"""Columns that a table of others' points may have in addition to those of Point."""
 _MAX_COUNT = 2**63
 
 
@@ -142,10 +146,14 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
 def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
     """Read others' points, and their timings where columns encode_s and decode_s hold the seconds of one trace.
 
-    All count as imported, those of another benchmark's points.csv too. Raises as `read_rows`.
+    All count as imported, those of another benchmark's points.csv too. Raises as `read_rows`, and for columns that
+    there are not.
     """
-    timings = []
-    for line, row in enumerate(_texts(path, ()), 2):
+    points, timings, texts = read_rows(path, Point), [], _texts(path, ())
+    known = [*(field.name for field in fields(Point)), *IMPORTED_COLUMNS]
+    if unknown := [name for name in next(iter(texts), ()) if name not in known]:
+        raise PointsError(f"{path}, row 1: no column is called {unknown[0]!r}; expected some of {', '.join(known)}")
+    for line, row in enumerate(texts, 2):
         if row.get("encode_s") and row.get("decode_s"):
             try:
                 megasamples = int(row["samples"]) / 1e6
@@ -153,7 +161,44 @@ def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
                 timings.append(Timing(row["trace"], row["codec"], row["setting"], *times, IMPORTED))
             except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
                 raise PointsError(f"{path}, row {line}: encode_s or decode_s: {error}") from error
-    return [replace(point, source=IMPORTED) for point in read_rows(path, Point)], timings
+    return [replace(point, source=IMPORTED) for point in points], timings
+
+
+def check_imported(
+    path: Path, everything: Sequence[Trace], wanted: Collection[str], load: Callable[[Trace], Recording]
+) -> None:
+    """Check a table of others' points against the recordings that they are of.
+
+    `everything`: the traces of the data set; of those `wanted`, samples and rate are compared, after `load`. One that
+    cannot be loaded is not compared with. Raises PointsError where a row differs, OSError where it cannot be read.
+    """
+    by_name = {trace.name: trace for trace in everything}
+    expected: dict[str, Recording | None] = {}
+    for line, row in enumerate(_texts(path, ()), 2):
+        name = row["trace"]
+        if name not in by_name:
+            likely = get_close_matches(name, by_name, 1) or sorted(by_name)[:1]
+            raise PointsError(
+                f"{path}, row {line}, trace: the data set has no {name!r}; expected one of {len(by_name)} names "
+                f"such as {likely[0]!r}"
+            )
+        if name not in wanted:
+            continue
+        if name not in expected:
+            try:
+                expected[name] = load(by_name[name])
+            except TextureError:
+                expected[name] = None
+        recording = expected[name]
+        if recording is None:
+            continue
+        compared = (("samples", recording.samples.size), ("rate_hz", recording.rate_hz))
+        for column, value in compared:
+            if row.get(column) and float(row[column]) != value:
+                raise PointsError(
+                    f"{path}, row {line}, {column}: {row[column]}; expected {value:g}, as {name!r} has here: "
+                    "correct the table, or code at its rate (--stream-rate-hz)"
+                )
 
 
 def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:

@@ -12,6 +12,7 @@ from vibrocast import codec as codecs
 from vibrocast.evaluation import charts, learned_page
 from vibrocast.evaluation.bd_rate import (
     CONFIDENCE,
+    ENOUGH_POINTS,
     MIN_OVERLAP,
     MIN_POINTS,
     SCALES,
@@ -46,7 +47,17 @@ from vibrocast.evaluation.comparison import (
     ratio_points,
     trace_bd_rates,
 )
-from vibrocast.evaluation.page_parts import chart, code, count, listed, number, paragraphs, percent, table
+from vibrocast.evaluation.page_parts import (
+    FEW_POINTS_MARK,
+    bd_rate_text,
+    chart,
+    code,
+    count,
+    listed,
+    number,
+    paragraphs,
+    table,
+)
 from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, PointsError, read_rows, write_rows
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, RATIO
 
@@ -240,7 +251,8 @@ def _speed_section(folder: Path, measurements: Measurements) -> str:
         "nearest to that rate, processor time of one core without process start; of programs and those imported, "
         "medians over the traces of wall-clock time with process start. A trained model is there once for each "
         "runtime: the integer core, and ONNX Runtime. The line joins the codecs that no other measured one beats in "
-        "both (Pareto front). Area of a mark: bytes of decoder and model; hollow: not known; diamond: imported.",
+        "both (Pareto front). Area of a mark: bytes of decoder and model; hollow: not known; diamond: imported; on the "
+        "edge: the quality lies beyond, its value is written behind the name.",
         *(
             chart(
                 folder,
@@ -271,9 +283,10 @@ def _bd_rate_section(folder: Path, measurements: Measurements) -> str:
         "Bits relative to an anchor's at equal quality: -50 % is half the bits; mean over the traces. Of each trace by "
         f"pchip, with akima as a check, on the monotone envelopes of at least {MIN_POINTS} points each, over what both "
         f"cover of a fixed window ({windows}), if that is {MIN_OVERLAP:.0%} of it or more. The interval of the mean, "
-        f"{CONFIDENCE:.0%}, is by bootstrap over the traces; beside a mean in brackets the traces that could be "
-        "compared, where not all could. Median, akima, spread at every quality, kinds of textures and what part of "
-        "the window is covered: [bd_rate.csv](results/bd_rate.csv); each trace: "
+        f"{CONFIDENCE:.0%}, is by bootstrap over the traces; after a mean in brackets the traces that could be "
+        f"compared, where not all could. {FEW_POINTS_MARK} marks a mean with fewer than {ENOUGH_POINTS} points of a "
+        "curve on some trace (column `points` of the files). Median, akima, spread at every quality, kinds of textures "
+        "and what part of the window is covered: [bd_rate.csv](results/bd_rate.csv); each trace: "
         "[bd_rate_traces.csv](results/bd_rate_traces.csv).",
     ]
     for anchor in measurements.anchors:
@@ -307,7 +320,7 @@ def _bd_rate_table(rows: Sequence[MeanBdRate], traces: int) -> str:
 def _mean(row: MeanBdRate | None, traces: int) -> str:
     if row is None:
         return ""
-    return percent(row.mean) + (f" ({row.traces})" if row.traces < traces else "")
+    return bd_rate_text(row) + (f" ({row.traces})" if row.traces < traces else "")
 
 
 def _excess_section(folder: Path, measurements: Measurements) -> str:

@@ -57,11 +57,11 @@ class ArchiveSource:
 
 @dataclass(frozen=True)
 class FolderSource:
-    """[[folder]]: a folder of recordings, such as IEEE P1918.1.1; the options are those of `vibrocast bench`."""
+    """[[folder]]: a folder of recordings, such as IEEE P1918.1.1, or a manifest; options as in `vibrocast bench`."""
 
     folder: str
     part: Literal["all", "train", "test"] = "all"
-    split_by: Literal["trace", "material"] = "trace"
+    split_by: Literal["auto", "trace", "material", "subject"] = "auto"
     seed: int = within(0, 2**31, 0)
     drop_s: float = within(0, 1e3, 0.0)
     high_pass_hz: float = within(0, 1e3, 0.0)
@@ -75,7 +75,8 @@ class FolderSource:
     @property
     def name(self) -> str:
         """What the source is called in the names of materials."""
-        return Path(self.folder).name or self.folder
+        path = Path(self.folder)
+        return (path.stem if path.suffix.lower() == ".csv" else path.name) or self.folder
 
     @property
     def options(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`vibrocast bench`: measures every codec on a folder of recordings and writes figures, charts and a page."""
+"""`vibrocast bench`: measures every codec on a data set and writes figures, charts and a page."""
 
 import datetime
 import time
@@ -9,20 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from vibrocast import textures
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import progress
 from vibrocast.host.options import INPUT, BadInput, command_run, recording_options
 from vibrocast.models import ModelError
+from vibrocast.textures import dataset
+from vibrocast.textures.dataset import DatasetError, Trace
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
     from vibrocast.evaluation.bench import Tally
     from vibrocast.evaluation.comparison import Measurements
-    from vibrocast.evaluation.points import Failure
+    from vibrocast.evaluation.points import Failure, Point, Timing
 
 SNRS_DB = (5.0, 10.0, 15.0, 20.0)
 SHOWN_FAILURES = 10
+MUCH_REMOVED = 0.5
+"""Of a trace's energy: a person should know."""
 
 
 def separate_names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str]:
@@ -31,7 +36,7 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
 
 
 @click.command()
-@click.argument("folder", type=INPUT)
+@click.argument("recordings", metavar="FOLDER|MANIFEST", type=INPUT)
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
@@ -58,9 +63,15 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     "--kinds", "kinds_table", type=INPUT, help="CSV of file, kind: textures to tell apart; known sets if not given."
 )
 @click.option(
-    "--split", "part", type=click.Choice(("all", "train", "test")), default="all", show_default=True, help="Which part."
+    "--split", "part", type=click.Choice(dataset.PARTS), default="all", show_default=True, help="Part to measure."
 )
-@click.option("--split-by", type=click.Choice(("trace", "material")), default="trace", show_default=True)
+@click.option(
+    "--split-by",
+    type=click.Choice(dataset.SPLITS),
+    default="auto",
+    show_default=True,
+    help="Keep these whole; auto: as the manifest says, else traces.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the split.")
 @click.option(
     "--repeats",
@@ -70,11 +81,14 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     help="Times are the median of so many runs; 0 for none.",
 )
 @click.option("--stream-rate-hz", type=click.IntRange(1, MAX_RATE_HZ), help="Instead of each recording's own rate.")
+@click.option(
+    "--keep-dc", is_flag=True, help=f"Code all below {textures.HIGHPASS_HZ:g} Hz too. Default: remove it first."
+)
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure, such as tcp://host:8786.")
 @click.option("--fresh", is_flag=True, help="Measure all anew, whatever a run before has measured.")
 @recording_options
 def bench(
-    folder: Path,
+    recordings: Path,
     out: Path,
     names: list[str],
     model_folders: tuple[Path, ...],
@@ -85,40 +99,53 @@ def bench(
     split_by: str,
     seed: int,
     repeats: int,
+    keep_dc: bool,
     scheduler: str | None,
     fresh: bool,
     **options: Any,
 ) -> None:
-    """Measure codecs and trained models on every recording of FOLDER.
+    """Measure codecs and trained models on every recording of a folder or a manifest.
 
-    Each trace is coded at every setting of every codec. What cannot be read or coded is listed, the rest goes on, and
-    the exit code is 1.
+    A manifest is a CSV file with a column file and any of unit, rate_hz, full_scale, hand_speed_mm_s, axis, key,
+    material, subject, split. Each trace is coded at every setting of every codec, at its own rate. Failures are listed,
+    the rest goes on, and the exit code is 1.
     """
     from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
     from vibrocast.evaluation.cells import BenchError
     from vibrocast.evaluation.comparison import Measurements
     from vibrocast.evaluation.external import ProgramError
-    from vibrocast.evaluation.points import Failure, PointsError, read_imported
-    from vibrocast.textures import dataset
-    from vibrocast.textures.dataset import DatasetError, Trace
+    from vibrocast.evaluation.points import Failure, PointsError, check_imported, read_imported, write_rows
 
     try:
         programs = external.read_programs(program_list) if program_list else []
         chosen = cells.methods(names, programs, trained.known_models(model_folders))
-        traces = dataset.split(dataset.traces(folder), part, seed, split_by == "material")
+        found = dataset.read(recordings, leave_out=out)
+        traces = dataset.split(found.traces, part, seed, split_by)
+        for remark in found.remarks:
+            click.echo(remark, err=True)
         kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
         mine = {trace.name for trace in traces}
-        imported = read_imported(peers) if peers else ([], [])
-        if peers and not mine & {point.trace for point in imported[0]}:
-            click.echo(f"warning: {peers}: none of its traces is in {folder}, so no point is compared", err=True)
+        units: dict[str, str] = {}
+        removed: dict[str, float] = {}
+
+        def load(trace: Trace) -> textures.Recording:
+            loaded = dataset.load(trace, **options)
+            passed = textures.highpass(loaded, None if keep_dc else textures.HIGHPASS_HZ)
+            units[trace.name], removed[trace.name] = loaded.unit, passed.removed_energy
+            return passed.recording
+
+        imported: tuple[list[Point], list[Timing]] = ([], [])
+        if peers:
+            imported = read_imported(peers)
+            check_imported(peers, found.traces, mine, load)
         results = bench.results_folder(out)
+        write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
         click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")
         work: Any = partial(workers.on_cores, processes=workers.cores())
         if scheduler:
             work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
         with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.shown("measuring") as update:
             tell = told(update)
-            load: Callable[[Trace], Any] = partial(dataset.load, **options)
             measured = bench.run(traces, load, chosen, repeats, journal, work, tell)
     except workers.WorkersError as error:
         raise click.ClickException(str(error)) from error
@@ -135,13 +162,13 @@ def bench(
     if repeats:
         with progress.shown("measuring speed") as update:
             measured_traces = {each.point.trace for each in good}
-            recordings = (load(trace) for trace in traces if trace.name in measured_traces)
-            timed = speed.measure(chosen, points, recordings, repeats, update)
+            loaded = (load(trace) for trace in traces if trace.name in measured_traces)
+            timed = speed.measure(chosen, points, loaded, repeats, update)
     failures += [each for each in timed if isinstance(each, Failure)]
     speeds = [each for each in timed if not isinstance(each, Failure)]
     measurements = Measurements(points, timings, costs, failures, speeds, kinds_of)
     bench.write(results, measurements)
-    data = folder.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
+    data = recordings.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
     cells_on = "a Dask cluster" if scheduler else f"{workers.cores()} cores at work at once"
     machine = f"{speed.cpu_name()}; of single cells {cells_on}"
     description = results_page.Description(dataset.printable(data), machine, command_run())
@@ -151,6 +178,17 @@ def bench(
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
         click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
+    if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
+        click.echo(
+            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {len(drifting)} "
+            f"traces, the first {drifting[0]} (--keep-dc codes it)"
+        )
+    relative = [name for name, unit in units.items() if unit == "full scale"]
+    if options["unit"] not in (None, "full scale") and relative:
+        click.echo(
+            f"relative to full scale, as only --full-scale or a manifest gives their unit: {len(relative)} traces, the "
+            f"first {relative[0]}"
+        )
     click.echo(f"{out / bench.PAGE}: the charts and tables; their figures are in {results}")
     if failures:
         show_failures(failures)

@@ -17,7 +17,7 @@ NEEDS_TRAINING = 'this needs what trains models: pip install "vibrocast[training
 @click.command()
 @click.argument("config", type=INPUT)
 @click.option(
-    "--data", "data_folder", type=INPUT, help="Folder at which the paths of CONFIG start; its own if not given."
+    "--data", "data_folder", type=INPUT, help="Folder at which the paths of CONFIG start. Default: that of CONFIG."
 )
 @click.option(
     "--out",
@@ -42,6 +42,7 @@ def train(
     try:
         from vibrocast.export import configuration, training
         from vibrocast.export.checkpoint import ModelError
+        from vibrocast.textures import dataset
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
@@ -49,6 +50,9 @@ def train(
     try:
         chosen = configuration.read(config)
         data = (data_folder or config.parent).resolve()
+        for source in chosen.folder:
+            for remark in dataset.read(data / source.folder).remarks:
+                click.echo(f"{source.name}: {remark}", err=True)
         trainings = {
             one.name: partial(training.train, one, data, out.resolve() / one.name, resume)
             for one in configuration.each_of(chosen)
@@ -58,7 +62,7 @@ def train(
                 (outcome,) = (run(update, threads) for run in trainings.values())
             click.echo(outcome)
             return
-    except (configuration.ConfigurationError, ModelError) as error:
+    except (configuration.ConfigurationError, dataset.DatasetError, ModelError) as error:
         raise BadInput(str(error)) from error
     except training.TrainingError as error:
         raise click.ClickException(str(error)) from error

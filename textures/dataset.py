@@ -1,121 +1,173 @@
-"""A folder of recordings as single traces, and its seeded split into a training and a test part."""
+"""A folder of recordings, or a manifest that lists them, as single traces; the split into training and test parts."""
 
+import csv
 import hashlib
+import math
+import os
 import re
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from vibrocast import textures
-from vibrocast.textures import p1918
+from vibrocast.textures import files, p1918
 from vibrocast.textures.files import ARRAY_SUFFIXES, TEXT_SUFFIXES
+from vibrocast.textures.profiles import Profile
+from vibrocast.textures.recording import TextureError
+from vibrocast.textures.text import known_unit
 
 SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
 PARTS = ("all", "train", "test")
+SPLITS = ("auto", "trace", "material", "subject")
+"""What a split keeps whole. "auto": the manifest's column `split`, else its materials, else single traces."""
 TEST_PART = 0.2
 """Of all traces: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
+NUMBERS = ("rate_hz", "full_scale", "hand_speed_mm_s")
+COLUMNS = ("file", "unit", *NUMBERS, "axis", "key", "material", "subject", "split")
+"""Of a manifest; only the first is needed."""
+RATE_TOLERANCE = 1e-6
+"""Of a whole number of hertz: a height profile's rate is a quotient of two numbers with few digits."""
+LISTED = 3
+"""Skipped files that a summary names."""
+MAX_HEADER_CHARACTERS = 10_000
 
 # <interaction>_-_<tool>_-_<material>_-_<speed>, then perhaps the axis, as IEEE P1918.1.1 names its traces.
 _REFERENCE_TRACE = re.compile(r".+?_-_.+?_-_(.+)_-_.+", re.DOTALL)
 
 
 class DatasetError(ValueError):
-    """A folder or a split that cannot be used; the message says why and what to do."""
+    """A folder, manifest or split that cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One recording of a folder: a name of its own, and the path by which `textures.load` knows it."""
+    """One recording: a name of its own, and the path by which `textures.load` knows it.
+
+    What a manifest states of it: `options` of `textures.load`, material, subject, and `part` ("train", "test" or "").
+    """
 
     name: str
     path: Path
+    options: Mapping[str, Any] = field(default_factory=dict)
+    stated_material: str = ""
+    subject: str = ""
+    part: str = ""
 
     @property
     def material(self) -> str:
-        """The material in the name of an IEEE P1918.1.1 trace, in lower case. Raises DatasetError for other names."""
-        match = _REFERENCE_TRACE.fullmatch(self.name)
+        """The material in lower case: the manifest's, or that in the name of an IEEE P1918.1.1 trace.
+
+        Raises DatasetError where neither states it.
+        """
+        if self.stated_material:
+            return self.stated_material.casefold()
+        match = _REFERENCE_TRACE.fullmatch(self.name.rpartition("/")[2])
         if match is None:
             raise DatasetError(
-                f"{self.name}: its name does not state the material; split by trace, or name all files "
-                "INTERACTION_-_TOOL_-_MATERIAL_-_SPEED"
+                f"{self.name}: its name does not state the material; give a manifest with a column material, split by "
+                "trace, or name all files INTERACTION_-_TOOL_-_MATERIAL_-_SPEED"
             )
         return match[1].casefold()
 
 
-def traces(folder: Path) -> list[Trace]:
-    """Return the recordings that lie in a folder itself, by name; none is opened.
+@dataclass(frozen=True)
+class Skipped:
+    """A file of a folder that is no recording, and why."""
 
-    Files named ..._X.txt, ..._Y.txt and ..._Z.txt are one trace, a single one of them is a trace by itself, all others
-    of SUFFIXES are one each; files of other kinds and hidden ones are left out. The name is the file's without its
-    suffix, or with it where two would be alike. Raises DatasetError where there are none, OSError where the folder
-    cannot be read.
+    file: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Recordings by name. `skipped`: other files of their folder. `notes`: what a person should know of a manifest."""
+
+    traces: list[Trace]
+    skipped: list[Skipped] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Lines for a person: the notes, and how many files were skipped, the first of them by name."""
+        if not self.skipped:
+            return self.notes
+        named = ", ".join(f"{each.file} ({each.reason})" for each in self.skipped[:LISTED])
+        more = f" and {len(self.skipped) - LISTED} more" if len(self.skipped) > LISTED else ""
+        return [*self.notes, f"skipped {len(self.skipped)} file{'s' * (len(self.skipped) > 1)}: {named}{more}"]
+
+
+def read(path: Path, leave_out: Path | None = None) -> Dataset:
+    """Return the recordings of a folder and its sub-folders, or those that a manifest (CSV) lists; none is opened.
+
+    Of a folder: files named ..._X.txt, ..._Y.txt and ..._Z.txt are one trace, a single one of them is a trace by
+    itself, all others of SUFFIXES are one each. Hidden files, hidden folders and the folder `leave_out` are passed
+    over, other files are skipped. The name is the path within the folder without its suffix, or with it where two are
+    alike.
+    Raises DatasetError where there are none or where the manifest is wrong, OSError where it cannot be read.
     """
-    if not folder.is_dir():
-        raise DatasetError(f"{folder}: no such folder; give the folder that holds the recordings")
-    grouped: dict[Path, list[Path]] = {}
-    for path in folder.iterdir():
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not path.is_dir():
-            of_axis = path.suffix.lower() == ".txt" and p1918.axis_of(path)
-            grouped.setdefault(path.with_name(path.stem[:-2]) if of_axis else path, []).append(path)
-    # textures.load knows a trace of several files by their common name.
-    paths = [paths[0] if len(paths) == 1 else together for together, paths in grouped.items()]
-    if not paths:
-        raise DatasetError(f"{folder}: no recordings ({', '.join(SUFFIXES)}) in it; sub-folders are not searched")
-    stems = Counter(_stem(path) for path in paths)
-    names = {printable(path.name if stems[_stem(path)] > 1 else _stem(path)): path for path in paths}
-    return [Trace(name, names[name]) for name in sorted(names)]
+    if path.is_dir():
+        return _of_folder(path, leave_out)
+    if not path.exists():
+        raise DatasetError(f"{path}: no such folder; give the folder that holds the recordings, or a manifest")
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        raise DatasetError(f"{path}: neither a folder nor a manifest; give a folder, or a CSV file with a column file")
+    return _of_manifest(path)
 
 
-def split(everything: list[Trace], part: str, seed: int = 0, by_material: bool = False) -> list[Trace]:
-    """Return the part, one of PARTS, of the traces, in their order; the test part is TEST_PART of them.
+def traces(path: Path) -> list[Trace]:
+    """Return the recordings of a folder or manifest, by name. Raises as `read`."""
+    return read(path).traces
 
-    The same names and seed give the same parts everywhere. `by_material`: no material is in both parts, and the test
-    part is as near to TEST_PART as whole materials come. Raises DatasetError where nothing is left for one part, and
-    for names that do not state a material.
+
+def split(everything: list[Trace], part: str, seed: int = 0, by: str = "auto") -> list[Trace]:
+    """Return the part, one of PARTS, of the traces, in their order.
+
+    `by`, one of SPLITS: what is never in both parts. A manifest's column `split` decides where `by` is "auto".
+    Otherwise the test part is TEST_PART of the traces, or as near to that as whole materials or subjects come; the same
+    names and seed give the same parts everywhere. Raises DatasetError where nothing is left for one part, where a trace
+    states no material or subject, and where a split by trace would tear the materials that a manifest states.
     """
     if part == "all":
         return everything
+    stated = any(trace.stated_material for trace in everything)
+    if by == "auto" and any(trace.part for trace in everything):
+        chosen = [trace for trace in everything if trace.part == part]
+        if not chosen:
+            raise DatasetError(f"the manifest's column split marks no trace as {part}; mark some, or take all")
+        return chosen
+    if by == "trace" and stated:
+        raise DatasetError(
+            "the manifest states materials, and a split by trace puts one material into both parts; split by material"
+        )
     wanted = max(1, round(TEST_PART * len(everything)))
-    if by_material:
-        test = _whole_materials(everything, wanted, seed)
+    if by in ("material", "subject") or stated:
+        kind = "subject" if by == "subject" else "material"
+        test = _whole_groups({trace.name: _group(trace, kind) for trace in everything}, wanted, seed)
     else:
+        kind = "trace"
         test = set(sorted((trace.name for trace in everything), key=lambda name: _lot(name, seed))[:wanted])
     if not 0 < len(test) < len(everything):
-        kind = "material" if by_material else "trace"
         raise DatasetError(f"there is only one {kind}, which cannot be split; add others, or take all")
     return [trace for trace in everything if (trace.name in test) == (part == "test")]
 
 
-def load(
-    trace: Trace, stream_rate_hz: int | None = None, hand_speed_mm_s: float | None = None, **options: Any
-) -> textures.Recording:
-    """Load a trace by `textures.load` with these options and resample it to a whole number of hertz, as a stream needs.
+def load(trace: Trace, stream_rate_hz: int | None = None, **options: Any) -> textures.Recording:
+    """Load a trace and resample it to a whole number of hertz, as a stream needs.
 
-    `stream_rate_hz`: None leaves the rate as it is. `hand_speed_mm_s` is for those files only that may hold a height
-    profile. Raises TextureError with what to do.
+    `options`: of `textures.load`; each is only for files that leave it open, and a manifest goes before them. A file
+    that states no unit, and gets none, is in "full scale". `stream_rate_hz`: None leaves the rate as it is. Raises
+    TextureError with what to do.
     """
-    if trace.path.suffix.lower() not in TEXT_SUFFIXES:
-        hand_speed_mm_s = None
-    recording = textures.load(trace.path, hand_speed_mm_s=hand_speed_mm_s, **options)
-    if stream_rate_hz is None and not recording.rate_hz.is_integer():
-        raise textures.TextureError(
+    recording = textures.load(trace.path, **_options_for(trace, options))
+    if math.isclose(recording.rate_hz, round(recording.rate_hz), rel_tol=RATE_TOLERANCE):
+        recording = replace(recording, rate_hz=float(round(recording.rate_hz)))
+    elif stream_rate_hz is None:
+        raise TextureError(
             f"{trace.path}: {recording.rate_hz:g} Hz is no whole number; give the rate to code it at: `stream_rate_hz`"
         )
     return textures.resample(recording, stream_rate_hz or recording.rate_hz)
-
-
-def _whole_materials(everything: list[Trace], wanted: int, seed: int) -> set[str]:
-    """Return the names of all traces of some materials, as near to `wanted` as can be; none where there is but one."""
-    counts = Counter(trace.material for trace in everything)
-    # What sizes some of the materials have together, and the first such materials in the order of the seed.
-    together: dict[int, frozenset[str]] = {0: frozenset()}
-    for material in sorted(counts, key=lambda name: _lot(name, seed)):
-        for size, materials in list(together.items()):
-            together.setdefault(size + counts[material], materials | {material})
-    sizes = [size for size in sorted(together) if 0 < size < len(everything)]
-    chosen = together[min(sizes, key=lambda size: abs(size - wanted), default=0)]
-    return {trace.name for trace in everything if trace.material in chosen}
 
 
 def printable(text: str) -> str:
@@ -123,8 +175,222 @@ def printable(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def _stem(path: Path) -> str:
-    return path.stem if path.suffix.lower() in SUFFIXES else path.name
+def _options_for(trace: Trace, offered: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a trace: its manifest's, and of those offered the ones that its file leaves open."""
+    path, own = trace.path, trace.options
+    chosen = {**{name: value for name, value in offered.items() if value is not None}, **own}
+
+    def withdraw(*names: str) -> None:
+        for name in names:
+            if name not in own:
+                chosen.pop(name, None)
+
+    of_axes = path.is_dir() or not path.exists()  # a trace of IEEE P1918.1.1, of a file for each axis
+    if path.suffix.lower() != ".npz":
+        withdraw("key")
+    try:
+        contents = files._read(path, chosen.get("axis") if of_axes else None, chosen.get("key"))
+    except (TextureError, OSError, MemoryError):  # `textures.load` will say it better
+        return chosen
+    if isinstance(contents, Profile):
+        withdraw("rate_hz", "unit", "full_scale", "axis")
+        return chosen
+    withdraw("hand_speed_mm_s")
+    if contents.rate_hz is not None:
+        withdraw("rate_hz")
+    if not of_axes and contents.samples.shape[1] != len(p1918.AXES):
+        withdraw("axis")
+    if contents.unit is None:
+        if "full_scale" not in chosen:
+            chosen.setdefault("unit", "full scale")
+    elif contents.unit != "full scale":
+        withdraw("unit", "full_scale")
+    elif "full_scale" not in chosen:  # without the value of full scale, its unit says nothing
+        withdraw("unit")
+    return chosen
+
+
+def _of_folder(folder: Path, leave_out: Path | None) -> Dataset:
+    grouped: dict[Path, list[Path]] = {}
+    skipped = []
+    for path in _files_in(folder, leave_out):
+        if reason := _no_recording(path):
+            skipped.append(Skipped(printable(path.relative_to(folder).as_posix()), reason))
+            continue
+        of_axis = path.suffix.lower() == ".txt" and p1918.axis_of(path)
+        grouped.setdefault(path.with_name(path.stem[:-2]) if of_axis else path, []).append(path)
+    # textures.load knows a trace of several files by their common name.
+    paths = [paths[0] if len(paths) == 1 else together for together, paths in grouped.items()]
+    if not paths:
+        raise DatasetError(f"{folder}: no recordings ({', '.join(SUFFIXES)}) in it or its sub-folders; give another")
+    return Dataset(_named([Trace("", path) for path in paths], folder), skipped)
+
+
+def _files_in(folder: Path, leave_out: Path | None) -> Iterator[Path]:
+    """Yield the files of a folder and its sub-folders, hidden ones left out, in their order. Raises OSError."""
+    avoided = leave_out and leave_out.resolve()
+    for parent, folders, names in os.walk(folder, onerror=_raise):
+        here = Path(parent)
+        folders[:] = sorted(name for name in folders if name[0] != "." and (here / name).resolve() != avoided)
+        yield from (here / name for name in sorted(names) if name[0] != ".")
+
+
+def _raise(error: OSError) -> None:
+    raise error
+
+
+def _no_recording(path: Path) -> str:
+    """Return why a file is no recording; "" for one that may be."""
+    if path.suffix.lower() not in SUFFIXES:
+        return "of another kind"
+    if path.suffix.lower() == ".csv" and path.is_file():
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            if "file" in _fields(file.readline(MAX_HEADER_CHARACTERS)):
+                return "a manifest; give it in place of the folder to use it"
+    return ""
+
+
+def _fields(line: str) -> list[str]:
+    return [name.strip().strip('"') for name in line.split(",")]
+
+
+def _of_manifest(manifest: Path) -> Dataset:
+    rows, columns = _rows(manifest)
+    found, missing = [], []
+    for place, row in rows.items():
+        if not row["file"]:
+            raise DatasetError(f"{place}, file: empty; name the recording's file")
+        path = manifest.parent / row["file"]
+        if not path.exists() and not any(path.with_name(f"{path.name}_{axis}.txt").exists() for axis in p1918.AXES):
+            missing.append(f"{place}, file: {row['file']}")
+        part = row.get("split", "").lower()
+        if part not in ("", "train", "test"):
+            raise DatasetError(f"{place}, split: {part!r} is neither train nor test; correct it, or leave it empty")
+        material, subject = row.get("material", ""), row.get("subject", "")
+        found.append(Trace("", path, _stated_options(row, place), material, subject, part))
+    if missing:
+        more = f", nor do those of {len(missing) - 1} other rows" if len(missing) > 1 else ""
+        raise DatasetError(f"{missing[0]} does not exist{more}; paths start at the manifest's folder")
+    named = _named(found, manifest.parent)
+    if alike := [name for name, times in Counter(trace.name for trace in named).items() if times > 1]:
+        raise DatasetError(
+            f"{manifest}: {alike[0]} stands in several rows; keep one, or tell them apart by axis or key"
+        )
+    return Dataset(named, notes=_notes(manifest, named, columns))
+
+
+def _rows(manifest: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
+    """Return the rows of a manifest by their place, without blanks around values, and its columns.
+
+    Raises DatasetError.
+    """
+    with manifest.open(newline="", encoding="utf-8-sig") as file:
+        try:
+            reader = csv.DictReader(file, skipinitialspace=True, strict=True)
+            columns = [name.strip() for name in reader.fieldnames or ()]
+            if "file" not in columns:
+                raise DatasetError(
+                    f"{manifest}: no column file; a manifest is a CSV file with a column file and any of "
+                    f"{', '.join(COLUMNS[1:])}"
+                )
+            if twice := [name for name, times in Counter(columns).items() if times > 1]:
+                raise DatasetError(f"{manifest}: two columns {twice[0]!r}; keep one")
+            reader.fieldnames = columns
+            rows = {}
+            for row in reader:
+                place = f"{manifest}, row {reader.line_num}"
+                if None in row or None in row.values():
+                    raise DatasetError(f"{place}: not one value for each of the {len(columns)} columns; correct it")
+                rows[place] = {name: value.strip() for name, value in row.items()}
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise DatasetError(f"{manifest}: not a CSV file in UTF-8: {error}; save it as one") from error
+    if not rows:
+        raise DatasetError(f"{manifest}: lists no recordings; add a row for each")
+    return rows, columns
+
+
+def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
+    """Return what a row states for `textures.load`. Raises DatasetError."""
+    options: dict[str, Any] = {name: row[name] for name in ("axis", "key") if row.get(name)}
+    if options.get("axis", textures.AXES[0]) not in textures.AXES:
+        raise DatasetError(f"{place}, axis: {options['axis']!r} is none of {', '.join(textures.AXES)}; correct it")
+    if row.get("unit"):
+        try:
+            options["unit"] = known_unit(row["unit"], f"{place}, unit")
+        except TextureError as error:
+            raise DatasetError(f"{error}; correct it, or leave it empty") from error
+    for name in NUMBERS:
+        if text := row.get(name):
+            try:
+                options[name] = float(text)
+            except ValueError:
+                options[name] = math.nan
+            if not 0 < options[name] < math.inf:
+                raise DatasetError(f"{place}, {name}: {text!r} is no positive number; correct it, or leave it empty")
+    return options
+
+
+def _notes(manifest: Path, named: Sequence[Trace], columns: Sequence[str]) -> list[str]:
+    notes = []
+    if unused := [name for name in columns if name not in COLUMNS]:
+        notes.append(f"{manifest}: columns not used: {', '.join(unused)}; known are {', '.join(COLUMNS)}")
+    parts: dict[str, set[str]] = {}
+    for trace in named:
+        if trace.stated_material and trace.part:
+            parts.setdefault(trace.material, set()).add(trace.part)
+    if torn := sorted(material for material, own in parts.items() if len(own) > 1):
+        notes.append(f"{manifest}: the column split has material {torn[0]} in both parts, {len(torn)} materials in all")
+    return notes
+
+
+def _named(found: Sequence[Trace], folder: Path) -> list[Trace]:
+    """Return the traces, each with its name, in the order of the names.
+
+    The name is the path within the folder without its suffix, or with it where two are alike; then the key and axis of
+    a manifest.
+    """
+    stems = [_within(_stem(trace.path), folder) + _chosen_part(trace) for trace in found]
+    times = Counter(stems)
+    named = [
+        replace(trace, name=printable(stem if times[stem] == 1 else _within(trace.path, folder) + _chosen_part(trace)))
+        for stem, trace in zip(stems, found, strict=True)
+    ]
+    return sorted(named, key=lambda trace: trace.name)
+
+
+def _chosen_part(trace: Trace) -> str:
+    key, axis = trace.options.get("key"), trace.options.get("axis")
+    return (f":{key}" if key else "") + (f"_{axis}" if axis else "")
+
+
+def _within(path: Path, folder: Path) -> str:
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.as_posix()
+
+
+def _stem(path: Path) -> Path:
+    return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
+
+
+def _group(trace: Trace, kind: str) -> str:
+    """Return the material or the subject of a trace. Raises DatasetError where it states none."""
+    if kind == "material":
+        return trace.material
+    if not trace.subject:
+        raise DatasetError(f"{trace.name}: states no subject; give a manifest with a column subject")
+    return trace.subject
+
+
+def _whole_groups(groups: Mapping[str, str], wanted: int, seed: int) -> set[str]:
+    """Return the names in some groups, as near to `wanted` as can be; none where there is but one group."""
+    counts = Counter(groups.values())
+    # What sizes some of the groups have together, and the first such groups in the order of the seed.
+    together: dict[int, frozenset[str]] = {0: frozenset()}
+    for group in sorted(counts, key=lambda name: _lot(name, seed)):
+        for size, chosen in list(together.items()):
+            together.setdefault(size + counts[group], chosen | {group})
+    sizes = [size for size in sorted(together) if 0 < size < len(groups)]
+    nearest = together[min(sizes, key=lambda size: abs(size - wanted), default=0)]
+    return {name for name, group in groups.items() if group in nearest}
 
 
 def _lot(name: str, seed: int) -> bytes:

@@ -10,6 +10,7 @@ from vibrocast.evaluation import trained
 from vibrocast.evaluation.cells import BenchError, Method, families, setting_text
 from vibrocast.evaluation.stability.trials import Trial, Verdict
 from vibrocast.models import Model
+from vibrocast.textures import Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +43,14 @@ class Rung:
 
 @dataclass(frozen=True)
 class Scope:
-    """How much to try. `methods`: of codecs and families of models; `quick`: a grid of few conditions."""
+    """How much to try. `methods`: of codecs and families of models; `quick`: a grid of few conditions.
+
+    `recordings`: a person's own, by name.
+    """
 
     methods: tuple[Method, ...]
     quick: bool
+    recordings: tuple[Recording, ...] = ()
 
     @property
     def learned(self) -> tuple[Method, ...]:

@@ -1,6 +1,6 @@
 """All maps, tried and written by one call."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from vibrocast.evaluation.stability import page
@@ -14,11 +14,13 @@ from vibrocast.evaluation.stability.learned_signals import KINDS, LEVEL, QUIET
 from vibrocast.evaluation.stability.maps import Scope
 from vibrocast.evaluation.stability.model_images import IMAGES
 from vibrocast.evaluation.stability.peers import PEERS
+from vibrocast.evaluation.stability.recordings import RECORDINGS
 from vibrocast.evaluation.stability.signals import ONSETS, SIGNALS
 from vibrocast.evaluation.stability.transport import DRIFT, FLIPS, JITTER, LOSS
 from vibrocast.evaluation.stability.trials import Verdict, run
 
 MAPS = (
+    RECORDINGS,
     SIGNALS,
     ONSETS,
     LADDERS,
@@ -48,14 +50,17 @@ def make(
     command: str,
     imported: Sequence[Verdict] = (),
     progress: Callable[[float, str], None] = lambda part, details: None,
+    chosen: Collection[str] = (),
 ) -> list[Verdict]:
     """Try every map, write them and the page into the folder `out`, return what was tried. Raises OSError.
 
     `command`: what was run, for the page. `imported`: cells that were measured elsewhere, which join the page.
-    `progress` is called with the part that is done, from 0 to 1, and what was tried last.
+    `progress` is called with the part that is done, from 0 to 1, and what was tried last. `chosen`: names of maps, all
+    if none.
     """
-    cells = run([trial for each in MAPS for trial in each.trials(scope)], progress=progress)
-    judged = [cell for each in MAPS for cell in each.judged([cell for cell in cells if cell.map == each.name])]
+    maps = [each for each in MAPS if not chosen or each.name in chosen]
+    cells = run([trial for each in maps for trial in each.trials(scope)], progress=progress)
+    judged = [cell for each in maps for cell in each.judged([cell for cell in cells if cell.map == each.name])]
     names = [method.name for method in scope.methods]
-    page.write(out, [*MAPS, PEERS], [*judged, *imported], names, command)
+    page.write(out, [*maps, PEERS], [*judged, *imported], names, command)
     return judged

@@ -15,6 +15,7 @@ from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung, three_rungs
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.host import coding
+from vibrocast.textures import HIGHPASS_HZ, Recording, highpass
 from vibrocast.textures.generate import wood
 
 Signal = NDArray[np.float64]
@@ -30,6 +31,11 @@ LOUDER_DB, FAR_LOUDER_DB = 3.0, 6.0
 SILENT, NEARLY_SILENT = 1e-4, 1e-2  # of full scale: -80 and -40 dB
 PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB = -30.0, -6.0
 
+GRAVITY_M_S2 = 9.81
+DRIFT_RMS = 8.0
+"""Of a drift: how far it goes to either side, relative to the texture's RMS value."""
+SWING_HZ = 0.3
+
 HOUR_S = 3600
 _ONSET_HZ = 250.0
 _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls anywhere in a block
@@ -37,12 +43,17 @@ _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls an
 
 @dataclass(frozen=True)
 class Condition:
-    """A hard signal. `judged_from`: the first of its samples that counts. `refused`: that it must be refused."""
+    """A hard signal. `judged_from`: the first of its samples that counts. `refused`: that it must be refused.
+
+    `tactile`: that it counts above HIGHPASS_HZ only, in what is coded and in what is decoded.
+    """
 
     make: Callable[[], Signal]
     rate_hz: int = RATE_HZ
     judged_from: int = 0
     refused: bool = False
+    unit: str = "full scale"
+    tactile: bool = False
 
 
 def texture(rate_hz: int = RATE_HZ, seconds: float = SECONDS, channels: int = 1) -> Signal:
@@ -89,6 +100,35 @@ def _with(value: float) -> Signal:
     return samples
 
 
+def _with_gravity() -> Signal:
+    """A texture of an accelerometer that lies flat."""
+    return texture() + GRAVITY_M_S2
+
+
+def _on_a_ramp() -> Signal:
+    samples = texture()
+    return samples + DRIFT_RMS * np.std(samples) * np.linspace(-1, 1, len(samples))[:, None]
+
+
+def _on_a_swing() -> Signal:
+    samples = texture()
+    return np.asarray(samples + DRIFT_RMS * np.std(samples) * np.sin(2 * np.pi * SWING_HZ * _time_s()))
+
+
+def tactile_part(samples: Signal, rate_hz: int = RATE_HZ) -> Signal:
+    """Return what lies above HIGHPASS_HZ of samples (n, channels), without delay."""
+    return highpass(Recording(samples, float(rate_hz), "m/s^2", "signal")).recording.samples
+
+
+def _high_passed(make: Callable[[], Signal]) -> Signal:
+    return tactile_part(make())
+
+
+DRIFTING = {
+    "texture with gravity": _with_gravity,
+    "texture on a ramp": _on_a_ramp,
+    "texture on a slow swing": _on_a_swing,
+}
 CONDITIONS: dict[str, Condition] = {
     "texture": Condition(texture),
     "silence": Condition(lambda: 0 * _time_s()),
@@ -104,6 +144,11 @@ CONDITIONS: dict[str, Condition] = {
     "texture at +60 dB": Condition(lambda: 1000 * texture()),
     "texture at -60 dB": Condition(lambda: 0.001 * texture()),
     "texture 60 dB below a click": Condition(_click_above, judged_from=round(0.1 * SECONDS * RATE_HZ)),
+    **{name: Condition(make, unit="m/s^2", tactile=True) for name, make in DRIFTING.items()},
+    **{
+        f"{name}, high-passed": Condition(partial(_high_passed, make), unit="m/s^2", tactile=True)
+        for name, make in DRIFTING.items()
+    },
     "texture of 8 bits": Condition(partial(_of_bits, 8)),
     "texture of 4 bits": Condition(partial(_of_bits, 4)),
     "texture on 16 channels": Condition(partial(texture, channels=16)),
@@ -178,8 +223,11 @@ def measure(rung: Rung, name: str) -> Measured:
     """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec refuses."""
     condition = CONDITIONS[name]
     samples = condition.make()
-    heard, stream = decoded(samples, condition.rate_hz, rung)
-    measured = judge(samples[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rung))
+    heard, stream = decoded(samples, condition.rate_hz, rung, condition.unit)
+    wanted = samples
+    if condition.tactile:
+        wanted, heard = (tactile_part(each, condition.rate_hz) for each in (samples, heard))
+    measured = judge(wanted[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rung))
     bits = 8 * stream.size_bytes / samples.size
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
@@ -300,7 +348,10 @@ SIGNALS = Map(
     f"or RMS value). D: degraded, less than that. F: fails, the SNR is below {FAILED_SNR_DB:g} dB (silence would be "
     f"nearer), the result more than {FAR_LOUDER_DB:g} dB louder or not finite, or the program crashes or "
     f"hangs. R: refused with an error that says what to do. Silence holds where the result stays below {SILENT:g} "
-    f"of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting.",
+    f"of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting. "
+    f"Gravity adds {GRAVITY_M_S2:g} m/s^2 to a texture with a peak of {PEAK:g} m/s^2; a ramp and a swing of "
+    f"{SWING_HZ:g} Hz go {DRIFT_RMS:g} times its RMS value to either side. These "
+    f"are judged above {HIGHPASS_HZ:g} Hz.",
     "",
     _trials,
     _draw,

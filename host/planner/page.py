@@ -16,6 +16,7 @@ from vibrocast.host.steered import Wish
 
 CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "plan.toml"
 MOST_PANELS = 6
+FAR_DB = 30.0
 LABELS = {
     "snr_db": "SNR, dB",
     "spqi": "SPQI",
@@ -128,11 +129,12 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
     asked = scene.asked
     for axes, choice in zip(panels, shown, strict=False):
         points = [each for each in choice.candidates if each.quality is not None]
+        low, high = _shown(scene, [each.quality for each in points if each.quality is not None])
         for place, name in enumerate(codecs):
             of_codec = [each for each in points if each.measured.way.codec == name]
             grey = _GREYS[place % len(_GREYS)]
             axes.scatter(
-                [each.quality for each in of_codec],
+                [min(max(each.quality or 0.0, low), high) for each in of_codec],
                 [each.cost for each in of_codec],
                 marker=_MARKERS[place % len(_MARKERS)],
                 s=20,
@@ -143,13 +145,12 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
             )
         chosen = choice.chosen
         if chosen.quality is not None:
-            axes.scatter(
-                [chosen.quality], [chosen.cost], marker="o", s=190, facecolors="none", edgecolors="black", linewidths=2
-            )
+            place_of_chosen = min(max(chosen.quality, low), high), chosen.cost
+            axes.scatter(*place_of_chosen, marker="o", s=190, facecolors="none", edgecolors="black", linewidths=2)
             axes.annotate(
                 f"{chosen.measured.way.name}\n"
                 f"{chosen.forecast.wire_bps / 1e3:.2f} kbit/s, {chosen.forecast.delay_ms:.0f} ms",
-                (chosen.quality, chosen.cost),
+                place_of_chosen,
                 textcoords="offset points",
                 xytext=(10, -24),
                 fontsize="small",
@@ -160,7 +161,9 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("{x:g}")
-        axes.set_xlabel(f"{LABELS[asked.measure]}; dashed: what is asked")
+        axes.set_xlabel(f"{LABELS[asked.measure]}; dashed: what is asked; on the edge: beyond it")
+        margin = 0.03 * (high - low)
+        axes.set_xlim(low - margin, high + margin)
         axes.set_ylabel("weighted cost")
         axes.set_title(choice.name, loc="left", fontsize="medium", parse_math=False)
         axes.grid(alpha=0.3)
@@ -171,6 +174,18 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
     )
     with whole_file(path) as partial:
         figure.savefig(partial)
+
+
+def _shown(scene: Scene, qualities: Sequence[float]) -> tuple[float, float]:
+    """Return the range of qualities that a panel shows: all, but of decibels none farther than FAR_DB from the asked.
+
+    One codec far off, such as a lossless one that overloads, would squeeze the others.
+    """
+    asked = wanted(scene)
+    low, high = min([asked, *qualities]), max([asked, *qualities])
+    if scene.asked.measure.endswith("_db") or scene.asked.measure == "imperceptible":
+        low, high = max(low, asked - FAR_DB), min(high, asked + FAR_DB)
+    return (low, high) if low < high else (low - 1, high + 1)
 
 
 def wanted(scene: Scene) -> float:

@@ -64,6 +64,15 @@ def test_half_the_rate_is_minus_fifty_percent_and_back_again_plus_hundred() -> N
     assert back.percent == pytest.approx(100)
 
 
+def test_four_points_are_enough_and_the_fewest_are_counted() -> None:
+    result = bd_rate(curve(COARSE), curve([4.0, 9.0, 15.0, 21.0], 0.5), SNR)
+    assert result is not None
+    assert result.percent == pytest.approx(-50, abs=0.5)
+    assert result.points == 4
+    enough = bd_rate(curve(COARSE), curve(COARSE), SNR)
+    assert enough is not None and enough.points == len(COARSE)
+
+
 def test_only_the_window_counts() -> None:
     anchor = curve(FINE)
     test = [(bits / (10 if snr_db < 4 else 2 if snr_db <= 21 else 1), snr_db) for bits, snr_db in anchor]
@@ -152,7 +161,7 @@ def test_comparison_ends_where_a_curve_ends() -> None:
     "snrs_db",
     [
         [],
-        [5.0, 10.0, 15.0, 18.0, 20.0],
+        [5.0, 12.0, 20.0],
         [21.0 + index for index in range(8)],
         [-5.0 + index for index in range(13)],
         [math.nan] * 8,
@@ -219,18 +228,19 @@ def test_traces_are_compared_one_by_one_and_summed_up() -> None:
 
 
 def test_a_summary_names_the_check_and_the_window() -> None:
-    result = summary([BdRate(-50, -49, 5, 19), BdRate(-40, -41, 6, 20), BdRate(-42, -42, 5, 20)], SNR)
+    result = summary([BdRate(-50, -49, 5, 19, 8), BdRate(-40, -41, 6, 20, 5), BdRate(-42, -42, 5, 20, 9)], SNR)
     assert result.akima_mean == -44
     assert (result.low, result.high, result.whole_window_traces) == (5, 20, 1)
+    assert result.points == 5
 
 
 def test_the_interval_of_the_mean_holds_it_and_shrinks_with_the_traces() -> None:
     values = np.random.default_rng(1).normal(-40, 10, 400)
-    few, many = (summary([BdRate(value, value, 5, 20) for value in values[:count]], SNR) for count in (10, 400))
+    few, many = (summary([BdRate(value, value, 5, 20, 8) for value in values[:count]], SNR) for count in (10, 400))
     for result in (few, many):
         assert result.interval_low is not None and result.interval_high is not None
         assert result.interval_low < result.mean < result.interval_high
     # 1.96 standard errors of the mean each way.
     assert many.interval_high is not None
     assert many.interval_high - many.mean == pytest.approx(1.96 * np.std(values) / 20, rel=0.1)
-    assert summary([BdRate(-50, -49, 5, 20), BdRate(-40, -41, 5, 20)], SNR).interval_low is None
+    assert summary([BdRate(-50, -49, 5, 20, 8), BdRate(-40, -41, 5, 20, 8)], SNR).interval_low is None

@@ -28,6 +28,7 @@ from vibrocast.evaluation.stability import (
     page,
     peers,
     pictures,
+    recordings,
     report,
     signals,
     transport,
@@ -37,11 +38,13 @@ from vibrocast.evaluation.stability.maps import Rung, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
 from vibrocast.host.stability_command import stability
 from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
+from vibrocast.textures import Recording, save_wav
+from vibrocast.textures.generate import wood
 
 MDCT = codec.CODECS["mdct"]
 STEP = Rung("mdct", {"step": 0.25})
 TINY = tiny_model()
-QUICK = Scope(methods(["mdct", "dct", "slp", "eva"], [TINY]), quick=True)
+QUICK = Scope(methods(["mdct", "dct", "slp", "eva"], [TINY]), quick=True, recordings=(wood(0, 0.5),))
 LEARNED = Rung("eva", {"quality": 2.0}, TINY)
 
 
@@ -178,6 +181,52 @@ def test_conditions_are_what_their_names_say() -> None:
     assert np.isnan(made["a NaN"]).sum() == 1
     quiet = made["texture 60 dB below a click"][signals.CONDITIONS["texture 60 dB below a click"].judged_from :]
     assert np.abs(quiet).max() == pytest.approx(1e-3, rel=0.2)
+
+
+@pytest.mark.parametrize("name", signals.DRIFTING)
+def test_an_offset_or_a_drift_is_far_greater_than_the_texture_and_counts_not(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, texture = signals.CONDITIONS[name].make(), signals.texture()
+    assert np.std(made - texture) > 3 * np.std(texture) or np.mean(made - texture) > 9
+    np.testing.assert_allclose(signals.tactile_part(made), signals.tactile_part(texture), atol=0.02)
+    # Whether the offset comes through or is left out before coding, a good codec holds.
+    for heard in (made, texture):
+        monkeypatch.setattr(signals, "decoded", lambda *_, heard=heard: (heard, coding_stub()))
+        monkeypatch.setattr(signals, "texture_snr_db", lambda rung: 12.0)
+        assert signals.measure(STEP, name).outcome is Outcome.HOLDS
+    monkeypatch.setattr(signals, "decoded", lambda *_: (made - texture, coding_stub()))
+    assert signals.measure(STEP, name).outcome is Outcome.DEGRADED
+
+
+@pytest.mark.parametrize("name", signals.DRIFTING)
+def test_a_high_pass_before_coding_is_the_remedy(name: str) -> None:
+    rung = Rung("mdct", {"step": 0.5})
+    assert attempt(trial(partial(signals.measure, rung, name))).outcome is not Outcome.HOLDS
+    assert attempt(trial(partial(signals.measure, rung, f"{name}, high-passed"))).outcome is Outcome.HOLDS
+
+
+def coding_stub() -> object:
+    return type("Stream", (), {"size_bytes": 100})()
+
+
+def test_recordings_of_ones_own_are_a_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "run", lambda trials, progress: [attempt(made) for made in trials])
+    (tmp_path / "own" / "deep").mkdir(parents=True)
+    save_wav(tmp_path / "own" / "deep" / "plank.wav", wood(3, 0.5, rate_hz=8000))
+    save_wav(tmp_path / "own" / "silent.wav", Recording(np.zeros((900, 1)), 1000.0, "um", "silent"))
+    (tmp_path / "own" / "bare.csv").write_text("1\n2\n")
+    (tmp_path / "own" / "notes.md").touch()
+    arguments = ["--out", str(tmp_path / "out"), "--codecs", "flac", "--maps", "recordings"]
+    result = CliRunner().invoke(stability, [*arguments, "--recordings", str(tmp_path / "own")])
+    assert result.exit_code == 0, result.output
+    assert "skipped 1 file: notes.md" in result.stderr and "left out: bare: " in result.stderr
+    with (tmp_path / "out" / "stability" / "recordings.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["case"] for row in rows} == {"deep/plank", "silent"} and len(rows) == 6
+    assert {row["outcome"] for row in rows} == {"holds"}
+    assert "## Your recordings" in (tmp_path / "out" / "stability.md").read_text()
+    assert recordings.RECORDINGS.trials(Scope(methods(["mdct"], ()), quick=False)) == []
 
 
 def test_pre_echo_falls_with_a_finer_setting() -> None:
@@ -458,7 +507,17 @@ def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         assert rows and {row["outcome"] for row in rows} <= {str(outcome) for outcome in Outcome}
 
 
-@pytest.mark.parametrize("arguments", [["--codecs", "nonsense"], ["--codecs", ","], ["--peers-edge", "missing.csv"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--codecs", "nonsense"],
+        ["--codecs", ","],
+        ["--peers-edge", "missing.csv"],
+        ["--maps", "nonsense"],
+        ["--maps", "recordings"],
+        ["--recordings", "missing"],
+    ],
+)
 def test_bad_arguments_are_refused(arguments: list[str], tmp_path: Path) -> None:
     result = CliRunner().invoke(stability, ["--out", str(tmp_path), *arguments])
     assert result.exit_code != 0

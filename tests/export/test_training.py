@@ -235,6 +235,40 @@ def test_archives_folders_and_generators_are_sources_split_by_material(tmp_path:
         training_data.split(traces, HeldBack(materials=tuple(materials)), 1)
 
 
+def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    rows = ["file,unit,full_scale,material,split"]
+    for name, rate_hz, material, part in (
+        ("a", 2800, "Cork", "train"),
+        ("deep/b", 8000, "cork", "train"),
+        ("c", 2800, "felt", "test"),
+        ("d", 1000, "foam", "train"),
+    ):
+        recording = textures.GENERATORS["rough"](seed=1, seconds=0.5, rate_hz=rate_hz)
+        plain = textures.Recording(recording.samples / 100, float(rate_hz), "full scale", name)
+        textures.save_wav(tmp_path / f"{name}.wav", plain)
+        rows.append(f"{name}.wav,m/s^2,10,{material},{part}")
+    (tmp_path / "mine.csv").write_text("\n".join(rows))
+    chosen = configured(tmp_path, TINY + '[[folder]]\nfolder = "mine.csv"\npart = "train"\n')
+    traces = [trace for trace in training_data.load(chosen.sources, tmp_path, 2800) if trace.source == "mine"]
+    assert sorted(trace.material for trace in traces) == ["mine/cork", "mine/cork", "mine/foam"]
+    assert {len(trace.samples) for trace in traces} == {1400}
+
+
+def test_what_a_data_set_leaves_out_is_told_and_a_wrong_manifest_refused(tmp_path: Path) -> None:
+    (tmp_path / "own").mkdir()
+    textures.save_wav(tmp_path / "own" / "a.wav", textures.GENERATORS["rough"](seed=1, seconds=0.5))
+    (tmp_path / "own" / "notes.md").touch()
+    text = TINY[: TINY.index("[generator]")].replace("steps = 40", "steps = 1")
+    (tmp_path / "own.toml").write_text(text + '[[folder]]\nfolder = "own"\n')
+    result = run(tmp_path / "own.toml", "--out", tmp_path / "out")
+    assert "own: skipped 1 file: notes.md (of another kind)" in result.stderr
+    (tmp_path / "own.csv").write_text("file,unit\nown/a.wav,furlong\n")
+    (tmp_path / "own.toml").write_text(text + '[[folder]]\nfolder = "own.csv"\n')
+    result = run(tmp_path / "own.toml", "--out", tmp_path / "out")
+    assert result.exit_code == 2 and "row 2, unit: unknown unit 'furlong'" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

@@ -114,9 +114,7 @@ def test_a_ladder_that_needs_a_unit_is_left_out_unless_it_is_named(tmp_path: Pat
 @pytest.mark.usefixtures("quick")
 def test_peers_and_programs_join(folder: Path, tmp_path: Path) -> None:
     peers = tmp_path / "peers.csv"
-    peers.write_text(
-        "trace,codec,setting,samples,bytes_total,snr_db\nwood,other,1,840,100,9\nelsewhere,other,1,840,100,9\n"
-    )
+    peers.write_text("trace,codec,setting,samples,bytes_total,snr_db\nwood,other,1,840,100,9\n")
     (tmp_path / "copy.toml").write_text(
         '[copy]\nencoder = ["cp", "{input}", "{output}"]\ndecoder = ["cp", "{input}", "{output}"]\n'
         '[lost]\nencoder = ["no-such-program"]\ndecoder = ["no-such-program"]\n'
@@ -131,16 +129,110 @@ def test_peers_and_programs_join(folder: Path, tmp_path: Path) -> None:
     assert len(copies) == 2 and all(point.snr_db and point.snr_db > 60 for point in copies)
     timings = read_rows(tmp_path / "out" / "results" / "timings.csv", Timing)
     assert {(one.codec, one.source) for one in timings} == {("g726", "measured"), ("copy", "program")}
-    assert "warning" not in said
 
 
 @pytest.mark.usefixtures("quick")
-def test_peers_on_other_traces_are_told_of(folder: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (
+            "wood.wav,other,1,840,100,9,",
+            "row 3, trace: the data set has no 'wood.wav'; expected one of 2 names such as 'wood'",
+        ),
+        ("wood,other,1,9999,100,9,", "row 3, samples: 9999; expected 840, as 'wood' has here"),
+        ("wood,other,1,840,100,9,8000", "row 3, rate_hz: 8000; expected 2800"),
+    ],
+)
+def test_peers_on_other_recordings_are_refused(folder: Path, tmp_path: Path, row: str, message: str) -> None:
     peers = tmp_path / "peers.csv"
-    peers.write_text("trace,codec,setting,samples,bytes_total,snr_db\nwood.wav,other,1,840,100,9\n")
-    result = vibrocast_bench(folder, "--codecs", "flac", "--out", tmp_path / "out", "--peers", peers, "--repeats", "0")
+    peers.write_text(f"trace,codec,setting,samples,bytes_total,snr_db,rate_hz\nrough,other,1,840,100,9,2800\n{row}\n")
+    said = fails(2, folder, "--codecs", "flac", "--out", tmp_path / "out", "--peers", peers, "--repeats", "0")
+    assert f"{peers}, {message}" in said
+    assert not (tmp_path / "out" / "results" / "points.csv").exists()
+
+
+@pytest.mark.usefixtures("quick")
+def test_peers_on_the_other_part_are_left_out(folder: Path, tmp_path: Path) -> None:
+    peers = tmp_path / "peers.csv"
+    peers.write_text(
+        "trace,codec,setting,samples,bytes_total,snr_db\nrough,other,1,840,100,9\nwood,other,1,840,100,9\n"
+    )
+    arguments = (folder, "--codecs", "flac", "--out", tmp_path / "out", "--peers", peers, "--repeats", "0")
+    assert vibrocast_bench(*arguments, "--split", "test").exit_code == 0
+    points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
+    assert len({point.trace for point in points}) == 1
+    assert {point.codec for point in points} == {"flac", "other"}
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_column_that_peers_do_not_have_is_refused(folder: Path, tmp_path: Path) -> None:
+    peers = tmp_path / "peers.csv"
+    peers.write_text("trace,codec,setting,samples,bytes_total,snr_db,psnr\nwood,other,1,840,100,9,20\n")
+    said = fails(2, folder, "--out", tmp_path / "out", "--peers", peers)
+    assert "row 1: no column is called 'psnr'; expected some of trace" in said
+
+
+@pytest.mark.usefixtures("quick")
+def test_one_folder_of_many_kinds_rates_and_folders(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    (data / "deep").mkdir(parents=True)
+    for name, rate_hz in (("slow.wav", 1000), ("fast.wav", 8000), ("deep/fast.wav", 10_000)):
+        plain = textures.Recording(wood(0, 0.2, rate_hz=rate_hz).samples, rate_hz, "full scale", name)
+        textures.save_wav(data / name, plain)
+    (data / "stated.csv").write_text("# unit: g\n# rate_hz: 2800\n" + "1\n2\n" * 50)
+    for axis in "XYZ":
+        np.savetxt(data / f"Direct_-_Probe_-_cork_-_slow_{axis}.txt", wood(1, 0.1).samples)
+    (data / "notes.md").touch()
+    arguments = (data, "--codecs", "flac", "--repeats", "0", "--unit", "m/s^2", "--rate-hz", "500")
+    for _ in range(2):  # the second time the results lie in the folder, and are no recordings
+        result = vibrocast_bench(*arguments, "--out", data / "out")
+        assert result.exit_code == 0, result.output
+        assert "skipped 1 file: notes.md (of another kind)" in result.stderr
+        assert "as only --full-scale or a manifest gives their unit: 3 traces" in result.stdout
+    assert (data / "out" / "results" / "skipped.csv").read_text() == "file,reason\nnotes.md,of another kind\n"
+    points = read_rows(data / "out" / "results" / "points.csv", Point)
+    assert {point.trace: point.rate_hz for point in points} == {
+        "Direct_-_Probe_-_cork_-_slow": 2800,
+        "deep/fast": 10_000,
+        "fast": 8000,
+        "slow": 1000,
+        "stated": 2800,
+    }
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_offset_does_not_change_the_quality(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    texture = wood(1, 1.0)
+    for name, offset in (("flat", 0.0), ("gravity", 9.81)):
+        shifted = textures.Recording(texture.samples + offset, texture.rate_hz, "m/s^2", name)
+        textures.save_wav(tmp_path / "data" / f"{name}.wav", shifted, sixteen_bit=False)
+    arguments = (tmp_path / "data", "--codecs", "mdct-live", "--repeats", "0")
+    result = vibrocast_bench(*arguments, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert f"warning: {peers}: none of its traces is in {folder}" in result.stderr
+    assert "more than 50% of the energy of 1 traces, the first gravity" in result.stdout
+    points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
+    flat, gravity = ([point.snr_db for point in points if point.trace == name] for name in ("flat", "gravity"))
+    np.testing.assert_allclose(flat, gravity, atol=0.2)
+    result = vibrocast_bench(*arguments, "--out", tmp_path / "kept", "--keep-dc")
+    assert "removed below" not in result.stdout
+    kept = read_rows(tmp_path / "kept" / "results" / "points.csv", Point)
+    assert kept[0].bytes_total > 0 and [p.snr_db for p in kept if p.trace == "gravity"] != gravity
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_manifest_in_place_of_a_folder(folder: Path, tmp_path: Path) -> None:
+    manifest = tmp_path / "manifest.csv"
+    manifest.write_text(
+        "file,material,split\nrecordings/rough.wav,cork,train\nrecordings/wood.wav,oak,test\nrecordings/wood.npy,oak,test\n"
+    )
+    arguments = (manifest, "--codecs", "flac", "--repeats", "0", "--out", tmp_path / "out", "--split", "test")
+    assert "row 4, file: recordings/wood.npy does not exist" in fails(2, *arguments)
+    np.save(folder / "wood.npy", np.ones(100))
+    result = vibrocast_bench(*arguments, "--rate-hz", "1000")
+    assert result.exit_code == 0, result.output
+    points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
+    assert {point.trace for point in points} == {"recordings/wood.npy", "recordings/wood.wav"}
 
 
 @pytest.mark.usefixtures("quick")

@@ -1,0 +1,65 @@
+"""Recordings of a person's own: every codec at three of its settings, judged as the hard signals are."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, three_rungs
+from vibrocast.evaluation.stability.signals import ENOUGH_SNR_DB, SNR_MARGIN_DB, decoded, judge, texture_snr_db
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.textures import Recording
+
+LONGEST_S = 60.0
+LEVELS = ("low", "middle", "high")
+
+
+def measure(rung: Rung, recording: Recording) -> Measured:
+    """Code a recording, at most its first LONGEST_S, and judge what comes back. Raises CodecError."""
+    rate_hz = round(recording.rate_hz)
+    samples = recording.samples[: round(LONGEST_S * rate_hz)]
+    heard, stream = decoded(samples, rate_hz, rung, recording.unit)
+    measured = judge(samples, heard, texture_snr_db(rung))
+    bits = 8 * stream.size_bytes / samples.size
+    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+
+
+def _trials(scope: Scope) -> list[Trial]:
+    return [
+        Trial(
+            RECORDINGS.name,
+            method.name,
+            recording.name,
+            f"{level}: {rung.text}",
+            None,
+            partial(measure, rung, recording),
+        )
+        for method in scope.methods
+        for level, rung in three_rungs(method).items()
+        for recording in scope.recordings
+    ]
+
+
+def _draw(path: Path, cells: Sequence[Verdict]) -> None:
+    """Recordings downwards, codecs across, each at its three settings."""
+    rows, methods = (list(dict.fromkeys(names)) for names in zip(*((c.case, c.method) for c in cells), strict=True))
+    outcomes = {(cell.case, cell.method, cell.setting.partition(":")[0]): cell.outcome for cell in cells}
+    table = [
+        [outcomes.get((row, method, level), Outcome.NOT_TRIED) for method in methods for level in LEVELS]
+        for row in rows
+    ]
+    pictures.outcome_map(
+        path, rows, methods, table, "each codec a quarter and half of the way up its ladder of settings, and at its end"
+    )
+
+
+RECORDINGS = Map(
+    "recordings",
+    "Your recordings",
+    f"At most the first {LONGEST_S:g} s of each, at its own rate, coded into a whole stream and decoded. The rules are "
+    f"those of the signals: H where the SNR is at most {SNR_MARGIN_DB:g} dB below that of a generated texture at the "
+    f"same setting, or above {ENOUGH_SNR_DB:g} dB.",
+    "",
+    _trials,
+    _draw,
+)

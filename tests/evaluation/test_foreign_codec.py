@@ -1,0 +1,80 @@
+"""The codec of another package, which the registry alone knows, in the benchmark, its page and the stability maps."""
+
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from vibrocast import codec, textures
+from vibrocast.codec import coding, plugins
+from vibrocast.evaluation import cells, cost, workers
+from vibrocast.evaluation.points import Point, read_rows
+from vibrocast.evaluation.stability import maps, signals
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, attempt
+from vibrocast.host.command_line import main
+from vibrocast.textures.generate import rough, wood
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
+NAME = "haar"
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the package of the example look installed."""
+    monkeypatch.syspath_prepend(str(EXAMPLE))
+    points = EntryPoints([EntryPoint(NAME, "vibrocast_haar:Haar", plugins.GROUP)])
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points.select(group=group))
+    monkeypatch.setattr(coding, "CODECS", coding.Codecs())
+    for module in (codec, maps):
+        monkeypatch.setattr(module, "CODECS", coding.CODECS)
+
+
+def here(pieces: Iterator[Any], processes: int) -> Iterator[Any]:
+    for key, work in pieces:
+        yield key, work()
+
+
+def test_the_benchmark_takes_it_as_any_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "on_cores", here)
+    monkeypatch.setattr(cost, "peak_memory_bytes", lambda codec_name, model: None)
+    (tmp_path / "recordings").mkdir()
+    textures.save_wav(tmp_path / "recordings" / "rough.wav", rough(0, 0.5))
+    textures.save_wav(tmp_path / "recordings" / "wood.wav", wood(1, 0.5))
+    arguments = ["bench", str(tmp_path / "recordings"), "--out", str(tmp_path / "out"), "--repeats", "1"]
+    result = CliRunner().invoke(main, [*arguments, "--codecs", f"{NAME},slp"])
+    assert result.exit_code == 0, result.output
+    points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
+    own = [point for point in points if point.codec == NAME]
+    assert len(own) == 24 and max(point.snr_db or 0 for point in own) > 20
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert f"- `{NAME}`: Haar wavelet" in page
+    assert any(line.startswith(f"| {NAME} |") for line in page.splitlines())
+    assert f"\n{NAME}," in (tmp_path / "out" / "results" / "speeds.csv").read_text()
+    assert "decoder not counted" in (tmp_path / "out" / "results" / "costs.csv").read_text()
+
+
+def test_a_cell_is_measured_again_where_its_module_changes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def keys() -> list[str]:
+        cells._other_packages.cache_clear()
+        chosen = cells.methods([NAME, "flac"])
+        return [cells.Cell("wood", wood(0, 0.1), method, method.settings[0], 0).key for method in chosen]
+
+    before = keys()
+    assert keys() == before
+    monkeypatch.setattr(cells, "find_spec", lambda name: type("Spec", (), {"origin": str(tmp_path / "edited.py")}))
+    (tmp_path / "edited.py").write_text("# another")
+    assert [old == new for old, new in zip(before, keys(), strict=True)] == [True, False]
+    cells._other_packages.cache_clear()
+
+
+def test_the_stability_maps_take_it() -> None:
+    (method,) = maps.methods([NAME], ())
+    rung = maps.three_rungs(method)["high"]
+
+    def measure() -> Measured:
+        return signals.measure(rung, "texture")
+
+    assert attempt(Trial("signals", NAME, "texture", f"high: {rung.text}", None, measure)).outcome is Outcome.HOLDS
