@@ -9,7 +9,7 @@ C_SOURCES := $(filter-out %_tables.c,$(wildcard firmware/*/*.[ch] firmware/*/*/*
 CHECKPOINTS ?= trained
 DATA ?= recordings
 
-.PHONY: install play test lint fuzz firmware models
+.PHONY: install play test test-long lint fuzz firmware models
 
 install: .venv/installed
 
@@ -26,8 +26,13 @@ install: .venv/installed
 play: install
 	$(BIN)/vibrocast play examples/oak.wav --plot oak.png --report oak.json
 
+# Every feature, in a few minutes.
 test: .venv/installed-for-tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not slow"
+
+# The rest: sanitisers, emulated boards in full, other processes, long training and planning.
+test-long: .venv/installed-for-tests
+	$(BIN)/python -m pytest -m slow
 
 lint: .venv/installed-for-tests
 	$(BIN)/ruff format --check

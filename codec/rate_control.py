@@ -41,7 +41,7 @@ def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
         noise += np.sum(np.square((reference[part] - decoded[part]) / scales), axis=0)
     return [
         (10 * math.log10(signal / error) if error > 0 else math.inf) if peak > 0 else None
-        for peak, signal, error in zip(peaks, energy, noise, strict=True)
+        for peak, signal, error in zip(peaks, energy.tolist(), noise.tolist(), strict=True)
     ]
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
 from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
@@ -53,21 +55,24 @@ class FlashMemory:
 
     def erase(self, address: int, count: int) -> None:
         """Erase whole sectors: `address` and `count` are multiples of the sector size."""
-        self._change(address, bytes([ERASED]) * count, bytes(byte | 0xF0 for byte in self.read(address, count)))
+        self._change(address, bytes([ERASED]) * count, lambda byte, _: byte | 0xF0)
 
     def program(self, address: int, data: bytes) -> None:
         """Clear the bits that are 0 in `data`."""
         old = self.read(address, len(data))
-        after = bytes(a & b for a, b in zip(old, data, strict=True))
-        self._change(address, after, bytes(a & (b | 0x0F) for a, b in zip(old, data, strict=True)))
+        after = (np.frombuffer(old, np.uint8) & np.frombuffer(data, np.uint8)).tobytes()
+        self._change(address, after, lambda byte, after: byte & (after | 0x0F))
 
-    def _change(self, address: int, after: bytes, half_done: bytes) -> None:
+    def _change(self, address: int, after: bytes, half_done: Callable[[int, int], int]) -> None:
+        """Change bytes, up to a cut; `half_done` gives what a byte is in the middle of it, from before and after."""
         done = len(after)
         if self.cut_after_bytes is not None:
             done = min(done, self.cut_after_bytes)
             self.cut_after_bytes -= done
         cut = done < len(after)
-        changed = after[:done] + half_done[done : done + 1] if cut else after
+        changed = after
+        if cut:
+            changed = after[:done] + bytes([half_done(self._data[address + done], after[done])])
         if self._path is not None:
             with self._path.open("r+b") as file:
                 file.seek(address)

@@ -68,6 +68,11 @@ MODULES = {
     **dict.fromkeys(("sim", "sim-usb", "host"), ("test_frames", "test_link", "test_flashing")),
     "cortex-m7": ("test_streams", "test_playing", "test_flashing"),
 }
+# The modules that are not slow; on the other devices none is.
+QUICK_MODULES = {
+    **dict.fromkeys(("sim", "sim-usb", "host"), ("test_frames", "test_flashing")),
+    **dict.fromkeys(("cortex-m4", "cortex-m7"), ("test_streams",)),
+}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -78,7 +83,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     long = any(metafunc.definition.iter_markers("long"))
     module = metafunc.function.__module__.rpartition(".")[2]
     names = [name for name in DEVICES if name not in MODULES or (module in MODULES[name] and not long)]
-    metafunc.parametrize("line", [asked] if asked else names, indirect=True)
+    slow = [name for name in names if name in QUICK_MODULES and module not in QUICK_MODULES[name]]
+    marked = [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in names]
+    metafunc.parametrize("line", [asked] if asked else marked, indirect=True)
 
 
 @pytest.fixture

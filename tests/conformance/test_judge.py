@@ -38,6 +38,8 @@ from vibrocast.host.conformance.line import Line
 from vibrocast.host.conformance.report import Report
 from vibrocast.simulated_device.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.device import Device
+from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 
 MODULES = sorted(Path(conformance.__file__).parent.glob("test_*.py"))
@@ -46,7 +48,7 @@ PROTOCOL = page.PAGE.with_name("protocol.md")
 NOT_PROVOKED = {ErrorCode.FLASH_FAILED}
 
 
-def line_to(controller: Controller) -> Line:
+def line_to(controller: Device) -> Line:
     link = MemoryLink(controller)
     return Line(link, link.clock, link.sleep)
 
@@ -119,6 +121,7 @@ class Slow(Controller):
         return b"".join(map(write_frame, due))
 
 
+@pytest.mark.slow
 def test_controller_that_takes_its_time_to_answer_conforms() -> None:
     link = MemoryLink(Slow(), time=SimulatedTime(step_us=10_000))
     _, findings = judge(Line(link, link.clock, link.sleep), quick=True)
@@ -127,7 +130,7 @@ def test_controller_that_takes_its_time_to_answer_conforms() -> None:
     }
 
 
-class Altered(Controller):
+class Altered(Firmware):
     """Alters the messages that it sends."""
 
     def alter(self, message: Message) -> Message:
@@ -189,7 +192,7 @@ class OneSlot(Altered):
         (OneSlot, {"test_slots_are_listed": "expected two slots"}),
     ],
 )
-def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Controller], reasons: dict[str, str]) -> None:
+def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Altered], reasons: dict[str, str]) -> None:
     _, findings = judge(line_to(faulty()))
     failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
     for test, reason in reasons.items():
@@ -247,9 +250,7 @@ def test_controller_of_another_plain_codec_is_judged() -> None:
     assert outcomes.count(Outcome.PASSED) > 180
 
 
-def test_texts_of_a_controller_do_nothing_on_the_terminal_or_the_page(
-    reached: list[Controller], tmp_path: Path
-) -> None:
+def test_texts_of_a_controller_do_nothing_on_the_terminal_or_the_page(reached: list[Device], tmp_path: Path) -> None:
     class Hostile(Altered):
         def alter(self, message: Message) -> Message:
             return replace(message, build=hostile, hardware=hostile) if isinstance(message, HelloResponse) else message
@@ -267,12 +268,12 @@ def test_texts_of_a_controller_do_nothing_on_the_terminal_or_the_page(
 
 
 def test_result_is_told_where_the_report_cannot_be_written(
-    reached: list[Controller], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    reached: list[Device], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "conformance.md"))
 
-    reached.append(Controller())
+    reached.append(Firmware())
     monkeypatch.setattr(Path, "write_text", full)
     ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path), "--quick", "--no-flash"])
     assert ran.exit_code == 2
@@ -281,7 +282,7 @@ def test_result_is_told_where_the_report_cannot_be_written(
     assert list(tmp_path.iterdir()) == []
 
 
-class Mute(Controller):
+class Mute(Firmware):
     """Says hello in letters that are none."""
 
     def transmit(self) -> bytes:
@@ -294,7 +295,7 @@ def test_hello_that_cannot_be_read_is_told() -> None:
         judge(line_to(Mute()))
 
 
-class Dying(Controller):
+class Dying(Firmware):
     """Falls silent for good at the first request of a type that it does not know."""
 
     dead = False
@@ -315,6 +316,7 @@ def test_controller_that_dies_does_not_conform_and_is_not_tried_any_more() -> No
     assert list(outcomes.values()).count(Outcome.FAILED) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -331,9 +333,9 @@ def test_what_a_controller_lacks_is_not_held_against_it(settings: Settings) -> N
 
 
 @pytest.fixture
-def reached(monkeypatch: pytest.MonkeyPatch) -> list[Controller]:
+def reached(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     """Has the command reach, in simulated time, the controller that the test puts here."""
-    controllers: list[Controller] = []
+    controllers: list[Device] = []
     links: list[MemoryLink] = []
 
     @contextmanager
@@ -349,8 +351,8 @@ def reached(monkeypatch: pytest.MonkeyPatch) -> list[Controller]:
     return controllers
 
 
-def test_command_writes_a_report_without_a_date(reached: list[Controller], tmp_path: Path) -> None:
-    reached.append(Controller(Settings(hardware="board <b>|</b>")))
+def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path: Path) -> None:
+    reached.append(Firmware(Settings(hardware="board <b>|</b>")))
     ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path / "out"), "--quick", "--no-flash"])
     assert ran.exit_code == 0, ran.output
     report = json.loads((tmp_path / "out" / "conformance.json").read_text())
@@ -366,7 +368,7 @@ def test_command_writes_a_report_without_a_date(reached: list[Controller], tmp_p
     assert all(entry["text"] in text for entry in report["requirements"])
 
 
-def test_command_tells_what_failed(reached: list[Controller]) -> None:
+def test_command_tells_what_failed(reached: list[Device]) -> None:
     reached.append(Faulty())
     ran = CliRunner().invoke(main, ["conformance", "--quick", "--no-flash"])
     assert ran.exit_code == 1

@@ -141,6 +141,7 @@ def test_a_damaged_journal_costs_only_the_lines_that_are_damaged(
     assert written(results, run(folder, results, partial(cut_after, 0))) == whole  # all is in the journal again
 
 
+@pytest.mark.slow
 def test_on_all_cores_and_on_a_cluster_the_figures_are_the_same(
     folder: Path, tmp_path: Path, whole: dict[str, bytes]
 ) -> None:
@@ -153,6 +154,7 @@ def test_on_all_cores_and_on_a_cluster_the_figures_are_the_same(
         assert written(results, run(folder, results, work)) == whole
 
 
+@pytest.mark.slow
 def test_a_crash_costs_only_its_cells(folder: Path, results: Path) -> None:
     def load_deadly(trace: Trace) -> Recording:
         recording = load(trace)

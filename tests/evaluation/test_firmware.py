@@ -26,7 +26,10 @@ pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compile
 STREAMS = Path(__file__).parents[1] / "codec"
 SHIPPED = firmware.TABLES / "firmware_loads.csv"
 M4F = CORES["M4F"]
-BUILDS = [("M4F", 0), ("M4F", 1), ("M7", 0), ("M33", 0)]
+BUILDS = [
+    ("M4F", 0),
+    *(pytest.param(build, marks=pytest.mark.slow) for build in (("M4F", 1), ("M7", 0), ("M33", 0))),
+]
 FUNCTIONS = [
     f"vc_{name}_{function}"
     for name in ("mdct", "dct", "slp", "parametric", "eva")
@@ -36,20 +39,27 @@ KERNELS = ["vc_dot_products", *(f"vc_eva_{name}" for name in ("products", "squar
 AREA = 0x6000_0000
 
 
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], Path]:
-    """The core for each processor, with DSP instructions (0) and in portable C (1)."""
-    folder = tmp_path_factory.mktemp("programs")
-    return {
-        (core, portable): compile_core(
-            folder / f"{core}-{portable}.elf",
+class Programs(dict[tuple[str, int], Path]):
+    """The core for each processor, with DSP instructions (0) and in portable C (1); compiled at first need."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __missing__(self, build: tuple[str, int]) -> Path:
+        core, portable = build
+        self[build] = compile_core(
+            self._folder / f"{core}-{portable}.elf",
             CORES[core],
             [*FUNCTIONS, *KERNELS],
             VC_MAX_CHANNELS=2,
             **{"VC_PORTABLE": 1} if portable else {},
         )
-        for core, portable in BUILDS
-    }
+        return self[build]
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Programs:
+    return Programs(tmp_path_factory.mktemp("programs"))
 
 
 def golden(name: str) -> CodedSignal:
@@ -68,9 +78,7 @@ def image(name: str) -> bytes:
 @pytest.mark.parametrize(
     "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "eva_contexts", "eva_factorised"]
 )
-def test_golden_streams_decode_to_the_hosts_samples(
-    name: str, build: tuple[str, int], programs: dict[tuple[str, int], Path]
-) -> None:
+def test_golden_streams_decode_to_the_hosts_samples(name: str, build: tuple[str, int], programs: Programs) -> None:
     coded = golden(name)
     tables = image(name) if coded.codec == "eva" else None
     run = emulated_core.decode(programs[build], CORES[build[0]], coded, tables)
@@ -85,7 +93,7 @@ def test_golden_streams_decode_to_the_hosts_samples(
 )
 @pytest.mark.parametrize("extreme", [False, True])
 def test_models_of_any_width_decode_to_the_hosts_samples(
-    width: int, latents: int, seed: int, extreme: bool, build: tuple[str, int], programs: dict[tuple[str, int], Path]
+    width: int, latents: int, seed: int, extreme: bool, build: tuple[str, int], programs: Programs
 ) -> None:
     """Of random bytes, which make latents of any size."""
     model = random_image(seed, width, latents)
@@ -115,7 +123,7 @@ WIDTHS = st.sampled_from([16, 32, 48, 128]) | st.integers(1, 40)
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_sums_of_products_are_exact(data: st.DataObject, programs: dict[tuple[str, int], Path]) -> None:
+def test_sums_of_products_are_exact(data: st.DataObject, programs: Programs) -> None:
     rows, columns, odd = data.draw(st.integers(1, 5)), data.draw(st.integers(1, 9)), data.draw(st.integers(0, 1))
     channels, taps = data.draw(WIDTHS), data.draw(st.integers(1, 3))
     length = taps * channels
@@ -141,7 +149,7 @@ def test_sums_of_products_are_exact(data: st.DataObject, programs: dict[tuple[st
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_squares_and_normalisation_are_alike_with_dsp_instructions_and_without(
-    data: st.DataObject, programs: dict[tuple[str, int], Path]
+    data: st.DataObject, programs: Programs
 ) -> None:
     channels, columns = data.draw(WIDTHS), data.draw(st.integers(1, 3))
     count = channels * columns
@@ -205,7 +213,7 @@ def test_cycles_are_those_of_the_reference_manual(instructions: str, cycles: int
     assert sum(map(emulated_core._cycles, [None, *block], block)) == cycles
 
 
-def test_the_shipped_figures_are_what_is_counted(programs: dict[tuple[str, int], Path]) -> None:
+def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
     """To a twentieth, as compilers differ; and the loads that are wanted are met by instructions."""
     with SHIPPED.open(newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["core"] == "M4F" and row["kernels"] == "DSP instructions"]
@@ -218,6 +226,7 @@ def test_the_shipped_figures_are_what_is_counted(programs: dict[tuple[str, int],
         assert 100 * max(counts) * firmware.RATE_HZ / M4F.clock_hz < percent
 
 
+@pytest.mark.slow
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood", "rough"], 0.1))
     sizes = list(firmware.measure_sizes(tmp_path, ["mdct"]))
@@ -244,7 +253,7 @@ def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.Mo
         compile_core(tmp_path / "core.elf", M4F, FUNCTIONS)
 
 
-def test_what_a_decoder_refuses_is_an_error(programs: dict[tuple[str, int], Path]) -> None:
+def test_what_a_decoder_refuses_is_an_error(programs: Programs) -> None:
     damaged = CodedSignal("mdct", 2800, 32, (1.0,), b"", (b"\x01",))
     with pytest.raises(ValueError, match="does not take the configuration"):
         emulated_core.decode(programs["M4F", 0], M4F, damaged)

@@ -11,6 +11,7 @@ from vibrocast.evaluation import rate_control
 OAK = Path(__file__).parents[2] / "examples" / "oak.wav"
 
 
+@pytest.mark.slow
 def test_a_folder_is_measured_into_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, values in {"RATES_BPS": (1000, 8000), "MAIN_RATES_BPS": (8000,), "REFRESHES_S": (0.25, 2.0)}.items():
         monkeypatch.setattr(rate_control, name, values)

@@ -94,6 +94,7 @@ def test_what_must_be_refused_is_sound_only_then() -> None:
     assert "must be refused" in accepted.effect
 
 
+@pytest.mark.slow
 def test_a_trial_that_hangs_costs_only_its_cell() -> None:
     told: list[float] = []
     cells = run([trial(hang), trial(refuse), trial(wait)], 1.0, lambda part, _: told.append(part))
@@ -473,6 +474,7 @@ def test_causes_are_about_maps_that_there_are() -> None:
     assert all(len(explanation(cell(outcome))) == 2 for outcome in (Outcome.REFUSED, Outcome.DEGRADED, Outcome.FAILS))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("played_once")
 def test_every_map_on_a_tiny_grid(tmp_path: Path) -> None:
     for each in report.MAPS:

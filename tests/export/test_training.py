@@ -381,6 +381,7 @@ def test_a_checkpoint_s_configuration_is_read_again_with_what_it_leaves_out() ->
     assert configuration.parsed(chosen.as_dict()) == chosen
 
 
+@pytest.mark.slow
 def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
     text = TINY.replace("steps = 40", "steps = 2").replace("lambdas = [1, 30]", "lambdas = [1]")
     configured(tmp_path, text + "[sweep]\nwidths = [8]\nlambdas = [1, 20]\n")

@@ -90,9 +90,12 @@ def flash_of(name: str) -> FlashMemory:
 @pytest.mark.parametrize(
     ("name", "codec_name"),
     [
-        *(("cortex-m4", codec_name) for codec_name in ("mdct", "dct", "slp", "eva", "parametric")),
-        *((name, "mdct") for name in ("cortex-m7", "cortex-m33")),
-        *(("stm32f405", codec_name) for codec_name in ("mdct", "dct", "slp", "eva", "parametric")),
+        *((name, "mdct") for name in (*CORES, "stm32f405")),
+        *(
+            pytest.param(name, codec_name, marks=pytest.mark.slow)
+            for name in ("cortex-m4", "stm32f405")
+            for codec_name in ("dct", "slp", "eva", "parametric")
+        ),
     ],
 )
 def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: str) -> None:

@@ -10,6 +10,8 @@ from tests.firmware import fuzzing
 
 COPIES = 200
 
+pytestmark = pytest.mark.slow
+
 
 def replay_everything(program: Path) -> None:
     for target in fuzzing.TARGETS:

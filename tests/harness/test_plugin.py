@@ -48,9 +48,9 @@ LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.host.harness.plugin", "-p", "no
     ("arguments", "name"),
     [
         ([], "piezo-stack"),
-        (["--device", "sim-usb"], "piezo-stack"),
+        pytest.param(["--device", "sim-usb"], "piezo-stack", marks=pytest.mark.slow),
         (["--bench", "bench.toml"], "stack 3"),
-        (["--bench", "bench.toml", "--device", "right"], "voice-coil"),
+        pytest.param(["--bench", "bench.toml", "--device", "right"], "voice-coil", marks=pytest.mark.slow),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else value,
 )

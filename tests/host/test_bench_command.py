@@ -291,6 +291,7 @@ def test_a_run_in_which_all_fails_still_says_so(folder: Path, tmp_path: Path) ->
     assert read_rows(tmp_path / "out" / "results" / "points.csv", Point) == []
 
 
+@pytest.mark.slow
 def test_interrupted_it_ends_in_one_line_and_keeps_what_it_has(folder: Path, tmp_path: Path) -> None:
     for copy in range(20):
         shutil.copy(folder / "wood.wav", folder / f"wood{copy}.wav")

@@ -286,7 +286,7 @@ def test_models_lists_what_ships() -> None:
     assert cards["mdct-textures"]["training"]["seed"] == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
 def test_simulate_cleans_up_when_it_is_killed(number: signal.Signals) -> None:
     process = started("simulate")
     assert process.stdout is not None
@@ -319,7 +319,10 @@ def test_simulate_serves_other_programs_until_interrupted(texture: Path, tmp_pat
     assert b"mdct-textures" in (tmp_path / "flash.bin").read_bytes()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGTERM, signal.SIGHUP))],
+)
 def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
     number: signal.Signals, tmp_path: Path, watched: Watched
 ) -> None:
@@ -336,6 +339,7 @@ def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
         assert controller.request_status().state == State.STOPPED
 
 
+@pytest.mark.slow
 def test_pulled_cable_is_found_again(tmp_path: Path, watched: Watched) -> None:
     path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
     textures.save(path, textures.GENERATORS["rough"](seconds=1.5))

@@ -19,8 +19,14 @@ def traces(values: NDArray[np.float64]) -> list[Trace]:
     return [*signals, Trace("skin", np.repeat(values, 4, axis=0), 4 * RATE_HZ, "um", values, RATE_HZ)]
 
 
-@pytest.mark.parametrize("samples", [1, 2, 7, 300, 20_000])
-@pytest.mark.parametrize("channels", [1, 6])
+@pytest.mark.parametrize(
+    ("samples", "channels"),
+    [
+        *((samples, 1) for samples in (1, 2, 7, 300, 20_000)),
+        (300, 6),
+        *(pytest.param(samples, 6, marks=pytest.mark.slow) for samples in (1, 2, 7, 20_000)),
+    ],
+)
 def test_draws_every_length_and_channel_count(samples: int, channels: int, tmp_path: Path) -> None:
     values = np.random.default_rng(samples).normal(size=(samples, channels))
     path = tmp_path / "picture.png"

@@ -125,6 +125,7 @@ def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_a_refusal_of_what_cannot_be_imperceptible_names_an_snr_that_can(choice: Choice, tmp_path: Path) -> None:
     read = scene(tmp_path, asked="[asked]\nimperceptible = true\nrate_limit_bps = 2000\n")
     with pytest.raises(Refusal) as raised:

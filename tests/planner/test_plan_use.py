@@ -27,6 +27,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out" / "plan.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one-piezo", "glove", "workstation"])
 def test_an_example_scene_plays_as_it_was_forecast(tmp_path: Path, name: str) -> None:
     if name == "one-piezo":

@@ -32,7 +32,7 @@ from vibrocast.simulated_device.flash import FlashMemory
 RATE_HZ = 2800
 
 Kind = Callable[..., Controller | Firmware]
-SMALL = Settings(channels=2, buffer_samples=4096, capture_samples=2048)
+SMALL = Settings(channels=2, buffer_samples=4096, capture_samples=1000, profile_samples=4096)
 """The sizes of a small board, which the firmware is compiled for once."""
 
 

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.device_protocol.test_messages import MESSAGES
-from tests.simulated_device.bench import stream
+from tests.simulated_device.bench import SMALL, stream
 from vibrocast.device_protocol.frames import FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
     REQUESTS,
@@ -31,7 +31,7 @@ from vibrocast.device_protocol.messages import (
     unpack,
 )
 from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
-from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.flash import FlashMemory
 
@@ -85,7 +85,7 @@ class Recorder:
 
     def __init__(self, kind: type[Controller] | type[Firmware], actuator: Actuator) -> None:
         self._codes: list[Codes] = []
-        small = Settings(actuator, channels=2, buffer_samples=4096, capture_samples=1000, watchdog_ms=1000)
+        small = replace(SMALL, actuator=actuator, watchdog_ms=1000)
         self._controller = kind(small, FlashMemory(6 * 4096), self._codes.append)
         self._reader = FrameReader()
         self._now_us = 0

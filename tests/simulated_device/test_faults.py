@@ -117,7 +117,14 @@ def output_of(decoded: Decoded, played: Stream, loops: int) -> Codes:
     return np.concatenate([*codes, dac.play(drive.finish()), dac.ramp_down()])
 
 
-@pytest.mark.parametrize(("kind", "loops"), [(Controller, 1), (Firmware, 20)], ids=["30 s", "firmware, 10 minutes"])
+@pytest.mark.parametrize(
+    ("kind", "loops"),
+    [
+        pytest.param(Controller, 1, id="30 s"),
+        pytest.param(Firmware, 1, id="firmware, 30 s"),
+        pytest.param(Firmware, 20, id="firmware, 10 minutes", marks=pytest.mark.slow),
+    ],
+)
 def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator(kind: Kind, loops: int) -> None:
     played = stream(30.0, 4)
     chances = {"lost": 0.01, "flipped": 0.01, "doubled": 0.05, "swapped": 0.05}
@@ -231,6 +238,7 @@ def test_killed_host_is_noticed_and_the_next_one_plays(kind: Kind) -> None:
     np.testing.assert_array_equal(result.decoded, played.decoded)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-200, 200])
 def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(kind: Kind, drift_ppm: int) -> None:
     played = stream(5.0)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.simulated_device.bench import Bench, Stream
+from tests.simulated_device.bench import SMALL, Bench, Stream
 from vibrocast import codec
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.device_protocol.messages import (
@@ -26,7 +26,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
-from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.profile import (
     HAND_DELAY_US,
@@ -254,14 +254,14 @@ def coded(channels: int = 1) -> Stream:
     return Stream(header, made.packets, decoded, decoder.packet_samples, decoder.delay_samples)
 
 
-SMALL = Settings(channels=2, buffer_samples=4096, capture_samples=1000, watchdog_ms=1000, profile_samples=4096)
+BOARD = replace(SMALL, watchdog_ms=1000)
 
 
 def test_controllers_put_out_what_is_computed() -> None:
     """Over loss of packets, a stroke, and positions that come with jitter."""
     stream, chance = coded(2), np.random.default_rng(3)
     for kind in (Controller, Firmware):
-        bench = Bench(kind, SMALL)
+        bench = Bench(kind, BOARD)
         bench.configure(stream)
         bench.send(stream, range(1, len(stream.packets)))
         bench.ask(Start(50_000))
@@ -292,7 +292,7 @@ def test_sensor_on_the_board_is_followed_and_positions_of_the_host_are_not() -> 
     stream = coded()
     put_out: list[Codes] = []
     for kind in (Controller, Firmware):
-        bench = Bench(kind, replace(SMALL, position_sensor=lambda now_us: 50 * now_us))
+        bench = Bench(kind, replace(BOARD, position_sensor=lambda now_us: 50 * now_us))
         bench.start_all(stream)
         bench.send_payload(pack(Position(0, 10**12)))
         bench.run(300)
@@ -317,7 +317,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
 @given(st.sampled_from([PIEZO_STACK, LRA]), st.lists(st.one_of(messages, messages, st.integers(1, 60)), max_size=40))
 @settings(max_examples=30, deadline=None)
 def test_both_controllers_play_alike_under_any_hand(actuator: Actuator, steps: list[Message | int]) -> None:
-    benches = [Bench(kind, replace(SMALL, actuator=actuator)) for kind in (Controller, Firmware)]
+    benches = [Bench(kind, replace(BOARD, actuator=actuator)) for kind in (Controller, Firmware)]
     for bench in benches:
         bench.start_all(coded())
         bench.run(40)
