@@ -13,7 +13,7 @@ from typing import Any
 
 from vibrocast import textures
 from vibrocast.textures import files, p1918
-from vibrocast.textures.files import ARRAY_SUFFIXES, TEXT_SUFFIXES
+from vibrocast.textures.files import ARRAY_SUFFIXES, KEYED_SUFFIXES, TEXT_SUFFIXES
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import TextureError
 from vibrocast.textures.text import known_unit
@@ -25,7 +25,7 @@ SPLITS = ("auto", "trace", "material", "subject")
 TEST_PART = 0.2
 """Of all traces: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
 NUMBERS = ("rate_hz", "full_scale", "hand_speed_mm_s")
-COLUMNS = ("file", "unit", *NUMBERS, "axis", "key", "material", "subject", "split")
+COLUMNS = ("file", "unit", *NUMBERS, "axis", "reduce", "key", "material", "subject", "split")
 """Of a manifest; only the first is needed."""
 RATE_TOLERANCE = 1e-6
 """Of a whole number of hertz: a height profile's rate is a quotient of two numbers with few digits."""
@@ -186,20 +186,23 @@ def _options_for(trace: Trace, offered: Mapping[str, Any]) -> dict[str, Any]:
                 chosen.pop(name, None)
 
     of_axes = path.is_dir() or not path.exists()  # a trace of IEEE P1918.1.1, of a file for each axis
-    if path.suffix.lower() != ".npz":
+    if path.suffix.lower() not in KEYED_SUFFIXES:
         withdraw("key")
     try:
-        contents = files._read(path, chosen.get("axis") if of_axes else None, chosen.get("key"))
+        # Axes are of no matter yet, but a trace of several files has to be found.
+        contents = files.read_contents(
+            path, chosen.get("rate_hz"), chosen.get("axis") if of_axes else None, None, chosen.get("key")
+        )
     except (TextureError, OSError, MemoryError):  # `textures.load` will say it better
         return chosen
     if isinstance(contents, Profile):
-        withdraw("rate_hz", "unit", "full_scale", "axis")
+        withdraw("rate_hz", "unit", "full_scale", "axis", "reduce")
         return chosen
     withdraw("hand_speed_mm_s")
     if contents.rate_hz is not None:
         withdraw("rate_hz")
-    if not of_axes and contents.samples.shape[1] != len(p1918.AXES):
-        withdraw("axis")
+    if not of_axes and contents.samples.shape[1] != len(textures.AXES):
+        withdraw("axis", "reduce")
     if contents.unit is None:
         if "full_scale" not in chosen:
             chosen.setdefault("unit", "full scale")
@@ -261,7 +264,7 @@ def _of_manifest(manifest: Path) -> Dataset:
         if not row["file"]:
             raise DatasetError(f"{place}, file: empty; name the recording's file")
         path = manifest.parent / row["file"]
-        if not path.exists() and not any(path.with_name(f"{path.name}_{axis}.txt").exists() for axis in p1918.AXES):
+        if not path.exists() and not any(path.with_name(f"{path.name}_{axis}.txt").exists() for axis in textures.AXES):
             missing.append(f"{place}, file: {row['file']}")
         part = row.get("split", "").lower()
         if part not in ("", "train", "test"):
@@ -311,9 +314,10 @@ def _rows(manifest: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
 
 def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
     """Return what a row states for `textures.load`. Raises DatasetError."""
-    options: dict[str, Any] = {name: row[name] for name in ("axis", "key") if row.get(name)}
-    if options.get("axis", textures.AXES[0]) not in textures.AXES:
-        raise DatasetError(f"{place}, axis: {options['axis']!r} is none of {', '.join(textures.AXES)}; correct it")
+    options: dict[str, Any] = {name: row[name] for name in ("axis", "reduce", "key") if row.get(name)}
+    for name, known in (("axis", textures.AXES), ("reduce", textures.REDUCTIONS)):
+        if name in options and options[name] not in known:
+            raise DatasetError(f"{place}, {name}: {options[name]!r} is none of {', '.join(known)}; correct it")
     if row.get("unit"):
         try:
             options["unit"] = known_unit(row["unit"], f"{place}, unit")

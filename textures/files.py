@@ -51,7 +51,7 @@ def load(
     if key is not None and path.suffix.lower() not in KEYED_SUFFIXES:
         raise TextureError(f"{path}: `key` chooses an array of a {', '.join(KEYED_SUFFIXES)} file; leave it out here")
     try:
-        contents = _read(path, rate_hz, axis and axis.upper(), reduce, key)
+        contents = read_contents(path, rate_hz, axis and axis.upper(), reduce, key)
     except OSError as error:
         raise TextureError(f"{path}: cannot be read: {error.strerror or error}") from error
     except MemoryError as error:
@@ -147,9 +147,10 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> f
     return 1.0
 
 
-def _read(
+def read_contents(
     path: Path, rate_hz: float | None, axis: str | None, reduce: str | None, key: str | None
 ) -> Contents | Profile:
+    """Read what a file, or a P1918.1.1 trace of several, holds and says; options as of `load`. Raises TextureError."""
     if path.is_dir() or not path.exists():
         contents = p1918.read_folder(path, axis, rate_hz)
         return contents if axis else reduced(contents, None, reduce or DFT321, path)

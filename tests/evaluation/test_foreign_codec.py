@@ -41,8 +41,8 @@ def test_the_benchmark_takes_it_as_any_other(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(workers, "on_cores", here)
     monkeypatch.setattr(cost, "peak_memory_bytes", lambda codec_name, model: None)
     (tmp_path / "recordings").mkdir()
-    textures.save_wav(tmp_path / "recordings" / "rough.wav", rough(0, 0.5))
-    textures.save_wav(tmp_path / "recordings" / "wood.wav", wood(1, 0.5))
+    textures.save(tmp_path / "recordings" / "rough.wav", rough(0, 0.5))
+    textures.save(tmp_path / "recordings" / "wood.wav", wood(1, 0.5))
     arguments = ["bench", str(tmp_path / "recordings"), "--out", str(tmp_path / "out"), "--repeats", "1"]
     result = CliRunner().invoke(main, [*arguments, "--codecs", f"{NAME},slp"])
     assert result.exit_code == 0, result.output

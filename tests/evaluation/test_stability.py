@@ -38,7 +38,7 @@ from vibrocast.evaluation.stability.maps import Rung, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
 from vibrocast.host.stability_command import stability
 from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
-from vibrocast.textures import Recording, save_wav
+from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood
 
 MDCT = codec.CODECS["mdct"]
@@ -214,8 +214,8 @@ def coding_stub() -> object:
 def test_recordings_of_ones_own_are_a_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "run", lambda trials, progress: [attempt(made) for made in trials])
     (tmp_path / "own" / "deep").mkdir(parents=True)
-    save_wav(tmp_path / "own" / "deep" / "plank.wav", wood(3, 0.5, rate_hz=8000))
-    save_wav(tmp_path / "own" / "silent.wav", Recording(np.zeros((900, 1)), 1000.0, "um", "silent"))
+    save(tmp_path / "own" / "deep" / "plank.wav", wood(3, 0.5, rate_hz=8000))
+    save(tmp_path / "own" / "silent.wav", Recording(np.zeros((900, 1)), 1000.0, "um", "silent"))
     (tmp_path / "own" / "bare.csv").write_text("1\n2\n")
     (tmp_path / "own" / "notes.md").touch()
     arguments = ["--out", str(tmp_path / "out"), "--codecs", "flac", "--maps", "recordings"]

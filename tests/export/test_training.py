@@ -246,7 +246,7 @@ def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:
     ):
         recording = textures.GENERATORS["rough"](seed=1, seconds=0.5, rate_hz=rate_hz)
         plain = textures.Recording(recording.samples / 100, float(rate_hz), "full scale", name)
-        textures.save_wav(tmp_path / f"{name}.wav", plain)
+        textures.save(tmp_path / f"{name}.wav", plain)
         rows.append(f"{name}.wav,m/s^2,10,{material},{part}")
     (tmp_path / "mine.csv").write_text("\n".join(rows))
     chosen = configured(tmp_path, TINY + '[[folder]]\nfolder = "mine.csv"\npart = "train"\n')
@@ -257,7 +257,7 @@ def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:
 
 def test_what_a_data_set_leaves_out_is_told_and_a_wrong_manifest_refused(tmp_path: Path) -> None:
     (tmp_path / "own").mkdir()
-    textures.save_wav(tmp_path / "own" / "a.wav", textures.GENERATORS["rough"](seed=1, seconds=0.5))
+    textures.save(tmp_path / "own" / "a.wav", textures.GENERATORS["rough"](seed=1, seconds=0.5))
     (tmp_path / "own" / "notes.md").touch()
     text = TINY[: TINY.index("[generator]")].replace("steps = 40", "steps = 1")
     (tmp_path / "own.toml").write_text(text + '[[folder]]\nfolder = "own"\n')
