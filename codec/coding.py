@@ -35,7 +35,7 @@ _MIN_GAIN = 2.0**-120
 
 Progress: TypeAlias = Callable[[float], None]
 
-BUILT_IN: Mapping[str, Codec] = {
+BUILT_IN: dict[str, Codec] = {
     codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS, parametric.CODEC)
 }
 

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Mapping, Sequence
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -55,11 +55,16 @@ class BlockCodec(Protocol):
         """Return what `encode` made the bytes of: float (samples, channels). Raise ValueError on damaged bytes."""
 
 
+def registered() -> EntryPoints:
+    """Return the entry points of the installed packages."""
+    return entry_points(group=GROUP)
+
+
 def load(built_in: Mapping[str, Codec]) -> tuple[dict[str, Codec], dict[str, str]]:
     """Return the codecs of the installed packages by name, and why others cannot be used, by their entry point."""
     codecs: dict[str, Codec] = {}
     failures: dict[str, str] = {}
-    for point in entry_points(group=GROUP):
+    for point in registered():
         try:
             codec = _loaded(point)
             if codec.name in built_in or codec.name in codecs:

@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
@@ -249,7 +249,7 @@ def _version(library: str) -> str:
 def _other_packages() -> str:
     """Return a hash of the modules that other packages register as codecs, and of these packages' versions."""
     digest = hashlib.sha256()
-    for point in sorted(entry_points(group=plugins.GROUP), key=lambda each: each.name):
+    for point in sorted(plugins.registered(), key=lambda each: each.name):
         with suppress(ImportError, ValueError):  # what cannot be loaded has no cells
             spec = find_spec(point.module)
             file = Path(spec.origin) if spec and spec.origin else Path()

@@ -190,9 +190,7 @@ def _options_for(trace: Trace, offered: Mapping[str, Any]) -> dict[str, Any]:
         withdraw("key")
     try:
         # Axes are of no matter yet, but a trace of several files has to be found.
-        contents = files.read_contents(
-            path, chosen.get("rate_hz"), chosen.get("axis") if of_axes else None, None, chosen.get("key")
-        )
+        contents = files.read_contents(path, None, chosen.get("axis") if of_axes else None, None, chosen.get("key"))
     except (TextureError, OSError, MemoryError):  # `textures.load` will say it better
         return chosen
     if isinstance(contents, Profile):
