@@ -20,7 +20,7 @@ def test_firmware_decodes_by_the_integer_core_alone() -> None:
     assert devices.decoding_runtime("cortex-m4", None) == "core"
     assert devices.decoding_runtime("sim", None) is None
     assert devices.decoding_runtime("serial:/dev/ttyACM0", "onnx") == "onnx"
-    with pytest.raises(TransportError, match="leave out --runtime"), devices.connect("host", "onnx"):
+    with pytest.raises(TransportError, match="leave out `runtime`"), devices.connect("host", "onnx"):
         pass
 
 
