@@ -35,10 +35,10 @@ def open_as(probe: Probe, number: int) -> None:
 
 def repeat(probe: Probe, message: Message) -> None:
     """Send a copy of the last request, whose answer must be the one before, byte for byte."""
-    before = probe.last_answer
+    before = probe.last_answer.hex(" ")
     probe.ask_body(message.TYPE, message.body(), probe.sequence)
-    what = f"a copy of {type(message).__name__}"
-    assert probe.last_answer == before, f"{what}: expected {before.hex(' ')}, came {probe.last_answer.hex(' ')}"
+    came = probe.last_answer.hex(" ")
+    assert came == before, f"a copy of {type(message).__name__}: expected {before}, came {came}"
 
 
 @section("Session: Sequence numbers")

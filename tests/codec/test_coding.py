@@ -162,8 +162,8 @@ def test_steps_that_are_no_step_are_refused(step: float) -> None:
 def test_unknown_codecs_are_named() -> None:
     with pytest.raises(CodecError, match="mdct"):
         codec.encode(texture(100), RATE_HZ, {"step": 0.3}, codec="mp3")
-    with pytest.raises(CodecError, match="number 15"):
-        codec.decoder(15, b"", 1)
+    with pytest.raises(CodecError, match="number 14"):
+        codec.decoder(14, b"", 1)
 
 
 def test_missing_packets_at_the_end_are_reported() -> None:

@@ -93,6 +93,7 @@ def scheduler() -> Iterator[str]:
         yield running.scheduler_address
 
 
+@pytest.mark.slow
 def test_on_a_cluster_a_bad_piece_costs_only_itself(scheduler: str) -> None:
     check(dict(on_cluster(pieces(), scheduler, version)))
 

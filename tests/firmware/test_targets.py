@@ -16,7 +16,11 @@ from vibrocast.firmware import build as building
 from vibrocast.firmware.build import TARGETS, BuildError, build, size
 from vibrocast.firmware.elf import Elf
 
-IMAGES = [name for name, target in TARGETS.items() if target.suffix == ".elf"]
+IMAGES = [
+    pytest.param(name, marks=[pytest.mark.slow] if name.endswith(("-interrupt", "-qemu")) else [])
+    for name, target in TARGETS.items()
+    if target.suffix == ".elf"
+]
 # What compilers call where the processor has no instruction: Run-time ABI for the Arm Architecture.
 COMPILERS_OWN = re.compile(r"__aeabi_(u?ldivmod|mem(cpy|clr|set|move)[48]?)|__u?divmoddi4|compiler_rt.*")
 SOURCES = [path for path in building.ROOT.rglob("*.[ch]") if "build" not in path.parts]

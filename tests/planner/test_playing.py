@@ -64,6 +64,7 @@ def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path
     assert [each.texture.name for each in playing.play(plan, ["ridges"])] == ["ridges"]
 
 
+@pytest.mark.slow
 def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_path: Path) -> None:
     wood = textures.GENERATORS["wood"](hand_speed_mm_s=60, seconds=5, rate_hz=1600)
     samples = wood.samples.copy()
