@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-import libusb_package
 import serial
 import usb.core
 import usb.util
@@ -135,7 +134,7 @@ class UsbTransport(_Closing):
     def __init__(self, vendor_id: int, product_id: int, backend: Any = None) -> None:
         self._name = f"USB device {vendor_id:04x}:{product_id:04x}"
         self._identifiers = {"idVendor": vendor_id, "idProduct": product_id}
-        self._backend = backend or libusb_package.get_libusb1_backend()
+        self._backend = backend or libusb_backend()
         if self._backend is None:
             raise TransportError("no libusb was found: install the package libusb-package again")
         self._open()
@@ -200,6 +199,13 @@ class UsbTransport(_Closing):
 
     def close(self) -> None:
         usb.util.dispose_resources(self._device)
+
+
+def libusb_backend() -> Any:
+    """Return the libusb that this environment brings, as a pyusb backend; None where there is none."""
+    import libusb_package
+
+    return libusb_package.get_libusb1_backend()
 
 
 def open_transport(address: str, usb_backend: Any = None) -> Transport:

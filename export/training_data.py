@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from vibrocast import textures
 from vibrocast.export.configuration import ArchiveSource, Augmentation, FolderSource, GeneratorSource, HeldBack, Source
@@ -157,6 +156,8 @@ def _generated(source: GeneratorSource, rate_hz: int) -> Iterator[tuple[str, Sig
 
 def _high_passed(samples: Signal, rate_hz: float, corner_hz: float) -> Signal:
     """Filter along the last axis by a Butterworth high-pass of second order; a corner of 0 leaves all as it is."""
+    from scipy import signal
+
     if corner_hz == 0:
         return samples
     if not corner_hz < rate_hz / 2 < math.inf:

@@ -7,10 +7,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-import libusb_package
 import usb.core
 import usb.util
-from serial.tools import list_ports
 
 from vibrocast.device_protocol.messages import HelloResponse, SlotState
 from vibrocast.device_protocol.transports import (
@@ -19,6 +17,7 @@ from vibrocast.device_protocol.transports import (
     Transport,
     TransportError,
     UsbTransport,
+    libusb_backend,
     open_transport,
 )
 from vibrocast.host.controller import Controller
@@ -147,11 +146,13 @@ def emulated(address: str, count_instructions: bool = False) -> "CortexM | Stm32
 
 def available() -> dict[str, str]:
     """Return the addresses that may be controllers, each with what is known of it."""
+    from serial.tools import list_ports
+
     found = dict(SIMULATED)
     for port in list_ports.comports():
         found[f"serial:{port.device}"] = port.description
     # Without libusb there are no USB devices to list; `connect` says what to do then.
-    backend = libusb_package.get_libusb1_backend()
+    backend = libusb_backend()
     for device in usb.core.find(find_all=True, backend=backend) if backend else ():
         # What cannot be read or has no vendor interface is no controller that could be used.
         with contextlib.suppress(usb.core.USBError, NotImplementedError):

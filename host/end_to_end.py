@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from vibrocast.codec import CodecError
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
@@ -246,7 +245,9 @@ def displacement_um(values: NDArray[np.float64], unit: str, rate_hz: float, actu
     if unit == "full scale":
         return values * actuator.excursion_um
     if unit == "m/s^2":
-        return np.asarray(signal.lfilter(*displacement_filter(round(rate_hz)), values, axis=0))
+        from scipy.signal import lfilter
+
+        return np.asarray(lfilter(*displacement_filter(round(rate_hz)), values, axis=0))
     return values
 
 

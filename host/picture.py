@@ -4,15 +4,17 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.host.output_files import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
 
 CHANNELS_SHOWN = 4
 ZOOM_S = 0.06
@@ -50,6 +52,9 @@ def draw(path: Path, title: str, caption: str, traces: Sequence[Trace]) -> None:
 
     Raises OSError when the file cannot be written and ValueError for a suffix that matplotlib does not know.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     channels = traces[0].values.shape[1]
     shown = min(channels, CHANNELS_SHOWN)
     figure = Figure(figsize=(13, 5.2 * shown + 0.6), dpi=110, layout="constrained")
@@ -92,7 +97,7 @@ def third_octave_levels(values: NDArray[np.float64], rate_hz: float) -> tuple[ND
 
 
 def _draw_channel(
-    block: Figure | SubFigure, traces: Sequence[Trace], channel: int, threshold: NDArray[np.float64]
+    block: "Figure | SubFigure", traces: Sequence[Trace], channel: int, threshold: NDArray[np.float64]
 ) -> None:
     grid = block.add_gridspec(len(traces), 3, width_ratios=(1.15, 1, 1.25))
     last = traces[-1]
@@ -121,7 +126,7 @@ def _draw_channel(
 
 
 def _draw_trace(
-    axes: Axes, trace: Trace, channel: int, window_s: tuple[float, float], style: dict[str, object]
+    axes: "Axes", trace: Trace, channel: int, window_s: tuple[float, float], style: dict[str, object]
 ) -> None:
     first, last = (int(np.floor(edge_s * trace.rate_hz)) for edge_s in window_s)
     values = trace.values[first : last + 1, channel]
@@ -141,7 +146,7 @@ def _draw_trace(
     axes.grid(alpha=0.3)
 
 
-def _draw_spectra(axes: Axes, traces: Sequence[Trace], channel: int, threshold: NDArray[np.float64]) -> None:
+def _draw_spectra(axes: "Axes", traces: Sequence[Trace], channel: int, threshold: NDArray[np.float64]) -> None:
     curves = [
         (trace.name, style, *third_octave_levels(trace.displacement_um[:, channel], trace.displacement_rate_hz))
         for trace, style in zip(traces, STYLES, strict=False)

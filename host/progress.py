@@ -6,9 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
-
 LINE_INTERVAL_S = 1.0
 
 
@@ -22,6 +19,9 @@ class Update(Protocol):
 def shown(work: str) -> Iterator[Update]:
     """Yield what the work, named `work`, tells how far it is, as often as it likes."""
     if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
         columns = BarColumn(), TextColumn("{task.description}")
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(work, total=1.0)

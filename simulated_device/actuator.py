@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import scipy  # loads scipy.signal when it is first used
 from numpy.typing import NDArray
 
 Samples: TypeAlias = NDArray[np.float64]
@@ -76,12 +75,14 @@ class Actuator:
         Exact at the sampling instants for a drive held constant over each 1 / rate_hz (zero-order hold).
         First order: w / (s + w). Resonance: (w^2 / Q) / (s^2 + w s / Q + w^2), which is 1 at w = 2 pi corner_hz.
         """
+        from scipy import signal
+
         w = 2 * math.pi * self.corner_hz
         if self.quality is None:
             b, a = np.array([w]), np.array([1.0, w])
         else:
             b, a = np.array([w * w / self.quality]), np.array([1.0, w / self.quality, w * w])
-        numerator, denominator, _ = scipy.signal.cont2discrete((b, a), 1 / rate_hz, method="zoh")
+        numerator, denominator, _ = signal.cont2discrete((b, a), 1 / rate_hz, method="zoh")
         return np.ravel(numerator), np.asarray(denominator)
 
     def inverse(self) -> Filter:
@@ -96,15 +97,17 @@ class Actuator:
         matched at w. Its gain is 1 there and the boost at most everywhere else, where a plain inverse would grow with
         the square of the frequency.
         """
+        from scipy import signal
+
         if self.quality is None:
             numerator, denominator = self.response(self.dac_rate_hz)
-            b, a = scipy.signal.butter(2, self._low_pass_hz, fs=self.dac_rate_hz)
+            b, a = signal.butter(2, self._low_pass_hz, fs=self.dac_rate_hz)
             return np.convolve(denominator / numerator[1], b), np.asarray(a)
         # w in units of 2 x rate, pre-warped so that the bilinear transform leaves the resonance where it is.
         w = math.tan(math.pi * self.corner_hz / self.dac_rate_hz)
         boost = max(1.0, self.maximum_boost)
         broad = self.quality / boost
-        b, a = scipy.signal.bilinear([boost, boost * w / self.quality, boost * w * w], [1, w / broad, w * w], fs=0.5)
+        b, a = signal.bilinear([boost, boost * w / self.quality, boost * w * w], [1, w / broad, w * w], fs=0.5)
         return np.asarray(b), np.asarray(a)
 
     def inverse_section(self) -> tuple[float, float, tuple[float, float, float, float]]:
@@ -143,9 +146,11 @@ class Actuator:
 
         The result (n * oversampling, channels) has `oversampling` samples per DAC sample, the code held in between.
         """
+        from scipy import signal
+
         held = np.repeat(codes / self.full_scale, oversampling, axis=0)
         b, a = self.response(self.dac_rate_hz * oversampling)
-        return self.excursion_um * np.asarray(scipy.signal.lfilter(b, a, held, axis=0))
+        return self.excursion_um * np.asarray(signal.lfilter(b, a, held, axis=0))
 
 
 def resonant(

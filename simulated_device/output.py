@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from vibrocast.codec import Decoded
 from vibrocast.codec.core import Structure, ffi, library
@@ -36,6 +35,8 @@ def displacement_filter(rate_hz: int) -> Filter:
     Norsett, Wanner, Solving Ordinary Differential Equations I, III.10), exact to .03 dB at a seventh of the rate. Its
     double pole at z = 1 is cancelled by two of the four zeros of the high-pass, so the whole is stable.
     """
+    from scipy import signal
+
     b, a = signal.butter(4, HIGH_PASS_HZ, btype="highpass", fs=rate_hz)
     um_per_metre = 1e6
     numerov = np.array([1.0, 10.0, 1.0]) * (um_per_metre / (12.0 * rate_hz**2))

@@ -7,9 +7,6 @@ where the hand moves back. Equal arguments give equal recordings. All raise Text
 from collections.abc import Callable
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfftfreq
-from scipy.ndimage import gaussian_filter1d, map_coordinates
-from scipy.signal import bilinear, fftconvolve, lfilter
 
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import Recording, Signal, TextureError
@@ -77,6 +74,8 @@ def ridges(
     at distances of pitch * (1 + jitter * uniform(-1, 1)), jitter 0 to 1, with heights of height_um * uniform(0.5, 1).
     The mean is removed.
     """
+    from scipy.ndimage import gaussian_filter1d
+
     _check_positive(pitch_mm=pitch_mm, width_mm=width_mm, height_um=height_um)
     if not 0 <= jitter <= 1:
         raise TextureError(f"jitter {jitter}: it must be 0 to 1")
@@ -157,6 +156,8 @@ def wood(
     X/H = (2 d w s + w^2) / (s^2 + 2 d w s + w^2) with w = 2 pi resonance_hz, d = damping_ratio: S. Rao, "Mechanical
     Vibrations", response to the motion of the base. By the bilinear transform, then differenced twice.
     """
+    from scipy.signal import bilinear, lfilter
+
     _check_positive(resonance_hz=resonance_hz, damping_ratio=damping_ratio)
     if resonance_hz > BAND * rate_hz:
         raise TextureError(f"resonance_hz {resonance_hz}: it must be at most {BAND} of the sample rate")
@@ -205,6 +206,8 @@ def stick_slip(
     for friction that is constant during the slip. Scaled so that a slip of `slip_mm` falls by `height_um`; the mean
     is removed.
     """
+    from scipy.signal import fftconvolve
+
     _check_positive(slip_mm=slip_mm, natural_hz=natural_hz, height_um=height_um)
     if not 0 <= jitter <= 1:
         raise TextureError(f"jitter {jitter}: it must be 0 to 1")
@@ -243,6 +246,8 @@ def taps(
     materials, default to a hard tip on wood. Taps follow each other after interval * (1 + jitter * uniform(-1, 1)),
     jitter 0 to 1.
     """
+    from scipy.signal import fftconvolve
+
     _check_positive(interval_s=interval_s, frequency_hz=frequency_hz, decay_per_s=decay_per_s, peak_m_s2=peak_m_s2)
     if not 0 <= jitter <= 1:
         raise TextureError(f"jitter {jitter}: it must be 0 to 1")
@@ -334,6 +339,8 @@ def _sweep(
 
 def _heights_under(surface: Signal, spacing_mm: float, position_mm: Signal) -> Signal:
     """Return the surface's height at each position, (n, 1), by cubic splines."""
+    from scipy.ndimage import map_coordinates
+
     heights: Signal = map_coordinates(surface, [position_mm / spacing_mm], order=3, mode="nearest")
     return heights.reshape(-1, 1)
 
@@ -347,6 +354,8 @@ def _self_affine_surface(
     roll_off_mm: float,
 ) -> Signal:
     """Return heights (n,), rms 1, at least `length_mm` long: every Fourier coefficient drawn from a normal density."""
+    from scipy.fft import irfft, next_fast_len, rfftfreq
+
     _check_positive(roll_off_mm=roll_off_mm)
     if not 0 < hurst < 1:
         raise TextureError(f"hurst {hurst}: it must lie between 0 and 1")

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 Samples = NDArray[np.float64]
@@ -39,9 +38,11 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
     Begins at the peak of the cross-correlation; from there the least squared difference over lag, drift and gain, by
     Gauss and Newton. Raises AlignmentError where the two have too little in common.
     """
+    from scipy import interpolate, signal
+
     if len(recorded) < len(reference):
         raise AlignmentError("the recording is shorter than what was played: let the sensor's program record {seconds}")
-    correlation = scipy.signal.correlate(recorded, reference, mode="full", method="fft")
+    correlation = signal.correlate(recorded, reference, mode="full", method="fft")
     peak = int(np.argmax(np.abs(correlation)))
     sample = float(peak - (len(reference) - 1))
     first = max(0, round(sample))
@@ -49,8 +50,8 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
     power = float(np.sqrt(np.sum(np.square(reference)) * np.sum(np.square(part))))
     if not power or abs(correlation[peak]) < _SMALLEST_CORRELATION * power:
         raise AlignmentError("the recording holds nothing of what was played: check the sensor and its sensitivity")
-    fine = scipy.signal.resample(recorded, _OVERSAMPLING * len(recorded))
-    spline = scipy.interpolate.CubicSpline(np.arange(len(fine)) / _OVERSAMPLING, fine)
+    fine = signal.resample(recorded, _OVERSAMPLING * len(recorded))
+    spline = interpolate.CubicSpline(np.arange(len(fine)) / _OVERSAMPLING, fine)
     slope = spline.derivative()
     numbers = np.arange(len(reference), dtype=np.float64)
     centred = numbers - np.mean(numbers)

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from vibrocast import textures
@@ -129,15 +128,17 @@ def measure(
 
 def displacement_above_20_hz(recorded: Recording, rate_hz: int) -> Samples:
     """Return what a sensor recorded as displacement in um, (n,) at `rate_hz`."""
+    from scipy import signal
+
     samples = textures.resample(recorded, rate_hz).samples[:, 0]
     samples = samples - np.mean(samples)
     if recorded.unit == "m/s^2":
-        return np.asarray(scipy.signal.lfilter(*displacement_filter(rate_hz), samples))
+        return np.asarray(signal.lfilter(*displacement_filter(rate_hz), samples))
     return _high_passed(samples, rate_hz)
 
 
 def _high_passed(displacement_um: Samples, rate_hz: int) -> Samples:
     """Return displacement through the high-pass that is in `displacement_filter`, so that the two can be compared."""
-    return np.asarray(
-        scipy.signal.lfilter(*scipy.signal.butter(4, HIGH_PASS_HZ, "highpass", fs=rate_hz), displacement_um)
-    )
+    from scipy import signal
+
+    return np.asarray(signal.lfilter(*signal.butter(4, HIGH_PASS_HZ, "highpass", fs=rate_hz), displacement_um))

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from vibrocast import codec, textures
@@ -252,6 +251,8 @@ class _Spectra:
 
 def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
     """Return the best fit of one kind; begins where a grid of models correlates best with the recording."""
+    from scipy.optimize import least_squares
+
     best = (0.0, 0.0, 1.0, 1.0, 0.0)
     for corner_hz in np.geomspace(2 * LOWEST_HZ, spectra.frequencies_hz[-1], 24):
         for quality in (0.7, 3.0, 10.0, 30.0) if resonant else (None,):
@@ -275,7 +276,7 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
         return np.concatenate((difference.real, difference.imag))
 
     start = [np.log(abs(gain)), np.log(corner_hz), 0.0, 0.0] + [np.log(start_quality)] * resonant
-    solution = scipy.optimize.least_squares(residual, start, x_scale="jac")
+    solution = least_squares(residual, start, x_scale="jac")
     unexplained = 2 * float(solution.cost)
     variance = unexplained / (len(solution.fun) - len(start))
     jacobian = np.asarray(solution.jac)

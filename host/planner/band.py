@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from vibrocast import textures
@@ -127,9 +126,11 @@ def at_the_skin(recording: Recording, actuator: Actuator) -> Samples:
 
 def rendering_gain(actuator: Actuator, frequencies_hz: Samples) -> Samples:
     """Return displacement at the skin over the displacement asked for; 0 above half the DAC's rate."""
+    from scipy import signal
+
     passed = frequencies_hz < actuator.dac_rate_hz / 2
     within_hz = frequencies_hz[passed]
-    _, inverse = scipy.signal.freqz(*actuator.inverse(), worN=within_hz, fs=actuator.dac_rate_hz)
+    _, inverse = signal.freqz(*actuator.inverse(), worN=within_hz, fs=actuator.dac_rate_hz)
     gain = np.zeros(len(frequencies_hz))
     gain[passed] = np.abs(inverse) * _response(actuator, within_hz)
     return gain

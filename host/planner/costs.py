@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from vibrocast import evaluation
@@ -93,11 +92,13 @@ def _mean_instructions(rows: list[dict[str, str]]) -> float:
 
 def _fitted(rows: list[dict[str, str]], ratio: float) -> tuple[float, float, float]:
     """Return what a quiet sample, another, and each bit takes: the least squares of relative errors, none below 0."""
+    from scipy.optimize import nnls
+
     measured, quiet, bits = (
         np.array([float(row[name]) for row in rows]) for name in ("instructions", "quiet", "bits_per_sample")
     )
     terms = np.stack([quiet, 1 - quiet, bits], axis=1) / measured[:, None]
-    of_quiet, of_other, of_bit = ratio * scipy.optimize.nnls(terms, np.ones(len(rows)))[0]
+    of_quiet, of_other, of_bit = ratio * nnls(terms, np.ones(len(rows)))[0]
     return float(of_quiet), float(of_other), float(of_bit)
 
 
@@ -129,13 +130,15 @@ def rest_instructions(
 @cache
 def _rest_fitted(board: str, over_position: bool) -> NDArray[np.float64]:
     """Return what each of _rest_terms takes a controller: the least squares of relative errors, none below 0."""
+    from scipy.optimize import nnls
+
     rows = [row for row in _rows("controller") if (row["board"], row["unit"] == PROFILE_UNIT) == (board, over_position)]
     measured = np.array([float(row["instructions"]) - float(row["decoding"]) for row in rows])
     terms = []
     for row in rows:
         rate_hz = float(row["rate_hz"])
         terms.append(_rest_terms(row["unit"], int(row["channels"]), rate_hz, rate_hz / float(row["packet_samples"])))
-    weights: NDArray[np.float64] = scipy.optimize.nnls(np.array(terms) / measured[:, None], np.ones(len(rows)))[0]
+    weights: NDArray[np.float64] = nnls(np.array(terms) / measured[:, None], np.ones(len(rows)))[0]
     return weights
 
 

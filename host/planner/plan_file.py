@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import Framing, Setting
@@ -184,17 +183,17 @@ def prepared(
     run in both directions, without delay, whose corner (-6 dB) lies an octave lower: it takes 0.03 dB at `lowest`; 0 =
     nothing is taken away. A profile over position has its rate per metre for hertz.
     """
+    from scipy import signal
+
     if isinstance(loaded, Profile):
         # Over position, a metre takes the place of a second: as if swept at 1000 mm/s.
         loaded = loaded.recording(1000.0 if over_position else hand_speed_mm_s)
     recording = textures.resample(loaded, rate)
     if lowest <= 0:
         return recording
-    sections = scipy.signal.butter(LOW_CUT_ORDER, lowest / 2, "highpass", fs=rate, output="sos")
+    sections = signal.butter(LOW_CUT_ORDER, lowest / 2, "highpass", fs=rate, output="sos")
     longest = len(recording.samples) - 1
-    cut = scipy.signal.sosfiltfilt(
-        sections, recording.samples, axis=0, padlen=min(longest, 3 * (2 * LOW_CUT_ORDER + 1))
-    )
+    cut = signal.sosfiltfilt(sections, recording.samples, axis=0, padlen=min(longest, 3 * (2 * LOW_CUT_ORDER + 1)))
     return Recording(np.ascontiguousarray(cut), recording.rate_hz, recording.unit, recording.name)
 
 
