@@ -25,7 +25,9 @@ class Subcommand(NamedTuple):
 
 # Help and version load none of these modules; a subcommand loads its own.
 SUBCOMMANDS: Mapping[str, Subcommand] = {
-    "bench": Subcommand("bench_command", "bench", "Measure codecs and trained models on every recording of FOLDER."),
+    "bench": Subcommand(
+        "bench_command", "bench", "Measure codecs and trained models on every recording of a folder or a manifest."
+    ),
     "codecs": Subcommand("file_commands", "codecs", "List the codecs and the parameters of their settings."),
     "conformance": Subcommand("conformance_command", "conformance", "Test a controller against docs/protocol.md."),
     "decode": Subcommand(

@@ -209,7 +209,7 @@ def test_traces_that_cannot_be_read_cost_only_themselves(folder: Path, results: 
     ]
     assert "not a WAV file" in failures[0].reason
     assert "sample 1 of channel 0 is nan" in failures[1].reason
-    assert "`rate_hz`" in failures[2].reason
+    assert "does not state its sample rate" in failures[2].reason
     assert len(measured) == 3 + 4
 
 
