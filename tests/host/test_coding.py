@@ -141,6 +141,13 @@ def test_a_small_file_of_many_samples_is_refused_before_it_is_decoded(samples: i
         coding.read(path)
 
 
+def test_a_stream_that_does_not_fit_into_memory_is_refused_undecoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = coding.encode(noise()).stream
+    monkeypatch.setattr("vibrocast.textures.memory.available_bytes", lambda: 1000)
+    with pytest.raises(StreamError, match=r"decoding \d+ samples needs .* GiB of memory.*; cut it into parts"):
+        stream.decode()
+
+
 def test_a_live_header_leaves_the_length_to_the_packets() -> None:
     stream = coding.encode(noise(), live=True).stream
     live = replace(stream, header=replace(stream.header, samples=None))
@@ -160,11 +167,11 @@ def test_float_wav_is_exact_and_16_bit_wav_is_near(tmp_path: Path) -> None:
 
 def test_a_wav_that_cannot_be_written_is_named_as_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(path: Path, *_: object) -> NoReturn:
-        raise textures.TextureError(f"{path}: cannot be written: System error.")
+        raise textures.TextureError(f"{path}: cannot be written (System error); make room")
 
     stream = coding.encode(noise()).stream
     monkeypatch.setattr("vibrocast.textures.save", fail)
-    with pytest.raises(textures.TextureError, match=r"/out\.wav: cannot be written"):
+    with pytest.raises(textures.TextureError, match=r"/out\.wav: cannot be written .*; make room"):
         coding.write_recording(tmp_path / "out.wav", stream, sixteen_bit=False)
     assert list(tmp_path.iterdir()) == []
 

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from click.testing import CliRunner, Result
 from vibrocast import codec, models, textures
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.host import devices
+from vibrocast.host import coding, devices
 from vibrocast.host.command_line import main
 from vibrocast.host.report import Report
 from vibrocast.simulated_device.actuator import Codes
@@ -167,7 +167,28 @@ def test_plays_a_coded_file(coded: Path, tmp_path: Path) -> None:
 def test_plays_a_height_profile_at_a_hand_speed() -> None:
     profile = ROOT / "examples" / "leather_profile.csv"
     assert "DAC as computed" in succeeds("play", profile, "--hand-speed-mm-s", 50)
-    assert "--hand-speed-mm-s" in fails(2, "play", profile)
+    assert "the speed of the hand over it" in fails(2, "play", profile)
+
+
+@pytest.mark.parametrize("suffix", [".wav", ".csv", ".npy", ".mat"])
+def test_decodes_into_every_format(suffix: str, coded: Path, tmp_path: Path) -> None:
+    out = tmp_path / f"out{suffix}"
+    told = succeeds("decode", coded, out)
+    assert f"at {RATE_HZ} Hz, {'1.0 is 1' if suffix == '.wav' else 'in'} m/s^2" in told
+    options: dict[str, Any] = {"rate_hz": RATE_HZ, "unit": "m/s^2"} if suffix == ".npy" else {}
+    np.testing.assert_array_equal(textures.load(out, **options).samples, coding.read(coded).decode())
+    succeeds("encode", out, tmp_path / "again.vct", *(("--rate-hz", RATE_HZ, "--unit", "g") if options else ()))
+    if suffix != ".wav":
+        assert "--format is for a WAV file" in fails(2, "decode", coded, out, "--format", "16-bit")
+
+
+def test_axes_are_chosen_or_reduced(tmp_path: Path) -> None:
+    path, out = tmp_path / "three.csv", tmp_path / "out.vct"
+    samples = np.random.default_rng(3).normal(size=(RATE_HZ // 5, 3))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "three", textures.AXES))
+    for options, channels in ((("--reduce", "dft321"), 1), (("--reduce", "none"), 3), (("--axis", "x"), 1)):
+        succeeds("encode", path, out, *options)
+        assert coding.read(out).header.channels == channels
 
 
 def test_encode_info_decode(texture: Path, tmp_path: Path) -> None:
@@ -475,8 +496,8 @@ def test_refuses_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
     fails(2, "info", tmp_path / "missing.vct")
     fails(2, "encode", not_a_number, out)
     fails(2, "encode", ragged, out, "--rate-hz", 2800, "--unit", "um")
-    assert "--rate-hz" in fails(2, "encode", no_rate, out)
-    assert "--unit" in fails(2, "encode", no_rate, out, "--rate-hz", 2800)
+    assert "does not state its sample rate" in fails(2, "encode", no_rate, out)
+    assert "does not state its unit" in fails(2, "encode", no_rate, out, "--rate-hz", 2800)
     fails(2, "encode", texture, out, "--rate-hz", 44_100)
     fails(2, "encode", texture, out, "--unit", "um")
     fails(2, "encode", texture, out, "--hand-speed-mm-s", 10)
