@@ -139,7 +139,7 @@ def raising(samples: Decoded) -> Decoded:
 def test_a_codec_that_returns_garbage_is_classified_so(
     decode: object, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(codec.coding, "CODECS", {"mdct": fake(decode)})
+    monkeypatch.setattr(codec.coding, "BUILT_IN", {"mdct": fake(decode)})
     monkeypatch.setattr(signals, "texture_snr_db", lambda rung: 17.0)
     measured = attempt(trial(partial(signals.measure, STEP, "texture")))
     assert measured.outcome is outcome
