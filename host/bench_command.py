@@ -180,15 +180,12 @@ def bench(
         click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
     if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
         click.echo(
-            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {len(drifting)} "
-            f"traces, the first {drifting[0]} (--keep-dc codes it)"
+            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
+            f"{others(drifting)} (--keep-dc codes it)"
         )
     relative = [name for name, unit in units.items() if unit == "full scale"]
     if options["unit"] not in (None, "full scale") and relative:
-        click.echo(
-            f"relative to full scale, as only --full-scale or a manifest gives their unit: {len(relative)} traces, the "
-            f"first {relative[0]}"
-        )
+        click.echo(f"relative to full scale: {relative[0]}{others(relative)}; --unit needs --full-scale or a manifest")
     click.echo(f"{out / bench.PAGE}: the charts and tables; their figures are in {results}")
     if failures:
         show_failures(failures)
@@ -196,6 +193,11 @@ def bench(
             f"{len(failures)} traces or cells failed; {results / 'failures.csv'} lists them, and the same command "
             "tries them again"
         )
+
+
+def others(names: Sequence[str]) -> str:
+    """Return how many names there are beside the first."""
+    return f" and {len(names) - 1} more" if len(names) > 1 else ""
 
 
 def told(update: progress.Update) -> "Callable[[Tally], None]":

@@ -188,7 +188,7 @@ def test_one_folder_of_many_kinds_rates_and_folders(tmp_path: Path) -> None:
         result = vibrocast_bench(*arguments, "--out", data / "out")
         assert result.exit_code == 0, result.output
         assert "skipped 1 file: notes.md (of another kind)" in result.stderr
-        assert "as only --full-scale or a manifest gives their unit: 3 traces" in result.stdout
+        assert "relative to full scale: deep/fast and 2 more; --unit needs --full-scale" in result.stdout
     assert (data / "out" / "results" / "skipped.csv").read_text() == "file,reason\nnotes.md,of another kind\n"
     points = read_rows(data / "out" / "results" / "points.csv", Point)
     assert {point.trace: point.rate_hz for point in points} == {
@@ -210,7 +210,7 @@ def test_an_offset_does_not_change_the_quality(tmp_path: Path) -> None:
     arguments = (tmp_path / "data", "--codecs", "mdct-live", "--repeats", "0")
     result = vibrocast_bench(*arguments, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert "more than 50% of the energy of 1 traces, the first gravity" in result.stdout
+    assert "more than 50% of the energy of gravity (--keep-dc" in result.stdout
     points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
     flat, gravity = ([point.snr_db for point in points if point.trace == name] for name in ("flat", "gravity"))
     np.testing.assert_allclose(np.array(flat, float), np.array(gravity, float), atol=0.2)
