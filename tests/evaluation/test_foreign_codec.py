@@ -26,8 +26,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the package of the example look installed."""
     monkeypatch.syspath_prepend(str(EXAMPLE))
     points = EntryPoints([EntryPoint(NAME, "vibrocast_haar:Haar", plugins.GROUP)])
-    for module in (plugins, cells):
-        monkeypatch.setattr(module, "entry_points", lambda group: points.select(group=group))
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points.select(group=group))
     monkeypatch.setattr(coding, "CODECS", coding.Codecs())
     for module in (codec, maps):
         monkeypatch.setattr(module, "CODECS", coding.CODECS)
