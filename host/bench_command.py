@@ -106,9 +106,9 @@ def bench(
 ) -> None:
     """Measure codecs and trained models on every recording of a folder or a manifest.
 
-    A manifest is a CSV file with a column file and any of unit, rate_hz, full_scale, hand_speed_mm_s, axis, reduce, key,
-    material, subject, split. Each trace is coded at every setting of every codec, at its own rate. Failures are listed,
-    the rest goes on, and the exit code is 1.
+    A manifest is a CSV file with a column file and any of unit, rate_hz, full_scale, hand_speed_mm_s, axis, reduce,
+    key, material, subject, split. Each trace is coded at every setting of every codec, at its own rate. Failures are
+    listed, the rest goes on, and the exit code is 1.
     """
     from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
     from vibrocast.evaluation.cells import BenchError
