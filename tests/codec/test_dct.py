@@ -289,7 +289,7 @@ def test_files_that_hold_no_threshold_are_refused(text: str, tmp_path: Path) -> 
 
 
 def test_a_threshold_needs_a_physical_unit() -> None:
-    with pytest.raises(CodecError, match=r"--unit and --full-scale"):
+    with pytest.raises(CodecError, match=r"`unit` and `full_scale`"):
         coded(texture(600), {"threshold": "on"}, "full scale")
 
 

@@ -50,5 +50,5 @@ def test_a_sinusoid_at_the_threshold_is_at_zero_db(unit: str, frequency_hz: floa
 
 
 def test_a_signal_without_a_physical_unit_has_no_threshold() -> None:
-    with pytest.raises(CodecError, match="give --unit and --full-scale"):
+    with pytest.raises(CodecError, match="give `unit` and `full_scale`"):
         ThresholdJudge(SignalFormat(RATE_HZ, "full scale", (1.0,), (0.1,)))
