@@ -11,7 +11,8 @@ ROOT = Path(__file__).parents[2]
 
 # Libraries choose by the system's name, so those that need Unix here are loaded first.
 LACKING = """
-import asyncio, psutil, click._termui_impl, multiprocessing.pool, os, serial, shutil, signal, socket, subprocess, sys, tempfile
+import asyncio, click._termui_impl, multiprocessing.pool, os, psutil, serial
+import shutil, signal, socket, subprocess, sys, tempfile
 
 for name in ("fcntl", "grp", "posix", "pty", "pwd", "resource", "termios", "tty"):
     sys.modules[name] = None
