@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast import extras
 from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
 from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
@@ -331,7 +332,8 @@ def check_tables(tables: bytes) -> None:
     """Raise CodecError for a payload that decoders do not take, or whose graph is no synthesis of its latents."""
     image, one_column = EvaImage.unpack(tables), configuration(1, [0], [0])
     EvaDecoder(one_column, 1, tables)
-    if image.graph:
+    # Without ONNX Runtime only the integer core decodes, and no graph runs.
+    if image.graph and (image.runtime == "onnx" or not extras.advice("learned")):
         OnnxDecoder(one_column, 1, tables).conceal()
 
 

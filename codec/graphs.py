@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast import extras
 from vibrocast.codec.interface import CodecError
 
 SIGNAL = "signal"
@@ -63,7 +64,12 @@ class Transform:
 
 @cache
 def _runtime() -> Any:
-    """Load ONNX Runtime, which takes longer than all the rest and which most streams do not need; limit its memory."""
+    """Load ONNX Runtime, which takes longer than all the rest and which most streams do not need; limit its memory.
+
+    Raises CodecError where it is not installed.
+    """
+    if advice := extras.advice("learned"):
+        raise CodecError(advice)
     import onnxruntime
 
     memory = onnxruntime.OrtMemoryInfo(

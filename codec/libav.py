@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast import extras
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -358,10 +359,14 @@ class _Reader:
 
 def _av() -> Any:
     """Return the package `av`, imported at first need: it takes as long as all the rest. Raises CodecError."""
+    if advice := extras.advice("peers"):
+        raise CodecError(advice)
     try:
         import av
     except ImportError as error:
-        raise CodecError(f"this codec needs the package av, which cannot be imported ({error}); install it") from error
+        raise CodecError(
+            f"this codec needs the package av, which cannot be imported ({error}); install it again"
+        ) from error
     return av
 
 

@@ -6,7 +6,6 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import unicorn
 from capstone import arm_const as arm
 from unicorn import arm_const as emulated
 
-from vibrocast import codec
+from vibrocast import codec, extras
 from vibrocast.codec import CodedSignal, Decoded
 from vibrocast.firmware.build import CORTEX_M_FLAGS, FLAGS, M4F, M7, M33, ROOT, BuildError
 from vibrocast.firmware.elf import Elf
@@ -63,10 +62,9 @@ CORES = {
 def compile_core(output: Path, core: Core, functions: Sequence[str], **defines: int) -> Path:
     """Link functions of the core's decoders, all that they need and nothing else; return the program, `output`.
 
-    Raises BuildError.
+    Raises BuildError and MissingExtraError.
     """
-    if find_spec("ziglang") is None:
-        raise BuildError('the core is compiled by ziglang: pip install "vibrocast[firmware]"')
+    extras.require("firmware", "ziglang")
     script = output.with_suffix(".ld")
     script.write_text(f"SECTIONS {{ . = {_FLASH}; .text : {{ *(.text*) *(.rodata*) }} }}\n", encoding="utf-8")
     roots = [f"-Wl,-u,{name}" for name in functions]

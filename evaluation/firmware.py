@@ -12,7 +12,7 @@ from typing import Any
 import click
 import numpy as np
 
-from vibrocast import codec, models
+from vibrocast import codec, extras, models
 from vibrocast.codec import CodedSignal, Signal
 from vibrocast.codec.interface import AUTO
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
@@ -33,7 +33,7 @@ from vibrocast.textures.generate import GENERATORS
 try:
     from vibrocast.evaluation.emulated_core import CORES, Core, EmulatedCore, compile_core, decode, state_bytes
 except ModuleNotFoundError as error:
-    raise SystemExit(f'{error.name} is not installed: pip install "vibrocast[firmware]"') from error
+    raise SystemExit(str(extras.explained(error) or error)) from error
 
 RATE_HZ = 2800
 SECONDS = 0.5
@@ -353,8 +353,7 @@ def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[Con
     return paragraphs(
         "# Decoding on a microcontroller",
         "What each decoder costs: instructions, load of the processor, flash, RAM, stack. Made by the command "
-        'below, on a computer with what `pip install "vibrocast[firmware]"` brings; nothing here has been timed '
-        "on a board.",
+        "below, on a computer with the extra `[firmware]`; nothing here has been timed on a board.",
         "    python -m vibrocast.evaluation.firmware --out docs",
         _method(loads),
         _m4_section(loads),
@@ -574,7 +573,7 @@ def main(out: Path) -> None:
         write_page(out, loads, sizes, controller)
         with whole_file(TABLES / "firmware_decoding.csv") as path:
             write_rows(path, decoding, Decoding)
-    except BuildError as error:
+    except (BuildError, extras.MissingExtraError) as error:
         raise click.ClickException(str(error)) from error
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}") from error

@@ -12,6 +12,7 @@ import click
 import numpy as np
 from rich.progress import track
 
+from vibrocast import extras
 from vibrocast.codec import Framing, Signal
 from vibrocast.codec.mdct import IDENTIFIER, MdctEncoder, untrained_tables
 from vibrocast.device_protocol.model_image import ModelImage
@@ -107,8 +108,8 @@ def main(
 def _with_network(textures: list[Signal], seed: int, tables: bytes) -> bytes:
     try:
         from vibrocast.export.mdct_network import trained
-    except ImportError as error:
-        raise click.ClickException('a network is trained by PyTorch: pip install "vibrocast[training]"') from error
+    except ModuleNotFoundError as error:
+        raise click.ClickException(str(extras.explained(error) or error)) from error
     return trained(textures, seed, tables)
 
 

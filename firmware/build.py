@@ -10,11 +10,11 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 
 import click
 
+from vibrocast import extras
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.elf import Elf
 
@@ -149,12 +149,11 @@ def build(name: str, sizes: Mapping[str, int] | None = None) -> Path:
 
     `sizes`: of controller/sizes.h, in place of the target's. A library's declarations for cffi lie beside it, with the
     suffix ".cdef". What is built is kept in firmware/build, or in the user's cache where that cannot be written, by a
-    hash of all that it is made from. Raises BuildError.
+    hash of all that it is made from. Raises BuildError and MissingExtraError.
     """
     target = TARGETS[name]
     target = replace(target, defines={**target.defines, **(sizes or {})})
-    if find_spec("ziglang") is None:
-        raise BuildError('the firmware is compiled by ziglang: pip install "vibrocast[firmware]"')
+    extras.require("firmware", "ziglang")
     folder = _build_folder() / f"{name}-{_fingerprint(target)}"
     built = folder / f"{name}{target.suffix}"
     if not built.exists():
@@ -233,7 +232,7 @@ def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None) -> No
                 click.echo(f"{name}: {build(name)}")
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
-    except BuildError as error:
+    except (BuildError, extras.MissingExtraError) as error:
         raise click.ClickException(str(error)) from error
     click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
     for name, of in sizes.items():

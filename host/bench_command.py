@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vibrocast import textures
+from vibrocast import extras, textures
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
@@ -110,6 +110,7 @@ def bench(
     key, material, subject, split. Each trace is coded at every setting of every codec, at its own rate. Failures are
     listed, the rest goes on, and the exit code is 1.
     """
+    extras.require("bench")
     from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
     from vibrocast.evaluation.cells import BenchError
     from vibrocast.evaluation.comparison import Measurements

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import click
 
+from vibrocast import extras
 from vibrocast.host.entry import INTERRUPTED
 from vibrocast.host.plain import plain
 
@@ -118,6 +119,8 @@ class VibrocastCommand(click.Group):
         except Exception as error:
             if ctx.params["debug"]:
                 raise
+            if isinstance(error, ModuleNotFoundError):
+                error = extras.explained(error) or error
             command = self.get_command(ctx, ctx.invoked_subcommand or "")
             raise explained(error, option_names(command)) from error
 
@@ -149,6 +152,7 @@ def explained(error: Exception, options: Mapping[str, str]) -> click.ClickExcept
         textures.TextureError,
         codec.CodecError,
         InputFileError,
+        extras.MissingExtraError,
         StreamError,
         ModelImageError,
         models.ModelError,

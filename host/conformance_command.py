@@ -9,6 +9,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from vibrocast import extras
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, progress
 from vibrocast.host.options import BadInput, device_option
@@ -30,6 +31,7 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, dat
     It plays textures, and writes the slot for model images that does not run; the image that runs runs again
     afterwards. The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tried.
     """
+    extras.require("bench")
     from vibrocast.host.conformance.judge import NotJudged, judge
     from vibrocast.host.conformance.line import Line
     from vibrocast.host.conformance.report import PAGE, Report

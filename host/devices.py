@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import usb.core
 import usb.util
 
+from vibrocast import extras
 from vibrocast.device_protocol.messages import HelloResponse, SlotState
 from vibrocast.device_protocol.transports import (
     VENDOR_INTERFACE_CLASS,
@@ -131,11 +132,10 @@ def emulated(address: str, count_instructions: bool = False) -> "CortexM | Stm32
     """Return one of EMULATED; `count_instructions`: as simulated_device.emulator.Processor. Raises TransportError."""
     from vibrocast.firmware.build import BuildError
 
-    try:
-        from vibrocast.simulated_device.cortex_m import CortexM
-        from vibrocast.simulated_device.stm32f405 import Stm32F405
-    except ModuleNotFoundError as error:
-        raise TransportError('processors are emulated by unicorn: pip install "vibrocast[firmware]"') from error
+    extras.require("firmware", "unicorn", "ziglang")
+    from vibrocast.simulated_device.cortex_m import CortexM
+    from vibrocast.simulated_device.stm32f405 import Stm32F405
+
     try:
         if address == "stm32f405":
             return Stm32F405(count_instructions=count_instructions)

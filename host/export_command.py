@@ -7,11 +7,10 @@ from typing import Any
 import click
 import numpy as np
 
-from vibrocast import models
+from vibrocast import extras, models
 from vibrocast.host import progress
 from vibrocast.host.options import INPUT, BadInput, command_run
 from vibrocast.host.output_files import whole_folder
-from vibrocast.host.train_command import NEEDS_TRAINING
 
 FILES = {models.CARD, "card.md", models.ANALYSIS, "synthesis.onnx"}
 """What the folder of a model holds, beside its image."""
@@ -66,15 +65,12 @@ def export(
     The data that it was trained on prepare its integers and tables; what was held back is what its card measures it on.
     The folder is written whole or not at all; one that holds a model is replaced.
     """
-    try:
-        from vibrocast.export import configuration, package, training_data
-        from vibrocast.export.checkpoint import ModelError, load
-        from vibrocast.export.graphs import GraphError
-        from vibrocast.host import model_card
-    except ModuleNotFoundError as error:
-        if error.name not in ("torch", "onnx"):
-            raise
-        raise click.ClickException(NEEDS_TRAINING) from error
+    extras.require("train")
+    from vibrocast.export import configuration, package, training_data
+    from vibrocast.export.checkpoint import ModelError, load
+    from vibrocast.export.graphs import GraphError
+    from vibrocast.host import model_card
+
     try:
         loaded = load(checkpoint)
         try:

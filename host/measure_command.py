@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from vibrocast import extras
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
@@ -65,6 +66,7 @@ def measure(
     With --plan, on the plan's actuators and textures. What has been measured is written also when the run is cut. The
     exit code is 1 where something could not be measured or has become worse than in the earlier run.
     """
+    extras.require("bench")
     from vibrocast.host.harness import bench_file, results
     from vibrocast.host.planner.plan_file import read_plan
 

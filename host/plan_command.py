@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from vibrocast import extras
 from vibrocast.host import planned_command, progress
 from vibrocast.host.options import INPUT
 from vibrocast.host.plain import plain
@@ -26,6 +27,7 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
     Writes plan.toml, a picture of all that was measured (plan.png), and its tables (candidates.csv, bands.csv); with
     --play also forecast.csv and forecast.json. What is then measured more than 10 % off its forecast fails.
     """
+    extras.require("bench")
     from vibrocast.host.planner import choose, page, plan_file, scene
 
     read = scene.read_scene(scene_path)

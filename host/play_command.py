@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vibrocast import textures
+from vibrocast import extras, textures
 from vibrocast.host import actuators, coding, devices, planned_command, player, profiles, progress
 from vibrocast.host.command_steps import (
     encoded,
@@ -87,6 +87,8 @@ def play(
     """
     from vibrocast.host import end_to_end, picture
 
+    if plot_path is not None:
+        extras.require("plot")
     if plan_path is not None:
         plan = planned_command.read(plan_path, ("file", "address", "report_path"))
         planned_command.play(plan, [str(file)] if file else [], report_path)

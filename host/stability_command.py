@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from vibrocast import extras
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import progress
@@ -46,6 +47,7 @@ def stability(
     Writes stability.md, and pictures with their data in stability/. The maps cover your recordings, signals, settings,
     transport, speed of the hand, actuator and trained models. A failure is a result: the maps show it.
     """
+    extras.require("bench")
     from vibrocast.evaluation import trained
     from vibrocast.evaluation.cells import BenchError
     from vibrocast.evaluation.stability import page, report

@@ -8,10 +8,9 @@ from typing import Any
 
 import click
 
+from vibrocast import extras
 from vibrocast.host import progress
 from vibrocast.host.options import INPUT, BadInput
-
-NEEDS_TRAINING = 'this needs what trains models: pip install "vibrocast[training]"'
 
 
 @click.command()
@@ -39,14 +38,11 @@ def train(
     examples/eva-16.toml is a CONFIG. OUT/NAME/best.pt is the checkpoint to export. A sweep runs its trainings side by
     side, each on one core.
     """
-    try:
-        from vibrocast.export import configuration, training
-        from vibrocast.export.checkpoint import ModelError
-        from vibrocast.textures import dataset
-    except ModuleNotFoundError as error:
-        if error.name != "torch":
-            raise
-        raise click.ClickException(NEEDS_TRAINING) from error
+    extras.require("train")
+    from vibrocast.export import configuration, training
+    from vibrocast.export.checkpoint import ModelError
+    from vibrocast.textures import dataset
+
     try:
         chosen = configuration.read(config)
         data = (data_folder or config.parent).resolve()

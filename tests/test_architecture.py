@@ -62,8 +62,9 @@ def test_every_file_opens_with_its_purpose() -> None:
     assert silent == []
 
 
-def test_every_dependency_has_its_reason() -> None:
+def test_every_dependency_has_its_reason_and_an_upper_bound() -> None:
     lines = (ROOT / "pyproject.toml").read_text().splitlines()
     requirements = [line for line in lines if line.startswith('    "') and any(sign in line for sign in (">=", "=="))]
     assert len(requirements) > 10
     assert [line for line in requirements if "# " not in line] == []
+    assert [line for line in requirements if "<" not in line and "==" not in line] == []

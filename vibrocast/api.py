@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 
 from numpy.typing import ArrayLike
 
-from vibrocast import models, textures
+from vibrocast import extras, models, textures
 from vibrocast.codec import CODECS, Codec, Setting
 from vibrocast.host import actuators, coding, devices, end_to_end, flasher, player
 from vibrocast.host.coding import Stream
@@ -111,6 +111,7 @@ def measure(
     Both are compared from `highpass_hz` on, as they are coded; None = in their whole band. Raises ValueError on
     unequal shapes, NaN or infinity, ModuleNotFoundError without the extra [bench].
     """
+    extras.require("bench", "vibromaf")
     from vibrocast.evaluation import metrics
 
     x, y = _recording(reference, rate_hz, unit), _recording(decoded, rate_hz, unit)

@@ -1,6 +1,7 @@
 """Decoders on emulated Cortex-M processors: the host's integers, kernels alike, ARM's cycles; and the page."""
 
 import csv
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation import emulated_core, firmware
 from vibrocast.evaluation.emulated_core import CORES, EmulatedCore, compile_core
-from vibrocast.firmware.build import BuildError
+from vibrocast.extras import MissingExtraError
 
 pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler for microcontrollers")
 
@@ -243,13 +244,10 @@ def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str) -> None:
-        assert name == "ziglang"
-
-    monkeypatch.setattr(emulated_core, "find_spec", absent)
+    monkeypatch.setitem(sys.modules, "ziglang", None)
     done = CliRunner().invoke(firmware.main, ["--out", str(tmp_path)])
-    assert done.exit_code == 1 and 'pip install "vibrocast[firmware]"' in done.output
-    with pytest.raises(BuildError, match="ziglang"):
+    assert done.exit_code == 1 and "needs ziglang; install the extra [firmware]: " in done.output
+    with pytest.raises(MissingExtraError, match="ziglang"):
         compile_core(tmp_path / "core.elf", M4F, FUNCTIONS)
 
 

@@ -3,6 +3,7 @@
 import json
 import re
 import struct
+import sys
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
@@ -12,6 +13,7 @@ import capstone
 import pytest
 from click.testing import CliRunner
 
+from vibrocast.extras import MissingExtraError
 from vibrocast.firmware import build as building
 from vibrocast.firmware.build import TARGETS, BuildError, build, size
 from vibrocast.firmware.elf import Elf
@@ -158,6 +160,6 @@ def test_what_is_built_is_kept_until_a_source_changes(tmp_path: Path, monkeypatc
 
 
 def test_without_a_compiler_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(building, "find_spec", lambda name: None)
-    with pytest.raises(BuildError, match=r"pip install"):
+    monkeypatch.setitem(sys.modules, "ziglang", None)
+    with pytest.raises(MissingExtraError, match=r"needs ziglang; install the extra \[firmware\]: .*pip install"):
         build("cortex-m4")

@@ -1,0 +1,82 @@
+"""Extras: which optional packages each brings, and the command that installs one."""
+
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, distribution
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+# By module; the smallest extra first. pyproject.toml says what each package is for.
+EXTRAS = {
+    "av": ("peers", "bench"),
+    "bjontegaard": ("bench",),
+    "capstone": ("firmware",),
+    "distributed": ("bench",),
+    "matplotlib": ("plot", "bench"),
+    "onnx": ("train",),
+    "onnxruntime": ("learned", "bench", "train"),
+    "pytest": ("bench",),
+    "torch": ("train",),
+    "unicorn": ("firmware",),
+    "vibromaf": ("bench",),
+    "ziglang": ("firmware",),
+}
+
+
+class MissingExtraError(ImportError):
+    """A package of an extra is not installed; the message says how to install the extra."""
+
+
+def require(extra: str, *modules: str) -> None:
+    """Raise MissingExtraError if modules of an extra, all of them if none is named, are not installed."""
+    if missing := _missing(extra, modules):
+        raise MissingExtraError(_advice(missing, extra))
+
+
+def advice(extra: str) -> str | None:
+    """Return the line that says how to install an extra; None where all of its modules are installed."""
+    missing = _missing(extra)
+    return _advice(missing, extra) if missing else None
+
+
+def explained(error: ModuleNotFoundError) -> MissingExtraError | None:
+    """Return the error that says how to install a module that was not found; None where no extra brings it."""
+    module = (error.name or "").partition(".")[0]
+    return MissingExtraError(_advice([module], EXTRAS[module][0])) if module in EXTRAS else None
+
+
+def _missing(extra: str, modules: Sequence[str] = ()) -> list[str]:
+    wanted = modules or [module for module, bringing in EXTRAS.items() if extra in bringing]
+    return [module for module in wanted if find_spec(module) is None]
+
+
+def _advice(missing: Sequence[str], extra: str) -> str:
+    return f"this needs {', '.join(missing)}; install the extra [{extra}]: {install_command(extra)}"
+
+
+def install_command(extra: str) -> str:
+    """Return the command that adds an extra to this installation, from where vibrocast was installed."""
+    python = "python" if shutil.which("python") == sys.executable else sys.executable
+    command = [python, "-m", "pip", "install", *_requirement(extra)]
+    return subprocess.list2cmdline(command) if sys.platform == "win32" else shlex.join(command)
+
+
+def _requirement(extra: str) -> list[str]:
+    """Return the arguments of pip that name vibrocast with an extra: a folder, an archive, or the package's name."""
+    try:
+        origin = json.loads(distribution("vibrocast").read_text("direct_url.json") or "{}")
+    except PackageNotFoundError:  # a checkout on the path
+        return ["-e", f"{Path(__file__).resolve().parents[1]}[{extra}]"]
+    url = origin.get("url", "")
+    if "dir_info" in origin:
+        editable = ["-e"] if origin["dir_info"].get("editable") else []
+        return [*editable, f"{url2pathname(urlsplit(url).path)}[{extra}]"]
+    if "vcs_info" in origin:
+        url = f"{origin['vcs_info']['vcs']}+{url}@{origin['vcs_info']['commit_id']}"
+    return [f"vibrocast[{extra}] @ {url}" if url else f"vibrocast[{extra}]"]
