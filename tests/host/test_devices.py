@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.firmware import build
+from vibrocast.extras import MissingExtraError
 from vibrocast.host import devices
 
 
@@ -25,16 +25,8 @@ def test_firmware_decodes_by_the_integer_core_alone() -> None:
 
 
 def test_without_the_emulator_or_the_compiler_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (
-        "unicorn",
-        "vibrocast.simulated_device.cortex_m",
-        "vibrocast.simulated_device.emulator",
-        "vibrocast.simulated_device.stm32f405",
-    ):
-        monkeypatch.delitem(sys.modules, module, raising=False)
-    monkeypatch.setitem(sys.modules, "unicorn", None)
-    with pytest.raises(TransportError, match=r"pip install .vibrocast\[firmware\]"), devices.connect("cortex-m4"):
-        pass
-    monkeypatch.setattr(build, "find_spec", lambda name: None)
-    with pytest.raises(TransportError, match=r"pip install .vibrocast\[firmware\]"), devices.connect("host"):
-        pass
+    for module, address in (("unicorn", "cortex-m4"), ("ziglang", "host")):
+        monkeypatch.setitem(sys.modules, module, None)
+        message = rf"needs {module}; install the extra \[firmware\]: "
+        with pytest.raises(MissingExtraError, match=message), devices.connect(address):
+            pass
