@@ -186,6 +186,6 @@ def fail(message: str, exit_code: int) -> NoReturn:
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 @click.pass_context
 def main(ctx: click.Context, debug: bool) -> None:
-    """Record, compress, stream and replay the feel of a surface."""
+    """Compress vibrotactile textures and play them in real time on an actuator."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
