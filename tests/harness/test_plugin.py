@@ -1,5 +1,6 @@
 """A user's own test on the pytest plugin: unchanged on the simulated controllers and on those of a bench file."""
 
+import sys
 import tomllib
 from pathlib import Path
 
@@ -8,10 +9,11 @@ import pytest
 pytest_plugins = "pytester"
 
 USERS_TEST = """
-def test_what_is_played_is_what_was_sent(play, actuator, scene, request):
-    report = play(scene[0]).report
+def test_what_is_played_is_what_was_sent(vibrocast_play, vibrocast_actuator, vibrocast_scene, request):
+    report = vibrocast_play(vibrocast_scene[0]).report
     assert report.dac_equals_offline
-    assert report.actuator.name == actuator.name == request.config.getoption("expected_actuator", "piezo-stack")
+    expected = request.config.getoption("expected_actuator", "piezo-stack")
+    assert report.actuator.name == vibrocast_actuator.name == expected
 """
 USERS_CONFTEST = """
 def pytest_addoption(parser):
@@ -48,9 +50,11 @@ LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.host.harness.plugin", "-p", "no
     ("arguments", "name"),
     [
         ([], "piezo-stack"),
-        pytest.param(["--device", "sim-usb"], "piezo-stack", marks=pytest.mark.slow),
-        (["--bench", "bench.toml"], "stack 3"),
-        pytest.param(["--bench", "bench.toml", "--device", "right"], "voice-coil", marks=pytest.mark.slow),
+        pytest.param(["--vibrocast-device", "sim-usb"], "piezo-stack", marks=pytest.mark.slow),
+        (["--vibrocast-bench", "bench.toml"], "stack 3"),
+        pytest.param(
+            ["--vibrocast-bench", "bench.toml", "--vibrocast-device", "right"], "voice-coil", marks=pytest.mark.slow
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else value,
 )
@@ -65,9 +69,9 @@ def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--device", "nowhere"], "*'nowhere' is no controller: give a name in the bench file, sim, *"),
-        (["--bench", "missing.toml"], "*missing.toml*"),
-        (["--bench", "bench.toml"], "*bench.toml: names no controller; add ??controllers?? with*"),
+        (["--vibrocast-device", "nowhere"], "*'nowhere' is no controller: give a name in the bench file, sim, *"),
+        (["--vibrocast-bench", "missing.toml"], "*missing.toml*"),
+        (["--vibrocast-bench", "bench.toml"], "*bench.toml: names no controller; add ??controllers?? with*"),
     ],
 )
 def test_what_names_no_device_is_told_in_a_line(pytester: pytest.Pytester, arguments: list[str], message: str) -> None:
@@ -79,10 +83,53 @@ def test_what_names_no_device_is_told_in_a_line(pytester: pytest.Pytester, argum
     (result.stdout if "nowhere" in arguments else result.stderr).fnmatch_lines([message])
 
 
-def test_plugin_costs_nothing_where_it_is_not_used(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile("import sys\ndef test_nothing_was_loaded():\n    assert 'numpy' not in sys.modules\n")
-    result = pytester.runpytest_subprocess(*LOADED)
-    result.assert_outcomes(passed=1)
+# A project with packages of its own that have common names, and options and fixtures like those of the plugin.
+PROJECT = {
+    "textures.py": "MINE = True\n",
+    "models/__init__.py": "MINE = True\n",
+    "host/__init__.py": "MINE = True\n",
+    "evaluation/__init__.py": "MINE = True\n",
+    "conftest.py": """
+import pytest
+
+def pytest_addoption(parser):
+    for name in ("--device", "--bench", "--plan"):
+        parser.addoption(name, default="mine")
+
+@pytest.fixture
+def controller(request):
+    return request.config.getoption("--device")
+""",
+    "test_project.py": """
+import sys
+import evaluation, host, models, textures
+
+def test_all_is_mine(controller):
+    assert controller == "mine"
+    assert all(module.MINE for module in (evaluation, host, models, textures))
+
+def test_the_plugin_loads_no_library():
+    plugin = sys.modules["vibrocast.host.harness.plugin"]
+    assert {name for name in sys.modules if name.startswith("vibrocast")} == {
+        "vibrocast", "vibrocast.host", "vibrocast.host.harness", plugin.__name__
+    }
+    assert not {"click", "numpy", "scipy", "serial"} & set(sys.modules)
+""",
+}
+
+
+def test_a_project_that_does_not_use_the_plugin_is_left_alone(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in PROJECT.items():
+        path = pytester.path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    result = pytester.run(sys.executable, "-m", "pytest", *LOADED)
+    result.assert_outcomes(passed=2)
+    for code in ("import vibrocast; vibrocast.encode", "from vibrocast.host.entry import main; main()"):
+        assert pytester.run(sys.executable, "-c", code, "--help").ret == 0
 
 
 def test_installing_vibrocast_installs_the_plugin() -> None:
