@@ -36,7 +36,7 @@ from vibrocast.codec.interface import (
     Trial,
 )
 from vibrocast.codec.judges import Judge, SnrJudge, ThresholdJudge
-from vibrocast.codec.plugins import BlockCodec
+from vibrocast.codec.plugins import BlockCodec, as_codec
 from vibrocast.codec.rate_control import (
     RATE_TOLERANCE,
     SNR_TOLERANCE_DB,
@@ -90,6 +90,7 @@ __all__ = [
     "Steering",
     "ThresholdJudge",
     "Trial",
+    "as_codec",
     "channel_snrs_db",
     "check_tables",
     "codec_by_identifier",

@@ -41,10 +41,19 @@ BUILT_IN: dict[str, Codec] = {
 
 
 class Codecs(Mapping[str, Codec]):
-    """All codecs by name: the built-in ones, then those of other packages (codec/plugins.py), loaded at first use.
+    """All codecs by name: the built-in ones, those of other packages (codec/plugins.py), those added in this process.
 
-    `failures`: why codecs of other packages cannot be used, by entry point.
+    The packages are loaded at first use. `failures`: why codecs of packages cannot be used, by entry point.
     """
+
+    def __init__(self) -> None:
+        self._added: dict[str, Codec] = {}
+
+    def add(self, codec: Codec) -> None:
+        """Add a codec, or replace one added before. Raises CodecError where a package or vibrocast has the name."""
+        if codec.name in BUILT_IN or codec.name in self._loaded[0]:
+            raise CodecError(f"there is a codec {codec.name} already; rename yours")
+        self._added[codec.name] = codec
 
     @cached_property
     def _loaded(self) -> tuple[dict[str, Codec], dict[str, str]]:
@@ -56,13 +65,13 @@ class Codecs(Mapping[str, Codec]):
         return self._loaded[1]
 
     def __getitem__(self, name: str) -> Codec:
-        return BUILT_IN.get(name) or self._loaded[0][name]
+        return BUILT_IN.get(name) or self._added.get(name) or self._loaded[0][name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._loaded[0])
+        return iter({**self._loaded[0], **self._added})
 
     def __len__(self) -> int:
-        return len(self._loaded[0])
+        return len(self._loaded[0]) + len(self._added)
 
 
 CODECS = Codecs()
@@ -85,7 +94,7 @@ def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:
     if identifier == plugins.IDENTIFIER:
         name = plugins.name_in(configuration)
         if name not in CODECS:
-            raise CodecError(f"the stream needs the codec {name!r}; install the package that brings it")
+            raise CodecError(f"the stream needs the codec {name!r}; install the package that brings it, or register it")
         return CODECS[name]
     for codec in BUILT_IN.values():
         if codec.identifier == identifier:

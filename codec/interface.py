@@ -80,7 +80,7 @@ class Parameter:
     def _number(self, name: str, value: float | str) -> float:
         try:
             number = float(value)
-        except ValueError:
+        except (TypeError, ValueError):
             number = math.nan
         if not (math.isfinite(number) and self.low <= number <= self.high and (number.is_integer() or not self.whole)):
             raise CodecError(f"{name} is {value}; it must be a {self.range}")

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Mapping, Sequence
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from importlib.metadata import EntryPoints, entry_points
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -66,7 +66,7 @@ def load(built_in: Mapping[str, Codec]) -> tuple[dict[str, Codec], dict[str, str
     failures: dict[str, str] = {}
     for point in registered():
         try:
-            codec = _loaded(point)
+            codec = as_codec(point.load())
             if codec.name in built_in or codec.name in codecs:
                 raise CodecError(f"there is a codec {codec.name} already; rename it")
             codecs[codec.name] = codec
@@ -75,24 +75,34 @@ def load(built_in: Mapping[str, Codec]) -> tuple[dict[str, Codec], dict[str, str
     return codecs, failures
 
 
-def _loaded(point: EntryPoint) -> Codec:
-    found = point.load()
+def as_codec(found: object) -> Codec:
+    """Return a BlockCodec, its class or a Codec as a Codec. Raises CodecError where something of it is missing."""
     if isinstance(found, Codec):
         return found
-    return adapted(found() if isinstance(found, type) else found)
+    try:
+        plugin = found() if isinstance(found, type) else found
+    except Exception as error:
+        raise CodecError(f"its class cannot be called without arguments: {type(error).__name__}: {error}") from error
+    if not isinstance(plugin, BlockCodec):
+        raise CodecError("it lacks name, summary, block_samples, qualities, encode or decode; see docs/codecs.md")
+    return adapted(plugin)
 
 
 def adapted(plugin: BlockCodec) -> Codec:
     """Return a codec of another package as vibrocast's own are. Raises CodecError where something is missing."""
-    if not isinstance(plugin, BlockCodec):
-        raise CodecError("it lacks name, summary, block_samples, qualities, encode or decode; see docs/codecs.md")
-    name, qualities = plugin.name, [float(quality) for quality in plugin.qualities]
-    if not (name.isprintable() and 1 <= len(name.encode()) <= _MAX_NAME_BYTES):
+    name = plugin.name
+    try:
+        qualities = [float(quality) for quality in plugin.qualities]
+    except (TypeError, ValueError):
+        qualities = []
+    if not (isinstance(name, str) and name.isprintable() and 1 <= len(name.encode()) <= _MAX_NAME_BYTES):
         raise CodecError(f"its name has to be 1 to {_MAX_NAME_BYTES} bytes of printable text")
     if not qualities or not np.all(np.isfinite(qualities)):
         raise CodecError("its qualities have to be finite numbers, at least one")
-    if not 1 <= plugin.block_samples <= MAX_PACKET_SAMPLES:
-        raise CodecError(f"its block_samples is {plugin.block_samples}; 1 to {MAX_PACKET_SAMPLES} are allowed")
+    if not (isinstance(plugin.block_samples, int) and 1 <= plugin.block_samples <= MAX_PACKET_SAMPLES):
+        raise CodecError(
+            f"its block_samples is {plugin.block_samples}; an integer of 1 to {MAX_PACKET_SAMPLES} is needed"
+        )
 
     def make_encoder(
         setting: Setting,

@@ -16,6 +16,7 @@ from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.host.input_files import read_input
 from vibrocast.host.output_files import whole_file
+from vibrocast.textures import arguments
 from vibrocast.textures.memory import shortage
 
 Made = TypeVar("Made")
@@ -26,6 +27,8 @@ DEFAULT_STREAM_RATE_HZ = 2800
 MAX_SAMPLES = 2**29
 """Of all channels together, in one stream: 53 hours of one channel at 2800 Hz, 5 GiB while they are decoded."""
 MAX_FILE_BYTES = 2**30
+MAX_GAIN_DB = 200
+"""Largest change of a level, up or down; a larger one is a mistake."""
 
 
 class _How(TypedDict):
@@ -95,14 +98,16 @@ class Stream:
 
         Raises StreamError when they are damaged, CodecError for another image or codec.
         """
-        header, packets = coded_stream.unpack_file(data)
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise StreamError(f"`data` is of type {type(data).__name__}; pass the bytes of a .vct file")
+        header, packets = coded_stream.unpack_file(bytes(data))
         if image is None and header.image_hash and (model := models.by_hash(header.image_hash)):
             image = model.image
         return cls(header, tuple(packets), image)
 
     def save(self, path: str | Path) -> None:
         """Write a .vct file, whole or not at all. Raises OSError."""
-        with whole_file(Path(path)) as partial:
+        with whole_file(arguments.file_path("path", path)) as partial:
             partial.write_bytes(bytes(self))
 
     @property
@@ -206,13 +211,10 @@ class Stream:
         """
         if gain_db == 0:
             return self
-        if not math.isfinite(gain_db):
-            raise codec.CodecError(f"gain_db is {gain_db}; give a finite number")
-        try:
-            factor = 10 ** (gain_db / 20)
-            gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
-        except OverflowError as error:
-            raise codec.CodecError(f"gain_db is {gain_db}; give a smaller number") from error
+        if not abs(gain_db) <= MAX_GAIN_DB:
+            raise codec.CodecError(f"`gain_db` is {gain_db}; give -{MAX_GAIN_DB} to {MAX_GAIN_DB}")
+        factor = 10 ** (gain_db / 20)
+        gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
         return replace(self, header=replace(self.header, gains=gains))
 
     def facts(self) -> dict[str, Any]:
@@ -287,6 +289,8 @@ def encode(
     (also when the asked rate or SNR cannot be met), ModelError, ModelImageError, StreamError or TextureError, with what
     to do.
     """
+    if rate_bps is not None and snr_db is not None:
+        raise codec.CodecError("`rate_bps` and `snr_db` are both given; give one of them")
     passed = textures.highpass(recording, highpass_hz)
     resampled = textures.resample(passed.recording, stream_rate_hz)
     _check_length(resampled.samples.size)

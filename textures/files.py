@@ -7,7 +7,7 @@ import numpy as np
 import soundfile
 from numpy.typing import ArrayLike
 
-from vibrocast.textures import arrays, hdf5, mat, p1918, wav
+from vibrocast.textures import arguments, arrays, hdf5, mat, p1918, wav
 from vibrocast.textures.axes import AXES, DFT321, REDUCTIONS, reduced
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, TextureError
@@ -41,7 +41,12 @@ def load(
     HDF5 file. `hand_speed_mm_s`: of the sweep over a height profile. Raises TextureError, which says what to do, for
     all that fails.
     """
-    path = Path(path)
+    path = arguments.file_path("path", path)
+    rate_hz = arguments.optional_number("rate_hz", rate_hz)
+    full_scale = arguments.optional_number("full_scale", full_scale)
+    hand_speed_mm_s = arguments.optional_number("hand_speed_mm_s", hand_speed_mm_s)
+    for name, text in (("unit", unit), ("axis", axis), ("reduce", reduce), ("key", key)):
+        arguments.of_type(name, text, str, "text")
     if axis is not None and axis.upper() not in AXES:
         raise TextureError(f"`axis`={axis}: not one of {', '.join(AXES)}; for one signal of all three give `reduce`")
     if reduce is not None and reduce not in REDUCTIONS:
@@ -97,7 +102,7 @@ def from_array(
 
 def load_profile(path: str | Path) -> Profile:
     """Load a height profile: CSV or TXT with columns such as position_um and height_um. Raises TextureError."""
-    path = Path(path)
+    path = arguments.file_path("path", path)
     if path.suffix.lower() not in TEXT_SUFFIXES:
         raise TextureError(f"{path}: a height profile is one of {', '.join(TEXT_SUFFIXES)}")
     try:

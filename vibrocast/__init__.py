@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         load,
         load_profile,
         measure,
+        register,
         render,
     )
 
@@ -36,6 +37,7 @@ __all__ = [
     "load",
     "load_profile",
     "measure",
+    "register",
     "render",
 ]
 

@@ -1,6 +1,7 @@
 """The public API: plain arrays and bytes in and out. Import it as `vibrocast`."""
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +10,14 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 from numpy.typing import ArrayLike
 
 from vibrocast import extras, models, textures
-from vibrocast.codec import CODECS, Codec, Setting
+from vibrocast.codec import CODECS, RUNTIMES, BlockCodec, Codec, CodecError, Setting, as_codec
+from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.host import actuators, coding, devices, end_to_end, flasher, player
 from vibrocast.host.coding import Stream
 from vibrocast.host.controller import Controller
 from vibrocast.host.report import Report
 from vibrocast.simulated_device.actuator import Actuator
-from vibrocast.textures import HIGHPASS_HZ, Profile, Recording, TextureError, load, load_profile
+from vibrocast.textures import HIGHPASS_HZ, Profile, Recording, TextureError, arguments, load, load_profile
 
 if TYPE_CHECKING:
     from vibrocast.evaluation.metrics import Quality
@@ -35,8 +37,12 @@ __all__ = [
     "load",
     "load_profile",
     "measure",
+    "register",
     "render",
 ]
+
+_MAX_STREAM_RATE_HZ = 200_000
+_MAX_LOOPS = 1_000_000
 
 Progress = Callable[[float], None]
 """Called with the part of the work that is done, from 0 to 1."""
@@ -57,7 +63,7 @@ def encode(
     live: bool = False,
     progress: Progress | None = None,
 ) -> Stream:
-    """Encode a recording, or samples (n,) or (n, channels) of any real dtype, at an SNR of 15 dB or as you ask.
+    """Encode a Recording, or samples (n,) or (n, channels) of any real dtype, at an SNR of 15 dB or as you ask.
 
     `rate_hz`: sample rate of the samples. `unit`: one of textures.INPUT_UNITS, such as "m/s^2", "g", "um" or "drive"
     (the actuator's drive signal, 1.0 = full scale); None = "full scale", whose size nobody knows. A Recording has
@@ -68,17 +74,20 @@ def encode(
     keeps the whole band. `live`: packets as for a link that may lose some. Read `Stream.quality` for the SNR reached
     and the energy removed. Raises TextureError, CodecError, StreamError or ModelError, all of them ValueError.
     """
+    arguments.of_type("codec", codec, str, "a name in `codecs()`")
+    arguments.of_type("setting", setting, Mapping, "a mapping of parameters to values")
+    _check_callable(progress)
     encoding = coding.encode(
         _recording(samples, rate_hz, unit),
-        stream_rate_hz=stream_rate_hz,
+        stream_rate_hz=arguments.whole_number("stream_rate_hz", stream_rate_hz, 1, _MAX_STREAM_RATE_HZ),
         codec_name=codec,
-        rate_bps=rate_bps,
-        snr_db=snr_db,
+        rate_bps=arguments.optional_number("rate_bps", rate_bps),
+        snr_db=arguments.optional_number("snr_db", snr_db),
         setting=setting,
         model=_model(model),
         live=live,
         progress=progress,
-        highpass_hz=coding.highpass_of(unit, highpass_hz),
+        highpass_hz=coding.highpass_of(unit, arguments.optional_number("highpass_hz", highpass_hz)),
     )
     return replace(encoding.stream, quality=encoding.quality)
 
@@ -94,8 +103,9 @@ def decode(
     `model`: of a stream coded for a model that does not ship. Raises StreamError or CodecError (ValueError) on damaged
     data, on a height profile (call `Stream.profile`), and OSError where the file cannot be read.
     """
-    name = Path(data).stem if isinstance(data, str | Path) else "decoded"
-    return _stream(data, model).recording(name, progress)
+    _check_callable(progress)
+    name = Path(data).stem if isinstance(data, str | os.PathLike) else "decoded"
+    return _stream("data", data, model).recording(name, progress)
 
 
 def measure(
@@ -114,8 +124,12 @@ def measure(
     extras.require("bench", "vibromaf")
     from vibrocast.evaluation import metrics
 
+    for name, each in (("reference", reference), ("decoded", decoded)):
+        if isinstance(each, Recording):
+            raise TextureError(f"`{name}` is a Recording; pass its `samples`")
     x, y = _recording(reference, rate_hz, unit), _recording(decoded, rate_hz, unit)
-    pair = [textures.highpass(each, highpass_hz).recording.samples for each in (x, y)]
+    corner_hz = arguments.optional_number("highpass_hz", highpass_hz)
+    pair = [textures.highpass(each, corner_hz).recording.samples for each in (x, y)]
     return metrics.measure(pair[0], pair[1], x.rate_hz, x.unit)
 
 
@@ -133,9 +147,7 @@ def render(
     for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError or ActuatorFileError
     (ValueError).
     """
-    chosen = _stream(stream, None)
-    end_to_end.check_unit(chosen.header.unit, unit)
-    return end_to_end.at_the_skin(chosen.with_gain(gain_db), _actuator(actuator))
+    return end_to_end.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
 
 
 class Connection:
@@ -159,16 +171,16 @@ class Connection:
         `unit`: "drive" for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError for what
         the controller cannot play, ControllerError or TransportError where the device fails.
         """
-        chosen = _stream(stream, None)
-        end_to_end.check_unit(chosen.header.unit, unit)
-        name = str(stream) if isinstance(stream, str | Path) else "stream"
+        chosen = _playable(stream, unit, gain_db)
+        _check_callable(progress)
+        name = str(stream) if isinstance(stream, str | os.PathLike) else "stream"
         simulated = self._address in devices.WITH_ANY_ACTUATOR
         outcome = end_to_end.play(
             self.controller,
             self._address,
             name,
-            chosen.with_gain(gain_db),
-            loops=loops,
+            chosen,
+            loops=arguments.whole_number("loops", loops, 1, _MAX_LOOPS),
             progress=progress,
             actuator=self._actuator if simulated else None,
             skin_model=self._actuator,
@@ -182,7 +194,8 @@ class Connection:
     def upload(self, model: str | Path | models.Model) -> None:
         """Upload a trained model into the controller's flash memory, verify it and start it."""
         chosen = _model(model)
-        assert chosen is not None
+        if chosen is None:
+            raise models.ModelError("`model` is None; pass the name, the folder or the image of a model")
         flasher.flash(self.controller, chosen.image)
 
     def stop(self) -> None:
@@ -200,14 +213,33 @@ def connect(
     real controller; None = as the controller says. `runtime`: "core" or "onnx", by which a simulated controller
     decodes. Raises TransportError or ControllerError.
     """
+    if not isinstance(address, str):
+        raise TextureError(f'`address` is of type {type(address).__name__}; pass text such as "sim"')
+    if runtime not in (None, *RUNTIMES):
+        raise CodecError(f"`runtime` is {runtime!r}; pass one of {', '.join(RUNTIMES)}")
     chosen = None if actuator is None else _actuator(actuator)
     with devices.connect(address, runtime, chosen) as controller:
         yield Connection(controller, address, chosen)
 
 
 def codecs() -> Mapping[str, Codec]:
-    """Return the codecs by name, those of other packages included (entry point group `vibrocast.codecs`)."""
+    """Return the codecs by name: vibrocast's own, those of other packages, and those that you registered."""
     return CODECS
+
+
+def register(codec: BlockCodec | type[BlockCodec] | Codec) -> Codec:
+    """Add a codec to `codecs()` in this process, or replace one that you registered; return it as listed there.
+
+    `codec`: an object or a class as docs/codecs.md, "A codec of your own", describes. Processes that vibrocast starts,
+    such as the workers of `vibrocast bench`, do not know it; for these, install a package with an entry point in the
+    group `vibrocast.codecs`. Raises CodecError (ValueError) where something of it is missing or its name is taken.
+    """
+    try:
+        registered = as_codec(codec)
+        CODECS.add(registered)
+    except CodecError as error:
+        raise CodecError(f"`codec` cannot be registered: {error}") from error
+    return registered
 
 
 def _recording(samples: ArrayLike | Recording, rate_hz: SupportsFloat | None, unit: str | None) -> Recording:
@@ -215,14 +247,23 @@ def _recording(samples: ArrayLike | Recording, rate_hz: SupportsFloat | None, un
         if rate_hz is not None or unit is not None:
             raise TextureError(f"{samples.name}: the recording states its rate and unit; leave out `rate_hz`, `unit`")
         return samples
+    if isinstance(samples, str | os.PathLike):
+        raise TextureError(f"{samples}: `samples` is a path; pass `vibrocast.load` of it")
     if rate_hz is None:
         raise TextureError("`rate_hz` is missing; pass the sample rate of the samples")
-    return textures.from_array(samples, float(rate_hz), unit or "full scale")
+    arguments.of_type("unit", unit, str, 'text such as "m/s^2"')
+    return textures.from_array(samples, arguments.number("rate_hz", rate_hz), "full scale" if unit is None else unit)
 
 
-def _stream(data: bytes | str | Path | Stream, model: str | Path | models.Model | None) -> Stream:
+def _stream(name: str, data: bytes | str | Path | Stream, model: str | Path | models.Model | None) -> Stream:
     if isinstance(data, Stream):
+        if model is not None:
+            raise StreamError("a Stream has its model; leave out `model`")
         return data
+    if not isinstance(data, str | os.PathLike | bytes | bytearray | memoryview):
+        raise StreamError(
+            f"`{name}` is of type {type(data).__name__}; pass a Stream, its bytes or the path of a .vct file"
+        )
     chosen = _model(model)
     image = None if chosen is None else chosen.image
     if isinstance(data, bytes | bytearray | memoryview):
@@ -230,9 +271,29 @@ def _stream(data: bytes | str | Path | Stream, model: str | Path | models.Model 
     return coding.read(Path(data), image)
 
 
+def _playable(data: bytes | str | Path | Stream, unit: str | None, gain_db: float) -> Stream:
+    stream = _stream("stream", data, None)
+    if unit not in (None, "drive"):
+        raise CodecError(f'`unit` is {unit!r}; pass "drive" for the drive signal of an actuator, or leave it out')
+    if unit == "drive" and stream.header.unit != "full scale":
+        raise CodecError(f"the stream states its unit, {stream.header.unit}; leave out `unit`")
+    end_to_end.check_unit(stream.header.unit, unit)
+    return stream.with_gain(arguments.number("gain_db", gain_db))
+
+
+def _check_callable(progress: object) -> None:
+    if progress is not None and not callable(progress):
+        raise TextureError(f"`progress` is of type {type(progress).__name__}; pass a function of one argument")
+
+
 def _model(model: str | Path | models.Model | None) -> models.Model | None:
+    arguments.of_type("model", model, (str, os.PathLike, models.Model), "a name, a path or a Model")
     return model if model is None or isinstance(model, models.Model) else models.find(str(model))
 
 
 def _actuator(actuator: str | Path | Actuator) -> Actuator:
-    return actuator if isinstance(actuator, Actuator) else actuators.find(actuator)
+    if isinstance(actuator, Actuator):
+        return actuator
+    if not isinstance(actuator, str | os.PathLike):
+        raise TextureError(f"`actuator` is of type {type(actuator).__name__}; pass a name, an Actuator or a TOML file")
+    return actuators.find(actuator)

@@ -1,0 +1,43 @@
+"""Checks the types of arguments: a wrong one gets an error that names the parameter."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from vibrocast.textures.recording import TextureError
+
+
+def of_type(name: str, value: Any, types: type | tuple[type, ...], wanted: str) -> None:
+    """Raise TextureError unless the value is None or of one of the types. `wanted`: these types in words."""
+    if value is not None and not isinstance(value, types):
+        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass {wanted}")
+
+
+def number(name: str, value: Any) -> float:
+    """Return a number of any type as a float. Raises TextureError for anything else, text included."""
+    try:
+        if isinstance(value, str | bytes | bool):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError):
+        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass a number") from None
+
+
+def optional_number(name: str, value: Any) -> float | None:
+    """Return None as it is, and else as `number` does."""
+    return None if value is None else number(name, value)
+
+
+def whole_number(name: str, value: Any, low: int, high: int) -> int:
+    """Return a whole number of any type from low to high. Raises TextureError for anything else."""
+    given = number(name, value)
+    if not (low <= given <= high and given.is_integer()):
+        raise TextureError(f"`{name}` is {value}; pass a whole number from {low} to {high}")
+    return int(given)
+
+
+def file_path(name: str, value: Any) -> Path:
+    """Return the path of a file. Raises TextureError for what is none."""
+    if not isinstance(value, str | os.PathLike):
+        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass the path of a file")
+    return Path(value)
