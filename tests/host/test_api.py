@@ -1,12 +1,17 @@
 """The public API: plain arrays and bytes in and out."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import soundfile
 
 import vibrocast
+from vibrocast import api, codec
+from vibrocast.codec import coding
 
 RATE_HZ = 2800
 TIMES_S = np.arange(RATE_HZ) / RATE_HZ
@@ -125,3 +130,140 @@ def test_lists_codecs_and_its_own_names() -> None:
     assert set(vibrocast.__all__) <= set(dir(vibrocast))
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         vibrocast.__getattr__("nothing")
+
+
+def test_encodes_a_wav_file_of_known_unit(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "wood.wav", TEXTURE / 50, RATE_HZ, subtype="FLOAT")
+    recording = vibrocast.load(tmp_path / "wood.wav", unit="m/s^2", full_scale=50)
+    np.testing.assert_allclose(recording.samples[:, 0], TEXTURE, atol=1e-5)
+    stream = vibrocast.encode(recording, snr_db=15)
+    assert stream.header.unit == "m/s^2"
+    assert stream.quality is not None and stream.quality.snr_db == pytest.approx(15, abs=0.3)
+
+
+class Rounded:
+    """A codec without a package."""
+
+    name, summary, block_samples, qualities = "rounded", "rounds", 16, range(1, 15)
+
+    def encode(self, samples: Any, quality: float) -> bytes:
+        return bytes(np.rint(samples * 2**quality).astype("<i2").tobytes())
+
+    def decode(self, data: bytes, samples: int, channels: int, quality: float) -> Any:
+        return np.frombuffer(data, "<i2").reshape(samples, channels) / 2**quality
+
+
+@pytest.fixture
+def own_registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    registry = coding.Codecs()
+    for module in (coding, codec, api):
+        monkeypatch.setattr(module, "CODECS", registry)
+
+
+@pytest.mark.usefixtures("own_registry")
+def test_a_registered_codec_is_as_any_other() -> None:
+    count = len(vibrocast.codecs())
+    for each in (Rounded, Rounded()):  # as where a cell of a notebook runs again
+        assert vibrocast.register(each) is vibrocast.codecs()["rounded"]
+    assert len(vibrocast.codecs()) == len(list(vibrocast.codecs())) == count + 1
+    stream = vibrocast.encode(TEXTURE, RATE_HZ, "m/s^2", codec="rounded", snr_db=20)
+    assert vibrocast.Stream.from_bytes(bytes(stream)).codec_name == "rounded"
+    with vibrocast.connect("sim") as controller:
+        assert controller.play(stream).decoded_equals_offline
+
+
+@pytest.mark.usefixtures("own_registry")
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "mdct"}, "there is a codec mdct already"),
+        ({"name": 5}, "its name has to be"),
+        ({"name": "n" * 65}, "its name has to be"),
+        ({"qualities": ()}, "finite numbers, at least one"),
+        ({"qualities": 3}, "finite numbers, at least one"),
+        ({"qualities": ["a"]}, "finite numbers, at least one"),
+        ({"block_samples": "16"}, "its block_samples is 16"),
+        ({"block_samples": 0}, "its block_samples is 0"),
+        ({"encode": None}, "it lacks name"),
+        ({"__init__": lambda self, needed: None}, "cannot be called without arguments"),
+    ],
+)
+def test_an_unusable_codec_is_not_registered(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^`codec` cannot be registered: .*{message}"):
+        vibrocast.register(type("Unusable", (Rounded,), changes))
+    with pytest.raises(ValueError, match="it lacks name"):
+        vibrocast.register(None)  # type: ignore[arg-type]
+
+
+STREAM = vibrocast.encode(TEXTURE, RATE_HZ, "m/s^2", codec="dct", setting={"levels": 20})
+
+
+def connected(*arguments: Any, **options: Any) -> Any:
+    with vibrocast.connect(*arguments, **options) as controller:
+        return controller
+
+
+def played(*arguments: Any, **options: Any) -> Any:
+    with vibrocast.connect("sim") as controller:
+        return controller.play(*arguments, **options)
+
+
+def encoded(**options: Any) -> Any:
+    return vibrocast.encode(TEXTURE, options.pop("rate_hz", RATE_HZ), **options)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: encoded(rate_hz="2800"), "`rate_hz` is of type str"),
+        (lambda: encoded(rate_hz=[1, 2]), "`rate_hz` is of type list"),
+        (lambda: encoded(unit=["g"]), "`unit` is of type list"),
+        (lambda: encoded(unit=""), "`unit`: unknown unit ''"),
+        (lambda: encoded(codec=vibrocast.codecs()["mdct"]), "`codec` is of type Codec"),
+        (lambda: encoded(setting="step=1"), "`setting` is of type str"),
+        (lambda: encoded(setting={"step": None}), "step is None"),
+        (lambda: encoded(setting={"colour": 1}), "no parameter colour"),
+        (lambda: encoded(snr_db="15"), "`snr_db` is of type str"),
+        (lambda: encoded(rate_bps=True), "`rate_bps` is of type bool"),
+        (lambda: encoded(rate_bps=1000, snr_db=10), "`rate_bps` and `snr_db` are both given"),
+        (lambda: encoded(stream_rate_hz=2800.5), "`stream_rate_hz` is 2800.5"),
+        (lambda: encoded(stream_rate_hz=None), "`stream_rate_hz` is of type NoneType"),
+        (lambda: encoded(highpass_hz="20"), "`highpass_hz` is of type str"),
+        (lambda: encoded(model=5), "`model` is of type int"),
+        (lambda: encoded(progress=5), "`progress` is of type int"),
+        (lambda: vibrocast.encode("wood.wav"), "`samples` is a path"),
+        (lambda: vibrocast.decode(TEXTURE), "`data` is of type ndarray"),
+        (lambda: vibrocast.decode(STREAM, model="eva-16"), "leave out `model`"),
+        (lambda: vibrocast.decode(STREAM, progress=5), "`progress` is of type int"),
+        (lambda: vibrocast.Stream.from_bytes("VCT"), "`data` is of type str"),
+        (lambda: STREAM.save(None), "`path` is of type NoneType"),
+        (lambda: vibrocast.measure(TEXTURE, vibrocast.decode(STREAM), RATE_HZ), "`decoded` is a Recording"),
+        (lambda: vibrocast.measure(TEXTURE, TEXTURE, RATE_HZ, highpass_hz="x"), "`highpass_hz` is of type str"),
+        (lambda: vibrocast.render(None), "`stream` is of type NoneType"),
+        (lambda: vibrocast.render(STREAM, None), "`actuator` is of type NoneType"),
+        (lambda: vibrocast.render(STREAM, gain_db="3"), "`gain_db` is of type str"),
+        (lambda: vibrocast.render(STREAM, gain_db=1e9), "`gain_db` is 1000000000.0"),
+        (lambda: vibrocast.render(STREAM, gain_db=-1e9), "`gain_db` is -1000000000.0"),
+        (lambda: vibrocast.render(STREAM, unit="bar"), "`unit` is 'bar'"),
+        (lambda: vibrocast.render(STREAM, unit="drive"), "leave out `unit`"),
+        (lambda: connected(None), "`address` is of type NoneType"),
+        (lambda: connected(runtime="x"), "`runtime` is 'x'"),
+        (lambda: connected(actuator=5), "`actuator` is of type int"),
+        (lambda: played(STREAM, loops=0), "`loops` is 0"),
+        (lambda: played(STREAM, loops="2"), "`loops` is of type str"),
+        (lambda: vibrocast.load(None), "`path` is of type NoneType"),
+        (lambda: vibrocast.load("wood.wav", axis=3), "`axis` is of type int"),
+        (lambda: vibrocast.load("wood.wav", full_scale="x"), "`full_scale` is of type str"),
+        (lambda: vibrocast.load_profile(None), "`path` is of type NoneType"),
+    ],
+)
+def test_a_wrong_argument_is_an_error_of_one_line(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ValueError) as raised:
+        call()
+    assert message in str(raised.value) and "\n" not in str(raised.value) and "--" not in str(raised.value)
+
+
+def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
+    for path in (tmp_path / "absent.vct", tmp_path):
+        with pytest.raises((OSError, ValueError), match=re.escape(str(path))):
+            vibrocast.decode(path)
