@@ -51,7 +51,7 @@ class Codecs(Mapping[str, Codec]):
 
     def add(self, codec: Codec) -> None:
         """Add a codec, or replace one added before. Raises CodecError where a package or vibrocast has the name."""
-        if codec.name in BUILT_IN or codec.name in self._loaded[0]:
+        if codec.name in self._loaded[0]:
             raise CodecError(f"there is a codec {codec.name} already; rename yours")
         self._added[codec.name] = codec
 

@@ -43,10 +43,15 @@ class BlockCodec(Protocol):
     SNR or a rate tries them and values between.
     """
 
-    name: str
-    summary: str
-    block_samples: int
-    qualities: Sequence[float]
+    # Properties, so that a type checker takes attributes of narrower types, such as a range.
+    @property
+    def name(self) -> str: ...
+    @property
+    def summary(self) -> str: ...
+    @property
+    def block_samples(self) -> int: ...
+    @property
+    def qualities(self) -> Sequence[float]: ...
 
     def encode(self, samples: Signal, quality: float) -> bytes:
         """Return the bytes of one packet. `samples`: float64 (n, channels) within -1 to 1; never modify it."""

@@ -198,6 +198,10 @@ def test_an_unusable_codec_is_not_registered(changes: dict[str, Any], message: s
 STREAM = vibrocast.encode(TEXTURE, RATE_HZ, "m/s^2", codec="dct", setting={"levels": 20})
 
 
+untyped: Any = vibrocast
+"""The package, for arguments that a type checker refuses."""
+
+
 def connected(*arguments: Any, **options: Any) -> Any:
     with vibrocast.connect(*arguments, **options) as controller:
         return controller
@@ -231,30 +235,30 @@ def encoded(**options: Any) -> Any:
         (lambda: encoded(highpass_hz="20"), "`highpass_hz` is of type str"),
         (lambda: encoded(model=5), "`model` is of type int"),
         (lambda: encoded(progress=5), "`progress` is of type int"),
-        (lambda: vibrocast.encode("wood.wav"), "`samples` is a path"),
-        (lambda: vibrocast.decode(TEXTURE), "`data` is of type ndarray"),
-        (lambda: vibrocast.decode(STREAM, model="eva-16"), "leave out `model`"),
-        (lambda: vibrocast.decode(STREAM, progress=5), "`progress` is of type int"),
-        (lambda: vibrocast.Stream.from_bytes("VCT"), "`data` is of type str"),
-        (lambda: STREAM.save(None), "`path` is of type NoneType"),
-        (lambda: vibrocast.measure(TEXTURE, vibrocast.decode(STREAM), RATE_HZ), "`decoded` is a Recording"),
-        (lambda: vibrocast.measure(TEXTURE, TEXTURE, RATE_HZ, highpass_hz="x"), "`highpass_hz` is of type str"),
-        (lambda: vibrocast.render(None), "`stream` is of type NoneType"),
-        (lambda: vibrocast.render(STREAM, None), "`actuator` is of type NoneType"),
-        (lambda: vibrocast.render(STREAM, gain_db="3"), "`gain_db` is of type str"),
-        (lambda: vibrocast.render(STREAM, gain_db=1e9), "`gain_db` is 1000000000.0"),
-        (lambda: vibrocast.render(STREAM, gain_db=-1e9), "`gain_db` is -1000000000.0"),
-        (lambda: vibrocast.render(STREAM, unit="bar"), "`unit` is 'bar'"),
-        (lambda: vibrocast.render(STREAM, unit="drive"), "leave out `unit`"),
+        (lambda: untyped.encode("wood.wav"), "`samples` is a path"),
+        (lambda: untyped.decode(TEXTURE), "`data` is of type ndarray"),
+        (lambda: untyped.decode(STREAM, model="eva-16"), "leave out `model`"),
+        (lambda: untyped.decode(STREAM, progress=5), "`progress` is of type int"),
+        (lambda: untyped.Stream.from_bytes("VCT"), "`data` is of type str"),
+        (lambda: untyped.Stream.save(STREAM, None), "`path` is of type NoneType"),
+        (lambda: untyped.measure(TEXTURE, vibrocast.decode(STREAM), RATE_HZ), "`decoded` is a Recording"),
+        (lambda: untyped.measure(TEXTURE, TEXTURE, RATE_HZ, highpass_hz="x"), "`highpass_hz` is of type str"),
+        (lambda: untyped.render(None), "`stream` is of type NoneType"),
+        (lambda: untyped.render(STREAM, None), "`actuator` is of type NoneType"),
+        (lambda: untyped.render(STREAM, gain_db="3"), "`gain_db` is of type str"),
+        (lambda: untyped.render(STREAM, gain_db=1e9), "`gain_db` is 1000000000.0"),
+        (lambda: untyped.render(STREAM, gain_db=-1e9), "`gain_db` is -1000000000.0"),
+        (lambda: untyped.render(STREAM, unit="bar"), "`unit` is 'bar'"),
+        (lambda: untyped.render(STREAM, unit="drive"), "leave out `unit`"),
         (lambda: connected(None), "`address` is of type NoneType"),
         (lambda: connected(runtime="x"), "`runtime` is 'x'"),
         (lambda: connected(actuator=5), "`actuator` is of type int"),
         (lambda: played(STREAM, loops=0), "`loops` is 0"),
         (lambda: played(STREAM, loops="2"), "`loops` is of type str"),
-        (lambda: vibrocast.load(None), "`path` is of type NoneType"),
-        (lambda: vibrocast.load("wood.wav", axis=3), "`axis` is of type int"),
-        (lambda: vibrocast.load("wood.wav", full_scale="x"), "`full_scale` is of type str"),
-        (lambda: vibrocast.load_profile(None), "`path` is of type NoneType"),
+        (lambda: untyped.load(None), "`path` is of type NoneType"),
+        (lambda: untyped.load("wood.wav", axis=3), "`axis` is of type int"),
+        (lambda: untyped.load("wood.wav", full_scale="x"), "`full_scale` is of type str"),
+        (lambda: untyped.load_profile(None), "`path` is of type NoneType"),
     ],
 )
 def test_a_wrong_argument_is_an_error_of_one_line(call: Callable[[], Any], message: str) -> None:
