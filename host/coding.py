@@ -207,12 +207,15 @@ class Stream:
         if gain_db == 0:
             return self
         if not math.isfinite(gain_db):
-            raise codec.CodecError(f"gain_db is {gain_db}; give a finite number")
+            raise codec.CodecError(f"`gain_db`={gain_db}: give a finite number")
         try:
-            factor = 10 ** (gain_db / 20)
-            gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
-        except OverflowError as error:
-            raise codec.CodecError(f"gain_db is {gain_db}; give a smaller number") from error
+            # Of the smallest numbers, a product may be 0, which would stand for silence at full level.
+            levels = [gain * 10 ** (gain_db / 20) or math.ulp(0.0) for gain in self.header.gains]
+            gains = tuple(map(codec.nearest_gain, levels))
+        except (OverflowError, codec.CodecError) as error:
+            raise codec.CodecError(
+                f"`gain_db`={gain_db:g}: beyond any level of a stream; give a number nearer to 0"
+            ) from error
         return replace(self, header=replace(self.header, gains=gains))
 
     def facts(self) -> dict[str, Any]:
@@ -451,11 +454,6 @@ def _shortfall(
                 f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting that was tried comes nearer from above"
             )
     return None
-
-
-def highpass_of(unit: str | None, highpass_hz: float | None) -> float | None:
-    """Return the corner of the high-pass for a recording loaded with this `unit`: None for a drive signal."""
-    return None if unit == "drive" else highpass_hz
 
 
 def image_hash(image: bytes) -> bytes:

@@ -117,7 +117,7 @@ def play(
         source: coding.Stream | textures.Recording = replace(coded, runtime=runtime)
     else:
         quality = quality_of(choices)
-        source = textures.load(file, **choices)
+        source = textures.load_for_actuators(file, **choices)
     end_to_end.check_unit(source.header.unit if isinstance(source, coding.Stream) else source.unit, unit)
     with devices.connect(address, runtime, actuator) as controller:
         # What the controller cannot play need not be encoded first.
