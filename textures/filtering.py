@@ -48,7 +48,8 @@ def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> H
 
     A linear-phase FIR filter (Kaiser window, 60 dB) without delay: the band from `highpass_hz` on keeps its amplitude
     to 0.1 %, what lies 10 % lower is 60 dB down, and a constant or a ramp vanishes. Before and after the recording, the
-    slow movement of its ends is taken to go on (`_mirrored`). Raises TextureError unless 0 < `highpass_hz` < half the rate.
+    slow movement of its ends is taken to go on (`_mirrored`). Raises TextureError unless 0 < `highpass_hz` < half the
+    rate.
     """
     if highpass_hz is None or not is_vibration(recording.unit):
         return HighPassed(recording, None, 0.0)

@@ -47,4 +47,4 @@ def test_gravity_distance_and_drift_of_a_sensor_leave_no_step(unit: str, offset:
         fidelity.displacement_above_20_hz(Recording(samples, 10_000, unit, "sensor"), 2800)
         for samples in (noise, moved)
     )
-    np.testing.assert_allclose(other, flat, atol=1e-3 * np.std(flat))
+    np.testing.assert_allclose(other, flat, atol=1e-3 * float(np.std(flat)))

@@ -572,6 +572,17 @@ def test_an_offset_does_not_change_the_quality(texture: Path, tmp_path: Path) ->
     assert "removed" not in succeeds("encode", moved, tmp_path / "out.vct", "--keep-dc")
 
 
+@pytest.mark.parametrize("options", [("--hand-speed-mm-s", 50), ("--spatial",)])
+def test_an_offset_of_heights_changes_no_byte(options: tuple[object, ...], tmp_path: Path) -> None:
+    profile, written = textures.surface_profile("rough", seconds=0.3), []
+    for name, offset_um in (("flat", 0.0), ("high", 1000.0)):
+        path = tmp_path / f"{name}.csv"
+        textures.save_profile(path, replace(profile, heights_um=profile.heights_um.round(3) + offset_um))
+        assert "removed" not in succeeds("encode", path, tmp_path / "out.vct", *options)
+        written.append((tmp_path / "out.vct").read_bytes())
+    assert written[0] == written[1]
+
+
 def test_play_asks_how_one_actuator_plays_three_axes(tmp_path: Path) -> None:
     path, samples = tmp_path / "axes.csv", np.random.default_rng(0).normal(size=(560, 3))
     textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "axes", textures.AXES))
@@ -604,7 +615,7 @@ def test_a_file_that_describes_no_actuator_is_one_line(content: str, cause: str,
 
 
 def test_a_level_beyond_any_stream_is_refused(texture: Path) -> None:
-    for gain_db in (-1e9, -7000, -740, 800, 1e9):
+    for gain_db in (-1e9, -401, 401, 1e9):
         assert "--gain-db" in fails(2, "play", texture, f"--gain-db={gain_db}")
     assert "finite" in fails(2, "play", texture, "--gain-db", "nan")
     assert "(silence)" in succeeds("play", texture, "--gain-db", -400)

@@ -154,7 +154,8 @@ def test_no_value_makes_anything_but_a_scene_or_an_error(key: str, value: object
 def test_an_offset_changes_no_plan_but_of_a_drive_signal(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).normal(size=(2800, 1))
     workbenches = []
-    for number, added in enumerate((0.0, 9.81, np.linspace(-2, 3, 2800)[:, None])):
+    for number, ends in enumerate(((0.0, 0.0), (9.81, 9.81), (-2.0, 3.0))):
+        added = np.linspace(*ends, 2800)[:, None]
         save(tmp_path / f"{number}.wav", Recording(noise + added, 2800, "m/s^2", "noise"))
         read = scene(tmp_path, texture=f'[[textures]]\nname = "noise"\nfile = "{number}.wav"\n')
         workbenches.append(Workbench(read, read.textures[0]))
