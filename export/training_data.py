@@ -131,7 +131,7 @@ def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tup
     except dataset.DatasetError as error:
         raise TextureError(str(error)) from error
     for trace in chosen:
-        recording = dataset.load(trace, rate_hz, **options)
+        recording = dataset.load_highpassed(trace, textures.HIGHPASS_HZ, rate_hz, **options).recording
         try:
             material = trace.material
         except dataset.DatasetError:  # then each recording counts as a material of its own

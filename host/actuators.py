@@ -30,7 +30,7 @@ def find(name_or_path: str | Path) -> Actuator:
     document = read_toml(path, "description of an actuator", ActuatorFileError)
     entries = document.get("actuators", [document])
     if not (isinstance(entries, list) and len(entries) == 1 and isinstance(entries[0], dict)):
-        raise ActuatorFileError(f"{path}: describes several actuators; give a file with one")
+        raise ActuatorFileError(f"{path}: not one actuator; give a file with its keys, or with one table [[actuators]]")
     # Where it is installed is no property of the actuator.
     keys = {key: value for key, value in entries[0].items() if key not in ("controller", "channel")}
     table = Table(path, "actuator", keys, ActuatorFileError)

@@ -131,9 +131,8 @@ def bench(
         removed: dict[str, float] = {}
 
         def load(trace: Trace) -> textures.Recording:
-            loaded = dataset.load(trace, **options)
-            passed = textures.highpass(loaded, highpass_hz)
-            units[trace.name], removed[trace.name] = loaded.unit, passed.removed_energy
+            passed = dataset.load_highpassed(trace, highpass_hz, **options)
+            units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
             return passed.recording
 
         imported: tuple[list[Point], list[Timing]] = ([], [])

@@ -212,9 +212,14 @@ class Stream:
         if gain_db == 0:
             return self
         if not abs(gain_db) <= MAX_GAIN_DB:
-            raise codec.CodecError(f"`gain_db` is {gain_db}; give -{MAX_GAIN_DB} to {MAX_GAIN_DB}")
+            raise codec.CodecError(f"`gain_db`={gain_db:g}: beyond any level of a stream; give a number nearer to 0")
         factor = 10 ** (gain_db / 20)
-        gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
+        try:
+            gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
+        except codec.CodecError as error:
+            raise codec.CodecError(
+                f"`gain_db`={gain_db:g}: beyond any level of a stream; give a number nearer to 0"
+            ) from error
         return replace(self, header=replace(self.header, gains=gains))
 
     def facts(self) -> dict[str, Any]:
@@ -455,11 +460,6 @@ def _shortfall(
                 f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting that was tried comes nearer from above"
             )
     return None
-
-
-def highpass_of(unit: str | None, highpass_hz: float | None) -> float | None:
-    """Return the corner of the high-pass for a recording loaded with this `unit`: None for a drive signal."""
-    return None if unit == "drive" else highpass_hz
 
 
 def image_hash(image: bytes) -> bytes:

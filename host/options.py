@@ -186,7 +186,7 @@ quality_options = options(
 def highpass_of(choices: dict[str, Any]) -> float | None:
     """Take --keep-dc out of all choices; return the corner of the high-pass before coding, None = no high-pass."""
     keep_dc = choices.pop("keep_dc")
-    return coding.highpass_of(choices.get("unit"), None if keep_dc else textures.HIGHPASS_HZ)
+    return textures.highpass_of(choices.get("unit"), None if keep_dc else textures.HIGHPASS_HZ)
 
 
 def quality_of(choices: dict[str, Any]) -> dict[str, Any]:

@@ -51,7 +51,9 @@ ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 @click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
 @click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
-@click.option("--gain-db", type=Finite(), default=0.0, show_default=True, help="Raise or lower the level.")
+@click.option(
+    "--gain-db", type=Finite(min=-400, max=400), default=0.0, show_default=True, help="Raise or lower the level."
+)
 @click.option(
     "--actuator",
     "actuator_name",
@@ -117,7 +119,7 @@ def play(
         source: coding.Stream | textures.Recording = replace(coded, runtime=runtime)
     else:
         quality = quality_of(choices)
-        source = textures.load(file, **choices)
+        source = textures.load_for_actuators(file, **choices)
     end_to_end.check_unit(source.header.unit if isinstance(source, coding.Stream) else source.unit, unit)
     with devices.connect(address, runtime, actuator) as controller:
         # What the controller cannot play need not be encoded first.

@@ -1,8 +1,16 @@
 """Recordings and height profiles in and out: files, data sets, units, resampling; and a texture generator."""
 
 from vibrocast.textures.axes import AXES, REDUCTIONS
-from vibrocast.textures.files import SAVED_SUFFIXES, from_array, load, load_profile, save, save_profile
-from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass, is_vibration
+from vibrocast.textures.files import (
+    SAVED_SUFFIXES,
+    from_array,
+    load,
+    load_for_actuators,
+    load_profile,
+    save,
+    save_profile,
+)
+from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass, highpass_of, is_vibration
 from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
@@ -23,8 +31,10 @@ __all__ = [
     "TextureError",
     "from_array",
     "highpass",
+    "highpass_of",
     "is_vibration",
     "load",
+    "load_for_actuators",
     "load_profile",
     "resample",
     "save",

@@ -160,14 +160,26 @@ def load(trace: Trace, stream_rate_hz: int | None = None, **options: Any) -> tex
     that states no unit, and gets none, is in "full scale". `stream_rate_hz`: None leaves the rate as it is. Raises
     TextureError with what to do.
     """
-    recording = textures.load(trace.path, **_options_for(trace, options))
+    return load_highpassed(trace, None, stream_rate_hz, **options).recording
+
+
+def load_highpassed(
+    trace: Trace, highpass_hz: float | None, stream_rate_hz: int | None = None, **options: Any
+) -> textures.HighPassed:
+    """Load a trace as `load` does, without the band below `highpass_hz`, which goes before anything is resampled.
+
+    As `textures.highpass`, for every unit but "drive"; None = the whole band. Raises as `load` and that.
+    """
+    chosen = _options_for(trace, options)
+    recording = textures.load(trace.path, **chosen)
     if math.isclose(recording.rate_hz, round(recording.rate_hz), rel_tol=RATE_TOLERANCE):
         recording = replace(recording, rate_hz=float(round(recording.rate_hz)))
     elif stream_rate_hz is None:
         raise TextureError(
             f"{trace.path}: {recording.rate_hz:g} Hz is no whole number; give the rate to code it at: `stream_rate_hz`"
         )
-    return textures.resample(recording, stream_rate_hz or recording.rate_hz)
+    passed = textures.highpass(recording, textures.highpass_of(chosen.get("unit"), highpass_hz))
+    return replace(passed, recording=textures.resample(passed.recording, stream_rate_hz or recording.rate_hz))
 
 
 def printable(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import soundfile
@@ -82,6 +83,20 @@ def load(
     # An error of the samples names the path; a recording is called by the file's name.
     checked = Recording(samples, rate_hz, output_unit, str(path), contents.axes)
     return replace(checked, name=path.stem if path.is_file() else path.name)
+
+
+def load_for_actuators(path: str | Path, reduce: str | None = None, **options: Any) -> Recording:
+    """Load a recording as `load` does, each channel for an actuator of its own.
+
+    Raises TextureError too where the channels are the axes of one texture, unless `reduce` asks for "none".
+    """
+    recording = load(path, reduce=reduce, **options)
+    if recording.axes and reduce is None:
+        raise TextureError(
+            f"{path}: three axes of one texture; pass `reduce` dft321, norm or none (one actuator for each axis), "
+            "or choose one with `axis`"
+        )
+    return recording
 
 
 def from_array(

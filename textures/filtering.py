@@ -18,6 +18,11 @@ ROUNDING = 1e-12
 """Of the peak: a filtered signal below it is the error of float64 arithmetic."""
 
 
+def highpass_of(unit: str | None, highpass_hz: float | None = HIGHPASS_HZ) -> float | None:
+    """Return the corner of the high-pass for a recording loaded with this `unit`: None for a drive signal."""
+    return None if unit == "drive" else highpass_hz
+
+
 @dataclass(frozen=True, eq=False)
 class HighPassed:
     """A recording without the band below `highpass_hz`; None = nothing was removed.
@@ -42,8 +47,9 @@ def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> H
     """Return the recording without what lies below `highpass_hz`; None = as it is, and so with another unit.
 
     A linear-phase FIR filter (Kaiser window, 60 dB) without delay: the band from `highpass_hz` on keeps its amplitude
-    to 0.1 %, what lies 10 % lower is 60 dB down, and a constant or a ramp vanishes. The ends are mirrored through
-    their last sample. Raises TextureError unless 0 < `highpass_hz` < half the rate.
+    to 0.1 %, what lies 10 % lower is 60 dB down, and a constant or a ramp vanishes. Before and after the recording, the
+    slow movement of its ends is taken to go on (`_mirrored`). Raises TextureError unless 0 < `highpass_hz` < half the
+    rate.
     """
     if highpass_hz is None or not is_vibration(recording.unit):
         return HighPassed(recording, None, 0.0)
@@ -60,14 +66,31 @@ def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> H
     low_pass = signal.firwin(taps, highpass_hz - width_hz / 2, window=("kaiser", beta), fs=recording.rate_hz)
     filtered = np.empty_like(recording.samples)
     for channel, samples in enumerate(recording.samples.T):
-        mirrored = np.pad(samples, taps // 2, mode="reflect", reflect_type="odd")
-        filtered[:, channel] = samples - signal.oaconvolve(mirrored, low_pass, mode="valid")
+        level, mirrored = _mirrored(samples, taps // 2, round(recording.rate_hz / highpass_hz))
+        filtered[:, channel] = level - signal.oaconvolve(mirrored, low_pass, mode="valid")
         if np.max(np.abs(filtered[:, channel])) <= ROUNDING * np.max(np.abs(samples)):
             filtered[:, channel] = 0.0  # nothing but the rounding of a constant or a ramp is left
     energy = float(np.sum(np.square(recording.samples)))
     kept = float(np.sum(np.square(filtered)))
     removed = min(1.0, max(0.0, 1 - kept / energy)) if energy > 0 else 0.0
     return HighPassed(replace(recording, samples=filtered), highpass_hz, removed)
+
+
+def _mirrored(samples: Signal, added: int, period: int) -> tuple[Signal, Signal]:
+    """Return samples (n,) less the line between their ends, and the same with `added` samples before and after.
+
+    An end is where the parabola through the first or last `period` of samples arrives one sample further out. About
+    these two points the samples are mirrored: their slow movement goes on, and no single sample decides its level.
+    """
+    fitted = min(period, len(samples))
+    places = np.arange(fitted) / period
+
+    def end(nearest: Signal) -> float:
+        return float(np.polyval(np.polyfit(places, nearest, min(2, fitted - 1)), -1 / period))
+
+    line = np.linspace(end(samples[:fitted]), end(samples[::-1][:fitted]), len(samples) + 2)[1:-1]
+    level = samples - line
+    return level, np.pad(np.concatenate(([0.0], level, [0.0])), added - 1, mode="reflect", reflect_type="odd")
 
 
 class LiveHighPass:

@@ -87,7 +87,7 @@ def encode(
         model=_model(model),
         live=live,
         progress=progress,
-        highpass_hz=coding.highpass_of(unit, arguments.optional_number("highpass_hz", highpass_hz)),
+        highpass_hz=textures.highpass_of(unit, arguments.optional_number("highpass_hz", highpass_hz)),
     )
     return replace(encoding.stream, quality=encoding.quality)
 

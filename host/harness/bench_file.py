@@ -252,7 +252,7 @@ def _texture(table: Table) -> Callable[[], Recording]:
         "hand_speed_mm_s": table.number("hand_speed_mm_s", None),
     }
     table.end()
-    return lambda: _loaded(table, partial(textures.load, path, **options))
+    return lambda: _loaded(table, partial(textures.load_for_actuators, path, **options))
 
 
 def _loaded(table: Table, load: Callable[[], Recording]) -> Recording:

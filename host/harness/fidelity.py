@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,8 +130,9 @@ def displacement_above_20_hz(recorded: Recording, rate_hz: int) -> Samples:
     """Return what a sensor recorded as displacement in um, (n,) at `rate_hz`."""
     from scipy import signal
 
-    samples = textures.resample(recorded, rate_hz).samples[:, 0]
-    samples = samples - np.mean(samples)
+    # Resampled as they are, gravity, a sensor's distance and their drift would be steps at both ends.
+    level = replace(recorded, samples=signal.detrend(recorded.samples, axis=0))
+    samples = textures.resample(level, rate_hz).samples[:, 0]
     if recorded.unit == "m/s^2":
         return np.asarray(signal.lfilter(*displacement_filter(rate_hz), samples))
     return _high_passed(samples, rate_hz)

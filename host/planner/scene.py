@@ -112,12 +112,22 @@ class Source:
     options: Mapping[str, Any]
 
     def load(self, hand_speed_mm_s: float) -> Recording | Profile:
-        """Load or make the texture; a lone height profile as such. Raises TextureError."""
+        """Load or make the texture; a lone height profile as such. Raises TextureError.
+
+        Of acceleration from files, the band below touch is removed, as `coding.encode` does: before anything resamples
+        or lengthens it, which would make an offset a step.
+        """
         if self.kind is not None:
             return textures.GENERATORS[self.kind](hand_speed_mm_s=hand_speed_mm_s, **self.options)
         if len(self.files) == 1 and (profile := _profile(self.files[0])) is not None:
             return profile
-        return together([textures.load(path, **self.options) for path in self.files])
+        return together([self._highpassed(path) for path in self.files])
+
+    def _highpassed(self, path: Path) -> Recording:
+        loaded = textures.load_for_actuators(path, **self.options)
+        if loaded.rate_hz <= 2 * textures.HIGHPASS_HZ:
+            return loaded  # no controller plays it, as the planner says
+        return textures.highpass(loaded, textures.highpass_of(self.options.get("unit"))).recording
 
     def sha256(self) -> str | None:
         """Return the SHA-256 of the files' bytes, one after another, in hexadecimal; None without files."""

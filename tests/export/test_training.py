@@ -420,3 +420,14 @@ def test_a_full_disk_leaves_the_checkpoint_that_was_there(
     with pytest.raises(OSError, match="No space left"):
         last.save(tmp_path / "last.pt")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"last.pt": before}
+
+
+def test_an_offset_of_recordings_is_not_trained_on(tmp_path: Path) -> None:
+    noise, found = np.random.default_rng(0).standard_normal(2800), []
+    for name, offset in (("flat", 0.0), ("gravity", 9.81)):
+        (tmp_path / name).mkdir()
+        np.savetxt(tmp_path / name / "Direct_-_probe_-_cork_-_slow_Z.txt", noise + offset)
+        text = TINY + f'[[folder]]\nfolder = "{name}"\nunit = "m/s^2"\n'
+        traces = training_data.load(configured(tmp_path, text).sources, tmp_path, 2000)
+        found += [trace.samples for trace in traces if trace.source == name]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-4)

@@ -9,7 +9,7 @@ import pytest
 from tests.harness.test_response import bench
 from vibrocast.host.harness import fidelity
 from vibrocast.simulated_device.actuator import PIEZO_STACK
-from vibrocast.textures import GENERATORS
+from vibrocast.textures import GENERATORS, Recording
 
 
 @pytest.mark.parametrize("unit", ["um", "m/s^2"])
@@ -37,3 +37,14 @@ def test_an_actuator_that_is_not_as_believed_is_seen() -> None:
     assert measured.as_computed is True
     assert measured.playing_snr_db is not None and measured.playing_snr_db < 20
     assert np.argmax(measured.spectrum.residual_db) > 0
+
+
+@pytest.mark.parametrize(("unit", "offset", "drift"), [("m/s^2", 9.81, 3.0), ("um", 1000.0, 50.0)])
+def test_gravity_distance_and_drift_of_a_sensor_leave_no_step(unit: str, offset: float, drift: float) -> None:
+    noise = np.random.default_rng(0).standard_normal((8000, 1))
+    moved = noise + offset + drift * np.linspace(0, 1, 8000)[:, None]
+    flat, other = (
+        fidelity.displacement_above_20_hz(Recording(samples, 10_000, unit, "sensor"), 2800)
+        for samples in (noise, moved)
+    )
+    np.testing.assert_allclose(other, flat, atol=1e-3 * float(np.std(flat)))

@@ -213,7 +213,7 @@ def test_an_offset_does_not_change_the_quality(tmp_path: Path) -> None:
     assert "more than 50% of the energy of gravity (--keep-dc" in result.stdout
     points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
     flat, gravity = ([point.snr_db for point in points if point.trace == name] for name in ("flat", "gravity"))
-    np.testing.assert_allclose(np.array(flat, float), np.array(gravity, float), atol=0.2)
+    np.testing.assert_allclose(np.array(flat, float), np.array(gravity, float), atol=0.02)
     result = vibrocast_bench(*arguments, "--out", tmp_path / "kept", "--keep-dc")
     assert "removed below" not in result.stdout
     kept = read_rows(tmp_path / "kept" / "results" / "points.csv", Point)

@@ -1,5 +1,6 @@
 """Tests of the way from recordings to coded streams and back."""
 
+import math
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -227,3 +228,11 @@ def test_a_model_that_does_not_fit_is_refused() -> None:
         coding.encode(noise(), codec_name="slp", model=MODEL)
     with pytest.raises(CodecError, match="wrong size"):
         coding.encode(noise(), model=models.Model("short", path, ModelImage(1, "short", "1", "", b"too short").pack()))
+
+
+@pytest.mark.parametrize("gain_db", [-1e9, -7000.0, -800.0, 800.0, 1e9, math.inf])
+def test_a_level_beyond_any_stream_is_refused(gain_db: float) -> None:
+    recording = textures.Recording(np.random.default_rng(0).normal(size=(280, 1)), 2800, "m/s^2", "noise")
+    stream = coding.encode(recording, setting={"step": 1.0}).stream
+    with pytest.raises(codec.CodecError, match=r"`gain_db`=.*give a (finite )?number"):
+        stream.with_gain(gain_db)

@@ -24,8 +24,9 @@ from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host import coding, devices
 from vibrocast.host.command_line import main
+from vibrocast.host.harness.bench_file import actuator_toml
 from vibrocast.host.report import Report
-from vibrocast.simulated_device.actuator import Codes
+from vibrocast.simulated_device.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.pty_port import PtyPort
 
@@ -569,6 +570,72 @@ def test_an_offset_does_not_change_the_quality(texture: Path, tmp_path: Path) ->
     assert figures[0] and figures[1]
     assert figures[0][1] == figures[1][1] and float(figures[1][2]) > 98 > float(figures[0][2])
     assert "removed" not in succeeds("encode", moved, tmp_path / "out.vct", "--keep-dc")
+
+
+@pytest.mark.parametrize("options", [("--hand-speed-mm-s", 50), ("--spatial",)])
+def test_an_offset_of_heights_changes_no_byte(options: tuple[object, ...], tmp_path: Path) -> None:
+    profile, written = textures.surface_profile("rough", seconds=0.3), []
+    for name, offset_um in (("flat", 0.0), ("high", 1000.0)):
+        path = tmp_path / f"{name}.csv"
+        textures.save_profile(path, replace(profile, heights_um=profile.heights_um.round(3) + offset_um))
+        assert "removed" not in succeeds("encode", path, tmp_path / "out.vct", *options)
+        written.append((tmp_path / "out.vct").read_bytes())
+    assert written[0] == written[1]
+
+
+def test_play_asks_how_one_actuator_plays_three_axes(tmp_path: Path) -> None:
+    path, samples = tmp_path / "axes.csv", np.random.default_rng(0).normal(size=(560, 3))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "axes", textures.AXES))
+    told = fails(2, "play", path)
+    assert f"{path}: three axes of one texture; pass --reduce dft321, norm or none (one actuator" in told
+    for choice, channels in (("--reduce=none", 3), ("--reduce=dft321", 1), ("--reduce=norm", 1), ("--axis=y", 1)):
+        assert f"{channels} channel(s)" in succeeds("play", path, choice)
+    succeeds("encode", path, tmp_path / "axes.vct")
+    assert "3 channel(s)" in succeeds("play", tmp_path / "axes.vct")
+
+
+@pytest.mark.parametrize(
+    ("content", "cause"),
+    [
+        ("", "stroke_um is missing"),
+        ("actuators = 3", "not one actuator"),
+        ("actuators = []", "not one actuator"),
+        ("[[actuators]]\n[[actuators]]", "not one actuator"),
+        ('model = "lra"\ncorner_hz = nan', "corner_hz must be a positive number"),
+        ('model = "lra"\nvolts = 1e300', "no controller can drive this actuator"),
+        ('model = "lra"\ncorner = 80', "there is no key corner"),
+        ("\0", "not a TOML file"),
+    ],
+)
+def test_a_file_that_describes_no_actuator_is_one_line(content: str, cause: str, texture: Path, tmp_path: Path) -> None:
+    path = tmp_path / "actuator.toml"
+    path.write_text(content)
+    told = fails(2, "play", texture, "--actuator", path)
+    assert str(path) in told and cause in told
+
+
+def test_a_level_beyond_any_stream_is_refused(texture: Path) -> None:
+    for gain_db in (-1e9, -401, 401, 1e9):
+        assert "--gain-db" in fails(2, "play", texture, f"--gain-db={gain_db}")
+    assert "finite" in fails(2, "play", texture, "--gain-db", "nan")
+    assert "(silence)" in succeeds("play", texture, "--gain-db", -400)
+    assert re.search(r"clipped [1-9]\d+", succeeds("play", texture, "--gain-db", 200))
+
+
+def test_the_actuator_that_measure_writes_is_taken(texture: Path, tmp_path: Path) -> None:
+    path = tmp_path / "measured.toml"
+    measured = replace(ACTUATORS["lra"], name="measured", corner_hz=161.0)
+    path.write_text(actuator_toml(measured, "one") + "channel = 0\n")
+    assert "measured, clipped" in succeeds("play", texture, "--actuator", path)
+
+
+def test_one_channel_of_eight_that_is_felt_is_enough(tmp_path: Path) -> None:
+    path, noise = tmp_path / "eight.wav", np.random.default_rng(0).normal(size=(560, 8))
+    for loud, felt in ((1.0, True), (1e-3, False)):
+        levels = np.array([1e-3, 0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, loud])
+        textures.save(path, textures.Recording(noise * levels, RATE_HZ, "m/s^2", "eight"))
+        told = vibrocast("play", path)
+        assert told.exit_code == 0 and ("nobody would feel this" in told.stderr) is not felt
 
 
 def test_level_and_actuator_are_your_own(texture: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
+from vibrocast.host.planner.candidates import Workbench
 from vibrocast.host.planner.scene import SceneError, read_scene
 from vibrocast.textures import Recording, save
 
@@ -148,3 +149,33 @@ def test_no_value_makes_anything_but_a_scene_or_an_error(key: str, value: object
     except SceneError:
         return
     assert read.textures
+
+
+def test_an_offset_changes_no_plan_but_of_a_drive_signal(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).normal(size=(2800, 1))
+    workbenches = []
+    for number, ends in enumerate(((0.0, 0.0), (9.81, 9.81), (-2.0, 3.0))):
+        added = np.linspace(*ends, 2800)[:, None]
+        save(tmp_path / f"{number}.wav", Recording(noise + added, 2800, "m/s^2", "noise"))
+        read = scene(tmp_path, texture=f'[[textures]]\nname = "noise"\nfile = "{number}.wav"\n')
+        workbenches.append(Workbench(read, read.textures[0]))
+    still = workbenches[0]
+    for moved in workbenches[1:]:
+        assert (moved.band.lowest, moved.band.highest, moved.band.rate) == (
+            still.band.lowest,
+            still.band.highest,
+            still.band.rate,
+        )
+        np.testing.assert_allclose(moved.whole.samples, still.whole.samples, atol=1e-5)
+    np.save(tmp_path / "drive.npy", 0.1 * noise + 0.5)
+    (drive,) = scene(tmp_path, texture='[[textures]]\nfile = "drive.npy"\nunit = "drive"\nrate_hz = 2800\n').textures
+    assert isinstance(drive.loaded, Recording) and np.mean(drive.loaded.samples) == pytest.approx(0.5, abs=0.02)
+
+
+def test_three_axes_need_a_choice(tmp_path: Path) -> None:
+    save(tmp_path / "axes.csv", Recording(np.ones((900, 3)), 2800, "um", "axes", ("X", "Y", "Z")))
+    table = '[[textures]]\nfile = "axes.csv"\n'
+    with pytest.raises(SceneError, match=r"three axes of one texture; pass `reduce`"):
+        scene(tmp_path, texture=table)
+    (texture,) = scene(tmp_path, texture=table + 'reduce = "norm"\n').textures
+    assert texture.channels == 1
