@@ -27,7 +27,7 @@ DEFAULT_STREAM_RATE_HZ = 2800
 MAX_SAMPLES = 2**29
 """Of all channels together, in one stream: 53 hours of one channel at 2800 Hz, 5 GiB while they are decoded."""
 MAX_FILE_BYTES = 2**30
-MAX_GAIN_DB = 200
+MAX_GAIN_DB = 400
 """Largest change of a level, up or down; a larger one is a mistake."""
 
 
