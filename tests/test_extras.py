@@ -131,7 +131,7 @@ def test_the_command_installs_from_where_vibrocast_came_from(
             assert name == "direct_url.json"
             return None if origin is None else json.dumps(origin)
 
-    monkeypatch.setattr(extras, "distribution", lambda name: Installed())
+    monkeypatch.setattr(metadata, "distribution", lambda name: Installed())
     assert extras.install_command("bench").endswith(f" -m pip install {requirement}")
 
 
@@ -139,7 +139,7 @@ def test_the_command_installs_a_checkout_that_is_only_on_the_path(monkeypatch: p
     def not_installed(name: str) -> None:
         raise metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(extras, "distribution", not_installed)
+    monkeypatch.setattr(metadata, "distribution", not_installed)
     assert extras.install_command("plot").endswith(f" -m pip install -e '{ROOT}[plot]'")
 
 

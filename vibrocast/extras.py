@@ -1,16 +1,9 @@
 """Extras: which optional packages each brings, and the command that installs one."""
 
-import json
-import shlex
-import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 # By module; the smallest extra first. pyproject.toml says what each package is for.
 EXTRAS = {
@@ -62,6 +55,10 @@ def _advice(missing: Sequence[str], extra: str) -> str:
 
 def install_command(extra: str) -> str:
     """Return the command that adds an extra to this installation, from where vibrocast was installed."""
+    import shlex
+    import shutil
+    import subprocess
+
     python = "python" if shutil.which("python") == sys.executable else sys.executable
     command = [python, "-m", "pip", "install", *_requirement(extra)]
     return subprocess.list2cmdline(command) if sys.platform == "win32" else shlex.join(command)
@@ -69,6 +66,12 @@ def install_command(extra: str) -> str:
 
 def _requirement(extra: str) -> list[str]:
     """Return the arguments of pip that name vibrocast with an extra: a folder, an archive, or the package's name."""
+    # Only an error needs these modules, which take as long to load as all of `vibrocast --help`.
+    import json
+    from importlib.metadata import PackageNotFoundError, distribution
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
     try:
         origin = json.loads(distribution("vibrocast").read_text("direct_url.json") or "{}")
     except PackageNotFoundError:  # a checkout on the path

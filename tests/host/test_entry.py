@@ -49,8 +49,8 @@ def test_a_hangup_that_is_to_be_ignored_is() -> None:
 
 # Each takes as long to load as numpy, or longer.
 SLOW = {"av", "distributed", "matplotlib", "onnxruntime", "pytest", "scipy", "torch", "vibromaf"}
-# What only encoding, playing or listing devices needs.
-LIBRARIES = SLOW | {"cffi", "libusb_package", "numpy", "rich", "serial", "soundfile", "soxr", "usb"}
+# What only encoding, playing, listing devices or an error needs.
+LIBRARIES = SLOW | {"cffi", "urllib.request", "libusb_package", "numpy", "rich", "serial", "soundfile", "soxr", "usb"}
 COMMAND = """
 import sys
 from vibrocast.host.entry import main
