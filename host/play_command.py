@@ -52,7 +52,11 @@ ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
 @click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
 @click.option(
-    "--gain-db", type=Finite(min=-400, max=400), default=0.0, show_default=True, help="Raise or lower the level."
+    "--gain-db",
+    type=Finite(min=-coding.MAX_GAIN_DB, max=coding.MAX_GAIN_DB),
+    default=0.0,
+    show_default=True,
+    help="Raise or lower the level.",
 )
 @click.option(
     "--actuator",
