@@ -9,7 +9,7 @@ C_SOURCES := $(filter-out %_tables.c,$(wildcard firmware/*/*.[ch] firmware/*/*/*
 CHECKPOINTS ?= trained
 DATA ?= recordings
 
-.PHONY: install play test test-long lint fuzz firmware models
+.PHONY: install play test test-long lint lock fuzz firmware models
 
 install: .venv/installed
 
@@ -39,6 +39,16 @@ lint: .venv/installed-for-tests
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
+
+# Refreshes the pins; `pip install uv` first. Pins that still fit stay; to move one, delete its lines before.
+LOCK := requirements-dev.txt
+lock:
+	set -e; \
+	head=$$(grep '^#' $(LOCK)); \
+	uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
+	    --extra bench --extra firmware --extra test --output-file $(LOCK) pyproject.toml; \
+	printf '%s\n' "$$head" | cat - $(LOCK) > $(LOCK).new; \
+	mv $(LOCK).new $(LOCK)
 
 # Looks for bytes that the firmware does not take; needs clang.
 FUZZ_SECONDS ?= 60

@@ -25,7 +25,7 @@ def requirements() -> list[Requirement]:
 @pytest.mark.parametrize("requirement", requirements(), ids=str)
 def test_every_requirement_has_a_pin_in_its_range(requirement: Requirement) -> None:
     versions = [version for name, version, _ in PINS if canonicalize_name(name) == canonicalize_name(requirement.name)]
-    assert versions, "refresh requirements-dev.txt; its head says how"
+    assert versions, "run `make lock`"
     assert all(requirement.specifier.contains(version) for version in versions)
 
 
