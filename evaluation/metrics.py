@@ -46,8 +46,12 @@ class Quality:
     third_octave_distance_db: float | None
 
 
-def measure(reference: Signal, decoded: Signal, rate_hz: float, unit: str = "full scale") -> Quality:
+def measure(
+    reference: Signal, decoded: Signal, rate_hz: float, unit: str = "full scale", perceptual: bool = True
+) -> Quality:
     """Measure float64 arrays (n, channels) in the physical unit, the codec's delay removed.
+
+    `perceptual`: measure ST-SIM and SPQI too, which need the package vibromaf; otherwise they are None.
 
     `unit`: of "um" and "m/s^2" it is known what can be felt, of others not.
 
@@ -57,7 +61,7 @@ def measure(reference: Signal, decoded: Signal, rate_hz: float, unit: str = "ful
     """
     _check(reference, decoded, rate_hz)
     channels = [
-        _measure_channel(x, y, rate_hz, unit, ratio)
+        _measure_channel(x, y, rate_hz, unit, ratio, perceptual)
         for x, y, ratio in zip(reference.T, decoded.T, codec.channel_snrs_db(reference, decoded), strict=True)
         if ratio is not None
     ]
@@ -87,10 +91,12 @@ def _mean(values: Iterable[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _measure_channel(reference: Signal, decoded: Signal, rate_hz: float, unit: str, snr_db: float) -> Quality:
+def _measure_channel(
+    reference: Signal, decoded: Signal, rate_hz: float, unit: str, snr_db: float, perceptual: bool
+) -> Quality:
     """Measure one channel (n,) that is not all zero."""
     peak = np.max(np.abs(reference))
-    x, y = _blocks_with_signal(reference, decoded, peak)
+    x, y = _blocks_with_signal(reference, decoded, peak) if perceptual else (reference[:0], decoded[:0])
     return Quality(
         snr_db=snr_db,
         psnr_db=snr_db - 10 * math.log10(np.mean(np.square(reference / peak))),

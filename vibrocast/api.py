@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -119,10 +120,16 @@ def measure(
     """Compare arrays (n,) or (n, channels) of equal shape and rate: SNR and PSNR in dB, ST-SIM, SPQI and distances.
 
     Both are compared from `highpass_hz` on, as they are coded; None = in their whole band. Raises ValueError on
-    unequal shapes, NaN or infinity, ModuleNotFoundError without the extra [bench].
+    unequal shapes, NaN or infinity. Without the extra [bench], ST-SIM and SPQI are None, and a warning says so.
     """
-    extras.require("bench", "vibromaf")
     from vibrocast.evaluation import metrics
+
+    perceptual = True
+    try:
+        extras.require("bench", "vibromaf")
+    except extras.MissingExtraError as error:
+        perceptual = False
+        warnings.warn(f"ST-SIM and SPQI are not measured: {error}", stacklevel=2)
 
     for name, each in (("reference", reference), ("decoded", decoded)):
         if isinstance(each, Recording):
@@ -130,7 +137,7 @@ def measure(
     x, y = _recording(reference, rate_hz, unit), _recording(decoded, rate_hz, unit)
     corner_hz = arguments.optional_number("highpass_hz", highpass_hz)
     pair = [textures.highpass(each, corner_hz).recording.samples for each in (x, y)]
-    return metrics.measure(pair[0], pair[1], x.rate_hz, x.unit)
+    return metrics.measure(pair[0], pair[1], x.rate_hz, x.unit, perceptual)
 
 
 def render(

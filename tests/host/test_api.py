@@ -1,6 +1,7 @@
 """The public API: plain arrays and bytes in and out."""
 
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -271,3 +272,11 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
     for path in (tmp_path / "absent.vct", tmp_path):
         with pytest.raises((OSError, ValueError), match=re.escape(str(path))):
             vibrocast.decode(path)
+
+
+def test_without_its_extra_measure_warns_and_leaves_out_perceptual_scores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "vibromaf", None)
+    with pytest.warns(UserWarning, match=r"ST-SIM and SPQI are not measured: .* \[bench\]"):
+        quality = vibrocast.measure(TEXTURE, 0.9 * TEXTURE, RATE_HZ, "m/s^2")
+    assert quality.snr_db == pytest.approx(20, abs=0.1)
+    assert quality.st_sim_2800 is quality.st_sim_8000 is quality.spqi is None
