@@ -24,6 +24,7 @@ from vibrocast.host.options import (
     runtime_option,
 )
 from vibrocast.host.output_files import whole_file
+from vibrocast.host.plain import plain
 from vibrocast.host.steered_options import steered_options, wish_of
 
 
@@ -120,6 +121,10 @@ def codecs(as_json: bool) -> None:
     # Parameters are named as --setting takes them.
     lines = {name: [f"{key}: {text}" for key, text in about.items()] for name, about in facts.items()}
     show(facts if as_json else lines, as_json)
+    for name, cause in codec.CODECS.failures.items():
+        click.echo(
+            plain(f"warning: the codec {name} cannot be loaded: {cause}; repair or remove its package"), err=True
+        )
 
 
 @click.command()

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from vibrocast import codec, textures
 from vibrocast.codec import CodecError, coding, plugins
 from vibrocast.host import coding as files
+from vibrocast.host.command_line import main as command_line
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
 SIGNAL = np.random.default_rng(0).normal(0, 0.2, (3000, 2))
@@ -100,3 +102,10 @@ def test_without_the_package_the_stream_names_its_codec(haar: None, monkeypatch:
     with pytest.raises(CodecError, match="needs the codec 'haar'; install the package"):
         codec.decoder(plugins.IDENTIFIER, coded.configuration, 2)
     sys.modules.pop("vibrocast_haar", None)
+
+
+@pytest.mark.usefixtures("haar")
+def test_the_list_of_codecs_names_those_that_cannot_be_loaded() -> None:
+    listed = CliRunner().invoke(command_line, ["codecs"])
+    assert "haar  " in listed.stdout
+    assert "warning: the codec absent cannot be loaded: no_such_module:Codec: ModuleNotFoundError" in listed.stderr
