@@ -100,6 +100,7 @@ def plays_when_installed(wheel: Path, folder: Path) -> None:
     assert "DAC as computed  yes" in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_wheel_and_sdist_hold_every_source_once_and_nothing_else(tmp_path: Path) -> None:
     expected = sources()

@@ -89,6 +89,7 @@ class Faulty(Controller):
         return captured
 
 
+@pytest.mark.slow
 def test_faults_are_found_and_told() -> None:
     _, findings = judge(line_to(Faulty()))
     failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
@@ -172,6 +173,7 @@ class OneSlot(Altered):
         return replace(message, images=message.images[:1]) if isinstance(message, HelloResponse) else message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("faulty", "reasons"),
     [
@@ -200,6 +202,7 @@ def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Altered], reaso
     assert not any("please report" in reason for reason in failed.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limits", "actuator", "test"),
     [
@@ -237,6 +240,7 @@ def test_nothing_else_is_tried_where_hello_makes_no_sense(
     assert "NaN" not in (tmp_path / "conformance.json").read_text()
 
 
+@pytest.mark.slow
 def test_controller_of_another_plain_codec_is_judged() -> None:
     class DctOnly(Altered):
         def alter(self, message: Message) -> Message:
@@ -250,6 +254,7 @@ def test_controller_of_another_plain_codec_is_judged() -> None:
     assert outcomes.count(Outcome.PASSED) > 180
 
 
+@pytest.mark.slow
 def test_texts_of_a_controller_do_nothing_on_the_terminal_or_the_page(reached: list[Device], tmp_path: Path) -> None:
     class Hostile(Altered):
         def alter(self, message: Message) -> Message:
@@ -368,6 +373,7 @@ def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path:
     assert all(entry["text"] in text for entry in report["requirements"])
 
 
+@pytest.mark.slow
 def test_command_tells_what_failed(reached: list[Device]) -> None:
     reached.append(Faulty())
     ran = CliRunner().invoke(main, ["conformance", "--quick", "--no-flash"])

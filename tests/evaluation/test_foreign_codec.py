@@ -37,6 +37,7 @@ def here(pieces: Iterator[Any], processes: int) -> Iterator[Any]:
         yield key, work()
 
 
+@pytest.mark.slow
 def test_the_benchmark_takes_it_as_any_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "on_cores", here)
     monkeypatch.setattr(cost, "peak_memory_bytes", lambda codec_name, model: None)

@@ -8,6 +8,7 @@ from vibrocast import textures
 from vibrocast.evaluation import link_drop
 
 
+@pytest.mark.slow
 def test_the_section_is_written_with_its_table_and_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link_drop, "RATES_BPS", (4000,))
     section = link_drop.section([textures.GENERATORS["rough"](seconds=2.0, rate_hz=2800)], tmp_path)

@@ -20,6 +20,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recordings
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_table_and_chart(folder: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(parametric.main, [str(folder), "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output

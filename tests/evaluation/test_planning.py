@@ -4,12 +4,14 @@ import csv
 from itertools import product
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from vibrocast import textures
 from vibrocast.evaluation.planning import FREE, HELD, ROWS, WEIGHTS, main
 
 
+@pytest.mark.slow
 def test_the_page_and_its_rows(tmp_path: Path) -> None:
     folder = tmp_path / "made"
     folder.mkdir()

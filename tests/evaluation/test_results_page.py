@@ -264,6 +264,7 @@ def test_the_page_says_what_it_is_of(written: Path) -> None:
     assert str(written) not in page
 
 
+@pytest.mark.slow
 def test_the_page_is_drawn_again_from_its_files(written: Path, copied: Path) -> None:
     (copied / "results.md").unlink()
     for path in (copied / "results").glob("*.png"):
@@ -292,6 +293,7 @@ def test_files_that_cannot_be_drawn_are_named(copied: Path, spoil: Callable[[Pat
     assert message in result.output and "Traceback" not in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "points",
     [

@@ -159,6 +159,7 @@ def test_all_traces_make_one_signal() -> None:
     assert together.samples.ravel().tolist() == [1, 1, 1, -1, -1, 1, 1]
 
 
+@pytest.mark.slow
 def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path: Path, recording: Recording) -> None:
     (method,) = cells.families([with_rates("two", slice(2))])
     traces = [Trace("wood", tmp_path / "wood.wav")]

@@ -22,6 +22,7 @@ def textures() -> list[codec.Signal]:
     return [rough(seed, 3.0).samples / np.max(np.abs(rough(seed, 3.0).samples)) for seed in range(6)]
 
 
+@pytest.mark.slow
 def test_a_trained_network_saves_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mdct_network, "STEPS", 300)
     archive, image = tmp_path / "rough.npz", tmp_path / "rough.vcmi"

@@ -66,6 +66,7 @@ def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments
     result.assert_outcomes(passed=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -49,6 +49,7 @@ def bench(
     return Controller(link, link.clock, link.sleep), record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("believed", "real", "unit"),
     [

@@ -147,6 +147,7 @@ def test_play_loops_over_several_channels(tmp_path: Path) -> None:
     assert report["dac_equals_offline"] is True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("samples", "level"), [(1, 1.0), (17, 0.5), (500, 0.0), (500, 1.0)])
 def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
     path, report_path = tmp_path / "extreme.wav", tmp_path / "report.json"

@@ -176,6 +176,7 @@ def test_a_failed_export_leaves_the_model_that_was_there(
     assert not [path.name for path in exported.parent.iterdir() if path.name.startswith(".")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", ["torch", "onnx"])
 def test_without_torch_or_onnx_the_command_says_what_to_install(missing: str, best: Path, tmp_path: Path) -> None:
     (tmp_path / f"{missing}.py").write_text(f"raise ModuleNotFoundError('not installed', name={missing!r})")

@@ -115,6 +115,7 @@ def test_a_lost_packet_costs_itself_alone() -> None:
     assert 0 < result.lost_packets < 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-3000, 3000])
 def test_a_clock_that_drifts_begins_the_stream_anew_and_the_delay_stays_bounded(drift_ppm: int) -> None:
     _, controller = bench(Settings(drift_ppm=drift_ppm))

@@ -87,6 +87,7 @@ def test_four_channels_at_1_kbit_per_second_each_cost_at_most_15_percent_on_the_
     assert result.lost_packets == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_bps", "falls_s"), [(1000, 4.0), (1000, 4.24), (8000, 4.0)])
 def test_a_link_that_falls_to_half_makes_no_packet_late_and_quality_comes_back(rate_bps: float, falls_s: float) -> None:
     run = Run(rate_bps, Wire(1.25 * rate_bps))

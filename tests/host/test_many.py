@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 
 import numpy as np
+import pytest
 
 from vibrocast.device_protocol.transports import TransportError, UsbTransport
 from vibrocast.host import coding, player
@@ -33,6 +34,7 @@ def session(port: UsbPort) -> Iterator[Controller]:
         yield Controller(transport)
 
 
+@pytest.mark.slow
 def test_of_eight_controllers_six_play_on_while_one_is_unplugged_and_one_stalls() -> None:
     sent = stream()
     decoder = sent.decoder()

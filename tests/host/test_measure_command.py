@@ -88,6 +88,7 @@ def test_what_was_measured_before_the_cable_was_pulled_is_kept(tmp_path: Path, m
     assert document["failed"] == {"the rest": "the cable is out"}
 
 
+@pytest.mark.slow
 def test_a_sensor_that_fails_leaves_the_other_measurements(tmp_path: Path) -> None:
     bench = str(bench_file(tmp_path, "raise SystemExit('no microphone')"))
     result = run("--bench", bench, "--only", "throughput,fidelity", "--out", str(tmp_path / "out"))

@@ -39,7 +39,7 @@ def test_commands_start(arguments: list[str]) -> None:
     assert done.stdout
 
 
-@pytest.mark.parametrize("device", ["sim", "sim-usb"])
+@pytest.mark.parametrize("device", ["sim", pytest.param("sim-usb", marks=pytest.mark.slow)])
 def test_a_texture_plays_on_the_simulated_controller(device: str) -> None:
     done = run("play", "examples/taps.wav", "--device", device)
     assert done.returncode == 0, done.stderr

@@ -19,6 +19,7 @@ def traces(values: NDArray[np.float64]) -> list[Trace]:
     return [*signals, Trace("skin", np.repeat(values, 4, axis=0), 4 * RATE_HZ, "um", values, RATE_HZ)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("samples", "channels"),
     [

@@ -24,6 +24,7 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.exists(), reason="the shared recordings are not beside this checkout")
 @pytest.mark.parametrize("device", ["sim", "sim-usb", "host", "cortex-m4"])
 @pytest.mark.parametrize("name", KINDS)

@@ -59,6 +59,7 @@ def test_weights_decide(choice: Choice, tmp_path: Path) -> None:
     assert few_bits.wire_bps < quick.wire_bps and few_bits.delay_ms > quick.delay_ms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "limit"),
     [
@@ -90,6 +91,7 @@ def test_a_refusal_names_the_limit_and_a_change_that_works(
     assert choose(bench, mended).chosen.meets
 
 
+@pytest.mark.slow
 def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_path: Path) -> None:
     read = scene(tmp_path, asked="[asked]\nimperceptible = true\n")
     chosen = choose(Workbench(read, read.textures[0]), read).chosen
@@ -103,6 +105,7 @@ def test_a_texture_that_nobody_can_feel_is_told(tmp_path: Path) -> None:
         plan(read)
 
 
+@pytest.mark.slow
 def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
     heights = "".join(f"{10 * place},{3 * np.sin(place / 8):.3f}\n" for place in range(4000))
     (tmp_path / "profile.csv").write_text("position_um,height_um\n" + heights)
@@ -136,6 +139,7 @@ def test_a_refusal_of_what_cannot_be_imperceptible_names_an_snr_that_can(choice:
     assert choose(Workbench(mended, mended.textures[0]), mended).chosen.meets
 
 
+@pytest.mark.slow
 def test_where_no_single_change_is_enough_the_nearest_of_several_is_told(choice: Choice, tmp_path: Path) -> None:
     read = scene(tmp_path, controller=CONTROLLER + "flash_bytes = 20_000\n", asked=ASKED + "rate_limit_bps = 100\n")
     with pytest.raises(Refusal, match=r"rate_limit_bps = 100 is in the way, and .*one: flash_bytes = 20000") as raised:

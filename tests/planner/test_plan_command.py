@@ -45,6 +45,7 @@ def test_a_waveform_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
     assert 'codec = "parametric"' not in (tmp_path / "planned" / "plan.toml").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "message"),
     [

@@ -113,6 +113,7 @@ def test_a_texture_that_is_over_at_once_has_no_delay_to_be_measured(tmp_path: Pa
     assert played.measured.wire_bps == pytest.approx(played.texture.forecast.wire_bps, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -459,6 +459,7 @@ def loud() -> Stream:
     return replace(played, header=replace(played.header, gains=(1024.0,)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("played_ms", [25, 40, 100, 400])
 def test_power_limit_holds_across_streams_and_restarts(kind: Kind, played_ms: int) -> None:
     played, image = loud(), ModelImage(1, "tables", "1", "", mdct.built_in_tables()).pack()

@@ -77,6 +77,7 @@ def test_trial_runs_once_and_falls_back_unless_confirmed(boot: Boot) -> None:
     assert [image.name for image in store.describe()] == ["old", "new"]
 
 
+@pytest.mark.slow
 def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs(boot: Boot) -> None:
     installed = blank_flash()
     install(boot, installed, 0, OLD)

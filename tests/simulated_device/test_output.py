@@ -116,6 +116,7 @@ def test_pieces_give_the_same_bits_as_the_whole(
     assert dac.counts == counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compensation", [False, True])
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("rate_hz", [100, 500, 2800, 3000, 8000, 11_025, 44_100, 48_000])
