@@ -15,12 +15,12 @@ install: .venv/installed
 
 .venv/installed: $(SOURCES)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[plot]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[plot]'
 	touch $@
 
 .venv/installed-for-tests: $(SOURCES)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench,firmware,test,train]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[bench,firmware,test,train]'
 	touch $@ .venv/installed
 
 play: install

@@ -51,6 +51,7 @@ def test_core_agrees_with_the_documented_decoder(hop: str, bands: str, step_db: 
     assert difference_to_the_documented_decoder(configuration, packets, 3) < 1
 
 
+@pytest.mark.slow
 @given(st.integers(0, 63), st.integers(0, 8), st.integers(0, 3), st.integers(0, 3), st.binary(max_size=120))
 @settings(max_examples=60)
 def test_core_agrees_with_the_documented_decoder_on_any_bytes(

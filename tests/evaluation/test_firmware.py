@@ -88,6 +88,7 @@ def test_golden_streams_decode_to_the_hosts_samples(name: str, build: tuple[str,
     assert 100 < run.stack_bytes < 4096, "what eva.h says"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", BUILDS, ids=str)
 @pytest.mark.parametrize(
     ("width", "latents", "seed"), [(5, 3, 0), (7, 9, 1), (12, 16, 2), (24, 8, 3), (15, 32, 4), (16, 16, 5), (48, 5, 6)]

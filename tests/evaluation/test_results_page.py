@@ -386,6 +386,7 @@ def test_where_trained_models_win_and_lose_is_said_from_the_figures(tmp_path: Pa
     assert (tmp_path / "learned_bd_rate_traces.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_results_of_few_points_are_marked(tmp_path: Path) -> None:
     few = [point for trace in "ab" for point in curve("few", trace, 0.5, (4.0, 10.0, 16.0, 22.0))]
     page = write(tmp_path, [*measured()[0], *few])

@@ -98,6 +98,7 @@ def test_on_a_cluster_a_bad_piece_costs_only_itself(scheduler: str) -> None:
     check(dict(on_cluster(pieces(), scheduler, version)))
 
 
+@pytest.mark.slow
 def test_workers_of_another_version_are_refused(scheduler: str) -> None:
     with pytest.raises(WorkersError, match="does not have this version"):
         list(on_cluster(pieces(), scheduler, version_by_process))

@@ -77,6 +77,7 @@ def test_the_loss_falls_and_the_curves_say_so(trained: Path) -> None:
     assert best.optimiser is None
 
 
+@pytest.mark.slow
 def test_a_cut_training_goes_on_as_if_uncut(trained: Path, tmp_path: Path) -> None:
     class Cut(Exception):
         pass
@@ -118,6 +119,7 @@ def test_a_loss_that_explodes_stops_the_training_with_the_last_good_checkpoint(
     assert checkpoint.load(tmp_path / "out" / training.LAST).progress["step"] == 20
 
 
+@pytest.mark.slow
 def test_the_paper_s_loss_and_the_perceptual_one_train_too(tmp_path: Path) -> None:
     chosen = configured(tmp_path)
     model = replace(chosen.model, lambdas=(10.0,), prior="factorised")

@@ -128,6 +128,7 @@ def between_rests(codes: Codes) -> Codes:
     return codes[sound[0] : sound[-1] + 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*CORES, "stm32f405"])
 def test_images_outlive_a_restart(name: str) -> None:
     flash = flash_of(name)
@@ -218,6 +219,7 @@ def check_that_it_faded(expected: Codes, played: Codes, last_samples: int, most_
     assert np.abs(played[begins]).max(initial=0) < 4096 // 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("decoding_ms", "least_ms", "most_ms"), [(0, 3, 6), (1, 5, 8), (20, 43, 46), (30, 63, 66)])
 def test_the_board_lags_by_what_decoding_needs(decoding_ms: int, least_ms: int, most_ms: int) -> None:
     expected, played, _ = played_by_board([decoding_ms])

@@ -97,6 +97,7 @@ CALLED_BY_POINTER = {"vc_port_play", "vc_tables_check", "erase", "program", "era
 INTERRUPTS = {"SysTick_Handler", "TIM6_DAC_IRQHandler", "USART3_IRQHandler", "take_received", "go_on_sending"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", IMAGES)
 def test_deepest_calls_with_interrupts_on_top_fit_the_stack(name: str) -> None:
     image = Elf(build(name))

@@ -47,6 +47,7 @@ def noise(seconds: float = 1.0) -> Recording:
     return Recording(3.0 * samples, RATE_HZ, "um", "noise")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [0, 200])
 @pytest.mark.parametrize("margin_s", [0.004, 0.02])
 def test_the_whole_is_the_sum_of_its_parts_and_the_margin_is_kept(margin_s: float, drift_ppm: int) -> None:
@@ -71,6 +72,7 @@ def test_what_is_measured_is_when_the_dac_has_it() -> None:
     assert 1e3 * (peak_s - 1.5) == pytest.approx(measured.total_ms, abs=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_ms", [1, 3, 4])
 def test_a_link_of_long_round_trips_is_measured_without_holding_the_stream_up(late_ms: int) -> None:
     measured = latency.measure(long_line(late_ms / 1000), PIEZO_STACK, noise(), seconds=2.0)
@@ -86,6 +88,7 @@ def test_default_buffers_stay_below_30_ms_with_a_usb_class_link() -> None:
     assert measured.total_ms < 30.0
 
 
+@pytest.mark.slow
 def test_search_finds_the_least_that_is_stable() -> None:
     found = latency.smallest(Bench().session, PIEZO_STACK, noise(), seconds=1.0)
     assert found.found is not None

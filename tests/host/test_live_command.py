@@ -52,6 +52,7 @@ def test_samples_that_are_no_numbers_are_refused() -> None:
     assert "NaN" in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["--model", "eva-16"], ["--codec", "eva"], ["--model", "mdct-network"]])
 def test_a_model_is_flashed_and_streamed_with(arguments: list[str]) -> None:
     result = run("rough", "--seconds", "0.3", "--margin-ms", "300", *arguments)

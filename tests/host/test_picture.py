@@ -36,6 +36,7 @@ def test_draws_every_length_and_channel_count(samples: int, channels: int, tmp_p
     assert [entry.name for entry in tmp_path.iterdir()] == ["picture.png"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.0, 1e-30, 1e30])
 def test_draws_silence_and_extremes(level: float, tmp_path: Path) -> None:
     draw(tmp_path / "picture.svg", "flat", "caption", traces(np.full((500, 1), level)))

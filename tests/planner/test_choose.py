@@ -37,6 +37,7 @@ def test_every_other_way_has_a_reason_that_fits_its_cost(choice: Choice) -> None
             assert reason.why.startswith("not needed" if dearer else "cheaper, but not enough")
 
 
+@pytest.mark.slow
 def test_a_plan_is_the_same_every_time_and_codes_as_it_forecasts(tmp_path: Path) -> None:
     read = scene(tmp_path)
     first, _ = plan(read)

@@ -52,6 +52,7 @@ def test_the_load_of_a_board_is_what_was_forecast(tmp_path: Path) -> None:
     assert load.within and load.deviation == pytest.approx(0, abs=0.08)
 
 
+@pytest.mark.slow
 def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path) -> None:
     plan = planned(tmp_path, texture=texture("wood", "left") + texture("ridges", "right"), controller=TWO, actuator=LRA)
     played = playing.play(plan)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -115,6 +116,7 @@ def without_texts(message: Message) -> Message:
     return replace(message, build="", codecs=()) if isinstance(message, HelloResponse) else message
 
 
+@pytest.mark.slow
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(st.sampled_from([PIEZO_STACK, LRA]), st.booleans(), steps)
 def test_any_bytes_at_any_time_are_answered_and_played_alike(

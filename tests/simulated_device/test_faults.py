@@ -263,10 +263,11 @@ def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(kind: Kind,
     measured_ppm = (played_s / ((bench.now_us - start_us) / 1e6) - 1) * 1e6
     assert measured_ppm == pytest.approx(drift_ppm, abs=50)
     end = -(-status.position // played.packet_samples) * played.packet_samples
-    captured = bench.ask(CaptureRead(Tap.DECODED, end - 2000, 2000))
+    captured_samples = SMALL.capture_samples
+    captured = bench.ask(CaptureRead(Tap.DECODED, end - captured_samples, captured_samples))
     assert isinstance(captured, CaptureData)
     assert captured.end == end
-    expected = np.take(played.decoded, np.arange(end - 2000, end) % len(played.decoded), axis=0)
+    expected = np.take(played.decoded, np.arange(end - captured_samples, end) % len(played.decoded), axis=0)
     assert captured.data == expected.astype("<i2").tobytes()
 
 
