@@ -33,6 +33,7 @@ def runs_x86_64_v3() -> bool:
     return bool(library().vc_runs_x86_64_v3())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not runs_x86_64_v3(), reason="this processor does not run x86-64-v3, the other core")
 def test_both_cores_produce_the_same_bits() -> None:
     baseline = digests("baseline")

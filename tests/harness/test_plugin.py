@@ -51,7 +51,7 @@ LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.host.harness.plugin", "-p", "no
     [
         ([], "piezo-stack"),
         pytest.param(["--vibrocast-device", "sim-usb"], "piezo-stack", marks=pytest.mark.slow),
-        (["--vibrocast-bench", "bench.toml"], "stack 3"),
+        pytest.param(["--vibrocast-bench", "bench.toml"], "stack 3", marks=pytest.mark.slow),
         pytest.param(
             ["--vibrocast-bench", "bench.toml", "--vibrocast-device", "right"], "voice-coil", marks=pytest.mark.slow
         ),

@@ -76,6 +76,7 @@ def assert_within_limits(codes: Codes) -> None:
     assert not codes[-1].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("fault", ["lost", "flipped", "doubled", "swapped", "all"])
 def test_line_with_faults_in_both_directions(kind: Kind, fault: str, seed: int) -> None:
@@ -271,6 +272,7 @@ def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(kind: Kind,
     assert captured.data == expected.astype("<i2").tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-200, 200])
 def test_credit_follows_the_clock_of_the_controller(kind: Kind, drift_ppm: int) -> None:
     played = stream(5.0)
@@ -296,6 +298,7 @@ def small_flash() -> FlashMemory:
     return FlashMemory(2 * 256 + 2 * slot_bytes, sector_bytes=256)
 
 
+@pytest.mark.slow
 def test_power_cut_while_a_host_flashes_leaves_the_old_image_running(kind: Kind) -> None:
     memory = small_flash()
     flash_over(kind, memory, OLD_IMAGE)
