@@ -93,7 +93,7 @@ def work(name, session, check):
             time.sleep(0.01)
     except Interrupted:
         time.sleep(0.3)
-        print("stopped", flush=True)
+        os.write(1, b"stopped\\n")  # at once: print writes the line and its end apart, and both threads write
         raise
 
 threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
