@@ -73,7 +73,7 @@ def measure(recording: textures.Recording, name: str, codec_name: str, rate_bps:
     wish = Wish(constant_rate_bps=rate_bps * recording.channels, bucket_s=bucket_s)
     size_s = BUCKETS_S[0] if bucket_s is None else bucket_s
     try:
-        _, outcome = steered.encode(recording, wish, codec_name=codec_name)
+        _, outcome = steered.encode(recording, wish, codec_name=codec_name, highpass_hz=None)
     except codec.CodecError as error:
         return Held(name, codec_name, rate_bps, size_s, refused=str(error))
     low_db, high_db = outcome.snr_range_db
