@@ -14,7 +14,7 @@ from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import progress
-from vibrocast.host.options import INPUT, BadInput, command_run, highpass_of, recording_options
+from vibrocast.host.options import INPUT, BadInput, chosen_highpass_hz, command_run, recording_options
 from vibrocast.models import ModelError
 from vibrocast.textures import dataset
 from vibrocast.textures.dataset import DatasetError, Trace
@@ -117,7 +117,7 @@ def bench(
     from vibrocast.evaluation.external import ProgramError
     from vibrocast.evaluation.points import Failure, PointsError, check_imported, read_imported, write_rows
 
-    highpass_hz = highpass_of({**options, "keep_dc": keep_dc})
+    highpass_hz = chosen_highpass_hz({**options, "keep_dc": keep_dc})
     try:
         programs = external.read_programs(program_list) if program_list else []
         chosen = cells.methods(names, programs, trained.known_models(model_folders))

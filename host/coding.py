@@ -211,15 +211,14 @@ class Stream:
         """
         if gain_db == 0:
             return self
+        beyond = codec.CodecError(f"`gain_db`={gain_db:g}: beyond any level of a stream; give a number nearer to 0")
         if not abs(gain_db) <= MAX_GAIN_DB:
-            raise codec.CodecError(f"`gain_db`={gain_db:g}: beyond any level of a stream; give a number nearer to 0")
+            raise beyond
         factor = 10 ** (gain_db / 20)
         try:
             gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
         except codec.CodecError as error:
-            raise codec.CodecError(
-                f"`gain_db`={gain_db:g}: beyond any level of a stream; give a number nearer to 0"
-            ) from error
+            raise beyond from error
         return replace(self, header=replace(self.header, gains=gains))
 
     def facts(self) -> dict[str, Any]:

@@ -22,9 +22,9 @@ from vibrocast.host.options import (
     BadInput,
     Finite,
     OutputFile,
+    chosen_highpass_hz,
     codec_option,
     device_option,
-    highpass_of,
     model_option,
     setting_option,
 )
@@ -96,7 +96,7 @@ def live(
         stream_unit, factor = textures.INPUT_UNITS[unit]
         full_scale *= factor
         signal_format = streaming.live_format(rate_hz, stream_unit, [full_scale] * channels)
-    highpass_hz = highpass_of({**choices, "unit": unit})
+    highpass_hz = chosen_highpass_hz({**choices, "unit": unit})
     chosen = coding.chosen_codec(codec_name, model)
     if chosen.needs_model and model is None:
         model = coding.smallest_first(chosen)[0]

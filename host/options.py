@@ -183,7 +183,7 @@ quality_options = options(
 )
 
 
-def highpass_of(choices: dict[str, Any]) -> float | None:
+def chosen_highpass_hz(choices: dict[str, Any]) -> float | None:
     """Take --keep-dc out of all choices; return the corner of the high-pass before coding, None = no high-pass."""
     keep_dc = choices.pop("keep_dc")
     return textures.highpass_of(choices.get("unit"), None if keep_dc else textures.HIGHPASS_HZ)
@@ -193,7 +193,7 @@ def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
     """Take the options of the quality group out of all choices; return them as `coding.encode` takes them."""
     names = ("codec_name", "rate_bps", "snr_db", "setting", "model", "stream_rate_hz")
     quality = {name: choices.pop(name) for name in names}
-    quality["highpass_hz"] = highpass_of(choices)
+    quality["highpass_hz"] = chosen_highpass_hz(choices)
     if quality["rate_bps"] is not None and quality["snr_db"] is not None:
         raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
     return quality
