@@ -1,4 +1,4 @@
-"""Compiles firmware/core into the shared libraries that codec/core.py loads; run directly, it recompiles in place."""
+"""Compiles firmware/core into the shared libraries that firmware/native_core.py loads; run directly, in place."""
 
 import platform
 import subprocess
@@ -60,7 +60,7 @@ def platform_tag() -> str:
 
 
 class CompileCore(BuildHookInterface):  # type: ignore[type-arg, unused-ignore]
-    """Build hook: a wheel holds the compiled core; an editable install finds it next to codec/core.py."""
+    """Build hook: a wheel holds the compiled core; an editable install finds it in firmware/."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile the core. The wheel fits every Python, because cffi loads the libraries without Python's ABI."""
@@ -68,11 +68,11 @@ class CompileCore(BuildHookInterface):  # type: ignore[type-arg, unused-ignore]
         build_data["tag"] = f"py3-none-{platform_tag()}"
         if version == "editable":
             check_links()
-            compile_core(ROOT / "codec")
+            compile_core(ROOT / "firmware")
             return
         self._compiled = TemporaryDirectory()
         for path in compile_core(Path(self._compiled.name)):
-            build_data["force_include"][str(path)] = f"vibrocast/codec/{path.name}"
+            build_data["force_include"][str(path)] = f"vibrocast/firmware/{path.name}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Delete the compiled files, which the wheel holds now."""
@@ -90,4 +90,4 @@ def check_links() -> None:
 
 
 if __name__ == "__main__":
-    compile_core(ROOT / "codec")
+    compile_core(ROOT / "firmware")

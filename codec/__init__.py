@@ -1,21 +1,5 @@
 """Signal to integers to bytes and back: transforms, quantisers, entropy coding, rate control."""
 
-from vibrocast.codec.coding import (
-    BUILT_IN,
-    CODECS,
-    check_tables,
-    codec_by_identifier,
-    codec_by_name,
-    decode,
-    decode_integers,
-    decoder,
-    encode,
-    encode_steered,
-    gain_for,
-    live_framing,
-    nearest_gain,
-    settled,
-)
 from vibrocast.codec.interface import (
     RUNTIMES,
     Choice,
@@ -35,18 +19,9 @@ from vibrocast.codec.interface import (
     Steering,
     Trial,
 )
-from vibrocast.codec.judges import Judge, SnrJudge, ThresholdJudge
 from vibrocast.codec.plugins import BlockCodec, as_codec
+from vibrocast.codec.quality_meters import Judge, SnrJudge, ThresholdJudge
 from vibrocast.codec.rate_control import (
-    RATE_TOLERANCE,
-    SNR_TOLERANCE_DB,
-    channel_snrs_db,
-    encode_to_rate,
-    encode_to_snr,
-    snr_db,
-    tactile_snr_db,
-)
-from vibrocast.codec.steering import (
     CappedRate,
     ConstantQuality,
     ConstantRate,
@@ -56,6 +31,31 @@ from vibrocast.codec.steering import (
     equal_error,
     steered_encoder,
     steered_framing,
+)
+from vibrocast.codec.registry import (
+    BUILT_IN,
+    CODECS,
+    check_tables,
+    codec_by_identifier,
+    codec_by_name,
+    decode,
+    decode_integers,
+    decoder,
+    encode,
+    encode_steered,
+    gain_for,
+    live_framing,
+    nearest_gain,
+    settled,
+)
+from vibrocast.codec.target_search import (
+    RATE_TOLERANCE,
+    SNR_TOLERANCE_DB,
+    channel_snrs_db,
+    encode_to_rate,
+    encode_to_snr,
+    snr_db,
+    tactile_snr_db,
 )
 
 __all__ = [

@@ -13,7 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, does_not_fit, ffi, library
+from vibrocast.codec.core import (
+    MAX_PACKET_BYTES,
+    UNIT,
+    CoreDecoder,
+    does_not_fit,
+)
 from vibrocast.codec.huffman import canonical_codes, code_lengths, pack_bits
 from vibrocast.codec.interface import (
     AUTO,
@@ -34,6 +39,7 @@ from vibrocast.codec.interface import (
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.firmware.native_core import ffi, library
 
 NAME = "dct"
 IDENTIFIER = 2

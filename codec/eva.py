@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import extras
-from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.core import (
+    MAX_PACKET_BYTES,
+    UNIT,
+    CoreDecoder,
+    check_made,
+    does_not_fit,
+)
 from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
 from vibrocast.codec.interface import (
@@ -31,6 +37,7 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.mdct import LAMBDA, STEERED, step_code
 from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "eva"
 IDENTIFIER = 4

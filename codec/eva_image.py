@@ -7,8 +7,8 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import library
 from vibrocast.codec.interface import RUNTIMES, CodecError
+from vibrocast.firmware.native_core import library
 
 LAYOUT_VERSION = 1
 MAX_CHANNELS = 128

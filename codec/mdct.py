@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.core import (
+    MAX_PACKET_BYTES,
+    UNIT,
+    CoreDecoder,
+    check_made,
+    does_not_fit,
+)
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -28,6 +34,7 @@ from vibrocast.codec.interface import (
     word,
 )
 from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "mdct"
 IDENTIFIER = 1

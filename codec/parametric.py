@@ -6,7 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.core import (
+    MAX_PACKET_BYTES,
+    UNIT,
+    CoreDecoder,
+    check_made,
+    does_not_fit,
+)
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -23,6 +29,7 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.mdct import HOPS, analysis_matrix
 from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "parametric"
 IDENTIFIER = 11

@@ -1,389 +1,561 @@
-"""Coding to an asked quality or rate: searches for the setting that meets an SNR or a bit rate."""
+"""Policies that steer an encoder: a constant rate over a leaky bucket, a constant quality, or a quality up to a rate.
 
-import bisect
-import itertools
+A policy is a codec.interface.Steering: it is asked for the coarseness of each packet when all of that packet's input is
+there, and nothing beyond it. `steered_encoder` joins a codec with a policy; docs/rate_control.md shows what they do.
+"""
+
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Protocol, Self, TypeAlias, cast
 
 import numpy as np
 
-from vibrocast.codec import mdct
-from vibrocast.codec.coding import Progress, Source, codec_by_name, decode, parts, peak_of
-from vibrocast.codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
-from vibrocast.codec.threshold import TACTILE_BAND_HZ
+from vibrocast.codec.interface import (
+    Choice,
+    Codec,
+    CodecError,
+    Decoder,
+    Encoder,
+    Framing,
+    Model,
+    OutOfReach,
+    Setting,
+    Signal,
+    SignalFormat,
+    Trial,
+)
+from vibrocast.codec.quality_meters import Judge
 
-SNR_TOLERANCE_DB = 0.2
-RATE_TOLERANCE = 0.02
-_STEPS_PER_OCTAVE = 64
-_DB_PER_OCTAVE = 20 * math.log10(2)
-_THRIFTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
-_BALANCING_TRIALS = 20
-_STEP_BACK = 0.9
-_NEIGHBOURS = 3
-"""Settings tried on each side of where the excess changes its sign, as quality may fall on the way up a ladder."""
-_STEPS_BETWEEN = 8
-"""Steps from one rung of a ladder to the next, where the setting is a fraction."""
+DEFAULT_BUCKET_S = 0.018
+"""The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
+FRAMES_ADD = 0.135
+"""What frames may add to the packets in them, relative to these: with what begins and ends a stream of 5 s at 4 kbit/s,
+the wire then adds at most 15 %."""
+LONGEST_PACKET_S = 2.0
+"""A rate is held over any 2 s, so a packet must not last longer."""
+REFRESH_S = 2.0
+"""From one refresh to the next, where the rate is steered."""
+
+FrameBytes: TypeAlias = Callable[[bytes], int]
+"""Bytes that the frame of a packet adds to it on the way. Raises CodecError for a packet that no frame carries."""
+
+_FIRST_STRIDE = 2
+# A constant rate aims at the mean quality of the last _MEMORY_BUCKETS times of the bucket, and up to half _SWING_DB
+# more as the bucket is empty, less as it is full; the swing is less where it holds few packets, or it overshoots.
+_MEMORY_BUCKETS = 4.0
+_SWING_DB = 4.0
+_PACKETS_FOR_FULL_SWING = 4.0
+_PROBE_PACKETS = 4
+_STEP_PARAMETERS = {"mdct": "step", "eva": "level"}
+"""What the steps of a channel are proportional to, relative to its RMS value."""
+# A sequence number takes one byte at first, and four from packet 2^20 on.
+_SEQUENCE_GROWTH_BYTES = 3
 
 
-def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
-    """Signal-to-noise ratio in dB of each channel of two arrays (n, channels): 10 log10(sum x^2 / sum (x - y)^2).
+class CopyableDecoder(Decoder, Protocol):
+    """A decoder on whose state packets can be tried."""
 
-    None where the reference is silent, infinity where both are equal.
+    def copy(self) -> Self:
+        """Return an independent decoder in the same state."""
+
+
+class LeakyBucket:
+    """What was sent and not yet drained at a constant rate, as in ITU-T H.264, C.1: its fullness stays in 0 ... size.
+
+    With fullness F, a packet of s bytes that lasts T seconds leaves F + s - R T / 8 at R bit/s. So over any run of
+    packets the bytes differ from R T / 8 by no more than the bucket's size, R * bucket_s / 8 and at least one byte; and
+    on a link of R bit/s nothing waits longer than bucket_s.
     """
-    if reference.shape != decoded.shape:
-        raise ValueError(f"a reference of shape {reference.shape}, decoded {decoded.shape}")
-    peaks = [peak_of(channel) for channel in reference.T]
-    energy, noise = np.zeros(len(peaks)), np.zeros(len(peaks))
-    scales = np.array([peak or 1.0 for peak in peaks])
-    for part in parts(len(reference)):
-        energy += np.sum(np.square(reference[part] / scales), axis=0)
-        noise += np.sum(np.square((reference[part] - decoded[part]) / scales), axis=0)
-    return [
-        (10 * math.log10(signal / error) if error > 0 else math.inf) if peak > 0 else None
-        for peak, signal, error in zip(peaks, energy.tolist(), noise.tolist(), strict=True)
-    ]
+
+    def __init__(self, bits_per_second: float, bucket_s: float, full: float) -> None:
+        """Make a bucket that begins as full as `full`, a part of its size. Raises CodecError for what is no rate."""
+        if not (math.isfinite(bucket_s) and bucket_s > 0):
+            raise CodecError(f"a bucket of {bucket_s} s; it must hold a positive time")
+        self.bits_per_second = bits_per_second
+        self.bucket_s = bucket_s
+        self.fullness_bytes = full * self.size_bytes
+
+    @property
+    def bits_per_second(self) -> float:
+        """The rate; it may be set at any time, and what is in the bucket stays there."""
+        return self._bits_per_second
+
+    @bits_per_second.setter
+    def bits_per_second(self, bits_per_second: float) -> None:
+        if not (math.isfinite(bits_per_second) and bits_per_second > 0):
+            raise CodecError(f"a rate of {bits_per_second} bit/s cannot be held; ask for a positive number")
+        self._bits_per_second = bits_per_second
+
+    @property
+    def size_bytes(self) -> float:
+        """What the bucket holds."""
+        return max(1.0, self.bits_per_second * self.bucket_s / 8)
+
+    @property
+    def full(self) -> float:
+        """How full the bucket is, relative to its size; above 1 only after the rate was lowered."""
+        return self.fullness_bytes / self.size_bytes
+
+    def least_bytes(self, seconds: float) -> int:
+        """Return with how many bytes a packet of that duration does not let the bucket run dry."""
+        return max(0, math.ceil(self._drained_bytes(seconds) - self.fullness_bytes))
+
+    def most_bytes(self, seconds: float) -> int:
+        """Return with how many bytes a packet of that duration does not let it run over; negative if none would."""
+        return math.floor(self._drained_bytes(seconds) - self.fullness_bytes + self.size_bytes)
+
+    def fill(self, sent_bytes: int, seconds: float) -> None:
+        """Take in a packet."""
+        self.fullness_bytes += sent_bytes - self._drained_bytes(seconds)
+
+    def _drained_bytes(self, seconds: float) -> float:
+        return self.bits_per_second * seconds / 8
 
 
-def snr_db(reference: Signal, decoded: Signal) -> float | None:
-    """Return the mean of `channel_snrs_db` over the channels that are not silent; None when every channel is silent."""
-    ratios = [ratio for ratio in channel_snrs_db(reference, decoded) if ratio is not None]
-    return sum(ratios) / len(ratios) if ratios else None
+class _Attempts:
+    """The packets of trials that are due together, each coded once at a coarseness that is common to all."""
 
+    def __init__(self, trials: Sequence[Trial], sent_bytes: Callable[[bytes], int]) -> None:
+        self.trials = trials
+        finest, coarsest = min(t.coarsenesses[0] for t in trials), max(t.coarsenesses[-1] for t in trials)
+        self.coarsenesses = range(finest, coarsest + 1)
+        self.previous = max(trial.previous for trial in trials)
+        self._sent_bytes = sent_bytes
+        self._packets: dict[int, list[bytes] | None] = {}
 
-def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float | None:
-    """Return the SNR in dB within TACTILE_BAND_HZ, over all channels of arrays (n, channels).
+    def packets(self, coarseness: int) -> list[bytes] | None:
+        """Return each trial's packet at the coarseness, or the nearest it has; None where one would be too long."""
+        if coarseness not in self._packets:
+            try:
+                packets = [trial.packet(_within(trial.coarsenesses, coarseness)) for trial in self.trials]
+            except CodecError:
+                packets = None
+            self._packets[coarseness] = packets
+        return self._packets[coarseness]
 
-    Both powers are integrals of Welch's estimate over frames of 1 s (P. D. Welch, IEEE Trans. Audio Electroacoust. 15,
-    1967). None where the reference holds nothing there, or nothing was lost.
-    """
-    from scipy import signal
+    def coded(self, coarseness: int) -> list[bytes]:
+        """Return the packets at a coarseness. Raises CodecError where one would be too long."""
+        return self.packets(coarseness) or [
+            trial.packet(_within(trial.coarsenesses, coarseness)) for trial in self.trials
+        ]
 
-    frame = min(len(reference), math.ceil(rate_hz))
-    powers = []
-    for samples in (reference, reference - decoded):
-        frequencies, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
-        band = (TACTILE_BAND_HZ[0] <= frequencies) & (frequencies <= TACTILE_BAND_HZ[1])
-        powers.append(float(np.sum(density[band])))
-    return 10 * math.log10(powers[0] / powers[1]) if min(powers) > 0 else None
+    def size_bytes(self, coarseness: int) -> float:
+        """Return what all packets take on the way, infinity where one would be too long."""
+        packets = self.packets(coarseness)
+        try:
+            return math.inf if packets is None else sum(map(self._sent_bytes, packets))
+        except CodecError:
+            return math.inf  # no frame carries one of them
 
+    def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
+        """Return a coarseness at which `holds`, and not at the next finer one; None where it holds at none.
 
-def encode_to_snr(
-    samples: Signal,
-    rate_hz: int,
-    target_db: float,
-    *,
-    codec: str = mdct.NAME,
-    setting: Setting | None = None,
-    unit: str = "full scale",
-    live: bool = False,
-    model: Model | None = None,
-    progress: Progress | None = None,
-) -> CodedSignal:
-    """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
-
-    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as `encode`, OutOfReach with
-    the best that there is. A silent signal meets every target.
-    """
-    if not math.isfinite(target_db):
-        raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
-    if not codec_by_name(codec).keeps_waveform:
-        raise OutOfReach(
-            f"an SNR of {target_db:g} dB cannot be met: {codec} keeps no waveform; ask for a rate, or "
-            "choose another codec"
-        )
-    source = Source(samples, rate_hz, codec, unit, live, model, progress)
-    if source.silent:
-        return source.encode(_rungs(source, setting)[0])
-    tables = model.tables if model is not None else None
-
-    def excesses_db(coded: CodedSignal) -> list[float]:
-        """Excess of each channel over the target; 0 for silent ones, which have none."""
-        ratios = channel_snrs_db(source.samples, decode(coded, tables))
-        return [0.0 if ratio is None else ratio - target_db for ratio in ratios]
-
-    def mean_excess(coded: CodedSignal) -> float:
-        ratio = snr_db(source.samples, decode(coded, tables))
-        return math.inf if ratio is None else ratio - target_db
-
-    if _searches_steps(source, setting):
-        found = _search(source, mean_excess, SNR_TOLERANCE_DB, side=1)
-        best, least = _balance(source, found, excesses_db)
-    elif _differs_by_channel(source, setting):
-        best = _choose_for_each(source, setting, excesses_db)
-        least = excesses_db(best)
-    else:
-        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), SNR_TOLERANCE_DB, side=1)
-        least = excesses_db(best)
-    if min(least) < -SNR_TOLERANCE_DB:
-        raise OutOfReach(
-            f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
-            f"with {source.codec.name}: ask for less, or give another setting"
-        )
-    return best
-
-
-def _balance(
-    source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]
-) -> tuple[CodedSignal, list[float]]:
-    """Bring every channel to the target by a step of its own; return the coded signal and the excesses left."""
-    best, least = found.coded, excesses_db(found.coded)
-    balanced = [_ChannelStep(found.step) for _ in least]
-    excesses = least
-    for trial in range(_BALANCING_TRIALS if len(least) > 1 else 0):
-        if _imbalance(least) <= (False, SNR_TOLERANCE_DB / 2):
-            break
-        for channel, excess in zip(balanced, excesses, strict=True):
-            if trial < _BALANCING_TRIALS // 2:
-                channel.move(excess)
-            elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
-                channel.step *= _STEP_BACK
-        coded = source.encode({"step": tuple(channel.step for channel in balanced), "thrift": found.thrift})
-        excesses = excesses_db(coded)
-        if _imbalance(excesses) < _imbalance(least):
-            best, least = coded, excesses
-    return best, least
-
-
-def _imbalance(excesses_db: list[float]) -> tuple[bool, float]:
-    """Order by which the steps of channels are chosen: none below the tolerance first, then the smallest excess."""
-    return min(excesses_db) < -SNR_TOLERANCE_DB, max(map(abs, excesses_db))
-
-
-@dataclass
-class _ChannelStep:
-    """The step of one channel among several that each need their own: between what is enough and what is too coarse."""
-
-    step: float
-    enough: float = 0.0
-    too_coarse: float = math.inf
-
-    def move(self, excess_db: float) -> None:
-        """Choose the next step to try, from the channel's excess over its target at this one: 6 dB an octave."""
-        if excess_db >= 0:
-            self.enough = max(self.enough, self.step)
-        else:
-            self.too_coarse = min(self.too_coarse, self.step)
-        if self.enough >= self.too_coarse:  # the other channels have moved the limit: find it again
-            self.enough, self.too_coarse = 0.0, math.inf
-        if abs(excess_db) <= SNR_TOLERANCE_DB / 2:
-            return
-        wanted = self.step * 2 ** (excess_db / _DB_PER_OCTAVE)
-        if not self.enough < wanted < self.too_coarse:
-            bracketed = self.enough > 0 and math.isfinite(self.too_coarse)
-            wanted = math.sqrt(self.enough * self.too_coarse) if bracketed else self.step / 2
-        self.step = wanted
-
-
-def encode_to_rate(
-    samples: Signal,
-    rate_hz: int,
-    bits_per_second: float,
-    size_bytes: Callable[[CodedSignal], int],
-    *,
-    codec: str = mdct.NAME,
-    setting: Setting | None = None,
-    unit: str = "full scale",
-    live: bool = False,
-    model: Model | None = None,
-    progress: Progress | None = None,
-) -> CodedSignal:
-    """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
-
-    `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: what of it is given and
-    not searched for. Raises CodecError as `encode`, OutOfReach with the least rate that the signal takes.
-    """
-    if not (math.isfinite(bits_per_second) and bits_per_second > 0):
-        raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
-    source = Source(samples, rate_hz, codec, unit, live, model, progress)
-
-    def rate(coded: CodedSignal) -> float:
-        return size_bytes(coded) * 8 * rate_hz / coded.samples
-
-    def excess(coded: CodedSignal) -> float:
-        return math.log(rate(coded)) - math.log(bits_per_second)
-
-    tolerance = math.log1p(RATE_TOLERANCE)
-    if _searches_steps(source, setting):
-        best = _search(source, excess, tolerance, side=-1).coded
-    else:
-        best = _choose(source, setting, excess, tolerance, side=-1)
-    if excess(best) > tolerance:
-        raise OutOfReach(
-            f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
-            f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
-        )
-    return best
-
-
-def _searches_steps(source: Source, setting: Setting | None) -> bool:
-    return source.codec.searches_steps and not setting
-
-
-def _differs_by_channel(source: Source, setting: Setting | None) -> bool:
-    """Return whether every parameter that is left to search may differ between channels, of which there are several."""
-    ladder = next(iter(source.codec.ladders.values()))
-    varied = {name for rung in ladder for name in rung} - set(setting or {})
-    return source.format.channels > 1 and all(source.codec.parameters[name].per_channel for name in varied)
-
-
-def settings(source: Source, setting: Setting | None = None) -> list[Setting]:
-    """Return what a search for a quality tries: the rungs of the codec's first ladder and between, the coarsest first.
-
-    `setting`: what is given of the codec's setting and not searched for. Raises CodecError.
-    """
-    return _steps_between(source, _rungs(source, setting))[0]
-
-
-def _rungs(source: Source, setting: Setting | None) -> list[Setting]:
-    """Return the settings of the codec's first ladder, what is given of a setting put in place of theirs.
-
-    Those that the model does not have are left out, unless it has none: then the first says why.
-    """
-    ladder = next(iter(source.codec.ladders.values()))
-    rungs: list[Setting] = []
-    for rung in ({**rung, **source.codec.checked(setting or {})} for rung in ladder):
-        if rung not in rungs:
-            rungs.append(rung)
-    return [rung for rung in rungs if source.takes(rung)] or rungs
-
-
-def _steps_between(source: Source, rungs: list[Setting]) -> tuple[list[Setting], int]:
-    """Return the rungs with settings between them, and how many steps lead from one rung to the next.
-
-    There are none between where what differs from rung to rung is no fraction.
-    """
-    parameters = source.codec.parameters
-    varied = {name for low, high in itertools.pairwise(rungs) for name in low if low[name] != high[name]}
-    if not varied or not all(parameters[name].fractional for name in varied):
-        return rungs, 1
-    finer: list[Setting] = []
-    for low, high in itertools.pairwise(rungs):
-        for step in range(_STEPS_BETWEEN):
-            part = step / _STEPS_BETWEEN
-            between = {name: (1 - part) * number(low, name) + part * number(high, name) for name in varied}
-            finer.append({**low, **between})
-    return [*finer, rungs[-1]], _STEPS_BETWEEN
-
-
-def _choose(
-    source: Source,
-    setting: Setting | None,
-    excess: Callable[[CodedSignal], float],
-    tolerance: float,
-    side: int,
-) -> CodedSignal:
-    """Code where the excess, rising on the whole from rung to rung, changes its sign; at every rung if nothing there
-    will do.
-
-    Return the one preferred as in `_search`.
-    """
-    settings, steps = _steps_between(source, _rungs(source, setting))
-    tried: dict[int, tuple[CodedSignal, float]] = {}
-
-    def excess_at(index: int) -> float:
-        if index not in tried:
-            coded = source.encode(settings[index])
-            tried[index] = coded, excess(coded)
-        return tried[index][1]
-
-    def preference(index: int) -> tuple[bool, float]:
-        return _preference(excess_at(index), tolerance, side)
-
-    every = range(len(settings))
-    crossing = bisect.bisect_left(every, 0.0, key=excess_at)
-    best = min(every[max(0, crossing - _NEIGHBOURS) : crossing + _NEIGHBOURS], key=preference)
-    if preference(best)[0]:
-        best = min(every[::steps], key=preference)
-    return tried[best][0]
-
-
-def _choose_for_each(
-    source: Source, setting: Setting | None, excesses_db: Callable[[CodedSignal], list[float]]
-) -> CodedSignal:
-    """Code each channel at the coarsest setting that brings it to the target: found with all channels at that setting,
-    then made finer where it is not enough beside the others'.
-    """
-    settings, _ = _steps_between(source, _rungs(source, setting))
-    varied = {name for name in settings[0] if settings[0][name] != settings[-1][name]}
-    tried: dict[tuple[int, ...], tuple[CodedSignal, list[float]]] = {}
-
-    def attempt(indices: tuple[int, ...]) -> list[float]:
-        if indices not in tried:
-            each = {name: tuple(number(settings[index], name) for index in indices) for name in varied}
-            coded = source.encode({**settings[0], **each})
-            tried[indices] = coded, excesses_db(coded)
-        return tried[indices][1]
-
-    channels, last = source.format.channels, len(settings) - 1
-
-    def enough(channel: int) -> int:
-        indices = range(last)
-        return bisect.bisect_left(indices, 0.0, key=lambda index: attempt((index,) * channels)[channel])
-
-    chosen = tuple(map(enough, range(channels)))
-    for _ in range(_BALANCING_TRIALS):
-        excesses = attempt(chosen)
-        if min(excesses) >= -SNR_TOLERANCE_DB:
-            break
-        short = [excess < -SNR_TOLERANCE_DB for excess in excesses]
-        chosen = tuple(min(index + more, last) for index, more in zip(chosen, short, strict=True))
-    attempt(chosen)
-    return tried[chosen][0]
-
-
-def _preference(excess: float, tolerance: float, side: int) -> tuple[bool, float]:
-    """Order by which trials are chosen: none beyond the tolerance on the worse side first, then the nearest to zero.
-
-    `side`: +1 when an excess above the tolerance is better than none, -1 when one below is.
-    """
-    return side * excess < -tolerance, abs(excess)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What a search found: the coded signal, its excess, and the step and thrift that made it."""
-
-    coded: CodedSignal
-    excess: float
-    step: float
-    thrift: float
-
-
-def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: float, side: int) -> _Found:
-    """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
-
-    What is found, preferred by `_preference`, lies beyond the tolerance on the worse side only where every step does.
-    """
-    best: _Found | None = None
-
-    # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
-    # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
-    for thrift in _THRIFTS:
-        finest = round(_STEPS_PER_OCTAVE * math.log2(mdct.SMALLEST_STEP))
-        coarsest = round(_STEPS_PER_OCTAVE * math.log2(mdct.LARGEST_STEP / min(source.format.rms)))
-        above = below = math.nan  # excess beside the finest and the coarsest step that are left
-        interpolates = False
-        while finest <= coarsest:
-            width = coarsest - finest
-            exponent = (finest + coarsest) // 2
-            if interpolates:
-                exponent = finest + round(width * min(max(above / (above - below), 0.0), 1.0))
-            step = 2 ** (exponent / _STEPS_PER_OCTAVE)
-            coded = source.encode({"step": step, "thrift": thrift})
-            found = _Found(coded, excess(coded), step, thrift)
-            if best is None or _preference(found.excess, tolerance, side) < _preference(best.excess, tolerance, side):
-                best = found
-            if abs(best.excess) <= tolerance / 2:
-                return best
-            if found.excess > 0:
-                finest, above = exponent + 1, found.excess
+        `holds`: on the whole, of coarse ones and not of fine ones. Steps away from `start` double until the change
+        lies between two that were tried; then what is between them is halved.
+        """
+        first, last = self.coarsenesses[0], self.coarsenesses[-1]
+        fails, succeeds = first - 1, last + 1
+        coarseness, stride = _within(self.coarsenesses, start), _FIRST_STRIDE
+        while succeeds - fails > 1:
+            if holds(coarseness):
+                succeeds = coarseness
             else:
-                coarsest, below = exponent - 1, found.excess
-            # Straight lines lead there soon, unless one end stays where it is, or the excess jumps: then halve.
-            halved = 2 * (coarsest - finest) <= width
-            interpolates = thrift == _THRIFTS[0] and halved and math.isfinite(above - below)
-        if best is not None and (abs(best.excess) <= tolerance or side * best.excess < -tolerance):
-            break
-    assert best is not None, "there is a step to try"
-    return best
+                fails = coarseness
+            if fails < first:
+                coarseness = max(first, succeeds - stride)
+            elif succeeds > last:
+                coarseness = min(last, fails + stride)
+            else:
+                coarseness = (fails + succeeds) // 2
+            stride *= 2
+        if succeeds <= last:
+            return succeeds
+        return next(filter(holds, reversed(self.coarsenesses)), None)
+
+
+def _within(coarsenesses: range, coarseness: int) -> int:
+    return min(max(coarseness, coarsenesses[0]), coarsenesses[-1])
+
+
+class _Ear:
+    """Hears packets as the far end will, and lets a judge say how good they are; of one stream."""
+
+    def __init__(self, judge: Judge) -> None:
+        self._judge = judge
+        self._decoder: CopyableDecoder | None = None
+
+    def begin(self, decoder: Decoder) -> None:
+        """Listen to what this decoder decodes. Raises CodecError for one whose state cannot be copied."""
+        if not hasattr(decoder, "copy"):
+            raise CodecError("this codec cannot be held to a quality; ask for a constant rate, or choose another codec")
+        self._decoder = cast(CopyableDecoder, decoder)
+
+    def quality_db(self, attempts: _Attempts, coarseness: int) -> float:
+        """Return the quality of the first trial's packet; infinity where it is too long to be coded."""
+        packets = attempts.packets(coarseness)
+        if packets is None:
+            return math.inf
+        assert self._decoder is not None, "it has begun"
+        return self._judge.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
+
+    def coarsest_with(self, attempts: _Attempts, quality_db: float) -> int:
+        """Return the coarsest that has the quality; the finest that can be coded where none has."""
+        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.previous)
+        coarseness = attempts.coarsenesses[-1] if worse is None else _within(attempts.coarsenesses, worse - 1)
+        if attempts.packets(coarseness) is not None:
+            return coarseness
+        codable = attempts.finest(lambda each: attempts.packets(each) is not None, coarseness)
+        return attempts.coarsenesses[-1] if codable is None else codable
+
+    def hear(self, attempts: _Attempts, coarseness: int) -> None:
+        """Take in the packet that was chosen."""
+        assert self._decoder is not None, "it has begun"
+        self._judge.hear(attempts.trials[0].samples, self._decoder.decode(attempts.coded(coarseness)[0]) / 32768)
+
+
+class Policy(ABC):
+    """A steering with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its place."""
+
+    _ear: _Ear | None = None
+
+    def __init__(self, frame_bytes: FrameBytes | int = 0) -> None:
+        """`frame_bytes`: what the frame of a packet adds to it on the way."""
+        self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
+        self._seconds = math.nan
+        self.least_bytes = 0
+        """What a packet of the stream takes at the coarsest, as `begin` was told."""
+
+    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin a stream of packets of so many seconds, which `decoder` decodes from its first one on.
+
+        `least_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
+        where the codec's packets cannot be judged, OutOfReach where they do not fit the rate.
+        """
+        if self._ear is not None:
+            self._ear.begin(decoder)
+        self._seconds = seconds
+        self.least_bytes = least_bytes
+
+    def sent_bytes(self, packet: bytes) -> int:
+        """Return what a packet and its frame take on the way."""
+        return len(packet) + self._frame_bytes(packet)
+
+    @abstractmethod
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose how the next packet is coded. Raises OutOfReach where nothing will do."""
+
+
+class RatePolicy(Policy):
+    """A policy whose packets, frames included, a leaky bucket holds."""
+
+    def __init__(self, bucket: LeakyBucket, frame_bytes: FrameBytes | int) -> None:
+        super().__init__(frame_bytes)
+        self.bucket = bucket
+        self.least_bits_per_second = 0.0
+        """The least rate that holds whatever signal comes; known when a stream has begun."""
+        self.padding_bytes = 0
+        """Bytes so far that only keep the rate."""
+
+    @property
+    def bits_per_second(self) -> float:
+        """The rate, which may be set at any time. Raises OutOfReach, and CodecError for what is none."""
+        return self.bucket.bits_per_second
+
+    @bits_per_second.setter
+    def bits_per_second(self, bits_per_second: float) -> None:
+        self._check_reach(bits_per_second)
+        self.bucket.bits_per_second = bits_per_second
+
+    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin a stream; see Policy."""
+        super().begin(decoder, least_bytes, seconds)
+        self.least_bits_per_second = 8 * least_bytes / seconds
+        self._check_reach(self.bits_per_second)
+
+    def _check_reach(self, bits_per_second: float) -> None:
+        if bits_per_second < self.least_bits_per_second:
+            raise self._out_of_reach(bits_per_second, self.least_bits_per_second)
+
+    def _out_of_reach(self, bits_per_second: float, least: float) -> OutOfReach:
+        return OutOfReach(
+            f"{bits_per_second:g} bit/s cannot be held: packets of {1000 * self._seconds:.1f} ms take "
+            f"{math.ceil(least)} bit/s however coarse, with their frames; ask for that, or for longer packets"
+        )
+
+    def _finest_that_fits(self, attempts: _Attempts, start: int) -> int:
+        """Return the finest that the bucket holds; the coarsest where a lower rate has left too much in it."""
+        most_bytes = self.bucket.most_bytes(self._seconds)
+        found = attempts.finest(lambda each: attempts.size_bytes(each) <= most_bytes, start)
+        if found is not None:
+            return found
+        coarsest = attempts.coarsenesses[-1]
+        if self.bucket.full > 1:
+            return coarsest
+        least_bytes = sum(map(self.sent_bytes, attempts.coded(coarsest)))
+        raise self._out_of_reach(self.bits_per_second, 8 * least_bytes / self._seconds)
+
+    def _send(self, packets: Sequence[bytes]) -> None:
+        """Take packets into the bucket, padded as they are."""
+        self.bucket.fill(sum(map(self.sent_bytes, packets)), self._seconds)
+
+
+class CappedRate(RatePolicy):
+    """A constant quality as far as the bucket holds it, and else the finest that it holds."""
+
+    _ear: _Ear
+
+    def __init__(
+        self,
+        quality_db: float,
+        judge: Judge,
+        bits_per_second: float,
+        frame_bytes: FrameBytes | int = 0,
+        bucket_s: float = DEFAULT_BUCKET_S,
+    ) -> None:
+        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.0), frame_bytes)
+        self.quality_db = quality_db
+        self._ear = _Ear(judge)
+
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises OutOfReach."""
+        attempts = _Attempts([trial], self.sent_bytes)
+        coarseness = self._ear.coarsest_with(attempts, self.quality_db)
+        if attempts.size_bytes(coarseness) > self.bucket.most_bytes(self._seconds):
+            coarseness = self._finest_that_fits(attempts, coarseness)
+        self._ear.hear(attempts, coarseness)
+        self._send(attempts.coded(coarseness))
+        self.bucket.fullness_bytes = max(0.0, self.bucket.fullness_bytes)
+        return Choice(coarseness)
+
+
+class ConstantQuality(CappedRate):
+    """Every packet as coarse as the asked quality allows, whatever bytes that takes.
+
+    `bits_per_second`: more than it ever takes. Live, it falls to what the link carries, as that of a capped rate does.
+    """
+
+    def __init__(
+        self, quality_db: float, judge: Judge, bits_per_second: float = 1e9, frame_bytes: FrameBytes | int = 0
+    ) -> None:
+        super().__init__(quality_db, judge, bits_per_second, frame_bytes)
+
+
+class ConstantRate(RatePolicy):
+    """A constant rate: no packet lets the bucket run over, and padding never lets it run dry.
+
+    In between, a judge makes the quality as even as the bucket allows: each packet aims at the mean of those before it,
+    and at up to 2 dB more or less as the bucket is emptier or fuller than half. Without a judge each packet aims at its
+    share of the rate, which is all that the default bucket leaves to choose.
+    """
+
+    def __init__(
+        self,
+        bits_per_second: float,
+        frame_bytes: FrameBytes | int = 0,
+        bucket_s: float = DEFAULT_BUCKET_S,
+        judge: Judge | None = None,
+    ) -> None:
+        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.5), frame_bytes)
+        self._ear = None if judge is None else _Ear(judge)
+        self._mean_db, self._heard = 0.0, 0  # the mean quality, and of how many packets
+
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose the packet's coarseness and padding. Raises OutOfReach where none fits."""
+        return self.choose([trial])[0]
+
+    def choose(self, trials: Sequence[Trial]) -> list[Choice]:
+        """Choose for packets of several streams that are due together: one coarseness, and their sum fits."""
+        attempts = _Attempts(trials, self.sent_bytes)
+        least_bytes, most_bytes = self.bucket.least_bytes(self._seconds), self.bucket.most_bytes(self._seconds)
+        coarseness = self._aim(attempts)
+        if attempts.size_bytes(coarseness) > most_bytes:
+            coarseness = self._finest_that_fits(attempts, coarseness)
+        elif attempts.size_bytes(coarseness) < least_bytes:
+            coarseness = self._coarsest_that_fills(attempts, coarseness, least_bytes, most_bytes)
+        packets = attempts.coded(coarseness)
+        # What had more bytes than it could use tells nothing of the quality that the rate has.
+        if self._ear is not None:
+            if attempts.size_bytes(coarseness) >= least_bytes:
+                self._remember(self._ear.quality_db(attempts, coarseness))
+            self._ear.hear(attempts, coarseness)
+        padded = self._padded(packets, least_bytes, most_bytes)
+        self.padding_bytes += len(padded) - len(packets[-1])
+        packets = [*packets[:-1], padded]
+        self._send(packets)
+        return [
+            Choice(_within(trial.coarsenesses, coarseness), len(packet))
+            for trial, packet in zip(trials, packets, strict=True)
+        ]
+
+    def _aim(self, attempts: _Attempts) -> int:
+        """Return the coarseness of the quality aimed at; that of the packet's share of the rate where none is known."""
+        if self._ear is None or self._heard == 0:
+            share_bytes = self.bits_per_second * self._seconds / 8
+            aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.previous)
+            return attempts.coarsenesses[-1] if aim is None else aim
+        swing_db = _SWING_DB * min(1.0, self.bucket.bucket_s / self._seconds / _PACKETS_FOR_FULL_SWING)
+        return self._ear.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.bucket.full))
+
+    def _coarsest_that_fills(self, attempts: _Attempts, start: int, least_bytes: int, most_bytes: int) -> int:
+        """Return the coarsest that needs no padding, or the finest that fits where the least padding is needed."""
+        short = attempts.finest(lambda each: attempts.size_bytes(each) < least_bytes, start)
+        assert short is not None, "the one that is aimed at is too short"
+        finer = _within(attempts.coarsenesses, short - 1)
+        return finer if attempts.size_bytes(finer) <= most_bytes else short
+
+    def _remember(self, quality_db: float) -> None:
+        """Take a quality into the mean."""
+        self._heard += 1
+        kept = math.exp(-self._seconds / (_MEMORY_BUCKETS * self.bucket.bucket_s))
+        self._mean_db += max(1 / self._heard, 1 - kept) * (quality_db - self._mean_db)
+
+    def _padded(self, packets: Sequence[bytes], least_bytes: int, most_bytes: int) -> bytes:
+        """Return the last of the packets, padded with zero bytes to bring all of them to the least."""
+        *others, last = packets
+        others_bytes = sum(map(self.sent_bytes, others))
+        padded = last.ljust(len(last) + least_bytes - others_bytes - self.sent_bytes(last), b"\0")
+        # A longer packet may have a longer frame.
+        while len(padded) > len(last) and others_bytes + self.sent_bytes(padded) > most_bytes:
+            padded = padded[:-1]
+        return padded
+
+
+class Group:
+    """Several streams whose packets are due together, under one constant rate for the sum of their bytes.
+
+    All have one coarseness. Where a coarseness means the same step in a physical unit in all of them, the bits go
+    where the power is: reverse water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3).
+    `members`: the policies of the streams' encoders, one each.
+    """
+
+    def __init__(self, policy: ConstantRate, streams: int) -> None:
+        self.policy = policy
+        self.members = tuple(_Member(self, index, policy.sent_bytes) for index in range(streams))
+        self._trials: dict[int, Trial] = {}
+        self._choices: dict[int, Choice] = {}
+        self._seconds = math.nan
+        self._least_bytes: dict[int, int] = {}
+        self._code_next: Callable[[int], None] | None = None
+
+    def code(self, coders: Sequence[Callable[[Signal], list[bytes]]], blocks: Sequence[Signal]) -> list[list[bytes]]:
+        """Code one packet's samples of each stream by its encoder's `encode`, or what calls it; return the packets.
+
+        Raises CodecError for blocks that make more than one packet, and as the encoders do.
+        """
+        packets: list[list[bytes]] = [[] for _ in self.members]
+        self._trials, self._choices = {}, {}
+
+        # Each encoder waits for its choice while the next one makes its trial; behind the last one all are chosen.
+        def code_from(index: int) -> None:
+            if index == len(self.members):
+                chosen = self.policy.choose(list(self._trials.values())) if self._trials else []
+                self._choices = dict(zip(self._trials, chosen, strict=True))
+                return
+            packets[index] = coders[index](blocks[index])
+            if index not in self._trials:  # it completed no packet
+                code_from(index + 1)
+
+        self._code_next = code_from
+        try:
+            code_from(0)
+        finally:
+            self._code_next = None
+        return packets
+
+    def begin(self, index: int, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin the stream of one member; see Policy. Raises CodecError where its packets last longer or less."""
+        if self._least_bytes and not math.isclose(seconds, self._seconds):
+            raise CodecError("streams that share a rate need packets of one duration; give all the same")
+        self._seconds = seconds
+        self._least_bytes[index] = least_bytes
+        self.policy.begin(decoder, sum(self._least_bytes.values()), seconds)
+
+    def choose(self, index: int, trial: Trial) -> Choice:
+        """Choose for one member when all have made their trials. Raises CodecError outside `code`."""
+        if self._code_next is None or index in self._trials:
+            raise CodecError("streams that share a rate are coded together, a packet of each at a time")
+        self._trials[index] = trial
+        self._code_next(index + 1)
+        return self._choices[index]
+
+
+class _Member(Policy):
+    """The policy of one stream of a group."""
+
+    def __init__(self, group: Group, index: int, frame_bytes: FrameBytes) -> None:
+        super().__init__()
+        self._group, self._index = group, index
+
+    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+        """Begin a stream; see Policy."""
+        super().begin(decoder, least_bytes, seconds)
+        self._group.begin(self._index, decoder, least_bytes, seconds)
+
+    def sent_bytes(self, packet: bytes) -> int:
+        """Return what a packet and its frame take on the way."""
+        return self._group.policy.sent_bytes(packet)
+
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose with the others of the group."""
+        return self._group.choose(self._index, trial)
+
+
+def steered_encoder(
+    codec: Codec, setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None, policy: Policy
+) -> Encoder:
+    """Make an encoder as `codec.make_encoder` does, steered by a policy, which begins with it.
+
+    What the coarsest packets take at most is found by coding full-scale noise, silence and a click first. Raises
+    CodecError as `make_encoder`, also for a codec that does not steer, and as `policy.begin`.
+    """
+    encoder = codec.make_encoder(setting, signal_format, framing, model, policy)
+    probe = codec.make_encoder(setting, signal_format, framing, model, lambda trial: Choice(trial.coarsenesses[-1]))
+    shape = (_PROBE_PACKETS * encoder.packet_samples, signal_format.channels)
+    noise, silence, click = np.random.default_rng(0).uniform(-1, 1, shape), np.zeros(shape), np.zeros(shape)
+    click[encoder.packet_samples // 2] = 1.0
+    packets = probe.encode(np.concatenate([noise, silence, click])) + probe.finish()
+    longest = max(packets, key=policy.sent_bytes)
+    least_bytes = policy.sent_bytes(longest + bytes(_SEQUENCE_GROWTH_BYTES))
+    decoder = codec.make_decoder(encoder.configuration, signal_format.channels, model.tables if model else None)
+    policy.begin(decoder, least_bytes, encoder.packet_samples / signal_format.rate_hz)
+    return encoder
+
+
+def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
+    """Return what of a setting gives all channels the same steps in their physical unit, and so the same error.
+
+    At one coarseness the bits then go to the channels by need, and one below the error gets none: reverse
+    water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3). It is the least error in all for
+    the rate; by default all channels have the same SNR. Raises CodecError for a codec whose steps are not of a channel.
+    """
+    if codec.name not in _STEP_PARAMETERS:
+        known = " or ".join(_STEP_PARAMETERS)
+        raise CodecError(f"the steps of {codec.name} do not differ by channel; code an equal error with {known}")
+    name = _STEP_PARAMETERS[codec.name]
+    physical = np.array(signal_format.rms) * np.array(signal_format.gains)
+    steps = float(codec.parameters[name].default) * math.sqrt(np.mean(np.square(physical))) / physical
+    return {name: tuple(map(float, steps))}
+
+
+def steered_framing(
+    bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, longest_s: float = math.inf
+) -> Framing:
+    """Return the framing for a rate: the shortest packets to which the wire adds at most 15 %, but none too long.
+
+    `bits_per_second`: of all channels, frames included. `longest_s`: what the asked delay leaves for a packet. Encoders
+    round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the tactor for half of that on
+    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/rate_control.md). Raises OutOfReach for a rate
+    whose packets would last longer than the time over which it is held.
+    """
+    packet = b"\xff"
+    while frame_bytes(packet) > FRAMES_ADD * len(packet):
+        packet += b"\xff"
+    sent_bits = 8 * (len(packet) + frame_bytes(packet))
+    seconds = min(sent_bits / bits_per_second, longest_s)
+    if seconds > LONGEST_PACKET_S:
+        raise OutOfReach(
+            f"{bits_per_second:g} bit/s cannot be held over {LONGEST_PACKET_S:g} s: one packet, with its frame, takes "
+            f"{seconds:.1f} s; ask for {math.ceil(sent_bits / LONGEST_PACKET_S)} bit/s or more, or for shorter packets"
+        )
+    return Framing(max(1, math.ceil(seconds * rate_hz)), max(1, round(REFRESH_S / seconds)))

@@ -11,7 +11,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import MAX_PACKET_BYTES, UNIT, CoreDecoder, Structure, check_made, does_not_fit, ffi, library
+from vibrocast.codec.core import (
+    MAX_PACKET_BYTES,
+    UNIT,
+    CoreDecoder,
+    check_made,
+    does_not_fit,
+)
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -28,6 +34,7 @@ from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictor
 from vibrocast.codec.mdct import STEERED
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "slp"
 IDENTIFIER = 3

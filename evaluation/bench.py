@@ -13,7 +13,7 @@ from vibrocast import textures
 from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import TABLES, Measurements
 from vibrocast.evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 from vibrocast.textures.dataset import Trace
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"

@@ -15,10 +15,10 @@ import numpy as np
 
 from vibrocast import codec, textures
 from vibrocast.codec import Setting, Signal, plugins
+from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.device_protocol import coded_stream
 from vibrocast.evaluation import cost, external, metrics, trained
 from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
-from vibrocast.host import coding
 from vibrocast.models import Model
 
 DECIMALS = 6
@@ -31,7 +31,7 @@ _SOURCES = (
     "codec/data/*",
     "device_protocol/coded_stream.py",
     "device_protocol/model_image.py",
-    "host/coding.py",
+    "codec/stream.py",
     "evaluation/cells.py",
     "evaluation/cost.py",
     "evaluation/external.py",
@@ -143,7 +143,7 @@ def encode_file(recording: textures.Recording, codec_name: str, setting: Setting
     image, tables = (model.image, trained.for_encoder(model)) if model else (None, None)
     rate_hz = round(recording.rate_hz)
     coded = codec.encode(recording.samples, rate_hz, setting, codec=codec_name, unit=recording.unit, model=tables)
-    stream = coding.as_stream(coded, recording.unit, image)
+    stream = as_stream(coded, recording.unit, image)
     return coded_stream.pack_file(stream.header, stream.packets)
 
 
@@ -153,7 +153,7 @@ def decode_file(file: bytes, model: Model | None, runtime: str | None = None) ->
     Raises CodecError, or StreamError.
     """
     header, packets = coded_stream.unpack_file(file)
-    return coding.Stream(header, tuple(packets), model.image if model else None, runtime).decode()
+    return Stream(header, tuple(packets), model.image if model else None, runtime).decode()
 
 
 def rung_text(method: Method, setting: Setting | str, model: Model | None) -> str:

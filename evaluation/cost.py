@@ -26,7 +26,7 @@ import numpy as np
 from vibrocast import codec
 from vibrocast.codec import Framing, Setting, SignalFormat
 from vibrocast.evaluation import trained
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 from vibrocast.models import Model
 
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from vibrocast.codec import Framing, Signal
 from vibrocast.codec.mdct import HOPS, MdctEncoder
-from vibrocast.export.mdct_tables import RATE_HZ, STEP, excerpts
+from vibrocast.export.mdct_training import RATE_HZ, STEP, excerpts
 
 EXAMPLES = 8_000_000
 BATCH = 2048

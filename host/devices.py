@@ -24,7 +24,7 @@ from vibrocast.device_protocol.transports import (
 from vibrocast.host.controller import Controller
 
 if TYPE_CHECKING:
-    from vibrocast.simulated_device.actuator import Actuator
+    from vibrocast.output.actuator import Actuator
     from vibrocast.simulated_device.controller import Controller as SimulatedController
     from vibrocast.simulated_device.cortex_m import CortexM
     from vibrocast.simulated_device.stm32f405 import Stm32F405

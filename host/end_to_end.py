@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec import CodecError
+from vibrocast.codec.encoding import Encoding
+from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription
-from vibrocast.host import flasher, player
-from vibrocast.host.coding import Encoding, Stream
+from vibrocast.host import player, uploader
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.devices import model_images
 from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report, Touch
-from vibrocast.simulated_device.actuator import ACTUATORS, Actuator, Codes
-from vibrocast.simulated_device.output import Drive, displacement_filter, render
+from vibrocast.output.actuator import ACTUATORS, Actuator, Codes
+from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
 
 # Decoded samples of all channels and loops, positions that are not played included: 1.6 h at 2800 Hz. Computing the
@@ -64,7 +65,7 @@ def play(
     """
     header, decoder = stream.header, stream.decoder()
     if stream.image is not None:
-        flasher.provide(controller, address, stream.image)
+        uploader.provide(controller, address, stream.image)
     hello = controller.description
     actuator = actuator or actuator_model(hello.actuator)
     skin_model = skin_model or actuator

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
@@ -21,12 +22,11 @@ from vibrocast.device_protocol.messages import (
     StreamData,
     Tap,
 )
-from vibrocast.host.coding import Stream
+from vibrocast.files import InputFileError
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.input_files import InputFileError
 from vibrocast.host.picture import Trace
-from vibrocast.simulated_device import profile as rendering
-from vibrocast.simulated_device.actuator import Actuator, Codes
+from vibrocast.output import profile as rendering
+from vibrocast.output.actuator import Actuator, Codes
 
 _POSITION_RATE_HZ = 500
 _MOST_POSITIONS = 1_000_000

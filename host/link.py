@@ -5,8 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from vibrocast import codec
-from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameError, write_frame
+from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import Message, Status, StatusRequest, StreamData, pack
 from vibrocast.host.controller import Controller
 
@@ -29,20 +28,6 @@ _LARGEST_DRIFT = 0.005
 def frame_bytes(message: Message) -> int:
     """Return the bytes of a message on the wire, its frame included."""
     return len(write_frame(pack(message, 1)))
-
-
-def added_bytes(packet: bytes) -> int:
-    """Return how many bytes a packet's frame, of its own, adds to it: 8 for up to 127 bytes, as policies count them.
-
-    Raises OutOfReach for a packet that no frame carries.
-    """
-    try:
-        return frame_bytes(StreamData(0, 0, (packet,))) - len(packet)
-    except FrameError as error:
-        raise codec.OutOfReach(
-            f"a packet of {len(packet)} bytes cannot be sent, a frame carries {MAXIMUM_PAYLOAD_BYTES}: "
-            "ask for a lower rate or quality, or for shorter packets"
-        ) from error
 
 
 @dataclass

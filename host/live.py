@@ -7,15 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vibrocast import codec, models, textures
+from vibrocast import codec, models
 from vibrocast.codec import Signal, SignalFormat
-from vibrocast.codec.steering import REFRESH_S as STEERED_REFRESH_S
+from vibrocast.codec.encoding import chosen_codec, encoder_model
+from vibrocast.codec.rate_control import REFRESH_S as STEERED_REFRESH_S
+from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
 from vibrocast.device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import coding
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
-from vibrocast.host.link import STATUS_INTERVAL_S, Link, added_bytes, frame_bytes
+from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
 from vibrocast.host.player import RECONNECT_S, check_limits, check_packet
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
@@ -23,8 +25,6 @@ MARGIN_S = 0.01
 REFRESH_S = 0.25
 # What a stream may take of the link's capacity, so that its packets do not queue.
 LINK_SHARE = 0.9
-# RMS value that a source is taken to have where nothing is known of it, relative to its full scale.
-EXPECTED_RMS = 0.2
 
 # The controller's clock and the source's drift apart: beyond the margin on one side, or so much on the other, for so
 # long, the stream is begun anew.
@@ -82,29 +82,6 @@ class LiveResult:
         return 8 * self.wire_bytes / self.seconds if self.seconds else 0.0
 
 
-def live_format(
-    rate_hz: int, unit: str, full_scales: Sequence[float], rms: Sequence[float] | None = None
-) -> SignalFormat:
-    """Return what an encoder is told of a live source before it comes.
-
-    `full_scales`: the largest magnitude expected of each channel, in `unit`. `rms`: RMS values in `unit`, None =
-    EXPECTED_RMS of full scale. Raises CodecError for what cannot be coded.
-    """
-    gains = tuple(codec.gain_for(full_scale) for full_scale in full_scales)
-    if rms is None:
-        return SignalFormat(rate_hz, unit, gains, (EXPECTED_RMS,) * len(gains))
-    relative = tuple(value / gain or 1.0 for value, gain in zip(rms, gains, strict=True))
-    return SignalFormat(rate_hz, unit, gains, relative)
-
-
-def recording_format(recording: textures.Recording) -> SignalFormat:
-    """Return what an encoder is told of a recording that is played live. Raises CodecError for what it cannot code."""
-    samples = recording.samples
-    peaks = np.max(np.abs(samples), axis=0, initial=0.0)
-    rms = np.sqrt(np.mean(np.square(samples), axis=0))
-    return live_format(round(recording.rate_hz), recording.unit, peaks.tolist(), rms.tolist())
-
-
 def limit_rate(policy: codec.RatePolicy, asked_bps: float, carried_bps: float) -> None:
     """Set a policy to what is asked or, if that is less, to what a link carries, as far as the policy reaches."""
     # A little above its least, which rounding would put out of reach.
@@ -153,7 +130,7 @@ class LiveStream:
         self.payload_bytes = self.dropped_packets = self._sent_samples = 0
         self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
-        self._codec, self._model = coding.chosen_codec(codec_name, model), model
+        self._codec, self._model = chosen_codec(codec_name, model), model
         defaults = {} if policy else live_setting(self._codec.name, signal_format.rate_hz)
         self.setting = self._codec.complete({**defaults, **(setting or {})})
         self._asked_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
@@ -195,14 +172,14 @@ class LiveStream:
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
         """Make the stream's first encoder; what it learns of a policy's least holds for all later ones."""
-        model = coding.encoder_model(self._model)
+        model = encoder_model(self._model)
         if self.policy is None:
             return self._codec.make_encoder(self.setting, self.format, framing, model, None)
         return codec.steered_encoder(self._codec, self.setting, self.format, framing, model, self.policy)
 
     def _begin_encoder(self, first: int) -> None:
         """Make an encoder that begins with packet `first`, a refresh."""
-        model = coding.encoder_model(self._model)
+        model = encoder_model(self._model)
         self._encoder = self._codec.make_encoder(self.setting, self.format, self._framing, model, self.policy)
         if self.policy is not None:
             tables = None if model is None else model.tables
@@ -221,7 +198,7 @@ class LiveStream:
             self.format.unit,
             self.format.gains,
             self._encoder.configuration,
-            b"" if self._model is None else coding.image_hash(self._model.image),
+            b"" if self._model is None else image_hash(self._model.image),
         )
         self.stream = (self.controller.request_status().stream + 1) % 256
         configure = Configure(

@@ -8,9 +8,9 @@ import numpy as np
 
 from vibrocast import codec
 from vibrocast.codec import Signal
+from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import ConnectionLost, ControllerError
-from vibrocast.host.link import added_bytes
 from vibrocast.host.live import LiveResult, LiveStream, limit_rate
 
 _Done = TypeVar("_Done")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.threshold import read_threshold
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

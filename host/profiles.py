@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast import textures
+from vibrocast.codec.encoding import Encoding, encode_recording
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ, PROFILE_UNIT, StreamError
-from vibrocast.host import coding
 
 BAND_HZ = 400.0
 """What is worth coding at the slowest hand: up to here the DCT paper's display renders its textures."""
@@ -37,7 +37,7 @@ def encode(
     slowest_mm_s: float = SLOWEST_MM_S,
     band_hz: float = BAND_HZ,
     **quality: Any,
-) -> coding.Encoding:
+) -> Encoding:
     """Code a height profile (`recording_of`) as a spatial stream.
 
     The pitch is such that a hand at `slowest_mm_s` feels all up to `band_hz`, but no finer than the profile has it.
@@ -54,6 +54,6 @@ def encode(
     narrow_hz = 2 * _BAND_PART * samples_per_metre
     if recording.rate_hz > narrow_hz:
         recording = textures.resample(recording, narrow_hz)
-    return coding.encode(
+    return encode_recording(
         recording, stream_rate_hz=samples_per_metre, live=True, unit=PROFILE_UNIT, highpass_hz=None, **quality
     )

@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 
 
 @dataclass(frozen=True)

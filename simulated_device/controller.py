@@ -41,10 +41,10 @@ from vibrocast.device_protocol.messages import (
     Stop,
     StreamData,
 )
-from vibrocast.simulated_device.actuator import PIEZO_STACK, Actuator, Codes
+from vibrocast.output.actuator import PIEZO_STACK, Actuator, Codes
+from vibrocast.output.profile import HAND_DELAY_US
 from vibrocast.simulated_device.flash import FlashMemory, ImageStore
 from vibrocast.simulated_device.playback import Playback
-from vibrocast.simulated_device.profile import HAND_DELAY_US
 from vibrocast.simulated_device.refusal import Refusal
 
 BUILD = "simulated controller 0.1.0"

@@ -9,8 +9,8 @@ import numpy as np
 from cffi import FFI
 
 from vibrocast.firmware.build import build
-from vibrocast.simulated_device.actuator import Codes
-from vibrocast.simulated_device.actuator_tables import constants
+from vibrocast.output.actuator import Codes
+from vibrocast.output.actuator_constants import constants
 from vibrocast.simulated_device.controller import FLASH_BYTES, Settings
 from vibrocast.simulated_device.flash import SLOTS, FlashMemory
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from vibrocast.codec import CodecError, Decoded, Decoder
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
 from vibrocast.device_protocol.messages import Configure, ErrorCode, State, Status, Tap
-from vibrocast.simulated_device.actuator import Actuator, Codes
-from vibrocast.simulated_device.output import Dac, Drive, recording_end
-from vibrocast.simulated_device.profile import Profile, least_samples, rendered
+from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.profile import Profile, least_samples, rendered
+from vibrocast.output.rendering import Dac, Drive, recording_end
 from vibrocast.simulated_device.refusal import Refusal
 
 # Bounds the memory that small packets could take; credit never goes beyond it.

@@ -8,7 +8,7 @@ from unicorn import arm_const
 
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
-from vibrocast.simulated_device.actuator import Codes
+from vibrocast.output.actuator import Codes
 from vibrocast.simulated_device.emulator import SYSTEM_SPACE, Processor
 from vibrocast.simulated_device.flash import FlashMemory
 

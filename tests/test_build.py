@@ -22,6 +22,7 @@ PACKAGES = (
     "firmware",
     "host",
     "models",
+    "output",
     "simulated_device",
     "textures",
 )
@@ -93,7 +94,7 @@ def plays_when_installed(wheel: Path, folder: Path) -> None:
     (folder / "host").mkdir()
     (folder / "host" / "__init__.py").touch()
     without_path = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [str(python), "-c", "from vibrocast.host.entry import main; main()"]
+    command = [str(python), "-c", "from vibrocast.host.cli.entry import main; main()"]
     for arguments in (("generate", "taps", "taps.wav", "--seconds", "0.5"), ("play", "taps.wav")):
         done = subprocess.run([*command, *arguments], cwd=folder, env=without_path, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
@@ -119,7 +120,7 @@ def test_wheel_and_sdist_hold_every_source_once_and_nothing_else(tmp_path: Path)
     held = [name for name in names if name not in records]
     assert len(names) == len(set(names))
     moved = {name if name.startswith("vibrocast/") else f"vibrocast/{name}" for name in expected}
-    assert set(held) == moved | {f"vibrocast/codec/{name}" for name in COMPILED}
+    assert set(held) == moved | {f"vibrocast/firmware/{name}" for name in COMPILED}
     kinds = {Path(name).suffix for name in held}
     assert {".py", ".typed", ".csv", ".json", ".vcmi", ".onnx", ".c", ".h", ".ld"} <= kinds
     assert wheel.name.split("-")[2:4] == ["py3", "none"]
@@ -137,7 +138,7 @@ def test_wheel_and_sdist_hold_every_source_once_and_nothing_else(tmp_path: Path)
 @pytest.mark.skipif(not hatch_build.LINKS_GLIBC, reason="the core is not linked with glibc here")
 def test_the_core_asks_for_no_newer_glibc_than_its_tag() -> None:
     for processor in hatch_build.PROCESSORS:
-        library = (ROOT / "codec" / f"vibrocast_core.{processor}.so").read_bytes()
+        library = (ROOT / "firmware" / f"vibrocast_core.{processor}.so").read_bytes()
         versions = {tuple(map(int, found)) for found in re.findall(rb"GLIBC_(\d+)\.(\d+)", library)}
         assert versions
         assert max(versions) <= hatch_build.GLIBC

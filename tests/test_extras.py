@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from vibrocast import extras
-from vibrocast.host.command_line import main
+from vibrocast.host.cli.command_line import main
 
 ROOT = Path(__file__).parents[1]
 # Hides the packages of all extras.
@@ -28,7 +28,7 @@ PathFinder.find_spec = find_other
 COMMANDS = f"""{HIDDEN}
 import json, sys
 from click.testing import CliRunner
-from vibrocast.host.command_line import main
+from vibrocast.host.cli.command_line import main
 for line in sys.stdin:
     result = CliRunner().invoke(main, json.loads(line))
     print(json.dumps([result.exit_code, result.stderr]))
@@ -72,7 +72,7 @@ def test_the_base_encodes_decodes_plays_and_uploads(tmp_path: Path) -> None:
 
 
 def test_the_base_simulates() -> None:
-    code = f"{HIDDEN}\nfrom vibrocast.host.entry import main\nmain()"
+    code = f"{HIDDEN}\nfrom vibrocast.host.cli.entry import main\nmain()"
     with subprocess.Popen([sys.executable, "-c", code, "simulate"], cwd=ROOT, stdout=subprocess.PIPE, text=True) as run:
         assert run.stdout is not None
         address = run.stdout.readline().strip()

@@ -12,12 +12,19 @@ from numpy.typing import ArrayLike
 
 from vibrocast import extras, models, textures
 from vibrocast.codec import CODECS, RUNTIMES, BlockCodec, Codec, CodecError, Setting, as_codec
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
+from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
-from vibrocast.host import actuators, coding, devices, end_to_end, flasher, player
-from vibrocast.host.coding import Stream
+from vibrocast.host import (
+    devices,
+    end_to_end,
+    player,
+    uploader,
+)
 from vibrocast.host.controller import Controller
 from vibrocast.host.report import Report
-from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import Actuator
 from vibrocast.textures import HIGHPASS_HZ, Profile, Recording, TextureError, arguments, load, load_profile
 
 if TYPE_CHECKING:
@@ -59,7 +66,7 @@ def encode(
     snr_db: float | None = None,
     model: str | Path | models.Model | None = None,
     setting: Setting | None = None,
-    stream_rate_hz: int = coding.DEFAULT_STREAM_RATE_HZ,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     highpass_hz: float | None = HIGHPASS_HZ,
     live: bool = False,
     progress: Progress | None = None,
@@ -78,7 +85,7 @@ def encode(
     arguments.of_type("codec", codec, str, "a name in `codecs()`")
     arguments.of_type("setting", setting, Mapping, "a mapping of parameters to values")
     _check_callable(progress)
-    encoding = coding.encode(
+    encoding = encode_recording(
         _recording(samples, rate_hz, unit),
         stream_rate_hz=arguments.whole_number("stream_rate_hz", stream_rate_hz, 1, _MAX_STREAM_RATE_HZ),
         codec_name=codec,
@@ -203,7 +210,7 @@ class Connection:
         chosen = _model(model)
         if chosen is None:
             raise models.ModelError("`model` is None; pass the name, the folder or the image of a model")
-        flasher.flash(self.controller, chosen.image)
+        uploader.flash(self.controller, chosen.image)
 
     def stop(self) -> None:
         """Bring the output to rest."""
@@ -275,7 +282,7 @@ def _stream(name: str, data: bytes | str | Path | Stream, model: str | Path | mo
     image = None if chosen is None else chosen.image
     if isinstance(data, bytes | bytearray | memoryview):
         return Stream.from_bytes(bytes(data), image)
-    return coding.read(Path(data), image)
+    return read_stream(Path(data), image)
 
 
 def _playable(data: bytes | str | Path | Stream, unit: str | None, gain_db: float) -> Stream:
@@ -303,4 +310,4 @@ def _actuator(actuator: str | Path | Actuator) -> Actuator:
         return actuator
     if not isinstance(actuator, str | os.PathLike):
         raise TextureError(f"`actuator` is of type {type(actuator).__name__}; pass a name, an Actuator or a TOML file")
-    return actuators.find(actuator)
+    return actuator_files.find(actuator)

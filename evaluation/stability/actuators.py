@@ -13,8 +13,14 @@ from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, Scope
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Samples
-from vibrocast.simulated_device.output import render
+from vibrocast.output.actuator import (
+    LRA,
+    PIEZO_STACK,
+    VOICE_COIL,
+    Actuator,
+    Samples,
+)
+from vibrocast.output.rendering import render
 
 SHIFTS_PERCENT = (-20, -15, -10, -5, -2, 0, 2, 5, 10, 15, 20)
 QUALITIES = (5.0, 15.0, 30.0)

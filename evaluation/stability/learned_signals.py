@@ -11,6 +11,7 @@ from scipy.signal import butter, sosfilt
 
 from vibrocast import codec
 from vibrocast.codec import CODECS, Signal
+from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.bd_rate import bits_per_sample_at
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, Rung, Scope, methods, middle_rung, rungs
@@ -28,7 +29,6 @@ from vibrocast.evaluation.stability.signals import (
 )
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.evaluation.trained import runtimes
-from vibrocast.host import coding
 from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
 
 OWN = "mdct"
@@ -160,7 +160,7 @@ def measure_level(rung: Rung, runtime: str, name: str) -> Measured:
     return Measured(Outcome.HOLDS if holds else Outcome.DEGRADED, figures, effect)
 
 
-def _by_runtime(stream: coding.Stream, runtime: str) -> Signal:
+def _by_runtime(stream: Stream, runtime: str) -> Signal:
     return dataclasses.replace(stream, runtime=runtime).decode()
 
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 from vibrocast.evaluation.stability.known_causes import explanation
 from vibrocast.evaluation.stability.maps import Map
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 
 PAGE, FOLDER = "stability.md", "stability"
 _TITLE = "# Where methods hold and where they fail"

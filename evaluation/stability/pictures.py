@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from vibrocast.evaluation.labels import spread
 from vibrocast.evaluation.stability.trials import Outcome
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 
 SHADES = {
     Outcome.HOLDS: ("white", "0.55"),

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import codec
+from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.evaluation import trained
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung, three_rungs
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
-from vibrocast.host import coding
 from vibrocast.textures import HIGHPASS_HZ, Recording, highpass
 from vibrocast.textures.generate import wood
 
@@ -168,17 +168,17 @@ LONG_CASE = "texture of 1 hour"
 QUICK_CONDITIONS = ("texture", "silence", "one impulse", "1 sample", "a NaN")
 
 
-def decoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale") -> tuple[Signal, coding.Stream]:
+def decoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale") -> tuple[Signal, Stream]:
     """Code a signal into a whole stream; return what that decodes to and the stream. Raises as codec.encode."""
     stream = encoded(samples, rate_hz, rung, unit)
     return stream.decode(), stream
 
 
-def encoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale", live: bool = False) -> coding.Stream:
+def encoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale", live: bool = False) -> Stream:
     """Code a signal into a whole stream. Raises as codec.encode."""
     model = trained.for_encoder(rung.model) if rung.model else None
     coded = codec.encode(samples, rate_hz, rung.setting, codec=rung.codec, unit=unit, live=live, model=model)
-    return coding.as_stream(coded, unit, rung.image)
+    return as_stream(coded, unit, rung.image)
 
 
 @lru_cache

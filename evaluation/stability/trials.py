@@ -13,14 +13,12 @@ from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.evaluation.workers import cores, on_cores
-from vibrocast.host.controller import ControllerError
 from vibrocast.textures import TextureError
 
 LIMIT_S = 240.0
 """A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""
 CLEAR_ERRORS = (
     CodecError,
-    ControllerError,
     MessageError,
     ModelImageError,
     StreamError,
@@ -59,7 +57,7 @@ class Trial:
     """One condition to try: of which map, method and case, at which value of what the map varies, and the measurement.
 
     `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_refused`:
-    that it must end with an error that a person can act on.
+    that it must end with an error that a person can act on, one of `clear_errors`.
     """
 
     map: str
@@ -69,6 +67,7 @@ class Trial:
     value: float | None
     measure: Callable[[], Measured]
     to_be_refused: bool = False
+    clear_errors: tuple[type[Exception], ...] = CLEAR_ERRORS
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def attempt(trial: Trial) -> Verdict:
         measured = trial.measure()
         if trial.to_be_refused:
             measured = Measured(Outcome.FAILS, {}, "accepted, though it must be refused")
-    except CLEAR_ERRORS as error:
+    except trial.clear_errors as error:
         measured = Measured(Outcome.REFUSED, {}, " ".join(str(error).split()))
     except Exception as error:
         measured = Measured(Outcome.FAILS, {}, f"CRASH: {type(error).__name__}: {' '.join(str(error).split())}")

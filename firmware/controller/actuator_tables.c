@@ -1,4 +1,4 @@
-/* Actuators that ship; written by `python -m vibrocast.simulated_device.actuator_tables`. */
+/* Actuators that ship; written by `python -m vibrocast.output.actuator_constants`. */
 #include "actuator_tables.h"
 
 const vc_actuator vc_piezo_stack = {

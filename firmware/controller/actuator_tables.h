@@ -1,4 +1,4 @@
-/* Actuators that ship; written by `python -m vibrocast.simulated_device.actuator_tables`. */
+/* Actuators that ship; written by `python -m vibrocast.output.actuator_constants`. */
 #ifndef VIBROCAST_ACTUATOR_TABLES_H
 #define VIBROCAST_ACTUATOR_TABLES_H
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
@@ -37,7 +38,6 @@ from vibrocast.device_protocol.messages import (
     unpack,
 )
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.line import Line
 from vibrocast.host.controller import SMALLEST_PAYLOAD_LIMIT_BYTES
 

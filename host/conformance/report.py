@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
+from vibrocast.files import whole_file
 from vibrocast.host import devices
 from vibrocast.host.conformance.fixtures import SECTIONS
 from vibrocast.host.conformance.judge import Finding, Outcome
-from vibrocast.host.output_files import whole_file
 from vibrocast.host.plain import plain
 
 PAGE = "conformance.md"

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from vibrocast import codec, models, textures
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Limits, Tap
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.host import coding
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
-from vibrocast.simulated_device.actuator import ACTUATORS, Actuator
+from vibrocast.output.actuator import ACTUATORS, Actuator
 
 RATE_HZ = 2800
 SECONDS = 0.4
@@ -95,7 +95,7 @@ def coded(
     chosen = codec.codec_by_name(codec_name)
     ladder = next(iter(chosen.ladders.values()))
     for setting in reversed(ladder[: len(ladder) // 2 + 1]):
-        encoding = coding.encode(
+        encoding = encode_recording(
             made_by(rate_hz, channels, unit, peak, seconds),
             rate_hz,
             codec_name,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import CaptureRead, ErrorCode, HelloResponse, State, Tap
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import Probe, an_error, same_samples, told
 from vibrocast.host.conformance.streams import decoded, need_capture, stream_for

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, MAX_CHANNELS, MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Configure, ErrorCode, Gain, HelloResponse, Loop, State, Status
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import Probe, an_error, in_state, told
 from vibrocast.host.conformance.streams import held_samples, stream_for

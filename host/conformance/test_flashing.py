@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from vibrocast import codec
+from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.messages import (
     CaptureRead,
     ErrorCode,
@@ -28,7 +29,6 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256
-from vibrocast.host.coding import image_hash
 from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, in_state, same_samples, told
 from vibrocast.host.conformance.streams import decoded, model, need_capture, stream_for

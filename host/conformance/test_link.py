@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.messages import State, Status, StreamData, unpack
 from vibrocast.host import player
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import Probe, in_state, same_samples, told
 from vibrocast.host.conformance.streams import decoded, decoded_as, need_capture, stream_for

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vibrocast import codec
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.device_protocol.messages import (
     EndStream,
@@ -20,7 +21,6 @@ from vibrocast.device_protocol.messages import (
     Status,
     Tap,
 )
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import ANSWER_S, Probe, in_state, told
 from vibrocast.host.conformance.streams import (

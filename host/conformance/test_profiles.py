@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.device_protocol.messages import ErrorCode, HelloResponse, Loop, Position, Start, State, Status, Tap, pack
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import Probe, in_state, same_samples, told
 from vibrocast.host.conformance.streams import decoded, decoded_as, known_actuator, need_capture, stream_for
-from vibrocast.simulated_device import profile as rendering
+from vibrocast.output import profile as rendering
 
 _SAMPLES_PER_METRE, _FINEST_PER_METRE = 20_000, 200_000
 # Until the fade-in is over, positions are rendered, and their smoothing has come to rest.

@@ -6,16 +6,16 @@ from numpy.typing import NDArray
 
 from vibrocast import codec
 from vibrocast.codec.interface import MAX_CHANNELS
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import UNITS
 from vibrocast.device_protocol.messages import HelloResponse, State
 from vibrocast.host import player
-from vibrocast.host.coding import Stream
 from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
 from vibrocast.host.conformance.streams import decoded, known_actuator, need_capture, stream_for
 from vibrocast.host.controller import Controller
-from vibrocast.host.flasher import flash
-from vibrocast.simulated_device.output import LimitCounts, render
+from vibrocast.host.uploader import flash
+from vibrocast.output.rendering import LimitCounts, render
 
 # Far beyond what any actuator's amplifier gives.
 _TOO_LOUD = 30.0

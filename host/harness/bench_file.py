@@ -11,13 +11,14 @@ from typing import Any
 
 from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
-from vibrocast.host import actuators, devices
+from vibrocast.files import InputFileError
+from vibrocast.host import devices
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import actuator_model
-from vibrocast.host.input_files import InputFileError
-from vibrocast.host.toml_tables import Table, read_toml, text
-from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import Actuator
 from vibrocast.textures import Recording
+from vibrocast.toml_tables import Table, read_toml, text
 
 SENSOR_KINDS = ("accelerometer", "laser")
 SENSOR_PLACEHOLDERS = ("file", "seconds")
@@ -199,7 +200,7 @@ def _controller_of(table: Table, controllers: list[str]) -> str:
 
 def read_actuator(table: Table, controllers: list[str]) -> BenchActuator:
     """Return an actuator behind one of the controllers of these names, as its table says: see docs/harness.md."""
-    model = actuators.of_table(table)
+    model = actuator_files.of_table(table)
     entry = BenchActuator(model, _controller_of(table, controllers), table.whole("channel", 1, 16, None))
     table.end()
     return entry

@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
 from vibrocast.evaluation import metrics
-from vibrocast.host import coding, end_to_end
+from vibrocast.host import end_to_end
 from vibrocast.host.controller import Controller
 from vibrocast.host.harness.alignment import align
 from vibrocast.host.harness.sensors import Recorder
 from vibrocast.host.picture import third_octave_levels
-from vibrocast.simulated_device.actuator import Actuator
-from vibrocast.simulated_device.output import HIGH_PASS_HZ, displacement_filter
+from vibrocast.output.actuator import Actuator
+from vibrocast.output.rendering import HIGH_PASS_HZ, displacement_filter
 from vibrocast.textures import Recording
 
 Samples = NDArray[np.float64]
@@ -70,7 +71,7 @@ def measure(
     skin_model: Actuator,
     recorder: Recorder | None = None,
     sensor_name: str = "",
-    stream_rate_hz: int = coding.DEFAULT_STREAM_RATE_HZ,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     progress: Callable[[float], None] | None = None,
 ) -> Fidelity:
     """Play the first channel of a texture and hold the skin against what was sent.
@@ -79,7 +80,7 @@ def measure(
     through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
-    encoding = coding.encode(one, stream_rate_hz, live=True)
+    encoding = encode_recording(one, stream_rate_hz, live=True)
     with contextlib.nullcontext() if recorder is None else recorder(one.seconds + 2 * _AROUND_S) as finish:
         if finish is not None:
             controller.sleep(_AROUND_S)

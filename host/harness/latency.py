@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from vibrocast import codec, textures
+from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import State, Tap
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.harness.device_clock import ClockFit, DeviceClock
 from vibrocast.host.harness.read_back import read_capture
-from vibrocast.simulated_device.actuator import Actuator
-from vibrocast.simulated_device.output import Drive
+from vibrocast.output.actuator import Actuator
+from vibrocast.output.rendering import Drive
 from vibrocast.textures import Recording
 
 # In the order in which a sample goes through them.
@@ -107,7 +108,7 @@ def measure(
     """
     samples = looped(texture, seconds, rate_hz)
     rms = np.sqrt(np.mean(np.square(samples), axis=0))
-    signal_format = live.live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)), list(rms))
+    signal_format = live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)), list(rms))
     stream = live.LiveStream(controller, signal_format, setting=setting, margin_s=margin_s)
     clock = DeviceClock(controller)
     packets: list[bytes] = []

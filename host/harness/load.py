@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vibrocast.codec import Signal, SignalFormat
+from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import State, StreamData, Tap, pack
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
@@ -178,4 +179,4 @@ def _play(controller: Controller, texture: Recording, channels: int, rate_hz: in
 
 
 def _format(texture: Recording, samples: Signal, rate_hz: int) -> SignalFormat:
-    return live.live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)))
+    return live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)))

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from vibrocast.host import coding, devices, player
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.host import devices, player
 from vibrocast.host.controller import Controller
 from vibrocast.host.harness import bench_file, fidelity, latency, load, response
 from vibrocast.host.harness.bench_file import Bench
 from vibrocast.host.harness.sensors import Recorder, recorder
 from vibrocast.host.many import on_all
-from vibrocast.simulated_device.actuator import Actuator
-from vibrocast.simulated_device.output import render
+from vibrocast.output.actuator import Actuator
+from vibrocast.output.rendering import render
 from vibrocast.textures import Recording
 
 Progress = Callable[[float], None]
@@ -159,7 +160,7 @@ def together(bench: Bench) -> list[Together]:
 
     A controller that fails does so alone. Raises BenchFileError, CodecError.
     """
-    stream = coding.encode(bench.scene()[0], live=True).stream
+    stream = encode_recording(bench.scene()[0], live=True).stream
     offline, decoder = stream.decode_integers(), stream.decoder()
     controllers = {each.name: each for each in bench.controllers}
 

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from vibrocast.files import whole_file
 from vibrocast.host.harness import response
 from vibrocast.host.harness.latency import PARTS
 from vibrocast.host.harness.results import Change
-from vibrocast.host.output_files import whole_file
 from vibrocast.host.picture import STYLES
 
 # From dark to light, with hatches: told apart in grey print.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vibrocast.host.controller import Controller
     from vibrocast.host.end_to_end import Outcome
     from vibrocast.host.harness.bench_file import Bench
-    from vibrocast.simulated_device.actuator import Actuator
+    from vibrocast.output.actuator import Actuator
     from vibrocast.textures import Recording
 
 
@@ -47,7 +47,7 @@ def _read(config: pytest.Config) -> Bench | None:
         return None
     if path is not None and plan_path is not None:
         raise pytest.UsageError("--vibrocast-bench and --vibrocast-plan both describe the bench; pass one of them")
-    from vibrocast.host.input_files import InputFileError
+    from vibrocast.files import InputFileError
 
     try:
         if path is not None:
@@ -95,14 +95,15 @@ def vibrocast_play(
     vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
 ) -> Callable[..., Outcome]:
     """A function that codes a texture, plays it and compares: options of `host.coding.encode`, returns an Outcome."""
-    from vibrocast.host import coding, end_to_end
+    from vibrocast.codec.encoding import encode_recording
+    from vibrocast.host import end_to_end
     from vibrocast.host.harness.bench_file import driven_actuator
 
     first = vibrocast_bench.first
     driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
 
     def play_texture(texture: Recording, **options: Any) -> Outcome:
-        encoding = coding.encode(texture, live=True, **options)
+        encoding = encode_recording(texture, live=True, **options)
         return end_to_end.play(
             vibrocast_device,
             first.address,

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import codec, textures
+from vibrocast.codec.stream import as_stream
 from vibrocast.host import player
-from vibrocast.host.coding import as_stream
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.harness.alignment import AlignmentError
 from vibrocast.host.harness.sensors import Recorder
-from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.output.actuator import Actuator
 from vibrocast.textures import Recording
 
 Samples = NDArray[np.float64]

@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vibrocast.host.input_files import InputFileError
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import InputFileError, whole_file
 
 FORMAT = "vibrocast measurements 1"
 _LARGEST_BYTES = 1 << 26

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
+from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import HIGHEST_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
-from vibrocast.host import coding
 from vibrocast.host.end_to_end import displacement_um
-from vibrocast.simulated_device.actuator import Actuator, Codes
-from vibrocast.simulated_device.output import Drive, render
+from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.rendering import Drive, render
 from vibrocast.textures import Profile, Recording
 
 Samples = NDArray[np.float64]
@@ -162,20 +162,20 @@ def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Ac
     return float(np.max(over_threshold_db(at_the_skin(error, actuator), reference.rate_hz, threshold)[1]))
 
 
-def played_codes(stream: coding.Stream, decoded: Codes, actuator: Actuator) -> Codes:
+def played_codes(stream: Stream, decoded: Codes, actuator: Actuator) -> Codes:
     """Return the DAC's codes (n, channels) of a stream's decoded samples, int16 (samples, channels), played live."""
     header = replace(stream.header, samples=None)
     return render(header, decoded, stream.decoder().delay_samples, actuator)[0]
 
 
-def rendering_s(stream: coding.Stream, actuator: Actuator) -> float:
+def rendering_s(stream: Stream, actuator: Actuator) -> float:
     """Return how long a sample that is due takes to the skin: decoding, output stage, DAC."""
     drive_s: float = Drive(stream.header, actuator, compensation=True).delay_seconds
     return stream.decoder().delay_samples / stream.header.rate_hz + drive_s + 1 / actuator.dac_rate_hz
 
 
 def played_error_over_threshold_db(
-    stream: coding.Stream,
+    stream: Stream,
     recording: Recording,
     codes: Codes,
     driven: Actuator,

@@ -8,16 +8,16 @@ import numpy as np
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import CodecError, Framing, Setting, Signal
-from vibrocast.codec.coding import LIVE_REFRESH_S, Source
-from vibrocast.codec.core import library
+from vibrocast.codec.encoding import Encoding, smallest_first
 from vibrocast.codec.interface import AUTO
-from vibrocast.codec.rate_control import settings
-from vibrocast.codec.steering import DEFAULT_BUCKET_S
+from vibrocast.codec.rate_control import DEFAULT_BUCKET_S
+from vibrocast.codec.rate_controlled import Wish, added_bytes
+from vibrocast.codec.registry import LIVE_REFRESH_S, Source
+from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.evaluation import metrics
-from vibrocast.host import coding
-from vibrocast.host.link import added_bytes
+from vibrocast.firmware.native_core import library
 from vibrocast.host.planner import costs
 from vibrocast.host.planner.band import (
     MARGIN_DB,
@@ -31,9 +31,8 @@ from vibrocast.host.planner.band import (
 from vibrocast.host.planner.costs import MOST_LOAD_PERCENT
 from vibrocast.host.planner.plan_file import Forecast, encode, prepared
 from vibrocast.host.planner.scene import Asked, Scene, SceneTexture, Weights
-from vibrocast.host.steered import Wish
-from vibrocast.simulated_device.output import Drive
-from vibrocast.simulated_device.profile import HAND_DELAY_US, HAND_SMOOTHING_US, least_samples
+from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, least_samples
+from vibrocast.output.rendering import Drive
 from vibrocast.textures import Profile, Recording
 
 BLOCKS = {"mdct": "hop", "parametric": "hop", "dct": "block", "slp": "frame", "opus": "frame_samples"}
@@ -229,7 +228,7 @@ class Workbench:
                 continue
             shipped = [model.name for model in models.shipped() if model.codec_identifier == each.identifier]
             if each.needs_model:
-                shipped = [model.name for model in coding.smallest_first(each)]
+                shipped = [model.name for model in smallest_first(each)]
             names = [*shipped] if each.needs_model else [None, *shipped]
             parameter = BLOCKS.get(name)
             blocks = (
@@ -329,7 +328,7 @@ class Workbench:
             quiet=costs.quiet_part(encoding.stream.decode_integers()),
         )
 
-    def _error_db(self, encoding: coding.Encoding, felt: list[Recording]) -> float:
+    def _error_db(self, encoding: Encoding, felt: list[Recording]) -> float:
         """Return the level of the error at the skin re the detection threshold; over position at several speeds."""
         stream = encoding.stream
         if self.over_position:

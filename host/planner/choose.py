@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from vibrocast.host.input_files import InputFileError
+from vibrocast.codec.rate_controlled import Wish
+from vibrocast.files import InputFileError
 from vibrocast.host.planner.band import MARGIN_DB, BandError
 from vibrocast.host.planner.candidates import BUFFERS_MS, Candidate, Limit, Measured, Way, Workbench
 from vibrocast.host.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
 from vibrocast.host.planner.scene import Asked, Scene, SceneController, SceneTexture
-from vibrocast.host.steered import Wish
 
 Progress = Callable[[float, str], None]
 FIRST_PACKET_BLOCKS = 4

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 from vibrocast.host.planner.playing import Played
 
 TOLERANCE = 0.1

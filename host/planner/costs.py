@@ -1,4 +1,4 @@
-"""What decoding costs a controller, from the tables that `python -m vibrocast.evaluation.firmware` measures."""
+"""What decoding costs a controller, from the tables that `python -m studies.firmware` measures."""
 
 import csv
 from collections.abc import Iterator
@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast import evaluation
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 
-_TABLES = Path(evaluation.__file__).parent / "data"
+_TABLES = Path(__file__).parent / "data"
 _KERNELS = "DSP instructions"
 _MEASURED_CORE = "M4F"
 BOARD_CORES = {"cortex-m4": "M4F", "cortex-m7": "M7", "cortex-m33": "M33", "stm32f405": "M4F"}

@@ -5,14 +5,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from vibrocast.codec.rate_controlled import Wish
 from vibrocast.evaluation.points import write_rows
-from vibrocast.host.output_files import whole_file
+from vibrocast.files import whole_file
 from vibrocast.host.planner.band import MARGIN_DB
 from vibrocast.host.planner.candidates import Candidate
 from vibrocast.host.planner.choose import Choice
 from vibrocast.host.planner.plan_file import PlannedTexture
 from vibrocast.host.planner.scene import Scene
-from vibrocast.host.steered import Wish
 
 CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "plan.toml"
 MOST_PANELS = 6

@@ -12,9 +12,13 @@ import numpy as np
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import Framing, Setting
+from vibrocast.codec.encoding import Encoding, measure_encoding
+from vibrocast.codec.live_format import recording_format
+from vibrocast.codec.rate_controlled import Wish
+from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import DETECTION_THRESHOLD
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
-from vibrocast.host import coding
+from vibrocast.files import InputFileError, whole_file
 from vibrocast.host.harness.bench_file import (
     Bench,
     BenchActuator,
@@ -23,13 +27,9 @@ from vibrocast.host.harness.bench_file import (
     read_actuator,
     read_address,
 )
-from vibrocast.host.input_files import InputFileError
-from vibrocast.host.live import recording_format
-from vibrocast.host.output_files import whole_file
 from vibrocast.host.planner.scene import Source, read_options
-from vibrocast.host.steered import Wish
-from vibrocast.host.toml_tables import Table, number, read_toml
 from vibrocast.textures import Profile, Recording
+from vibrocast.toml_tables import Table, number, read_toml
 
 FORMAT = 1
 MAX_RATE = 10_000_000
@@ -125,7 +125,7 @@ class PlannedTexture:
             files = ", ".join(map(str, self.source.files))
             raise PlanError(f"{self.name}: {files} changed after this was planned; plan the scene again")
 
-    def encode(self, recording: Recording | None = None) -> coding.Encoding:
+    def encode(self, recording: Recording | None = None) -> Encoding:
         """Code the texture as planned; `recording`: as `recording` returns it, where that has been done.
 
         Raises CodecError, ModelError, PlanError, TextureError.
@@ -205,7 +205,7 @@ def encode(
     framing: Framing,
     over_position: bool,
     wish: Wish | None = None,
-) -> coding.Encoding:
+) -> Encoding:
     """Code a recording by a setting, cut into packets for a live stream, or for a profile. Raises CodecError.
 
     `wish`: what a live stream is steered to hold; None = every packet is by the setting.
@@ -222,7 +222,7 @@ def encode(
         coded = codec.encode_steered(
             samples, rate, policy, framing, codec=codec_name, setting=setting, unit=unit, model=tables
         )
-    return coding.measured(recording, coding.as_stream(coded, unit, None if model is None else model.image))
+    return measure_encoding(recording, as_stream(coded, unit, None if model is None else model.image))
 
 
 def write_plan(path: Path, plan: Plan) -> None:

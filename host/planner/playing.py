@@ -12,11 +12,18 @@ import numpy as np
 
 from vibrocast import models
 from vibrocast.codec import Signal
+from vibrocast.codec.live_format import recording_format
+from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import Position, State, StreamData, Tap
 from vibrocast.device_protocol.transports import Transport
 from vibrocast.evaluation import metrics
-from vibrocast.host import coding, devices, flasher, hand, live
+from vibrocast.host import (
+    devices,
+    hand,
+    live,
+    uploader,
+)
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.harness.bench_file import Bench, actuator_of, chosen, driven_actuator
 from vibrocast.host.harness.device_clock import DeviceClock
@@ -25,7 +32,7 @@ from vibrocast.host.many import on_all
 from vibrocast.host.planner import band
 from vibrocast.host.planner.candidates import spqi
 from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
-from vibrocast.simulated_device.actuator import Actuator, Codes
+from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.textures import Recording
 
 RETAKES = 2
@@ -231,7 +238,7 @@ def play_live(
 
 def play_by_hand(
     controller: CountingController,
-    stream: coding.Stream,
+    stream: Stream,
     length_mm: float,
     hand_speed_mm_s: float,
     tell: Callable[[float], None],
@@ -302,7 +309,7 @@ class _Player:
         """Play a texture, loaded as planned, once; `tell` is called with the part that is done."""
         controller = self._controller
         model = self._provide_model(texture)
-        signal_format = live.recording_format(recording)
+        signal_format = recording_format(recording)
         stream = live.LiveStream(
             controller,
             signal_format,
@@ -317,7 +324,7 @@ class _Player:
         clock = DeviceClock(controller)
         began_s = controller.clock()
         result, instructions = play_live(stream, controller, recording.samples, clock, tell)
-        sent = coding.Stream(stream.header, tuple(controller.packets[stream.stream]), model.image if model else None)
+        sent = Stream(stream.header, tuple(controller.packets[stream.stream]), model.image if model else None)
         seconds = len(sent.packets) * stream.packet_samples / texture.rate
         as_decoded, decoded = self._read_back(Tap.DECODED, offline := sent.decode_integers())
         decoder = sent.decoder()
@@ -344,7 +351,7 @@ class _Player:
         """Return the model of a texture, which the controller then runs; None where it needs none."""
         model = None if texture.model is None else models.find(texture.model)
         if model is not None:
-            flasher.provide(self._controller, self._planned.address, model.image)
+            uploader.provide(self._controller, self._planned.address, model.image)
         return model
 
     def _measured(
@@ -407,7 +414,7 @@ class _Player:
         taken[first : first + len(kept)] = kept[: len(computed) - first]
         return equal, taken
 
-    def _delay_ms(self, sent: coding.Stream, clock: DeviceClock, began_s: float) -> float | None:
+    def _delay_ms(self, sent: Stream, clock: DeviceClock, began_s: float) -> float | None:
         """Return the delay from a sample at the host, the first of which came at `began_s`, to the skin.
 
         None for a texture that is over before the controller was heard to play.

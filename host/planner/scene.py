@@ -11,14 +11,14 @@ from vibrocast import textures
 from vibrocast.codec import CodecError
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.device_protocol.transports import BAUD
+from vibrocast.files import InputFileError
 from vibrocast.host.harness.bench_file import BenchActuator, read_actuator, read_address
-from vibrocast.host.input_files import InputFileError
-from vibrocast.host.toml_tables import Table, number, read_toml
-from vibrocast.simulated_device.actuator import Actuator
+from vibrocast.output.actuator import Actuator
 from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import DatasetError, traces
 from vibrocast.textures.files import TEXT_SUFFIXES
 from vibrocast.textures.recording import MAX_CHANNELS
+from vibrocast.toml_tables import Table, number, read_toml
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/firmware.md)."""

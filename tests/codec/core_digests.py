@@ -9,10 +9,10 @@ import numpy as np
 
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec, models
+from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamHeader
-from vibrocast.host import coding
-from vibrocast.simulated_device.actuator import ACTUATORS
-from vibrocast.simulated_device.output import render
+from vibrocast.output.actuator import ACTUATORS
+from vibrocast.output.rendering import render
 
 FOLDER = Path(__file__).parent
 FOREIGN = ("amr-nb", "flac", "g723-1", "g726", "opus", "wavpack")
@@ -25,7 +25,7 @@ def golden_digests() -> dict[str, str]:
     for path in sorted(FOLDER.glob("golden_*.vct")):
         if path.stem.removeprefix("golden_") not in FOREIGN:
             image = FOLDER / f"{path.stem.removesuffix('_steered')}.vcmi"
-            stream = coding.read(path, image.read_bytes() if image.exists() else None)
+            stream = read_stream(path, image.read_bytes() if image.exists() else None)
             digests[path.stem] = digest(stream.decode_integers().tobytes())
     return digests
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vibrocast.codec.core import CORE_VARIABLE, library
+from vibrocast.firmware.native_core import CORE_VARIABLE, library
 
 ROOT = Path(__file__).parents[2]
 # Bits that x86-64-v3 asks for: ECX of CPUID leaf 1, EBX of leaf 7, ECX of leaf 0x80000001, XCR0.
@@ -56,7 +56,7 @@ def test_the_processor_chooses_the_core_unless_one_is_named(core: str | None) ->
 
 def test_a_core_that_is_not_there_is_an_error_of_one_line() -> None:
     done = run_with(
-        "sparc", "-c", "from vibrocast.host.entry import main; main()", "info", "tests/codec/golden_mdct.vct"
+        "sparc", "-c", "from vibrocast.host.cli.entry import main; main()", "info", "tests/codec/golden_mdct.vct"
     )
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1

@@ -15,10 +15,10 @@ from tests.codec.dct_reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec
 from vibrocast.codec import Choice, CodecError, Decoder, Framing, Setting, Signal, SignalFormat, dct
-from vibrocast.codec.core import library
 from vibrocast.codec.huffman import LONGEST_CODE, canonical_codes, code_lengths
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import unpack_file
+from vibrocast.firmware.native_core import library
 
 EVERY_CODER = [(quantiser, entropy) for quantiser in ("linear", "log") for entropy in ("huffman", "range")]
 

@@ -17,12 +17,12 @@ from tests.codec.eva_reference_decoder import EvaReferenceDecoder
 from tests.codec.signals import RATE_HZ, texture
 from vibrocast import codec
 from vibrocast.codec import Choice, CodecError, Framing, Model, Steering, eva
-from vibrocast.codec.core import Structure, ffi, library
 from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, transform
 from vibrocast.codec.mdct import STEP_CODES
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, unpack_file
 from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.firmware.native_core import Structure, ffi, library
 
 TINY = Model(tiny_model().tables, tiny_model().analysis)
 FOLDER = Path(__file__).parent

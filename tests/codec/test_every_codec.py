@@ -11,9 +11,10 @@ from tests.codec.eva_models import tiny_model
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec, textures
 from vibrocast.codec import CodecError, Decoder, Signal
-from vibrocast.codec.coding import Source
 from vibrocast.codec.core import CoreDecoder
-from vibrocast.host import coding, end_to_end, flasher
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.registry import Source
+from vibrocast.host import end_to_end, uploader
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.memory_link import MemoryLink
@@ -258,13 +259,13 @@ def test_tables_are_refused_where_none_are_taken(name: str) -> None:
 @every_codec
 def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
     recording = textures.Recording(20 * texture(2000, 2), 2800.0, "um", "texture")
-    encoding = coding.encode(
+    encoding = encode_recording(
         recording, codec_name=name, setting=middle_setting(name), live=True, model=MODELS.get(name)
     )
     link = MemoryLink(SimulatedController())
     controller = Controller(link, link.clock, link.sleep)
     if encoding.stream.image is not None:
-        flasher.flash(controller, encoding.stream.image)
+        uploader.flash(controller, encoding.stream.image)
     report = end_to_end.play(controller, "memory", "texture", encoding.stream, encoding, loops=2).report
     assert report.codec == name
     assert report.underruns == report.lost_packets == 0
@@ -276,7 +277,7 @@ def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
 def test_a_quality_is_met_from_above_or_refused(name: str) -> None:
     recording = textures.Recording(texture(2800), 2800.0, "um", "texture")
     try:
-        encoding = coding.encode(recording, codec_name=name, snr_db=8.0, model=MODELS.get(name))
+        encoding = encode_recording(recording, codec_name=name, snr_db=8.0, model=MODELS.get(name))
     except CodecError as error:
         assert "cannot be met" in str(error) or not codec.CODECS[name].parameters
         return

@@ -11,8 +11,8 @@ import pytest
 from tests.codec.signals import RATE_HZ, texture
 from vibrocast import codec
 from vibrocast.codec import CodecError, CodedSignal, Setting, Signal
-from vibrocast.codec.coding import CODECS
-from vibrocast.host import coding
+from vibrocast.codec.registry import CODECS
+from vibrocast.codec.stream import as_stream, read_stream
 
 HERE = Path(__file__).parent
 SHARED = HERE.parents[1] / ".." / "shared"
@@ -205,7 +205,7 @@ def test_limits_of_an_encoder() -> None:
 
 
 def test_av_is_loaded_at_first_need_and_missed_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    imported = "vibrocast.codec, vibrocast.host.entry, vibrocast.simulated_device.controller"
+    imported = "vibrocast.codec, vibrocast.host.cli.entry, vibrocast.simulated_device.controller"
     script = f"import sys, {imported}; sys.exit('av' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], cwd=HERE.parents[1], check=False).returncode == 0
     stream = encode("g726", texture(100))
@@ -222,7 +222,7 @@ GOLDEN_SNR_DB = {"opus": 12.01, "amr-nb": 2.16, "g723-1": 3.34, "g726": 15.96, "
 @pytest.mark.parametrize("name", NAMES)
 def test_stored_streams_decode_to_what_they_did(name: str) -> None:
     """Within a tolerance: a decoder in floating point may change its last bits from build to build."""
-    stream = coding.read(HERE / f"golden_{name}.vct")
+    stream = read_stream(HERE / f"golden_{name}.vct")
     signal = texture(stream.samples, 2)
     assert stream.codec_name == name
     assert codec.snr_db(signal, stream.decode()) == pytest.approx(GOLDEN_SNR_DB[name], abs=0.05)
@@ -241,7 +241,7 @@ def test_figures_are_those_of_the_codecs_own_programs(name: str) -> None:
     theirs_bits = [float(row["bits_per_sample"]) for row in rows]
     theirs_db = [min(float(row["snr_db"]), 90.0) for row in rows]
     for rung in CODECS[name].ladders[name]:
-        stream = coding.as_stream(codec.encode(samples, rate_hz, rung, codec=name), "m/s^2")
+        stream = as_stream(codec.encode(samples, rate_hz, rung, codec=name), "m/s^2")
         bits = 8 * stream.size_bytes / len(samples)
         reached_db = codec.snr_db(samples, stream.decode())
         assert reached_db == pytest.approx(np.interp(bits, theirs_bits, theirs_db), abs=2.0 if name == "flac" else 0.6)

@@ -10,9 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from vibrocast import codec, textures
-from vibrocast.codec import CodecError, coding, plugins
-from vibrocast.host import coding as files
-from vibrocast.host.command_line import main as command_line
+from vibrocast.codec import CodecError, plugins, registry
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import read_stream
+from vibrocast.host.cli.command_line import main as command_line
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
 SIGNAL = np.random.default_rng(0).normal(0, 0.2, (3000, 2))
@@ -43,17 +44,17 @@ def haar(monkeypatch: pytest.MonkeyPatch) -> None:
     }
     points = EntryPoints(EntryPoint(name, value, plugins.GROUP) for name, value in found.items())
     monkeypatch.setattr(plugins, "entry_points", lambda group: points.select(group=group))
-    monkeypatch.setattr(coding, "CODECS", coding.Codecs())
-    monkeypatch.setattr(codec, "CODECS", coding.CODECS)
+    monkeypatch.setattr(registry, "CODECS", registry.Codecs())
+    monkeypatch.setattr(codec, "CODECS", registry.CODECS)
 
 
 @pytest.mark.usefixtures("haar")
 def test_the_example_codes_to_an_snr_and_its_stream_is_read_again(tmp_path: Path) -> None:
     recording = textures.Recording(SIGNAL, 2800.0, "m/s^2", "noise")
-    encoding = files.encode(recording, codec_name="haar", snr_db=20.0)
+    encoding = encode_recording(recording, codec_name="haar", snr_db=20.0)
     assert encoding.snr_db == pytest.approx(20, abs=0.5)
     encoding.stream.save(tmp_path / "noise.vct")
-    stream = files.read(tmp_path / "noise.vct")
+    stream = read_stream(tmp_path / "noise.vct")
     assert stream.codec_name == "haar"
     np.testing.assert_array_equal(stream.decode(), encoding.stream.decode())
 
@@ -98,7 +99,7 @@ def test_a_lost_packet_fades_out() -> None:
 def test_without_the_package_the_stream_names_its_codec(haar: None, monkeypatch: pytest.MonkeyPatch) -> None:
     coded = codec.encode(SIGNAL, 2800, {"quality": 6}, codec="haar")
     monkeypatch.setattr(plugins, "entry_points", lambda group: EntryPoints())
-    monkeypatch.setattr(coding, "CODECS", coding.Codecs())
+    monkeypatch.setattr(registry, "CODECS", registry.Codecs())
     with pytest.raises(CodecError, match="needs the codec 'haar'; install the package"):
         codec.decoder(plugins.IDENTIFIER, coded.configuration, 2)
     sys.modules.pop("vibrocast_haar", None)

@@ -13,10 +13,10 @@ from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
 from vibrocast import models
 from vibrocast.codec import Choice, Framing, Setting, dct, encode, eva, mdct, slp
-from vibrocast.codec.core import ffi, library
 from vibrocast.codec.eva_image import PRIOR_KINDS, PriorKind
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL
-from vibrocast.simulated_device.actuator_tables import constants
+from vibrocast.firmware.native_core import ffi, library
+from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL
+from vibrocast.output.actuator_constants import constants
 
 ROOT = Path(__file__).parents[2]
 

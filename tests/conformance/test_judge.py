@@ -29,14 +29,14 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.transports import Transport
 from vibrocast.host import conformance, devices
-from vibrocast.host.command_line import main
+from vibrocast.host.cli.command_line import main
 from vibrocast.host.conformance import line as line_module
 from vibrocast.host.conformance import page
 from vibrocast.host.conformance.fixtures import SECTIONS
 from vibrocast.host.conformance.judge import NotJudged, Outcome, judge, requirements
 from vibrocast.host.conformance.line import Line
 from vibrocast.host.conformance.report import Report
-from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.firmware import Firmware

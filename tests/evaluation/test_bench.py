@@ -14,12 +14,12 @@ import pytest
 
 from vibrocast import codec, textures
 from vibrocast.codec import CodecError
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.evaluation import bench, cells, metrics, workers
 from vibrocast.evaluation.bench import Journal, Tally
 from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import Measurements
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
-from vibrocast.host import coding
 from vibrocast.textures import Recording
 from vibrocast.textures.dataset import Trace, load, traces
 from vibrocast.textures.generate import rough, wood
@@ -105,7 +105,7 @@ def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path,
     ]
     assert [(point.trace, point.codec, point.setting) for point in points] == names
     recording = load(traces(folder)[1])
-    stream = coding.encode(recording, setting={"step": 0.25}, highpass_hz=None).stream
+    stream = encode_recording(recording, setting={"step": 0.25}, highpass_hz=None).stream
     stream.save(results / "wood.vct")
     fine = points[4]
     assert fine.bytes_total == (results / "wood.vct").stat().st_size

@@ -9,12 +9,12 @@ import pytest
 from click.testing import CliRunner
 
 from vibrocast import codec, textures
-from vibrocast.codec import coding, plugins
+from vibrocast.codec import plugins, registry
 from vibrocast.evaluation import cells, cost, workers
 from vibrocast.evaluation.points import Point, read_rows
 from vibrocast.evaluation.stability import maps, signals
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, attempt
-from vibrocast.host.command_line import main
+from vibrocast.host.cli.command_line import main
 from vibrocast.textures.generate import rough, wood
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
@@ -27,9 +27,9 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLE))
     points = EntryPoints([EntryPoint(NAME, "vibrocast_haar:Haar", plugins.GROUP)])
     monkeypatch.setattr(plugins, "entry_points", lambda group: points.select(group=group))
-    monkeypatch.setattr(coding, "CODECS", coding.Codecs())
+    monkeypatch.setattr(registry, "CODECS", registry.Codecs())
     for module in (codec, maps):
-        monkeypatch.setattr(module, "CODECS", coding.CODECS)
+        monkeypatch.setattr(module, "CODECS", registry.CODECS)
 
 
 def here(pieces: Iterator[Any], processes: int) -> Iterator[Any]:

@@ -24,20 +24,18 @@ from vibrocast.evaluation.stability import (
     hand_speed,
     ladders,
     learned_signals,
-    model_images,
     page,
     peers,
     pictures,
     recordings,
-    report,
     signals,
-    transport,
 )
 from vibrocast.evaluation.stability.known_causes import explanation, known_causes
 from vibrocast.evaluation.stability.maps import Rung, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
-from vibrocast.host.stability_command import stability
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
+from vibrocast.host.cli.stability import stability
+from vibrocast.host.stability import CLEAR_ERRORS, model_images, report, transport
+from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood
 
@@ -139,7 +137,7 @@ def raising(samples: Decoded) -> Decoded:
 def test_a_codec_that_returns_garbage_is_classified_so(
     decode: object, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(codec.coding, "BUILT_IN", {"mdct": fake(decode)})
+    monkeypatch.setattr(codec.registry, "BUILT_IN", {"mdct": fake(decode)})
     monkeypatch.setattr(signals, "texture_snr_db", lambda rung: 17.0)
     measured = attempt(trial(partial(signals.measure, STEP, "texture")))
     assert measured.outcome is outcome
@@ -322,7 +320,8 @@ def test_a_trained_model_is_tried_as_codecs_are() -> None:
 def test_a_controller_with_the_model_plays_it_and_one_without_refuses() -> None:
     assert transport.measure(LEARNED, transport.Line()).outcome is Outcome.HOLDS
     for image in (None, dataclasses.replace(ModelImage.unpack(TINY.image), version="another").pack()):
-        refused = attempt(trial(partial(model_images.measure_on_controller, LEARNED, image), to_be_refused=True))
+        tried = trial(partial(model_images.measure_on_controller, LEARNED, image), to_be_refused=True)
+        refused = attempt(dataclasses.replace(tried, clear_errors=CLEAR_ERRORS))
         assert refused.sound and "does not run here" in refused.effect
 
 

@@ -6,11 +6,11 @@ import pytest
 from tests.export import tiny
 from vibrocast import textures
 from vibrocast.codec import CodecError
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.package import Contents, make
-from vibrocast.host import coding
 
 
 def test_files_are_named_by_the_model() -> None:
@@ -35,7 +35,7 @@ def test_an_image_holds_what_was_asked_for(contents: Contents) -> None:
 @pytest.mark.parametrize(("contents", "missing"), [("core", "onnx"), ("onnx", "core")])
 def test_a_runtime_that_an_image_does_not_have_is_refused(contents: Contents, missing: str) -> None:
     with pytest.raises(CodecError, match=f"runtime {contents}"):
-        coding.encode(
+        encode_recording(
             textures.GENERATORS["rough"](5, 0.3), setting={"quality": 2}, model=tiny.model(contents), runtime=missing
         )
 

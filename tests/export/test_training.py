@@ -19,7 +19,7 @@ from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.lapped_start import start_lapped
 from vibrocast.export.priors import PRIORS, ContextPrior, FactorisedPrior, Prior, probabilities
 from vibrocast.export.training_data import Excerpts, Trace
-from vibrocast.host.command_line import main
+from vibrocast.host.cli.command_line import main
 from vibrocast.textures import TextureError
 
 TINY = """

@@ -11,6 +11,8 @@ from unicorn import arm_const
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import Choice, SignalFormat
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
     CaptureData,
@@ -29,17 +31,16 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
-from vibrocast.host import coding, flasher
-from vibrocast.host.coding import Stream
+from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
+from vibrocast.output.actuator import PIEZO_STACK, Codes
+from vibrocast.output.rendering import render
 from vibrocast.simulated_device import cortex_m, stm32f405
-from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.cortex_m import CORES, CortexM
 from vibrocast.simulated_device.emulator import EmulationError
 from vibrocast.simulated_device.flash import FlashMemory
 from vibrocast.simulated_device.memory_link import MemoryLink
-from vibrocast.simulated_device.output import render
 from vibrocast.simulated_device.stm32f405 import Stm32F405
 
 LEARNED = "eva-16"
@@ -52,7 +53,9 @@ def coded(codec_name: str, seconds: float = 0.3) -> Stream:
     recording = replace(recording, samples=np.tile(recording.samples, (1, 2)))
     model = models.find(LEARNED) if codec_name == "eva" else None
     snr_db = 12 if codec.codec_by_name(codec_name).keeps_waveform else None
-    return coding.encode(recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True, runtime="core").stream
+    return encode_recording(
+        recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True, runtime="core"
+    ).stream
 
 
 def steered(stream: Stream) -> Stream:
@@ -104,7 +107,7 @@ def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: 
     device = board(name, on_dac=codes.append)
     link, host = session(device)
     if codec_name == "eva":
-        flasher.flash(host, models.find(LEARNED).image)
+        uploader.flash(host, models.find(LEARNED).image)
     stream = coded(codec_name)
     if name != "cortex-m4" and codec.codec_by_name(codec_name).steers:
         stream = steered(stream)
@@ -132,9 +135,9 @@ def between_rests(codes: Codes) -> Codes:
 @pytest.mark.parametrize("name", [*CORES, "stm32f405"])
 def test_images_outlive_a_restart(name: str) -> None:
     flash = flash_of(name)
-    kept = flasher.flash(session(board(name, flash))[1], models.find(LEARNED).image)
+    kept = uploader.flash(session(board(name, flash))[1], models.find(LEARNED).image)
     _, host = session(board(name, flash))
-    running = flasher.running(host)
+    running = uploader.running(host)
     assert running is not None
     assert (running.slot, running.sha256) == (kept.slot, kept.sha256)
 

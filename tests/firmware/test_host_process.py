@@ -13,13 +13,13 @@ from vibrocast import models
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
 from vibrocast.firmware.build import build
-from vibrocast.host import flasher
+from vibrocast.host import uploader
 from vibrocast.host.controller import ConnectionLost
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
-from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.output.rendering import render
 from vibrocast.simulated_device.host_process import HostProcess
-from vibrocast.simulated_device.output import render
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 
@@ -38,9 +38,9 @@ def test_stream_is_played_as_computed_and_goes_to_the_file_of_codes(tmp_path: Pa
 def test_images_are_kept_in_the_flash_file(tmp_path: Path) -> None:
     image = models.find("eva-16").image
     with HostProcess("--flash", tmp_path / "flash") as process, Host(SerialTransport(process.name)) as host:
-        kept = flasher.flash(host, image)
+        kept = uploader.flash(host, image)
     with HostProcess("--flash", tmp_path / "flash") as process, Host(SerialTransport(process.name)) as host:
-        running = flasher.running(host)
+        running = uploader.running(host)
     assert running is not None and running.sha256 == kept.sha256
 
 

@@ -8,7 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vibrocast.host.harness.bench_file import BenchFileError, actuator_toml, chosen, read_bench
-from vibrocast.simulated_device.actuator import ACTUATORS, LRA, PIEZO_STACK, Actuator
+from vibrocast.output.actuator import (
+    ACTUATORS,
+    LRA,
+    PIEZO_STACK,
+    Actuator,
+)
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "bench.toml"
 CONTROLLER = '[[controllers]]\nname = "left"\naddress = "sim"\n'

@@ -8,7 +8,7 @@ import pytest
 
 from tests.harness.test_response import bench
 from vibrocast.host.harness import fidelity
-from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import GENERATORS, Recording
 
 

@@ -9,7 +9,7 @@ from vibrocast.host import live
 from vibrocast.host.controller import Controller
 from vibrocast.host.harness import latency
 from vibrocast.host.harness.device_clock import DeviceClock
-from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
+from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime

@@ -129,7 +129,7 @@ def test_a_project_that_does_not_use_the_plugin_is_left_alone(
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     result = pytester.run(sys.executable, "-m", "pytest", *LOADED)
     result.assert_outcomes(passed=2)
-    for code in ("import vibrocast; vibrocast.encode", "from vibrocast.host.entry import main; main()"):
+    for code in ("import vibrocast; vibrocast.encode", "from vibrocast.host.cli.entry import main; main()"):
         assert pytester.run(sys.executable, "-c", code, "--help").ret == 0
 
 

@@ -11,7 +11,13 @@ from vibrocast.host.controller import Controller
 from vibrocast.host.harness import response
 from vibrocast.host.harness.alignment import AlignmentError
 from vibrocast.host.harness.sensors import Recorder
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator, Codes
+from vibrocast.output.actuator import (
+    LRA,
+    PIEZO_STACK,
+    VOICE_COIL,
+    Actuator,
+    Codes,
+)
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.memory_link import MemoryLink

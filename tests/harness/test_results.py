@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from vibrocast.files import InputFileError
 from vibrocast.host.harness import page, results
-from vibrocast.host.input_files import InputFileError
 
 RUN = results.Results(
     {"name": "controller", "address": "sim", "build": "<1>"},

@@ -12,7 +12,7 @@ import soundfile
 
 import vibrocast
 from vibrocast import api, codec
-from vibrocast.codec import coding
+from vibrocast.codec import registry
 
 RATE_HZ = 2800
 TIMES_S = np.arange(RATE_HZ) / RATE_HZ
@@ -156,9 +156,9 @@ class Rounded:
 
 @pytest.fixture
 def own_registry(monkeypatch: pytest.MonkeyPatch) -> None:
-    registry = coding.Codecs()
-    for module in (coding, codec, api):
-        monkeypatch.setattr(module, "CODECS", registry)
+    own = registry.Codecs()
+    for module in (registry, codec, api):
+        monkeypatch.setattr(module, "CODECS", own)
 
 
 @pytest.mark.usefixtures("own_registry")

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from vibrocast import textures
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.device_protocol.messages import CaptureData, Tap
-from vibrocast.host import coding, end_to_end
+from vibrocast.host import end_to_end
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.end_to_end import Outcome
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator
+from vibrocast.output.actuator import LRA, PIEZO_STACK, Actuator
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.memory_link import MemoryLink
@@ -23,7 +24,7 @@ SAMPLES = 1000
 
 def play(actuator: Actuator = PIEZO_STACK) -> Outcome:
     samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
-    encoding = coding.encode(textures.Recording(samples, 2800.0, "um", "sine"), live=True)
+    encoding = encode_recording(textures.Recording(samples, 2800.0, "um", "sine"), live=True)
     link = MemoryLink(SimulatedController(Settings(actuator=actuator)))
     controller = Controller(link, link.clock, link.sleep)
     return end_to_end.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)

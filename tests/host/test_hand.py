@@ -8,11 +8,12 @@ import pytest
 from click.testing import CliRunner
 
 from vibrocast import codec, textures
-from vibrocast.host import coding, hand, profiles
-from vibrocast.host.command_line import main
+from vibrocast.codec.stream import Stream
+from vibrocast.files import InputFileError
+from vibrocast.host import hand, profiles
+from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.input_files import InputFileError
-from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
@@ -21,7 +22,7 @@ PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
 
 
 @pytest.fixture
-def stream() -> coding.Stream:
+def stream() -> Stream:
     return profiles.encode(profiles.recording_of(PROFILE), snr_db=20.0).stream
 
 
@@ -102,7 +103,7 @@ def test_movement_is_read_and_made(tmp_path: Path) -> None:
     assert strokes.positions_mm[-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(stream: coding.Stream) -> None:
+def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(stream: Stream) -> None:
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
     movement = hand.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
@@ -118,7 +119,7 @@ def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(s
 
 
 @pytest.mark.parametrize("drift_ppm", [-10_000, 10_000])
-def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: coding.Stream, drift_ppm: int) -> None:
+def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: Stream, drift_ppm: int) -> None:
     times_s = np.arange(0, 4, 0.05)
     movement = hand.Movement(times_s, 10 * np.sin(6 * times_s))
     link = MemoryLink(SimulatedController(Settings(drift_ppm=drift_ppm)))
@@ -133,7 +134,7 @@ def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: codin
     assert hand.as_computed(late, expected, PIEZO_STACK) is None
 
 
-def test_controllers_that_cannot_are_named(stream: coding.Stream) -> None:
+def test_controllers_that_cannot_are_named(stream: Stream) -> None:
     for samples, reason in ((0, "newer firmware"), (100, "room for 100")):
         link = MemoryLink(SimulatedController(Settings(profile_samples=samples)))
         with Controller(link, link.clock, link.sleep) as controller, pytest.raises(ControllerError, match=reason):

@@ -7,6 +7,7 @@ import pytest
 
 from vibrocast import codec
 from vibrocast.codec import CodecError, Signal
+from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError
@@ -20,7 +21,7 @@ from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
 from vibrocast.simulated_device.slow_line import SlowLine, Wire
 
 RATE_HZ = 2800
-FORMAT = live.live_format(RATE_HZ, "um", [10.0])
+FORMAT = live_format(RATE_HZ, "um", [10.0])
 
 
 def bench(settings: Settings | None = None, to_controller: FaultyLine | None = None) -> tuple[MemoryLink, Controller]:
@@ -211,7 +212,7 @@ def test_what_a_source_kept_before_it_was_heard_is_passed_over() -> None:
 def test_what_cannot_be_streamed_is_refused() -> None:
     _, controller = bench(Settings(channels=1))
     with pytest.raises(StreamError, match="2 channels, the controller has 1"):
-        LiveStream(controller, live.live_format(RATE_HZ, "um", [1.0, 1.0]))
+        LiveStream(controller, live_format(RATE_HZ, "um", [1.0, 1.0]))
     with pytest.raises(CodecError, match="needs a model"):
         LiveStream(controller, FORMAT, codec_name="eva")
     with pytest.raises(CodecError, match="NaN"):

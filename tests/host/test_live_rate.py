@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from vibrocast import codec
-from vibrocast.codec import Signal
-from vibrocast.host import live, steered
+from vibrocast.codec import Signal, rate_controlled
+from vibrocast.codec.live_format import live_format
+from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.host import live
 from vibrocast.host.controller import Controller
-from vibrocast.host.link import added_bytes
 from vibrocast.host.live import LiveResult, LiveStream
 from vibrocast.host.live_group import LiveGroup
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -47,7 +48,7 @@ class Run:
         self.policy = self.policy or codec.ConstantRate(self.rate_bps, added_bytes)
         self.stream = LiveStream(
             controller,
-            live.live_format(RATE_HZ, "um", [10.0] * self.channels),
+            live_format(RATE_HZ, "um", [10.0] * self.channels),
             policy=self.policy,
             packet_samples=self.packet_samples,
         )
@@ -100,8 +101,8 @@ def test_a_link_that_falls_to_half_makes_no_packet_late_and_quality_comes_back(r
 
 
 def test_a_constant_quality_falls_to_what_the_link_carries() -> None:
-    wish = steered.Wish(snr_db=30)  # of noise: 14 kbit/s
-    signal_format = live.live_format(RATE_HZ, "um", [10.0])
+    wish = rate_controlled.Wish(snr_db=30)  # of noise: 14 kbit/s
+    signal_format = live_format(RATE_HZ, "um", [10.0])
     policy = wish.policy(signal_format)
     assert isinstance(policy, codec.RatePolicy)
     run = Run(0, Wire(7680), policy=policy, packet_samples=wish.framing(RATE_HZ).packet_samples)
@@ -162,7 +163,7 @@ class Desk:
         self.links = [MemoryLink(SlowLine(SimulatedController(Settings()), self.wire), time=time) for _ in range(2)]
         self.policy = codec.ConstantRate(self.rate_bps, added_bytes)
         group = codec.Group(self.policy, 2)
-        signal_format = live.live_format(RATE_HZ, "um", [10.0])
+        signal_format = live_format(RATE_HZ, "um", [10.0])
         streams = [
             LiveStream(
                 Controller(link, link.clock, link.sleep),

@@ -9,13 +9,15 @@ from functools import partial
 import numpy as np
 import pytest
 
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.transports import TransportError, UsbTransport
-from vibrocast.host import coding, player
+from vibrocast.host import player
 from vibrocast.host.controller import ConnectionLost, Controller
 from vibrocast.host.many import on_all
-from vibrocast.simulated_device.actuator import PIEZO_STACK
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.output import render
 from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 from vibrocast.textures import Recording
 
@@ -23,9 +25,9 @@ CHANNELS = 4
 SECONDS = 1.5
 
 
-def stream() -> coding.Stream:
+def stream() -> Stream:
     samples = 5.0 * np.random.default_rng(1).standard_normal((round(SECONDS * 2800), CHANNELS))
-    return coding.encode(Recording(samples, 2800.0, "um", "noise"), setting={"step": 0.5}, live=True).stream
+    return encode_recording(Recording(samples, 2800.0, "um", "noise"), setting={"step": 0.5}, live=True).stream
 
 
 @contextmanager

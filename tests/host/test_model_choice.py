@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.cli.test_command_line import fails, succeeds
 from tests.export import tiny
-from tests.host.test_command_line import fails, succeeds
 from vibrocast import models, textures
 from vibrocast.codec import CodecError, OutOfReach
-from vibrocast.host import coding
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import read_stream
 
 
 @pytest.fixture(autouse=True)
@@ -30,7 +31,7 @@ def texture() -> textures.Recording:
 
 
 def chosen(**wish: float) -> str | None:
-    return coding.encode(texture(), codec_name="eva", **wish).stream.model_name  # type: ignore[arg-type]
+    return encode_recording(texture(), codec_name="eva", **wish).stream.model_name  # type: ignore[arg-type]
 
 
 def test_the_smallest_that_meets_the_snr() -> None:
@@ -44,7 +45,7 @@ def test_the_smallest_that_meets_the_rate() -> None:
 
 
 def test_a_setting_is_the_smallest_models() -> None:
-    stream = coding.encode(texture(), codec_name="eva", setting={"quality": 1}).stream
+    stream = encode_recording(texture(), codec_name="eva", setting={"quality": 1}).stream
     assert stream.model_name == "low"
 
 
@@ -57,14 +58,14 @@ def test_what_none_can_do_is_refused_with_what_the_largest_reaches() -> None:
 
 def test_progress_never_falls_from_one_model_to_the_next() -> None:
     told: list[float] = []
-    coding.encode(texture(), codec_name="eva", snr_db=15, progress=told.append)
+    encode_recording(texture(), codec_name="eva", snr_db=15, progress=told.append)
     assert told == sorted(told)
     assert told[0] > 0 and told[-1] <= 1
 
 
 def test_a_model_that_is_named_is_used(shipped: tuple[models.Model, ...]) -> None:
     single = shipped[0]
-    encoding = coding.encode(texture(), model=single)
+    encoding = encode_recording(texture(), model=single)
     assert (encoding.stream.codec_name, encoding.stream.model_name) == ("eva", "kin-1")
 
 
@@ -75,19 +76,19 @@ def test_without_any_model_the_error_says_so(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_streams_find_their_model_again(tmp_path: Path) -> None:
-    stream = coding.encode(texture(), codec_name="eva").stream
+    stream = encode_recording(texture(), codec_name="eva").stream
     stream.save(tmp_path / "rough.vct")
-    again = coding.read(tmp_path / "rough.vct")
+    again = read_stream(tmp_path / "rough.vct")
     assert again.facts()["model"] == "all"
     np.testing.assert_array_equal(again.decode(), stream.decode())
 
 
 def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = coding.encode(texture(), codec_name="eva").stream
+    stream = encode_recording(texture(), codec_name="eva").stream
     stream.save(tmp_path / "rough.vct")
     monkeypatch.setattr(models, "shipped", lambda: ())
     with pytest.raises(CodecError, match=f"{stream.header.image_hash.hex()}, which is none of those that ship"):
-        coding.read(tmp_path / "rough.vct")
+        read_stream(tmp_path / "rough.vct")
 
 
 @pytest.mark.parametrize("runtime", [(), ("--runtime", "core"), ("--runtime", "onnx")])

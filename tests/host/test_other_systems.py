@@ -22,7 +22,7 @@ for module, names in (
 ):
     for name in names:
         delattr(module, name)
-from vibrocast.host.entry import main
+from vibrocast.host.cli.entry import main
 main()
 """
 

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from vibrocast import textures
-from vibrocast.host import coding, end_to_end
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.host import end_to_end
 from vibrocast.host.devices import connect
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
@@ -32,7 +33,7 @@ def test_every_kind_plays_as_computed(name: str, device: str) -> None:
     recording = textures.load(DATA / name, **KINDS[name])
     count = round(EXCERPT_S * recording.rate_hz)
     first = max(0, len(recording.samples) - count) // 2
-    encoding = coding.encode(replace(recording, samples=recording.samples[first : first + count]), live=True)
+    encoding = encode_recording(replace(recording, samples=recording.samples[first : first + count]), live=True)
     with connect(device) as controller:
         report = end_to_end.play(controller, device, name, encoding.stream, encoding).report
     assert (report.underruns, report.lost_packets, report.reconnects) == (0, 0, 0)

@@ -11,7 +11,7 @@ from vibrocast.host.planner.band import (
     error_over_threshold_db,
     largest_um,
 )
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
+from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Profile, Recording
 
 THRESHOLD = read_threshold()

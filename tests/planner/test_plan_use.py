@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tests.planner.scenes import CONTROLLER, written
-from vibrocast.host import coding
-from vibrocast.host.command_line import main
+from vibrocast.codec.stream import read_stream
+from vibrocast.host.cli.command_line import main
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"
 
@@ -51,7 +51,7 @@ def test_a_texture_of_a_plan_is_played_and_coded_as_planned(plan: Path, tmp_path
     assert played["texture"] == "wood" and "on the wire" in result.stdout
     result = run("encode", "wood", tmp_path / "wood.vct", "--plan", plan)
     assert result.exit_code == 0, result.stderr
-    stream = coding.read(tmp_path / "wood.vct")
+    stream = read_stream(tmp_path / "wood.vct")
     seconds = len(stream.packets) * stream.decoder().packet_samples / stream.header.rate_hz
     assert 8 * sum(map(len, stream.packets)) / seconds == pytest.approx(played["measured"]["payload_bps"])
 

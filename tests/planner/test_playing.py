@@ -10,7 +10,7 @@ import pytest
 
 from tests.planner.scenes import CONTROLLER, scene
 from vibrocast import textures
-from vibrocast.host.link import added_bytes
+from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.host.planner import choose, comparison, playing
 from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
 

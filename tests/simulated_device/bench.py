@@ -24,7 +24,7 @@ from vibrocast.device_protocol.messages import (
     pack,
     unpack,
 )
-from vibrocast.simulated_device.actuator import Codes
+from vibrocast.output.actuator import Codes
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.flash import FlashMemory

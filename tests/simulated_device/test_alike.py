@@ -31,7 +31,12 @@ from vibrocast.device_protocol.messages import (
     pack,
     unpack,
 )
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
+from vibrocast.output.actuator import (
+    LRA,
+    PIEZO_STACK,
+    Actuator,
+    Codes,
+)
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.flash import FlashMemory

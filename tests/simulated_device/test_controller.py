@@ -45,10 +45,10 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK
+from vibrocast.output.actuator import LRA, PIEZO_STACK
+from vibrocast.output.rendering import FADE_SECONDS, render
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
 from vibrocast.simulated_device.flash import FlashMemory
-from vibrocast.simulated_device.output import FADE_SECONDS, render
 
 FADE_CODES = round(FADE_SECONDS * PIEZO_STACK.dac_rate_hz)
 

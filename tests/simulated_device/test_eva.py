@@ -14,15 +14,17 @@ from tests.export import tiny
 from tests.simulated_device.bench import Kind
 from vibrocast import codec, models, textures
 from vibrocast.codec import eva
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import EvaImage, with_runtime
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import SlotState
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.graphs import graphs_of
-from vibrocast.host import coding, player
+from vibrocast.host import player
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.flasher import flash, running
+from vibrocast.host.uploader import flash, running
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.memory_link import MemoryLink
@@ -33,13 +35,13 @@ def session(runtime: str | None = None, kind: Kind = Controller) -> Host:
     return Host(link, link.clock, link.sleep)
 
 
-def streamed(model: models.Model, channels: int = 1) -> coding.Stream:
+def streamed(model: models.Model, channels: int = 1) -> Stream:
     samples = np.hstack([textures.GENERATORS["rough"](seed, 0.5).samples for seed in range(channels)])
     recording = textures.Recording(samples, 2800, "m/s^2", "rough")
-    return coding.encode(recording, setting={"quality": 2}, model=model, live=True).stream
+    return encode_recording(recording, setting={"quality": 2}, model=model, live=True).stream
 
 
-def played(host: Host, stream: coding.Stream) -> codec.Decoded:
+def played(host: Host, stream: Stream) -> codec.Decoded:
     """Return what a controller decodes of a stream."""
     packet_samples = stream.decoder().packet_samples
     result = player.play(host, stream.header, stream.packets, packet_samples, capture=True)
@@ -90,7 +92,7 @@ def test_a_runtime_that_the_image_does_not_have_is_refused(contents: str, runtim
 
 def test_the_setting_leaves_codecs_without_a_choice_alone() -> None:
     recording = textures.GENERATORS["rough"](0, 0.5)
-    stream = coding.encode(recording, setting={"step": 0.5}, live=True).stream
+    stream = encode_recording(recording, setting={"step": 0.5}, live=True).stream
     np.testing.assert_array_equal(played(session("onnx"), stream), stream.decode_integers())
 
 

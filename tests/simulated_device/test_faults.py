@@ -13,14 +13,19 @@ from vibrocast.device_protocol.messages import CaptureData, CaptureRead, SlotSta
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.flasher import flash
 from vibrocast.host.player import PlaybackResult, Progress, play
-from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
+from vibrocast.host.uploader import flash
+from vibrocast.output.actuator import PIEZO_STACK, Codes
+from vibrocast.output.rendering import (
+    Dac,
+    Drive,
+    recording_end,
+    render,
+)
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
 from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
-from vibrocast.simulated_device.output import Dac, Drive, recording_end, render
 
 REFRESH_S = 0.25
 

@@ -28,11 +28,11 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
-from vibrocast.simulated_device.actuator import PIEZO_STACK, Codes
+from vibrocast.output.actuator import PIEZO_STACK, Codes
+from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.memory_link import MemoryLink
-from vibrocast.simulated_device.output import render
 
 # A microcontroller with 128 KiB of memory: the STM32F405 has 64 KiB more.
 BOARD = {

@@ -25,10 +25,13 @@ from vibrocast.device_protocol.messages import (
     StreamData,
     pack,
 )
-from vibrocast.simulated_device.actuator import LRA, PIEZO_STACK, Actuator, Codes
-from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.firmware import Firmware
-from vibrocast.simulated_device.profile import (
+from vibrocast.output.actuator import (
+    LRA,
+    PIEZO_STACK,
+    Actuator,
+    Codes,
+)
+from vibrocast.output.profile import (
     HAND_DELAY_US,
     HAND_SMOOTHING_US,
     Profile,
@@ -36,6 +39,8 @@ from vibrocast.simulated_device.profile import (
     octaves_step,
     render,
 )
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.firmware import Firmware
 
 SAMPLES_PER_METRE = 100_000
 SAMPLES = 2000

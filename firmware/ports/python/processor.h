@@ -1,4 +1,4 @@
-/* Asks a processor which of the compiled cores it runs; vibrocast.codec.core loads one of them. */
+/* Asks a processor which of the compiled cores it runs; vibrocast.firmware.native_core loads one of them. */
 #ifndef VIBROCAST_PROCESSOR_H
 #define VIBROCAST_PROCESSOR_H
 

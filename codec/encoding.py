@@ -1,0 +1,221 @@
+"""Recordings to coded streams: resamples, removes the lowest band, finds the rate or the SNR, and measures."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import TypedDict, TypeVar
+
+from vibrocast import codec, models, textures
+from vibrocast.codec.stream import CodingQuality, Stream, as_stream, check_length
+
+Made = TypeVar("Made")
+DEFAULT_CODEC = "mdct"
+DEFAULT_SNR_DB = 15.0
+DEFAULT_STREAM_RATE_HZ = 2800
+
+
+class _How(TypedDict):
+    """What all encoding functions of the codec take."""
+
+    codec: str
+    unit: str
+    live: bool
+    model: codec.Model | None
+    progress: Callable[[float], None] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoding(CodingQuality):
+    """A coded recording. `recording`: what was coded, at the stream's rate, without the band below `highpass_hz`."""
+
+    stream: Stream
+    recording: textures.Recording
+
+    @property
+    def quality(self) -> CodingQuality:
+        """The quality alone."""
+        return CodingQuality(**{each.name: getattr(self, each.name) for each in fields(CodingQuality)})
+
+
+def encode_recording(
+    recording: textures.Recording,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
+    codec_name: str | None = None,
+    rate_bps: float | None = None,
+    snr_db: float | None = None,
+    setting: codec.Setting | None = None,
+    model: models.Model | None = None,
+    runtime: str | None = None,
+    live: bool = False,
+    progress: Callable[[float], None] | None = None,
+    unit: str | None = None,
+    highpass_hz: float | None = textures.HIGHPASS_HZ,
+) -> Encoding:
+    """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
+
+    What lies below `highpass_hz` is removed first, as `textures.highpass` does; None = the whole band is coded.
+
+    A codec that keeps no waveform has no SNR to search for: without a rate its setting is completed by the defaults.
+
+    `codec_name`: None = that of the model, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
+    `setting`: what is given of the codec's setting; one that leaves nothing to search for is used as it is. `model`:
+    None = the tables built in or, for a codec without such, the smallest model that ships and can do what is asked.
+    `runtime`: as in `Stream`. `live` adds refresh packets, for a link that may lose some. `progress` is called with the
+    part of the search that is done, from 0 to 1. `unit`: the stream's, None = the recording's. Raises CodecError
+    (also when the asked rate or SNR cannot be met), ModelError, ModelImageError, StreamError or TextureError, with what
+    to do.
+    """
+    if rate_bps is not None and snr_db is not None:
+        raise codec.CodecError("`rate_bps` and `snr_db` are both given; give one of them")
+    passed = textures.highpass(recording, highpass_hz)
+    resampled = textures.resample(passed.recording, stream_rate_hz)
+    check_length(resampled.samples.size)
+    chosen = chosen_codec(codec_name, model)
+    given = chosen.checked(setting or {})
+    if not chosen.leaves_open(given):
+        if rate_bps is not None or snr_db is not None:
+            if not given:
+                raise codec.CodecError(f"{chosen.name} has one quality only; leave out the rate or SNR")
+            raise codec.CodecError(
+                "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
+            )
+    elif rate_bps is None and snr_db is None and chosen.keeps_waveform:
+        snr_db = DEFAULT_SNR_DB
+    encoding = first_reachable(
+        chosen,
+        model,
+        lambda candidate, tell: _encode(
+            resampled, unit or resampled.unit, chosen, given, rate_bps, snr_db, candidate, runtime, live, tell
+        ),
+        progress,
+    )
+    return replace(encoding, highpass_hz=passed.highpass_hz, removed_energy=passed.removed_energy)
+
+
+def first_reachable(
+    chosen: codec.Codec,
+    model: models.Model | None,
+    code: Callable[[models.Model | None, Callable[[float], None] | None], Made],
+    progress: Callable[[float], None] | None,
+) -> Made:
+    """Return what `code` makes with the model or, where a codec needs one, with the smallest that reaches the wish.
+
+    `code` is called with a model and with what it tells its progress. Raises as it does, and as `models.shipped`.
+    """
+    candidates = [model] if model or not chosen.needs_model else smallest_first(chosen)
+    for number, candidate in enumerate(candidates):
+        tell = None if progress is None else partial(_tell_of_part, progress, number, len(candidates))
+        try:
+            return code(candidate, tell)
+        except codec.OutOfReach:
+            if number + 1 == len(candidates):
+                raise
+    raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`")
+
+
+def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:
+    """Return the codec of that name; None = that of the model, or DEFAULT_CODEC. Raises CodecError on a misfit."""
+    if codec_name is None:
+        codec_name = DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
+    chosen = codec.codec_by_name(codec_name)
+    if model is not None and model.codec_identifier != chosen.identifier:
+        raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another")
+    return chosen
+
+
+def encoder_model(model: models.Model | None) -> codec.Model | None:
+    """Return what a trained model gives an encoder."""
+    return None if model is None else codec.Model(model.tables, model.analysis)
+
+
+def smallest_first(chosen: codec.Codec) -> list[models.Model]:
+    """Return the models that ship for a codec and reach more than one quality, the smallest image first.
+
+    Raises as `models.shipped`.
+    """
+    return [
+        model
+        for model in models.shipped()
+        if model.codec_identifier == chosen.identifier and model.family == model.name
+    ]
+
+
+def _tell_of_part(progress: Callable[[float], None], number: int, count: int, done: float) -> None:
+    """Tell how much is done when it is so much of the part of this number among equal ones."""
+    progress((number + done) / count)
+
+
+def _encode(
+    recording: textures.Recording,
+    unit: str,
+    chosen: codec.Codec,
+    given: codec.Setting,
+    rate_bps: float | None,
+    snr_db: float | None,
+    model: models.Model | None,
+    runtime: str | None,
+    live: bool,
+    progress: Callable[[float], None] | None,
+) -> Encoding:
+    """Code a recording at its own rate with a model, or the tables built in. Raises as `encode`."""
+    samples, rate_hz = recording.samples, round(recording.rate_hz)
+    image = None if model is None else model.image
+    how: _How = {
+        "codec": chosen.name,
+        "unit": unit,
+        "live": live,
+        "model": encoder_model(model),
+        "progress": progress,
+    }
+
+    def size_bytes(coded: codec.CodedSignal) -> int:
+        return as_stream(coded, unit, image).size_bytes
+
+    if rate_bps is not None:
+        coded = codec.encode_to_rate(samples, rate_hz, rate_bps, size_bytes, setting=given, **how)
+    elif snr_db is not None:
+        coded = codec.encode_to_snr(samples, rate_hz, snr_db, setting=given, **how)
+    else:
+        coded = codec.encode(samples, rate_hz, given, **how)
+    stream = replace(as_stream(coded, unit, image), runtime=runtime)
+    return measure_encoding(recording, stream, rate_bps, snr_db)
+
+
+def measure_encoding(
+    recording: textures.Recording, stream: Stream, rate_bps: float | None = None, snr_db: float | None = None
+) -> Encoding:
+    """Return how near a stream comes to the recording, at its rate, and to what was asked. Raises CodecError."""
+    decoded = stream.decode()
+    reached_db = _finite(codec.snr_db(recording.samples, decoded))
+    each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
+    tactile_db = codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz)
+    return Encoding(
+        stream=stream,
+        recording=recording,
+        snr_db=reached_db,
+        snr_db_per_channel=each_db,
+        tactile_snr_db=tactile_db,
+        note=_shortfall(stream, each_db, rate_bps, snr_db),
+    )
+
+
+def _shortfall(
+    stream: Stream, each_db: Sequence[float | None], rate_bps: float | None, snr_db: float | None
+) -> str | None:
+    """Return why the asked rate, or else SNR, was not met within its tolerance; None when it was."""
+    if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - codec.RATE_TOLERANCE):
+        return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no setting that was tried comes nearer"
+    audible = [(ratio_db, number) for number, ratio_db in enumerate(each_db, 1) if ratio_db is not None]
+    if snr_db is not None and audible:
+        furthest_db, number = max(audible, key=lambda ratio: abs(ratio[0] - snr_db))
+        if abs(furthest_db - snr_db) > codec.SNR_TOLERANCE_DB:
+            where = f" in channel {number}" if len(each_db) > 1 else ""
+            return (
+                f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting that was tried comes nearer from above"
+            )
+    return None
+
+
+def _finite(ratio_db: float | None) -> float | None:
+    return ratio_db if ratio_db is not None and math.isfinite(ratio_db) else None

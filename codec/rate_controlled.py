@@ -1,0 +1,215 @@
+"""Recordings coded as live streams are, by a policy: what is asked, and how evenly and exactly it was met."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vibrocast import codec, models, textures
+from vibrocast.codec import Signal, SignalFormat
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, encoder_model, first_reachable
+from vibrocast.codec.live_format import recording_format
+from vibrocast.codec.rate_control import DEFAULT_BUCKET_S, REFRESH_S, RatePolicy
+from vibrocast.codec.stream import Stream, as_stream
+from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameError, write_frame
+from vibrocast.device_protocol.messages import StreamData, pack
+
+WINDOW_S = 2.0
+"""A rate is held over any run of whole packets that lasts so long."""
+_QUIET_DB = 20.0
+# Twice what it has before it is coded: beyond that no quality is finer.
+_MOST_BITS_A_SAMPLE = 32.0
+
+
+def added_bytes(packet: bytes) -> int:
+    """Return how many bytes a packet's frame, of its own, adds to it: 8 for up to 127 bytes, as policies count them.
+
+    Raises OutOfReach for a packet that no frame carries.
+    """
+    try:
+        return len(write_frame(pack(StreamData(0, 0, (packet,))))) - len(packet)
+    except FrameError as error:
+        raise codec.OutOfReach(
+            f"a packet of {len(packet)} bytes cannot be sent, a frame carries {MAXIMUM_PAYLOAD_BYTES}: "
+            "ask for a lower rate or quality, or for shorter packets"
+        ) from error
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is to be held: a constant rate; or a quality of every packet, up to a capped rate if there is one.
+
+    `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`, `error_db`: the quality; the
+    latter is the error's level relative to the detection threshold. `bucket_s`: size of the bucket, None = that which
+    holds a rate within 1 % over any 2 s; with a larger one SNR is more even. `packet_s`: length of packets, None = the
+    shortest to which the wire adds at most 15 %, or 4 blocks without a rate. `equal_error`: in place of an equal SNR.
+    """
+
+    constant_rate_bps: float | None = None
+    capped_rate_bps: float | None = None
+    snr_db: float | None = None
+    error_db: float | None = None
+    bucket_s: float | None = None
+    packet_s: float | None = None
+    equal_error: bool = False
+
+    @property
+    def rate_bps(self) -> float | None:
+        """The rate that is not exceeded; None = any."""
+        return self.capped_rate_bps if self.constant_rate_bps is None else self.constant_rate_bps
+
+    def policy(self, signal_format: SignalFormat) -> codec.Policy:
+        """Return the policy, for one stream. Raises CodecError for what cannot be held."""
+        bucket_s = DEFAULT_BUCKET_S if self.bucket_s is None else self.bucket_s
+        if self.constant_rate_bps is not None:
+            # The default bucket leaves a quality nothing to choose.
+            judge = None if self.bucket_s is None else codec.SnrJudge(signal_format.rate_hz)
+            return codec.ConstantRate(self.constant_rate_bps, added_bytes, bucket_s, judge)
+        quality_db, quality_judge = self._quality(signal_format)
+        if self.capped_rate_bps is None:
+            most_bps = _MOST_BITS_A_SAMPLE * signal_format.rate_hz * signal_format.channels
+            return codec.ConstantQuality(quality_db, quality_judge, most_bps, added_bytes)
+        return codec.CappedRate(quality_db, quality_judge, self.capped_rate_bps, added_bytes, bucket_s)
+
+    def framing(self, rate_hz: int) -> codec.Framing:
+        """Return how a stream of that sample rate is cut into packets."""
+        if self.packet_s is not None:
+            return codec.Framing(max(1, round(self.packet_s * rate_hz)), max(1, round(REFRESH_S / self.packet_s)))
+        if self.rate_bps is not None:
+            return codec.steered_framing(self.rate_bps, rate_hz, added_bytes)
+        return codec.live_framing(rate_hz)
+
+    def _quality(self, signal_format: SignalFormat) -> tuple[float, codec.Judge]:
+        if self.error_db is not None:
+            return -self.error_db, codec.ThresholdJudge(signal_format)
+        if self.snr_db is None:
+            raise codec.CodecError("a quality is needed; give an SNR, or the error's level")
+        return self.snr_db, codec.SnrJudge(signal_format.rate_hz)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a wish was met.
+
+    `sent_bps`: packets and their frames; `packets_bps`: packets alone. `furthest`: by how much, relative to the rate,
+    the run of packets of 2 s that is furthest from it differs; None without a rate, or where all lasts less.
+    `padding`: part of the bytes sent that only keep the rate. `packet_snrs_db`: of all packets but those 20 dB below
+    the recording. `packet_s`: how long a packet lasts.
+    """
+
+    sent_bps: float
+    packets_bps: float
+    furthest: float | None
+    padding: float
+    packet_snrs_db: tuple[float, ...]
+    packet_s: float
+
+    @property
+    def frames_add(self) -> float:
+        """What the frames add to the packets, relative to these."""
+        return self.sent_bps / self.packets_bps - 1
+
+    @property
+    def snr_db(self) -> float:
+        """Mean SNR over the packets; NaN where all are silent."""
+        return float(np.mean(self.packet_snrs_db)) if self.packet_snrs_db else math.nan
+
+    @property
+    def snr_range_db(self) -> tuple[float, float]:
+        """Between which SNRs nine packets of ten are; NaN where all are silent."""
+        if not self.packet_snrs_db:
+            return math.nan, math.nan
+        low, high = np.percentile(self.packet_snrs_db, (5, 95))
+        return float(low), float(high)
+
+    @property
+    def snr_deviation_db(self) -> float:
+        """Standard deviation of the packets' SNR; NaN where all are silent."""
+        return float(np.std(self.packet_snrs_db)) if self.packet_snrs_db else math.nan
+
+
+def encode(
+    recording: textures.Recording,
+    wish: Wish,
+    *,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
+    codec_name: str | None = None,
+    setting: codec.Setting | None = None,
+    model: models.Model | None = None,
+    progress: Callable[[float], None] | None = None,
+    highpass_hz: float | None = textures.HIGHPASS_HZ,
+) -> tuple[Stream, Outcome]:
+    """Resample a recording to the stream's rate and code it as a live stream, steered as wished.
+
+    `highpass_hz` as in `coding.encode`.
+
+    `codec_name`: None = that of the model, or DEFAULT_CODEC. `model`: None = the tables built in or, for a codec
+    without such, the smallest model that ships and holds the wish. Raises CodecError, also where the wish is out of
+    reach, and as `host.coding.encode`.
+    """
+    resampled = textures.resample(textures.highpass(recording, highpass_hz).recording, stream_rate_hz)
+    samples = resampled.samples
+    signal_format = recording_format(resampled)
+    chosen = chosen_codec(codec_name, model)
+    given = {**(codec.equal_error(chosen, signal_format) if wish.equal_error else {}), **(setting or {})}
+
+    def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, codec.Policy]:
+        policy = wish.policy(signal_format)
+        coded = codec.encode_steered(
+            samples,
+            stream_rate_hz,
+            policy,
+            wish.framing(stream_rate_hz),
+            codec=chosen.name,
+            setting=given,
+            unit=resampled.unit,
+            model=encoder_model(candidate),
+            progress=tell,
+        )
+        return as_stream(coded, resampled.unit, None if candidate is None else candidate.image), policy
+
+    stream, policy = first_reachable(chosen, model, code, progress)
+    return stream, outcome(stream, samples, wish.rate_bps, policy)
+
+
+def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: codec.Policy) -> Outcome:
+    """Return how a policy steered a stream of samples (n, channels); without a rate, None. Raises CodecError."""
+    decoder = stream.decoder()
+    packet_s = decoder.packet_samples / stream.header.rate_hz
+    sizes = [len(packet) + added_bytes(packet) for packet in stream.packets]
+    seconds = packet_s * len(sizes)
+    return Outcome(
+        sent_bps=8 * sum(sizes) / seconds,
+        packets_bps=8 * sum(map(len, stream.packets)) / seconds,
+        furthest=None if rate_bps is None else _furthest(sizes, rate_bps * packet_s / 8, packet_s),
+        padding=policy.padding_bytes / sum(sizes) if isinstance(policy, RatePolicy) else 0.0,
+        packet_snrs_db=tuple(_packet_snrs_db(samples, stream.decode(), decoder)),
+        packet_s=packet_s,
+    )
+
+
+def _furthest(sizes: Sequence[int], share_bytes: float, packet_s: float) -> float | None:
+    """Return the relative deviation from its share of the run of packets that lasts 2 s and is furthest from it."""
+    run = math.ceil(WINDOW_S / packet_s - 1e-9)
+    if run > len(sizes):
+        return None
+    sums = np.convolve(sizes, np.ones(run), "valid") / (run * share_bytes) - 1
+    return float(max(sums, key=abs))
+
+
+def _packet_snrs_db(samples: Signal, decoded: Signal, decoder: codec.Decoder) -> list[float]:
+    """Return the SNR over all channels of what each packet decodes to, quiet ones left out."""
+    # The last packet is seldom full, and then has bits to spare.
+    first_end = decoder.packet_samples - decoder.delay_samples % decoder.packet_samples
+    *cuts, end = [0, *range(first_end, len(samples) + 1, decoder.packet_samples)]
+    if not cuts:
+        cuts, end = [0], len(samples)
+    samples, decoded = samples[:end], decoded[:end]
+    scale = np.sqrt(np.mean(np.square(samples), axis=0))
+    normalised = np.where(scale > 0, scale, 1.0)
+    power = np.add.reduceat(np.sum(np.square(samples / normalised), axis=1), cuts)
+    error = np.add.reduceat(np.sum(np.square((samples - decoded) / normalised), axis=1), cuts)
+    lengths = np.diff([*cuts, len(samples)])
+    loud = (power > lengths * np.sum(power) / len(samples) * 10 ** (-_QUIET_DB / 10)) & (error > 0)
+    return [float(ratio) for ratio in 10 * np.log10(power[loud] / error[loud])]

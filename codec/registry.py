@@ -1,0 +1,359 @@
+"""The codecs by name, and whole signals to packets and back at a given quantiser step."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+
+from vibrocast.codec import dct, eva, libav, mdct, parametric, plugins, slp
+from vibrocast.codec.interface import (
+    AUTO,
+    Codec,
+    CodecError,
+    CodedSignal,
+    Decoded,
+    Decoder,
+    Encoder,
+    Framing,
+    Model,
+    Setting,
+    Signal,
+    SignalFormat,
+)
+from vibrocast.codec.rate_control import Policy, steered_encoder
+
+LIVE_PACKET_BLOCKS = 4
+LIVE_REFRESH_S = 0.25
+_FILE_PACKET_BLOCKS = 128
+# Every packet fits into one frame of the wire protocol, so that a file can be played as it is.
+_LARGEST_PACKET_BYTES = 4000
+_PART_SAMPLES = 1 << 20
+_MAX_GAIN = 2.0**127
+_MIN_GAIN = 2.0**-120
+
+Progress: TypeAlias = Callable[[float], None]
+
+BUILT_IN: dict[str, Codec] = {
+    codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS, parametric.CODEC)
+}
+
+
+class Codecs(Mapping[str, Codec]):
+    """All codecs by name: the built-in ones, those of other packages (codec/plugins.py), those added in this process.
+
+    The packages are loaded at first use. `failures`: why codecs of packages cannot be used, by entry point.
+    """
+
+    def __init__(self) -> None:
+        self._added: dict[str, Codec] = {}
+
+    def add(self, codec: Codec) -> None:
+        """Add a codec, or replace one added before. Raises CodecError where a package or vibrocast has the name."""
+        if codec.name in self._loaded[0]:
+            raise CodecError(f"there is a codec {codec.name} already; rename yours")
+        self._added[codec.name] = codec
+
+    @cached_property
+    def _loaded(self) -> tuple[dict[str, Codec], dict[str, str]]:
+        others, failures = plugins.load(BUILT_IN)
+        return {**BUILT_IN, **others}, failures
+
+    @property
+    def failures(self) -> dict[str, str]:
+        return self._loaded[1]
+
+    def __getitem__(self, name: str) -> Codec:
+        return BUILT_IN.get(name) or self._added.get(name) or self._loaded[0][name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self._loaded[0], **self._added})
+
+    def __len__(self) -> int:
+        return len(self._loaded[0]) + len(self._added)
+
+
+CODECS = Codecs()
+
+
+def codec_by_name(name: str) -> Codec:
+    """Return the codec of that name. Raises CodecError when there is none."""
+    if name in CODECS:
+        return CODECS[name]
+    if name in CODECS.failures:
+        raise CodecError(f"the codec {name} cannot be loaded: {CODECS.failures[name]}; repair or remove its package")
+    raise CodecError(f"there is no codec {name!r}; choose one of {', '.join(sorted(CODECS))}")
+
+
+def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:
+    """Return the codec of that number in stream headers. Raises CodecError when there is none.
+
+    `configuration`: the header's, in which a codec of another package has its name.
+    """
+    if identifier == plugins.IDENTIFIER:
+        name = plugins.name_in(configuration)
+        if name not in CODECS:
+            raise CodecError(f"the stream needs the codec {name!r}; install the package that brings it, or register it")
+        return CODECS[name]
+    for codec in BUILT_IN.values():
+        if codec.identifier == identifier:
+            return codec
+    raise CodecError(f"codec number {identifier} is needed, which this version does not have")
+
+
+def decoder(
+    identifier: int, configuration: bytes, channels: int, tables: bytes | None = None, runtime: str | None = None
+) -> Decoder:
+    """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit a codec.
+
+    `runtime`: one of RUNTIMES, for tables that can be decoded by either; None = as they say.
+    """
+    codec = codec_by_identifier(identifier, configuration)
+    _check_model(codec, tables is not None)
+    if runtime is not None and tables is not None and codec.with_runtime is not None:
+        tables = codec.with_runtime(tables, runtime)
+    return codec.make_decoder(configuration, channels, tables)
+
+
+def check_tables(identifier: int, tables: bytes) -> None:
+    """Raise CodecError where the payload of a model image is not what a codec's decoders take."""
+    codec = codec_by_identifier(identifier)
+    _check_model(codec, given=True)
+    assert codec.check_tables is not None, f"{codec.name} takes a model"
+    codec.check_tables(tables)
+
+
+def live_framing(rate_hz: int) -> Framing:
+    """Return the framing for streaming: packets of 4 blocks, a refresh at least every 0.25 s."""
+    packet_samples = LIVE_PACKET_BLOCKS * mdct.hop_samples(rate_hz)
+    return Framing(packet_samples, max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples)))
+
+
+def file_framing(samples: int, rate_hz: int, channels: int) -> Framing:
+    """Return the framing for a file: one refresh at the start, packets of at most 128 blocks over all channels."""
+    hop = mdct.hop_samples(rate_hz)
+    needed = -(-samples // hop) + 1
+    return Framing(min(needed, max(1, _FILE_PACKET_BLOCKS // channels)) * hop, 0)
+
+
+def gain_for(peak: float) -> float:
+    """Return the smallest number of 8 significant bits that is not below `peak`; 1 for silence.
+
+    Raises CodecError outside 2^-120 to 2^127.
+    """
+    if peak == 0:
+        return 1.0
+    if not _MIN_GAIN <= peak <= _MAX_GAIN:
+        raise CodecError(f"the signal's peak {peak:g} is outside {_MIN_GAIN:.0e} to {_MAX_GAIN:.0e}; use another unit")
+    mantissa, exponent = math.frexp(peak)
+    return math.ldexp(math.ceil(mantissa * 256), exponent - 8)
+
+
+def nearest_gain(gain: float) -> float:
+    """Return the number of 8 significant bits that is nearest. Raises CodecError as `gain_for`."""
+    mantissa, exponent = math.frexp(gain)
+    return gain_for(math.ldexp(round(mantissa * 256), exponent - 8))
+
+
+def encode(
+    samples: Signal,
+    rate_hz: int,
+    setting: Setting,
+    *,
+    codec: str = mdct.NAME,
+    unit: str = "full scale",
+    live: bool = False,
+    model: Model | None = None,
+    progress: Progress | None = None,
+    framing: Framing | None = None,
+) -> CodedSignal:
+    """Code samples (n, channels) in a physical unit by a codec's setting; what it leaves out has its default.
+
+    `live`: in short packets with regular refreshes, as for streaming; otherwise in the fewest bytes, as for a file.
+    `framing`: how the packets of a live stream are cut, None = as `live_framing` says.
+    `progress` is called with the part done, from 0 to 1. Raises CodecError on an empty signal, NaN, infinity, a
+    setting that the codec does not have, or a channel count, level or unit that cannot be coded.
+    """
+    return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
+
+
+def encode_steered(
+    samples: Signal,
+    rate_hz: int,
+    policy: Policy,
+    framing: Framing,
+    *,
+    codec: str = mdct.NAME,
+    setting: Setting | None = None,
+    unit: str = "full scale",
+    model: Model | None = None,
+    progress: Progress | None = None,
+) -> CodedSignal:
+    """Code samples (n, channels) in a physical unit in one pass, as a live stream would be, steered by a policy.
+
+    Raises CodecError as `encode`, and for packets longer than 4000 bytes; OutOfReach as `steered_encoder`.
+    """
+    return Source(samples, rate_hz, codec, unit, True, model, progress).encode_steered(setting or {}, policy, framing)
+
+
+def settled(
+    samples: Signal,
+    rate_hz: int,
+    setting: Setting,
+    *,
+    codec: str = mdct.NAME,
+    unit: str = "full scale",
+    model: Model | None = None,
+) -> Setting:
+    """Return the complete setting with which `encode` codes these samples as a file. Raises CodecError as `encode`."""
+    return Source(samples, rate_hz, codec, unit, False, model, None).settled(setting)
+
+
+def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
+    """Decode every packet: int16 (packets * packet_samples, channels), the codec's delay still in front.
+
+    Raises CodecError on a malformed packet or configuration.
+    """
+    state = decoder(codec_by_name(coded.codec).identifier, coded.configuration, coded.channels, tables)
+    decoded = np.empty((len(coded.packets) * state.packet_samples, coded.channels), dtype=np.int16)
+    for index, packet in enumerate(coded.packets):
+        decoded[index * state.packet_samples : (index + 1) * state.packet_samples] = state.decode(packet)
+    return decoded
+
+
+def decode(coded: CodedSignal, tables: bytes | None = None) -> Signal:
+    """Decode to float64 (samples, channels) in the physical unit, the codec's delay removed.
+
+    Raises CodecError on a malformed packet or configuration, and when packets are missing at the end.
+    """
+    state = decoder(codec_by_name(coded.codec).identifier, coded.configuration, coded.channels, tables)
+    end = state.delay_samples + coded.samples
+    held = len(coded.packets) * state.packet_samples
+    if coded.samples and held < end:
+        raise CodecError(f"the stream is cut short: it holds {held} of {end} samples; copy the file again")
+    integers = decode_integers(coded, tables)[state.delay_samples : end]
+    return integers * (np.array(coded.gains) / 32768)
+
+
+def parts(samples: int) -> Iterator[slice]:
+    """Yield slices that cover a long signal, so that no work on it needs a copy of all of it."""
+    for start in range(0, samples, _PART_SAMPLES):
+        yield slice(start, start + _PART_SAMPLES)
+
+
+def peak_of(channel: Signal) -> float:
+    return max(float(np.max(channel, initial=0.0)), -float(np.min(channel, initial=0.0)))
+
+
+def _check_model(codec: Codec, given: bool) -> None:
+    if given and not codec.takes_model:
+        raise CodecError(f"the codec {codec.name} takes no model image; leave it out")
+    if codec.needs_model and not given:
+        raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")
+
+
+class Source:
+    """A signal ready to be coded at any setting.
+
+    `format`: what the encoder is told of it. `silent`: every channel is.
+    """
+
+    def __init__(
+        self,
+        samples: Signal,
+        rate_hz: int,
+        codec: str,
+        unit: str,
+        live: bool,
+        model: Model | None,
+        progress: Progress | None,
+        framing: Framing | None = None,
+    ) -> None:
+        if samples.ndim != 2 or samples.shape[1] < 1:
+            raise CodecError(f"samples of shape {samples.shape}; (n, channels) is needed")
+        if len(samples) == 0:
+            raise CodecError("the signal is empty; there is nothing to code")
+        if not all(np.all(np.isfinite(samples[part])) for part in parts(len(samples))):
+            raise CodecError("the signal holds NaN or infinity; repair the recording first")
+        self.codec = codec_by_name(codec)
+        _check_model(self.codec, model is not None)
+        self.samples = samples
+        self._model = model
+        self._progress = progress or (lambda part: None)
+        self._live = live
+        if framing is None:
+            framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
+        self._framing = framing
+        gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
+        energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
+        rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
+        self.format = SignalFormat(rate_hz, unit, gains, rms)
+        self.silent = not np.any(energies)
+        self._trials = 0
+
+    def encode(self, setting: Setting) -> CodedSignal:
+        """Code with a setting, in shorter packets where they grow too long. Raises CodecError as `codec.encode`."""
+        setting = self.settled(setting)
+        framing = self._framing
+        tried_samples = 0
+        while True:
+            encoder = self.codec.make_encoder(setting, self.format, framing, self._model, None)
+            packets = self._packets(encoder)
+            as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
+            if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or as_short_as_can_be:
+                return self._coded(encoder, packets)
+            tried_samples = encoder.packet_samples
+            framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
+
+    def encode_steered(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
+        """Code with a policy, in packets as they are asked. Raises CodecError as `codec.encode_steered`."""
+        encoder = steered_encoder(self.codec, self.settled(setting), self.format, framing, self._model, policy)
+        packets = self._packets(encoder)
+        if max(map(len, packets)) > _LARGEST_PACKET_BYTES:
+            raise CodecError(
+                f"a packet of {max(map(len, packets))} bytes, and no controller need take more than "
+                f"{_LARGEST_PACKET_BYTES}: ask for shorter packets, or for less"
+            )
+        return self._coded(encoder, packets)
+
+    def takes(self, setting: Setting) -> bool:
+        """Return whether the codec has this setting with this model."""
+        try:
+            self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self._model, None)
+        except CodecError:
+            return False
+        return True
+
+    def settled(self, setting: Setting) -> Setting:
+        """Return the setting, complete, with what is left to the codec as it chooses. Raises CodecError."""
+        setting = self.codec.complete(setting)
+        if self._live or self.codec.settle is None or AUTO not in setting.values():
+            return setting
+        return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}
+
+    @cached_property
+    def _choice(self) -> Setting:
+        """What the codec chooses by the signal: the same at every setting, so that a search meets no jump."""
+        assert self.codec.settle is not None, f"{self.codec.name} has parameters that may be {AUTO}"
+        return self.codec.settle(self.samples, self.format)
+
+    def _coded(self, encoder: Encoder, packets: list[bytes]) -> CodedSignal:
+        return CodedSignal(
+            self.codec.name,
+            self.format.rate_hz,
+            len(self.samples),
+            self.format.gains,
+            encoder.configuration,
+            tuple(packets),
+        )
+
+    def _packets(self, encoder: Encoder) -> list[bytes]:
+        packets: list[bytes] = []
+        for part in parts(len(self.samples)):
+            packets += encoder.encode(self.samples[part] / np.array(self.format.gains))
+            # How many trials a search takes is not known before: each is given half of what is left of the bar.
+            within = min(part.stop, len(self.samples)) / len(self.samples)
+            self._progress(1 - 0.5**self._trials * (1 - within / 2))
+        self._trials += 1
+        return packets + encoder.finish()

@@ -1,0 +1,396 @@
+"""Coding to an asked quality or rate: searches for the setting that meets an SNR or a bit rate."""
+
+import bisect
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vibrocast.codec import mdct
+from vibrocast.codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
+from vibrocast.codec.registry import (
+    Progress,
+    Source,
+    codec_by_name,
+    decode,
+    parts,
+    peak_of,
+)
+from vibrocast.codec.threshold import TACTILE_BAND_HZ
+
+SNR_TOLERANCE_DB = 0.2
+RATE_TOLERANCE = 0.02
+_STEPS_PER_OCTAVE = 64
+_DB_PER_OCTAVE = 20 * math.log10(2)
+_THRIFTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
+_BALANCING_TRIALS = 20
+_STEP_BACK = 0.9
+_NEIGHBOURS = 3
+"""Settings tried on each side of where the excess changes its sign, as quality may fall on the way up a ladder."""
+_STEPS_BETWEEN = 8
+"""Steps from one rung of a ladder to the next, where the setting is a fraction."""
+
+
+def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
+    """Signal-to-noise ratio in dB of each channel of two arrays (n, channels): 10 log10(sum x^2 / sum (x - y)^2).
+
+    None where the reference is silent, infinity where both are equal.
+    """
+    if reference.shape != decoded.shape:
+        raise ValueError(f"a reference of shape {reference.shape}, decoded {decoded.shape}")
+    peaks = [peak_of(channel) for channel in reference.T]
+    energy, noise = np.zeros(len(peaks)), np.zeros(len(peaks))
+    scales = np.array([peak or 1.0 for peak in peaks])
+    for part in parts(len(reference)):
+        energy += np.sum(np.square(reference[part] / scales), axis=0)
+        noise += np.sum(np.square((reference[part] - decoded[part]) / scales), axis=0)
+    return [
+        (10 * math.log10(signal / error) if error > 0 else math.inf) if peak > 0 else None
+        for peak, signal, error in zip(peaks, energy.tolist(), noise.tolist(), strict=True)
+    ]
+
+
+def snr_db(reference: Signal, decoded: Signal) -> float | None:
+    """Return the mean of `channel_snrs_db` over the channels that are not silent; None when every channel is silent."""
+    ratios = [ratio for ratio in channel_snrs_db(reference, decoded) if ratio is not None]
+    return sum(ratios) / len(ratios) if ratios else None
+
+
+def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float | None:
+    """Return the SNR in dB within TACTILE_BAND_HZ, over all channels of arrays (n, channels).
+
+    Both powers are integrals of Welch's estimate over frames of 1 s (P. D. Welch, IEEE Trans. Audio Electroacoust. 15,
+    1967). None where the reference holds nothing there, or nothing was lost.
+    """
+    from scipy import signal
+
+    frame = min(len(reference), math.ceil(rate_hz))
+    powers = []
+    for samples in (reference, reference - decoded):
+        frequencies, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
+        band = (TACTILE_BAND_HZ[0] <= frequencies) & (frequencies <= TACTILE_BAND_HZ[1])
+        powers.append(float(np.sum(density[band])))
+    return 10 * math.log10(powers[0] / powers[1]) if min(powers) > 0 else None
+
+
+def encode_to_snr(
+    samples: Signal,
+    rate_hz: int,
+    target_db: float,
+    *,
+    codec: str = mdct.NAME,
+    setting: Setting | None = None,
+    unit: str = "full scale",
+    live: bool = False,
+    model: Model | None = None,
+    progress: Progress | None = None,
+) -> CodedSignal:
+    """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
+
+    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as `encode`, OutOfReach with
+    the best that there is. A silent signal meets every target.
+    """
+    if not math.isfinite(target_db):
+        raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
+    if not codec_by_name(codec).keeps_waveform:
+        raise OutOfReach(
+            f"an SNR of {target_db:g} dB cannot be met: {codec} keeps no waveform; ask for a rate, or "
+            "choose another codec"
+        )
+    source = Source(samples, rate_hz, codec, unit, live, model, progress)
+    if source.silent:
+        return source.encode(_rungs(source, setting)[0])
+    tables = model.tables if model is not None else None
+
+    def excesses_db(coded: CodedSignal) -> list[float]:
+        """Excess of each channel over the target; 0 for silent ones, which have none."""
+        ratios = channel_snrs_db(source.samples, decode(coded, tables))
+        return [0.0 if ratio is None else ratio - target_db for ratio in ratios]
+
+    def mean_excess(coded: CodedSignal) -> float:
+        ratio = snr_db(source.samples, decode(coded, tables))
+        return math.inf if ratio is None else ratio - target_db
+
+    if _searches_steps(source, setting):
+        found = _search(source, mean_excess, SNR_TOLERANCE_DB, side=1)
+        best, least = _balance(source, found, excesses_db)
+    elif _differs_by_channel(source, setting):
+        best = _choose_for_each(source, setting, excesses_db)
+        least = excesses_db(best)
+    else:
+        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), SNR_TOLERANCE_DB, side=1)
+        least = excesses_db(best)
+    if min(least) < -SNR_TOLERANCE_DB:
+        raise OutOfReach(
+            f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
+            f"with {source.codec.name}: ask for less, or give another setting"
+        )
+    return best
+
+
+def _balance(
+    source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]
+) -> tuple[CodedSignal, list[float]]:
+    """Bring every channel to the target by a step of its own; return the coded signal and the excesses left."""
+    best, least = found.coded, excesses_db(found.coded)
+    balanced = [_ChannelStep(found.step) for _ in least]
+    excesses = least
+    for trial in range(_BALANCING_TRIALS if len(least) > 1 else 0):
+        if _imbalance(least) <= (False, SNR_TOLERANCE_DB / 2):
+            break
+        for channel, excess in zip(balanced, excesses, strict=True):
+            if trial < _BALANCING_TRIALS // 2:
+                channel.move(excess)
+            elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
+                channel.step *= _STEP_BACK
+        coded = source.encode({"step": tuple(channel.step for channel in balanced), "thrift": found.thrift})
+        excesses = excesses_db(coded)
+        if _imbalance(excesses) < _imbalance(least):
+            best, least = coded, excesses
+    return best, least
+
+
+def _imbalance(excesses_db: list[float]) -> tuple[bool, float]:
+    """Order by which the steps of channels are chosen: none below the tolerance first, then the smallest excess."""
+    return min(excesses_db) < -SNR_TOLERANCE_DB, max(map(abs, excesses_db))
+
+
+@dataclass
+class _ChannelStep:
+    """The step of one channel among several that each need their own: between what is enough and what is too coarse."""
+
+    step: float
+    enough: float = 0.0
+    too_coarse: float = math.inf
+
+    def move(self, excess_db: float) -> None:
+        """Choose the next step to try, from the channel's excess over its target at this one: 6 dB an octave."""
+        if excess_db >= 0:
+            self.enough = max(self.enough, self.step)
+        else:
+            self.too_coarse = min(self.too_coarse, self.step)
+        if self.enough >= self.too_coarse:  # the other channels have moved the limit: find it again
+            self.enough, self.too_coarse = 0.0, math.inf
+        if abs(excess_db) <= SNR_TOLERANCE_DB / 2:
+            return
+        wanted = self.step * 2 ** (excess_db / _DB_PER_OCTAVE)
+        if not self.enough < wanted < self.too_coarse:
+            bracketed = self.enough > 0 and math.isfinite(self.too_coarse)
+            wanted = math.sqrt(self.enough * self.too_coarse) if bracketed else self.step / 2
+        self.step = wanted
+
+
+def encode_to_rate(
+    samples: Signal,
+    rate_hz: int,
+    bits_per_second: float,
+    size_bytes: Callable[[CodedSignal], int],
+    *,
+    codec: str = mdct.NAME,
+    setting: Setting | None = None,
+    unit: str = "full scale",
+    live: bool = False,
+    model: Model | None = None,
+    progress: Progress | None = None,
+) -> CodedSignal:
+    """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
+
+    `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: what of it is given and
+    not searched for. Raises CodecError as `encode`, OutOfReach with the least rate that the signal takes.
+    """
+    if not (math.isfinite(bits_per_second) and bits_per_second > 0):
+        raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
+    source = Source(samples, rate_hz, codec, unit, live, model, progress)
+
+    def rate(coded: CodedSignal) -> float:
+        return size_bytes(coded) * 8 * rate_hz / coded.samples
+
+    def excess(coded: CodedSignal) -> float:
+        return math.log(rate(coded)) - math.log(bits_per_second)
+
+    tolerance = math.log1p(RATE_TOLERANCE)
+    if _searches_steps(source, setting):
+        best = _search(source, excess, tolerance, side=-1).coded
+    else:
+        best = _choose(source, setting, excess, tolerance, side=-1)
+    if excess(best) > tolerance:
+        raise OutOfReach(
+            f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
+            f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
+        )
+    return best
+
+
+def _searches_steps(source: Source, setting: Setting | None) -> bool:
+    return source.codec.searches_steps and not setting
+
+
+def _differs_by_channel(source: Source, setting: Setting | None) -> bool:
+    """Return whether every parameter that is left to search may differ between channels, of which there are several."""
+    ladder = next(iter(source.codec.ladders.values()))
+    varied = {name for rung in ladder for name in rung} - set(setting or {})
+    return source.format.channels > 1 and all(source.codec.parameters[name].per_channel for name in varied)
+
+
+def settings(source: Source, setting: Setting | None = None) -> list[Setting]:
+    """Return what a search for a quality tries: the rungs of the codec's first ladder and between, the coarsest first.
+
+    `setting`: what is given of the codec's setting and not searched for. Raises CodecError.
+    """
+    return _steps_between(source, _rungs(source, setting))[0]
+
+
+def _rungs(source: Source, setting: Setting | None) -> list[Setting]:
+    """Return the settings of the codec's first ladder, what is given of a setting put in place of theirs.
+
+    Those that the model does not have are left out, unless it has none: then the first says why.
+    """
+    ladder = next(iter(source.codec.ladders.values()))
+    rungs: list[Setting] = []
+    for rung in ({**rung, **source.codec.checked(setting or {})} for rung in ladder):
+        if rung not in rungs:
+            rungs.append(rung)
+    return [rung for rung in rungs if source.takes(rung)] or rungs
+
+
+def _steps_between(source: Source, rungs: list[Setting]) -> tuple[list[Setting], int]:
+    """Return the rungs with settings between them, and how many steps lead from one rung to the next.
+
+    There are none between where what differs from rung to rung is no fraction.
+    """
+    parameters = source.codec.parameters
+    varied = {name for low, high in itertools.pairwise(rungs) for name in low if low[name] != high[name]}
+    if not varied or not all(parameters[name].fractional for name in varied):
+        return rungs, 1
+    finer: list[Setting] = []
+    for low, high in itertools.pairwise(rungs):
+        for step in range(_STEPS_BETWEEN):
+            part = step / _STEPS_BETWEEN
+            between = {name: (1 - part) * number(low, name) + part * number(high, name) for name in varied}
+            finer.append({**low, **between})
+    return [*finer, rungs[-1]], _STEPS_BETWEEN
+
+
+def _choose(
+    source: Source,
+    setting: Setting | None,
+    excess: Callable[[CodedSignal], float],
+    tolerance: float,
+    side: int,
+) -> CodedSignal:
+    """Code where the excess, rising on the whole from rung to rung, changes its sign; at every rung if nothing there
+    will do.
+
+    Return the one preferred as in `_search`.
+    """
+    settings, steps = _steps_between(source, _rungs(source, setting))
+    tried: dict[int, tuple[CodedSignal, float]] = {}
+
+    def excess_at(index: int) -> float:
+        if index not in tried:
+            coded = source.encode(settings[index])
+            tried[index] = coded, excess(coded)
+        return tried[index][1]
+
+    def preference(index: int) -> tuple[bool, float]:
+        return _preference(excess_at(index), tolerance, side)
+
+    every = range(len(settings))
+    crossing = bisect.bisect_left(every, 0.0, key=excess_at)
+    best = min(every[max(0, crossing - _NEIGHBOURS) : crossing + _NEIGHBOURS], key=preference)
+    if preference(best)[0]:
+        best = min(every[::steps], key=preference)
+    return tried[best][0]
+
+
+def _choose_for_each(
+    source: Source, setting: Setting | None, excesses_db: Callable[[CodedSignal], list[float]]
+) -> CodedSignal:
+    """Code each channel at the coarsest setting that brings it to the target: found with all channels at that setting,
+    then made finer where it is not enough beside the others'.
+    """
+    settings, _ = _steps_between(source, _rungs(source, setting))
+    varied = {name for name in settings[0] if settings[0][name] != settings[-1][name]}
+    tried: dict[tuple[int, ...], tuple[CodedSignal, list[float]]] = {}
+
+    def attempt(indices: tuple[int, ...]) -> list[float]:
+        if indices not in tried:
+            each = {name: tuple(number(settings[index], name) for index in indices) for name in varied}
+            coded = source.encode({**settings[0], **each})
+            tried[indices] = coded, excesses_db(coded)
+        return tried[indices][1]
+
+    channels, last = source.format.channels, len(settings) - 1
+
+    def enough(channel: int) -> int:
+        indices = range(last)
+        return bisect.bisect_left(indices, 0.0, key=lambda index: attempt((index,) * channels)[channel])
+
+    chosen = tuple(map(enough, range(channels)))
+    for _ in range(_BALANCING_TRIALS):
+        excesses = attempt(chosen)
+        if min(excesses) >= -SNR_TOLERANCE_DB:
+            break
+        short = [excess < -SNR_TOLERANCE_DB for excess in excesses]
+        chosen = tuple(min(index + more, last) for index, more in zip(chosen, short, strict=True))
+    attempt(chosen)
+    return tried[chosen][0]
+
+
+def _preference(excess: float, tolerance: float, side: int) -> tuple[bool, float]:
+    """Order by which trials are chosen: none beyond the tolerance on the worse side first, then the nearest to zero.
+
+    `side`: +1 when an excess above the tolerance is better than none, -1 when one below is.
+    """
+    return side * excess < -tolerance, abs(excess)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a search found: the coded signal, its excess, and the step and thrift that made it."""
+
+    coded: CodedSignal
+    excess: float
+    step: float
+    thrift: float
+
+
+def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: float, side: int) -> _Found:
+    """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
+
+    What is found, preferred by `_preference`, lies beyond the tolerance on the worse side only where every step does.
+    """
+    best: _Found | None = None
+
+    # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
+    # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
+    for thrift in _THRIFTS:
+        finest = round(_STEPS_PER_OCTAVE * math.log2(mdct.SMALLEST_STEP))
+        coarsest = round(_STEPS_PER_OCTAVE * math.log2(mdct.LARGEST_STEP / min(source.format.rms)))
+        above = below = math.nan  # excess beside the finest and the coarsest step that are left
+        interpolates = False
+        while finest <= coarsest:
+            width = coarsest - finest
+            exponent = (finest + coarsest) // 2
+            if interpolates:
+                exponent = finest + round(width * min(max(above / (above - below), 0.0), 1.0))
+            step = 2 ** (exponent / _STEPS_PER_OCTAVE)
+            coded = source.encode({"step": step, "thrift": thrift})
+            found = _Found(coded, excess(coded), step, thrift)
+            if best is None or _preference(found.excess, tolerance, side) < _preference(best.excess, tolerance, side):
+                best = found
+            if abs(best.excess) <= tolerance / 2:
+                return best
+            if found.excess > 0:
+                finest, above = exponent + 1, found.excess
+            else:
+                coarsest, below = exponent - 1, found.excess
+            # Straight lines lead there soon, unless one end stays where it is, or the excess jumps: then halve.
+            halved = 2 * (coarsest - finest) <= width
+            interpolates = thrift == _THRIFTS[0] and halved and math.isfinite(above - below)
+        if best is not None and (abs(best.excess) <= tolerance or side * best.excess < -tolerance):
+            break
+    assert best is not None, "there is a step to try"
+    return best

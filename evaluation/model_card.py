@@ -1,0 +1,249 @@
+"""The card of a trained model: what it was trained on, what it holds, and what it does with held-back recordings."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+
+from vibrocast import codec, textures
+from vibrocast.codec.encoding import Encoding, encode_recording
+from vibrocast.codec.stream import as_stream
+from vibrocast.evaluation.cost import time_coding
+from vibrocast.evaluation.speed import cpu_name
+from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.graphs import OPSET
+from vibrocast.export.package import Package
+from vibrocast.export.training_data import Trace
+from vibrocast.models import Model
+
+NEAR_SNR_DB = 15.0
+"""The loss of the integer synthesis and the speed are stated at the rate whose SNR is nearest to this."""
+MEASURED_S = 3.0
+"""At most, of each recording that the model is measured on."""
+_REPEATS = 3
+
+
+def made(
+    checkpoint: Checkpoint,
+    package: Package,
+    trained: Sequence[Trace],
+    held_back: Sequence[Trace],
+    commands: tuple[str, str],
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """Return the card of a model, ready for JSON; models/README.md explains its fields.
+
+    `trained`, `held_back`: the traces of its training's data. `commands`: how it was trained, and how exported.
+    `progress` is called with the part done. Raises CodecError.
+    """
+    training, history = checkpoint.training, checkpoint.progress
+    rate_hz = training["training"]["rate_hz"]
+    return {
+        "name": package.name,
+        "version": package.version,
+        "codec": "eva",
+        "family": package.family,
+        "shape": checkpoint.shape.as_dict(),
+        "prior": checkpoint.prior.kind,
+        "training": {
+            "data": _sources(trained, rate_hz),
+            "held_back": sorted({trace.material for trace in held_back}),
+            "command": commands[0],
+            "configuration": training,
+            "seed": training["seed"],
+            "steps": history["step"],
+            "best_step": history["best_step"],
+            "seconds": history["seconds"],
+            "curves": [
+                {name: record[name] for name in ("step", "training_loss", "loss")} for record in checkpoint.curves
+            ],
+        },
+        "export": {
+            "command": commands[1],
+            "image_holds": package.contents,
+            "opset": OPSET,
+            "parity": {
+                "analysis": package.graphs.analysis_difference,
+                "synthesis": package.graphs.synthesis_difference,
+            },
+        },
+        "results": _results(package, checkpoint.shape.rates, _recordings(held_back, rate_hz), progress),
+        "files": {
+            file: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+            for file, data in package.files.items()
+        },
+    }
+
+
+def as_json(card: Mapping[str, Any]) -> str:
+    """Return a card as the text of card.json."""
+    return json.dumps(card, indent=2, allow_nan=False) + "\n"
+
+
+def as_markdown(card: Mapping[str, Any]) -> str:
+    """Return a card as the text of card.md."""
+    training, export, results, shape = (card[name] for name in ("training", "export", "results", "shape"))
+    data = "; ".join(
+        f"{source['name']}: {source['recordings']} recordings, {source['hours']:.2f} h" for source in training["data"]
+    )
+    files = ", ".join(f"`{file}` {about['bytes']} bytes" for file, about in card["files"].items())
+    near, speed = results["near_15_db"], results["seconds_per_million_samples"]
+    facts = {
+        "codec": f"`{card['codec']}`",
+        "shape": f"width {shape['width']}, {shape['latents']} latents, {shape['rates']} rates; {card['prior']} prior",
+        "files": files,
+        "the image holds": {
+            "core": "the integer network",
+            "onnx": "the ONNX graph",
+            "both": "the integer network, which is preferred, and the ONNX graph",
+        }[export["image_holds"]],
+        "training data": data,
+        "held back": ", ".join(training["held_back"]),
+        "training": f"`{training['command']}`, seed {training['seed']}, {training['steps']} steps, the best at "
+        f"{training['best_step']}, {training['seconds'] / 60:.0f} min; the configuration is in card.json",
+        "export": f"`{export['command']}`",
+        "parity": f"ONNX Runtime and torch differ by at most {export['parity']['analysis']:.1e} (analysis) and "
+        f"{export['parity']['synthesis']:.1e} (synthesis) of full scale, at lengths from 1 to 10 000; opset "
+        f"{export['opset']}",
+        "integers": f"at {near['snr_db']:.1f} dB the integer network loses "
+        f"{near['snr_db_by_onnx'] - near['snr_db']:.3f} dB against the graph",
+        "speed": f"seconds per million samples near {NEAR_SNR_DB:g} dB, one core of {results['processor']}: encode "
+        f"{speed['encode']:.2f}, decode {speed['decode_by_core']:.2f} in integers, {speed['decode_by_onnx']:.2f} by "
+        "ONNX Runtime",
+    }
+    rows = "\n".join(f"| {name} | {text} |" for name, text in facts.items())
+    points = "\n".join(
+        f"| {point['quality']} | {point['bits_per_sample']:.3f} | {point['snr_db']:.2f} | "
+        f"{point['snr_db_by_onnx']:.2f} |"
+        for point in results["points"]
+    )
+    curves = "\n".join(
+        f"| {record['step']} | {record['training_loss']:.4f} | {record['loss']:.4f} |"
+        for record in thinned(training["curves"])
+    )
+    return f"""# {card["name"]}, version {card["version"]}
+
+| | |
+|---|---|
+{rows}
+
+## Results
+
+On {results["recordings"]} recordings, one of each material that was held back, {results["seconds"]:.0f} s in all.
+Bits are those of whole `.vct` files; SNR is the mean over the recordings, in integers and by ONNX Runtime.
+
+| quality | bit/sample | SNR dB | by ONNX Runtime |
+|---|---|---|---|
+{points}
+
+## Training
+
+| step | loss | on held-back materials |
+|---|---|---|
+{curves}
+"""
+
+
+def thinned(records: Sequence[Mapping[str, Any]], most: int = 20) -> list[Mapping[str, Any]]:
+    """Return at most so many records, evenly spread, the last one among them."""
+    count = min(most, len(records))
+    return [records[(number + 1) * len(records) // count - 1] for number in range(count)]
+
+
+def _sources(traces: Sequence[Trace], rate_hz: float) -> list[dict[str, Any]]:
+    """Return name, recordings and hours of each source."""
+    samples: dict[str, list[int]] = {}
+    for trace in traces:
+        samples.setdefault(trace.source, []).append(len(trace.samples))
+    return [
+        {"name": name, "recordings": len(lengths), "hours": sum(lengths) / rate_hz / 3600}
+        for name, lengths in samples.items()
+    ]
+
+
+def _recordings(traces: Sequence[Trace], rate_hz: float) -> list[textures.Recording]:
+    """Return the beginning of the first trace of each material."""
+    first = {trace.material: trace for trace in reversed(traces)}
+    return [
+        textures.Recording(trace.samples[: int(MEASURED_S * rate_hz), None].astype(float), rate_hz, "full scale", name)
+        for name, trace in first.items()
+    ]
+
+
+def _results(
+    package: Package, rates: int, recordings: Sequence[textures.Recording], progress: Callable[[float], None]
+) -> dict[str, Any]:
+    """Measure the model at each of its rates, by the integer network and by the graph."""
+    model = Model(package.name, Path(f"{package.name}.vcmi"), package.full, package.graphs.analysis)
+    points = []
+    for quality in range(rates):
+        encodings = []
+        for recording in recordings:
+            encodings.append(_encoded(recording, quality, model))
+            progress((quality + len(encodings) / len(recordings)) / (rates + 1))
+        points.append(_point(quality, encodings))
+    near = min(points, key=lambda point: abs(point["snr_db"] - NEAR_SNR_DB))
+    speed = _speed(model, near["quality"], recordings)
+    progress(1.0)
+    return {
+        "recordings": len(recordings),
+        "seconds": sum(recording.seconds for recording in recordings),
+        "points": points,
+        "near_15_db": near,
+        "processor": cpu_name(),
+        "seconds_per_million_samples": speed,
+    }
+
+
+def _encoded(recording: textures.Recording, quality: int, model: Model) -> Encoding:
+    return encode_recording(
+        recording, round(recording.rate_hz), setting={"quality": quality}, model=model, highpass_hz=None
+    )
+
+
+def _point(quality: int, encodings: Sequence[Encoding]) -> dict[str, Any]:
+    """Return bits and SNR of recordings at a rate."""
+    by_onnx = (
+        codec.snr_db(encoding.recording.samples, replace(encoding.stream, runtime="onnx").decode())
+        for encoding in encodings
+    )
+    bits = sum(8 * encoding.stream.size_bytes for encoding in encodings)
+    return {
+        "quality": quality,
+        "bits_per_sample": bits / sum(encoding.stream.samples for encoding in encodings),
+        "snr_db": fmean(_known(encoding.snr_db) for encoding in encodings),
+        "snr_db_by_onnx": fmean(map(_known, by_onnx)),
+    }
+
+
+def _known(ratio_db: float | None) -> float:
+    assert ratio_db is not None, "traces are not silent, and the codec loses something"
+    return ratio_db
+
+
+def _speed(model: Model, quality: int, recordings: Sequence[textures.Recording]) -> dict[str, float]:
+    """Return the processor seconds that a million samples take, all recordings after one another."""
+    samples = np.concatenate([recording.samples for recording in recordings])
+    rate_hz = round(recordings[0].rate_hz)
+    tables = codec.Model(model.tables, model.analysis)
+
+    def encode() -> codec.CodedSignal:
+        return codec.encode(samples, rate_hz, {"quality": quality}, codec="eva", model=tables)
+
+    def decode(coded: codec.CodedSignal, runtime: str) -> object:
+        return replace(as_stream(coded, "full scale", model.image), runtime=runtime).decode_integers()
+
+    speeds = {
+        runtime: time_coding(encode, partial(decode, runtime=runtime), len(samples), _REPEATS)
+        for runtime in codec.RUNTIMES
+    }
+    return {
+        "encode": speeds["core"][0],
+        **{f"decode_by_{runtime}": speed[1] for runtime, speed in speeds.items()},
+    }

@@ -1,0 +1,1 @@
+"""The `vibrocast` command; only this package knows click."""

@@ -1,0 +1,263 @@
+"""`vibrocast bench`: measures every codec on a data set and writes figures, charts and a page."""
+
+import datetime
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from vibrocast import extras, progress, textures
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.options import (
+    INPUT,
+    BadInput,
+    chosen_highpass_hz,
+    command_run,
+    recording_options,
+)
+from vibrocast.models import ModelError
+from vibrocast.textures import dataset
+from vibrocast.textures.dataset import DatasetError, Trace
+
+if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
+    from vibrocast.evaluation.bench import Tally
+    from vibrocast.evaluation.comparison import Measurements
+    from vibrocast.evaluation.points import Failure, Point, Timing
+
+SNRS_DB = (5.0, 10.0, 15.0, 20.0)
+SHOWN_FAILURES = 10
+MUCH_REMOVED = 0.5
+"""Of a trace's energy: a person should know."""
+
+
+def separate_names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str]:
+    """Return what commas separate."""
+    return [name.strip() for name in (value or "").split(",") if name.strip()]
+
+
+@click.command()
+@click.argument("recordings", metavar="FOLDER|MANIFEST", type=INPUT)
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    required=True,
+    help="Folder for results.md and results/; where a run was cut, the same command goes on.",
+)
+@click.option(
+    "--codecs",
+    "names",
+    callback=separate_names,
+    metavar="NAME,NAME,...",
+    help="Codecs, or single ladders of their settings; all if not given.",
+)
+@click.option(
+    "--models",
+    "model_folders",
+    type=INPUT,
+    multiple=True,
+    help="Folder of a model of your own, as `vibrocast export` writes it, beside those that ship; may be repeated.",
+)
+@click.option("--programs", "program_list", type=INPUT, help="TOML file that lists codecs in programs of your own.")
+@click.option("--peers", type=INPUT, help="CSV of others' points on the same traces, to compare with.")
+@click.option(
+    "--kinds", "kinds_table", type=INPUT, help="CSV of file, kind: textures to tell apart; known sets if not given."
+)
+@click.option(
+    "--split", "part", type=click.Choice(dataset.PARTS), default="all", show_default=True, help="Part to measure."
+)
+@click.option(
+    "--split-by",
+    type=click.Choice(dataset.SPLITS),
+    default="auto",
+    show_default=True,
+    help="Keep these whole; auto: as the manifest says, else traces.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the split.")
+@click.option(
+    "--repeats",
+    type=click.IntRange(min=0),
+    default=3,
+    show_default=True,
+    help="Times are the median of so many runs; 0 for none.",
+)
+@click.option("--stream-rate-hz", type=click.IntRange(1, MAX_RATE_HZ), help="Instead of each recording's own rate.")
+@click.option(
+    "--keep-dc", is_flag=True, help=f"Code all below {textures.HIGHPASS_HZ:g} Hz too. Default: remove it first."
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure, such as tcp://host:8786.")
+@click.option("--fresh", is_flag=True, help="Measure all anew, whatever a run before has measured.")
+@recording_options
+def bench(
+    recordings: Path,
+    out: Path,
+    names: list[str],
+    model_folders: tuple[Path, ...],
+    program_list: Path | None,
+    peers: Path | None,
+    kinds_table: Path | None,
+    part: str,
+    split_by: str,
+    seed: int,
+    repeats: int,
+    keep_dc: bool,
+    scheduler: str | None,
+    fresh: bool,
+    **options: Any,
+) -> None:
+    """Measure codecs and trained models on every recording of a folder or a manifest.
+
+    A manifest is a CSV file with a column file and any of unit, rate_hz, full_scale, hand_speed_mm_s, axis, reduce,
+    key, material, subject, split. Each trace is coded at every setting of every codec, at its own rate. Failures are
+    listed, the rest goes on, and the exit code is 1.
+    """
+    extras.require("bench")
+    from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
+    from vibrocast.evaluation.cells import BenchError
+    from vibrocast.evaluation.comparison import Measurements
+    from vibrocast.evaluation.external import ProgramError
+    from vibrocast.evaluation.points import Failure, PointsError, check_imported, read_imported, write_rows
+
+    highpass_hz = chosen_highpass_hz({**options, "keep_dc": keep_dc})
+    try:
+        programs = external.read_programs(program_list) if program_list else []
+        chosen = cells.methods(names, programs, trained.known_models(model_folders))
+        found = dataset.read(recordings, leave_out=out)
+        traces = dataset.split(found.traces, part, seed, split_by)
+        for remark in found.remarks:
+            click.echo(remark, err=True)
+        kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
+        mine = {trace.name for trace in traces}
+        units: dict[str, str] = {}
+        removed: dict[str, float] = {}
+
+        def load(trace: Trace) -> textures.Recording:
+            passed = dataset.load_highpassed(trace, highpass_hz, **options)
+            units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
+            return passed.recording
+
+        imported: tuple[list[Point], list[Timing]] = ([], [])
+        if peers:
+            imported = read_imported(peers)
+            check_imported(peers, found.traces, mine, load)
+        results = bench.results_folder(out)
+        write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
+        click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")
+        work: Any = partial(workers.on_cores, processes=workers.cores())
+        if scheduler:
+            work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
+        with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.shown("measuring") as update:
+            tell = told(update)
+            measured = bench.run(traces, load, chosen, repeats, journal, work, tell)
+    except workers.WorkersError as error:
+        raise click.ClickException(str(error)) from error
+    except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PointsError, ProgramError) as error:
+        raise BadInput(str(error)) from error
+
+    failures = [each for each in measured if isinstance(each, Failure)]
+    good = [each for each in measured if isinstance(each, cells.Measured)]
+    points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
+    timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
+    with progress.shown("measuring memory") as update:
+        costs = cost.measure_costs(cells.coders(chosen), update)
+    timed: list[speed.Speed | Failure] = []
+    if repeats:
+        with progress.shown("measuring speed") as update:
+            measured_traces = {each.point.trace for each in good}
+            loaded = (load(trace) for trace in traces if trace.name in measured_traces)
+            timed = speed.measure(chosen, points, loaded, repeats, update)
+    failures += [each for each in timed if isinstance(each, Failure)]
+    speeds = [each for each in timed if not isinstance(each, Failure)]
+    measurements = Measurements(points, timings, costs, failures, speeds, kinds_of)
+    bench.write(results, measurements)
+    data = recordings.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
+    cells_on = "a Dask cluster" if scheduler else f"{workers.cores()} cores at work at once"
+    machine = f"{speed.cpu_name()}; of single cells {cells_on}"
+    description = results_page.Description(dataset.printable(data), machine, command_run())
+    with progress.shown("drawing") as update:
+        results_page.write_results(out, measurements, description, update)
+    show(measurements)
+    tried = {point.codec for point in points} | {failure.codec for failure in failures}
+    if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
+        click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
+    if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
+        click.echo(
+            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
+            f"{others(drifting)} (--keep-dc codes it)"
+        )
+    relative = [name for name, unit in units.items() if unit == "full scale"]
+    if options["unit"] not in (None, "full scale") and relative:
+        click.echo(f"relative to full scale: {relative[0]}{others(relative)}; --unit needs --full-scale or a manifest")
+    click.echo(f"{out / bench.PAGE}: the charts and tables; their figures are in {results}")
+    if failures:
+        show_failures(failures)
+        raise click.ClickException(
+            f"{len(failures)} traces or cells failed; {results / 'failures.csv'} lists them, and the same command "
+            "tries them again"
+        )
+
+
+def others(names: Sequence[str]) -> str:
+    """Return how many names there are beside the first."""
+    return f" and {len(names) - 1} more" if len(names) > 1 else ""
+
+
+def told(update: progress.Update) -> "Callable[[Tally], None]":
+    """Return what tells `update` of a run: cells done, failures, time left."""
+    start_s = time.monotonic()
+
+    def tell(tally: "Tally") -> None:
+        details = f"{tally.done} of {tally.cells} cells, {tally.failed} failed"
+        if tally.measured:
+            left_s = (time.monotonic() - start_s) / tally.measured * (tally.cells - tally.done)
+            details += f", {datetime.timedelta(seconds=round(left_s))} left"
+        update(tally.done / tally.cells, details)
+
+    return tell
+
+
+def show(measurements: "Measurements") -> None:
+    """Print a table of the curves: mean bits per sample at some SNRs, median times and delay."""
+    from statistics import fmean, median
+
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+
+    from vibrocast.evaluation.bd_rate import SNR, bits_per_sample_at
+
+    table = Table(
+        box=SIMPLE, pad_edge=False, title="Mean bits per sample at an SNR; delay, ms; seconds per million samples"
+    )
+    table.add_column("codec", no_wrap=True)
+    for title in (*(f"{snr_db:g} dB" for snr_db in SNRS_DB), "delay", "encode", "decode"):
+        table.add_column(title, justify="right")
+    for name, curves in measurements.curves.items():
+        bits = [bits_per_sample_at(curve, SNRS_DB) for curve in measurements.everywhere(name, SNR) or [()]]
+        delays_ms = [point.delay_ms for curve in curves.values() for point in curve if point.delay_ms is not None]
+        source = measurements.source(name)
+        times = [timing for timing in measurements.timings if (timing.codec, timing.source) == (name, source)]
+        figures = [
+            *(f"{mean:.2f}" for mean in map(fmean, zip(*bits, strict=True))),
+            f"{median(delays_ms):.1f}" if delays_ms else "",
+            f"{median(each.encode_s_per_megasample for each in times):.2f}" if times else "",
+            f"{median(each.decode_s_per_megasample for each in times):.2f}" if times else "",
+        ]
+        table.add_row(name, *(text.replace("nan", "") for text in figures))
+    Console().print(table)
+
+
+def show_failures(failures: "Sequence[Failure]") -> None:
+    """Print what failed on stderr, alike failures in one line, and no more than a person reads."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for failure in failures:
+        alike.setdefault((failure.codec, failure.reason), []).append(f"{failure.trace} {failure.setting}".strip())
+    for (codec_name, reason), places in list(alike.items())[:SHOWN_FAILURES]:
+        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+        click.echo(f"failed: {f'{codec_name}: ' if codec_name else ''}{places[0]}{more}: {reason}", err=True)
+    if len(alike) > SHOWN_FAILURES:
+        click.echo(f"failed: {len(alike) - SHOWN_FAILURES} other ways", err=True)

@@ -1,0 +1,105 @@
+"""The subcommand `export`: a checkpoint becomes graphs, a model image and a card, in one folder."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from vibrocast import extras, models, progress
+from vibrocast.files import whole_folder
+from vibrocast.host.cli.options import INPUT, BadInput, command_run
+
+FILES = {models.CARD, "card.md", models.ANALYSIS, "synthesis.onnx"}
+"""What the folder of a model holds, beside its image."""
+
+
+def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Return a model's name, or raise click.BadParameter for one that makes no good file name."""
+    if value is not None and not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", value):
+        raise click.BadParameter("use at most 41 small letters, digits and hyphens.", ctx, param)
+    return value
+
+
+def refuse_replacing_others(folder: Path) -> None:
+    """Raise BadInput for a folder that holds anything but a model. Raises OSError where it cannot be looked into."""
+    held = {path.name for path in folder.iterdir() if path.suffix != models.IMAGE_SUFFIX} if folder.exists() else set()
+    if held and (models.CARD not in held or held - FILES):
+        raise BadInput(f"{folder}: exists, and holds more than a model that could be replaced; give another --out")
+
+
+@click.command()
+@click.argument("checkpoint", type=INPUT)
+@click.option("--name", callback=checked_name, help="Name of the model; that of its training if not given.")
+@click.option("--version", "model_version", default="1", show_default=True, help="Version of the model.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder to write; ./NAME if not given.")
+@click.option(
+    "--runtime",
+    type=click.Choice(("core", "onnx", "both")),
+    default="core",
+    show_default=True,
+    help="What the image holds for decoding: the integer network, the ONNX graph, or both, the network preferred.",
+)
+@click.option(
+    "--data",
+    "data_folder",
+    type=INPUT,
+    default=".",
+    show_default=True,
+    help="Folder at which the paths of the training's configuration start.",
+)
+@click.option("--training-command", help="How it was trained, for its card; `vibrocast train NAME.toml` if not given.")
+def export(
+    checkpoint: Path,
+    name: str | None,
+    model_version: str,
+    out: Path | None,
+    runtime: Any,
+    data_folder: Path,
+    training_command: str | None,
+) -> None:
+    """Write a folder with ONNX graphs, model image and card of a trained model.
+
+    The data that it was trained on prepare its integers and tables; what was held back is what its card measures it on.
+    The folder is written whole or not at all; one that holds a model is replaced.
+    """
+    extras.require("train")
+    from vibrocast.evaluation import model_card
+    from vibrocast.export import configuration, package, training_data
+    from vibrocast.export.checkpoint import ModelError, load
+    from vibrocast.export.graphs import GraphError
+
+    try:
+        loaded = load(checkpoint)
+        try:
+            trained_as = configuration.parsed(loaded.training)
+        except configuration.ConfigurationError as error:
+            raise ModelError(f"{checkpoint}: how it was trained is damaged: {error}; train the model again") from error
+        name = name or trained_as.name
+        out = out or Path(name)
+        refuse_replacing_others(out)
+        # Before the work, so that a place that cannot be written to is not found out after it.
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with progress.shown("exporting") as update:
+            update(0, "reading the training's data")
+            traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
+            trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
+            update(0, "integers and tables")
+            made = package.make(
+                loaded, name, model_version, runtime, [trace.samples.astype(np.float64) for trace in trained]
+            )
+            commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
+            card = model_card.made(loaded, made, trained, held_back, commands, update)
+    except (ModelError, GraphError) as error:
+        raise BadInput(str(error)) from error
+    with whole_folder(out) as partial:
+        for file, data in made.files.items():
+            (partial / file).write_bytes(data)
+        (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
+        (partial / "card.md").write_text(model_card.as_markdown(card), encoding="utf-8")
+    points = card["results"]["points"]
+    click.echo(
+        f"{out}: {name}, image of {len(made.image)} bytes, {points[0]['snr_db']:.1f} to {points[-1]['snr_db']:.1f} dB "
+        f"at {points[0]['bits_per_sample']:.2f} to {points[-1]['bits_per_sample']:.2f} bit/sample"
+    )

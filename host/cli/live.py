@@ -1,0 +1,179 @@
+"""The subcommand `live`: streams raw samples from standard input, or a generated texture, with the least delay."""
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from vibrocast import codec, models, progress, textures
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, smallest_first
+from vibrocast.codec.live_format import live_format
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.device_protocol.messages import Status
+from vibrocast.files import whole_file
+from vibrocast.host import devices, uploader
+from vibrocast.host import live as streaming
+from vibrocast.host.cli.options import (
+    POSITIVE,
+    BadInput,
+    Finite,
+    OutputFile,
+    chosen_highpass_hz,
+    codec_option,
+    device_option,
+    model_option,
+    setting_option,
+)
+from vibrocast.host.cli.rate_options import steered_options, wish_of
+from vibrocast.textures.recording import MAX_CHANNELS
+
+# What 1.0 of full scale is in each.
+FORMATS = {"int16": ("<i2", 32768.0), "float32": ("<f4", 1.0)}
+STANDARD_INPUT = "-"
+LONGEST_BLOCK_S = 0.01
+
+
+@click.command()
+@click.argument("source", type=click.Choice((STANDARD_INPUT, *sorted(textures.GENERATORS))))
+@device_option
+@click.option("--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=DEFAULT_STREAM_RATE_HZ, show_default=True)
+@click.option("--seconds", type=POSITIVE, default=10.0, show_default=True, help="Duration of a generated texture.")
+@click.option("--format", "sample_format", type=click.Choice(list(FORMATS)), default="int16", show_default=True)
+@click.option("--channels", type=click.IntRange(1, MAX_CHANNELS), default=1, show_default=True)
+@click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of the samples; - needs it.")
+@click.option("--keep-dc", is_flag=True, help="Code the band below 20 Hz too: offset, gravity, drift.")
+@click.option("--full-scale", type=POSITIVE, default=1.0, show_default=True, help="Largest magnitude, in --unit.")
+@click.option(
+    "--margin-ms",
+    type=Finite(min=0, max=10_000),
+    help="How long a packet lies ready on the controller, and so how late it may be. "
+    f"{1e3 * streaming.MARGIN_S:g} if not given; with a rate, on a link not much faster, what bears its fall to half.",
+)
+@click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
+@codec_option
+@setting_option
+@model_option
+@click.option("--snr-db", type=Finite(), help="Signal-to-noise ratio of every packet, for the two that follow.")
+@steered_options
+def live(
+    source: str,
+    address: str,
+    rate_hz: int,
+    seconds: float,
+    sample_format: str,
+    channels: int,
+    unit: str | None,
+    full_scale: float,
+    margin_ms: float | None,
+    report_path: Path | None,
+    codec_name: str | None,
+    setting: codec.Setting,
+    model: models.Model | None,
+    **choices: Any,
+) -> None:
+    """Stream a live SOURCE: a generated texture, or raw samples from standard input (-).
+
+    Raw samples are little-endian, channels interleaved; 32767 in int16 and 1.0 in float32 stand for --full-scale.
+    A rate counts all that goes over the link, and falls with what the link carries.
+    """
+    wish = wish_of({**choices, "rate_bps": None})
+    if source != STANDARD_INPUT:
+        texture = textures.GENERATORS[source](seconds=seconds, rate_hz=rate_hz)
+        peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
+        signal_format = live_format(rate_hz, texture.unit, peaks.tolist(), rms.tolist())
+    elif sys.stdin is None:
+        raise BadInput("standard input is closed: pipe samples into it, or name a texture")
+    elif unit is None:
+        raise click.UsageError("--unit is missing: state the unit of the samples, or drive for a drive signal.")
+    else:
+        stream_unit, factor = textures.INPUT_UNITS[unit]
+        full_scale *= factor
+        signal_format = live_format(rate_hz, stream_unit, [full_scale] * channels)
+    highpass_hz = chosen_highpass_hz({**choices, "unit": unit})
+    chosen = chosen_codec(codec_name, model)
+    if chosen.needs_model and model is None:
+        model = smallest_first(chosen)[0]
+    with devices.connect(address) as controller, progress.shown("streaming") as update:
+        if model is not None:
+            uploader.provide(controller, address, model.image)
+        how: dict[str, Any] = {"setting": setting}
+        if wish is not None:
+            equal = codec.equal_error(chosen, signal_format) if wish.equal_error else {}
+            how = {
+                "setting": {**equal, **setting},
+                "policy": wish.policy(signal_format),
+                "packet_samples": wish.framing(rate_hz).packet_samples,
+            }
+        margin_s = None if margin_ms is None else margin_ms / 1e3
+        stream = streaming.LiveStream(
+            controller, signal_format, codec_name=chosen.name, model=model, margin_s=margin_s, **how
+        )
+        # Shorter than long packets, so that what the controller tells meanwhile is heard.
+        block_samples = min(stream.packet_samples, math.ceil(LONGEST_BLOCK_S * rate_hz))
+        blocks: Iterator[NDArray[np.float64]]
+        if source != STANDARD_INPUT:
+            blocks = (block for _, block in streaming.paced(stream, texture.samples, block_samples))
+        else:
+            blocks = raw_blocks(sample_format, channels, full_scale, block_samples)
+        if highpass_hz is not None and textures.is_vibration(signal_format.unit):
+            blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
+
+        def tell(now: Status) -> None:
+            update(0.0, f"{now.position / rate_hz:.1f} s  underruns {now.underruns}")
+
+        try:
+            result = streaming.play(stream, blocks, progress=tell)
+        except streaming.LiveError as error:
+            raise BadInput(str(error)) from error
+    if report_path:
+        with whole_file(report_path) as partial:
+            partial.write_text(json.dumps(figures(result, stream), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if wish is not None:
+        click.echo(
+            f"packets {result.payload_bps:.0f} bit/s, on the wire {result.wire_bps:.0f} bit/s "
+            f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, due "
+            f"{1000 * stream.margin_s:.0f} ms after they come; {result.dropped_packets} not sent, as too late"
+        )
+    anew = f", begun anew {result.streams - 1} times" if result.streams > 1 else ""
+    if result.lost_packets or result.dropped_packets:
+        margin = f"{1000 * stream.margin_s:.0f} ms"
+        click.echo(f"packets came too late or not at all: a --margin-ms of more than {margin} bears a busier computer")
+    click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{anew}")
+
+
+def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[str, Any]:
+    """Return the report of a live stream, ready for JSON; docs/report.md explains each figure."""
+    return {
+        "version": version("vibrocast"),
+        "codec": codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration).name,
+        "channels": stream.format.channels,
+        "stream_rate_hz": stream.format.rate_hz,
+        "seconds": result.seconds,
+        "packet_ms": 1000 * stream.packet_s,
+        "margin_ms": 1000 * stream.margin_s,
+        "payload_bits_per_second": result.payload_bps,
+        "wire_bits_per_second": result.wire_bps,
+        "wire_adds": result.wire_adds,
+        "underruns": result.underruns,
+        "lost_packets": result.lost_packets,
+        "dropped_packets": result.dropped_packets,
+        "streams": result.streams,
+    }
+
+
+def raw_blocks(
+    sample_format: str, channels: int, full_scale: float, block_samples: int
+) -> Iterator[NDArray[np.float64]]:
+    """Yield blocks of standard input, float64 (n, channels), each as soon as it is there, up to its end."""
+    kind, one = FORMATS[sample_format]
+    sample_bytes = np.dtype(kind).itemsize * channels
+    while data := sys.stdin.buffer.read(block_samples * sample_bytes):
+        whole = np.frombuffer(data[: len(data) // sample_bytes * sample_bytes], kind)
+        yield whole.reshape(-1, channels) * (full_scale / one)

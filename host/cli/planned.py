@@ -1,0 +1,82 @@
+"""What the subcommands do with a plan, which says all that their other options would."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from vibrocast import models, progress
+from vibrocast.files import whole_file
+from vibrocast.host.plain import plain
+
+if TYPE_CHECKING:  # what plans and measures takes a second to load, which other commands need not wait for
+    from vibrocast.host.planner.plan_file import Plan
+
+
+def read(path: Path, allowed: Sequence[str]) -> "Plan":
+    """Read a plan for the command under way, which takes no option beside it but those.
+
+    The address of a --device replaces that of the plan's only controller. Raises PlanError, click.UsageError.
+    """
+    from vibrocast.host.planner import plan_file
+
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        given = context.get_parameter_source(name) == ParameterSource.COMMANDLINE
+        if given and name not in ("plan_path", *allowed):
+            label = parameter.opts[-1] if isinstance(parameter, click.Option) else parameter.human_readable_name
+            raise click.UsageError(f"the plan says how: drop {label}, or change {path}.")
+    plan = plan_file.read_plan(path)
+    if context.get_parameter_source("address") != ParameterSource.COMMANDLINE:
+        return plan
+    if len(plan.controllers) > 1:
+        raise click.UsageError(f"{path} has {len(plan.controllers)} controllers: write their addresses there.")
+    return replace(plan, controllers=(replace(plan.controllers[0], address=context.params["address"]),))
+
+
+def play(
+    plan: "Plan", names: Sequence[str], report: Path | None, table: Path | None = None, as_json: bool = False
+) -> None:
+    """Play textures of a plan, all if none is named; tell forecast and measured, and write them as JSON and CSV.
+
+    `as_json`: tell them as JSON. Raises click.ClickException where something was not as planned.
+    """
+    from vibrocast.host.planner import comparison, playing
+
+    with progress.shown("playing") as update:
+        played = playing.play(plan, names, progress=update)
+    compared = comparison.rows(played)
+    document = json.dumps([comparison.document(each) for each in played], indent=2, allow_nan=False)
+    if report is not None:
+        with whole_file(report) as partial:
+            partial.write_text(document + "\n", encoding="utf-8")
+    if table is not None:
+        comparison.write_csv(table, compared)
+    for line in [document] if as_json else map(plain, comparison.lines(compared)):
+        click.echo(line)
+    if told := comparison.failures(played, compared):
+        raise click.ClickException(plain("; ".join(told)))
+
+
+def needed_models(path: Path) -> Iterator[tuple[str, str, models.Model]]:
+    """Yield name and address of each controller of a plan, and the model that its textures need, where they need one.
+
+    Raises PlanError where they need several, for a controller runs one at a time; ModelError.
+    """
+    from vibrocast.host.planner.plan_file import PlanError
+
+    plan = read(path, ("address",))
+    for controller in plan.controllers:
+        names = sorted({each.model for each in plan.textures if each.controller == controller.name and each.model})
+        if len(names) > 1:
+            raise PlanError(
+                f"{path}: {controller.name} runs one model at a time, and its textures need {' and '.join(names)}: "
+                "`vibrocast play --plan` flashes simulated controllers in between; plan others a scene for each"
+            )
+        for name in names:
+            yield controller.name, controller.address, models.find(name)

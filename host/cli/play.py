@@ -1,0 +1,259 @@
+"""The subcommand `play`: plays a recording, a .vct file or a plan on a controller, and tells how it went."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from vibrocast import extras, progress, textures
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
+from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
+from vibrocast.host import devices, player, profiles
+from vibrocast.host.cli import planned
+from vibrocast.host.cli.options import (
+    INPUT,
+    POSITIVE,
+    BadInput,
+    Finite,
+    OutputFile,
+    device_option,
+    plan_option,
+    quality_of,
+    quality_options,
+    recording_options,
+    runtime_option,
+)
+from vibrocast.host.cli.steps import (
+    encoded,
+    encoded_profile,
+    files_of,
+    needed,
+    refuse_overwriting,
+    show,
+    told_quality,
+)
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.report import Report, Touch
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import ACTUATORS
+
+if TYPE_CHECKING:
+    from vibrocast.host import hand
+
+SILENT_DB = -200.0
+"""Re detection threshold: below it the output is at rest."""
+ANSWERS = {True: "yes", False: "NO", None: "not compared"}
+
+
+@click.command()
+@click.argument("file", type=INPUT, required=False)
+@plan_option
+@device_option
+@click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
+@click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
+@click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
+@click.option(
+    "--gain-db",
+    type=Finite(min=-MAX_GAIN_DB, max=MAX_GAIN_DB),
+    default=0.0,
+    show_default=True,
+    help="Raise or lower the level.",
+)
+@click.option(
+    "--actuator",
+    "actuator_name",
+    metavar="NAME|FILE.toml",
+    help=f"{', '.join(ACTUATORS)} or a TOML file: of a simulated controller, or the model of the real one.",
+)
+@runtime_option
+@quality_options
+@click.option("--positions", "positions_path", type=INPUT, help="CSV file of time_s,position_mm: a hand on a profile.")
+@click.option("--stroke-mm", type=POSITIVE, help="A hand that strokes a profile, --loop times there and back.")
+@recording_options
+def play(
+    file: Path | None,
+    plan_path: Path | None,
+    address: str,
+    loops: int,
+    positions_path: Path | None,
+    stroke_mm: float | None,
+    report_path: Path | None,
+    plot_path: Path | None,
+    runtime: str | None,
+    gain_db: float,
+    actuator_name: str | None,
+    **choices: Any,
+) -> None:
+    """Play a recording or a .vct file on a controller.
+
+    A height profile is played over time, as --hand-speed-mm-s passes it once, or by the position of a hand:
+    --positions, or --stroke-mm with --hand-speed-mm-s as its highest speed.
+
+    With --plan, play the texture that FILE names, or all, live and as planned, on the plan's controllers, or on
+    --device where it has one, and hold what is measured against the forecast: what is off by more than 10 % fails.
+    """
+    from vibrocast.host import end_to_end, picture
+
+    if plot_path is not None:
+        extras.require("plot")
+    if plan_path is not None:
+        plan = planned.read(plan_path, ("file", "address", "report_path"))
+        planned.play(plan, [str(file)] if file else [], report_path)
+        return
+    file = needed(file, "FILE")
+    refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
+    runtime = devices.decoding_runtime(address, runtime)
+    actuator = None if actuator_name is None else actuator_files.find(actuator_name)
+    if positions_path or stroke_mm:
+        if report_path:
+            raise click.UsageError("a profile under a hand has no report: drop --report.")
+        if gain_db or actuator:
+            raise click.UsageError("a profile under a hand has its own level and actuator: drop --gain-db, --actuator.")
+        from vibrocast.host import hand
+
+        movement = hand.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
+        play_profile(file, address, movement, plot_path, runtime, choices)
+        return
+    unit = choices["unit"]
+    if file.suffix.lower() == ".vct":
+        if unit == "drive":
+            choices["unit"] = None
+        coded = coded_already(file, choices)
+        if coded.header.spatial:
+            raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
+        source: Stream | textures.Recording = replace(coded, runtime=runtime)
+    else:
+        quality = quality_of(choices)
+        source = textures.load_for_actuators(file, **choices)
+    end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, unit)
+    with devices.connect(address, runtime, actuator) as controller:
+        # What the controller cannot play need not be encoded first.
+        if isinstance(source, Stream):
+            player.check_limits(controller, source.header.channels, source.header.rate_hz)
+            stream, encoding = source, None
+        else:
+            player.check_limits(controller, source.channels, quality["stream_rate_hz"])
+            encoding = encoded(source, {**quality, "runtime": runtime}, live=True)
+            stream = encoding.stream
+        with progress.shown("playing") as update:
+            tell = playing(update, stream.bits_per_second)
+            outcome = end_to_end.play(
+                controller,
+                address,
+                file.name,
+                stream.with_gain(gain_db),
+                encoding,
+                loops,
+                tell,
+                actuator=actuator if address in devices.WITH_ANY_ACTUATOR else None,
+                skin_model=actuator,
+            )
+    if report_path:
+        outcome.report.write(report_path)
+    if plot_path:
+        picture.draw(plot_path, f"{file.name} on {address}", outcome.caption, outcome.traces)
+    show(summary(outcome.report))
+    if outcome.report.touch.level_db <= 0:
+        click.echo("warning: nobody would feel this: raise --gain-db, or check --unit and --full-scale", err=True)
+    if False in (outcome.report.decoded_equals_offline, outcome.report.dac_equals_offline):
+        raise ControllerError(
+            "what the controller played is not what was sent: see the underruns and lost packets above, "
+            "and try a shorter cable or a less busy machine; or the other --runtime, if the controller decodes by it"
+        )
+
+
+def play_profile(
+    file: Path,
+    address: str,
+    movement: "hand.Movement",
+    plot_path: Path | None,
+    runtime: str | None,
+    choices: dict[str, Any],
+) -> None:
+    """Play a height profile, or a spatial stream, under a moving hand; tell what was played, and draw it."""
+    from vibrocast.host import end_to_end, hand, picture
+
+    if file.suffix.lower() == ".vct":
+        stream = coded_already(file, choices)
+    else:
+        quality = quality_of(choices)
+        stream = encoded_profile(profiles.recording_of(file, **choices), quality, profiles.SLOWEST_MM_S).stream
+    stream = replace(stream, runtime=runtime)
+    if not stream.header.spatial:
+        raise BadInput(f"{file}: coded over time, not over position; encode the profile with --spatial")
+    with devices.connect(address, runtime) as controller, progress.shown("playing") as update:
+        played = hand.play(controller, stream, movement, progress=update)
+        actuator = end_to_end.actuator_model(controller.description.actuator)
+    expected = hand.computed(stream, played, actuator)
+    status, facts = played.status, stream.facts()
+    if plot_path:
+        picture.draw(plot_path, f"{file.name} on {address}", *hand.pictured(played, expected, actuator))
+    show(
+        {
+            "played": f"{file.name}, {facts['length_mm']:.2f} mm, under a hand at up to "
+            f"{movement.fastest_mm_s:.0f} mm/s for {movement.seconds:.2f} s",
+            "stream": f"{facts['size_bytes']} bytes, {facts['bits_per_mm']:.0f} bit/mm, codec {facts['codec']}",
+            "actuator": f"{actuator.name}, clipped {status.compensation_clipped}, limited by voltage "
+            f"{status.voltage_limited}, slew {status.slew_limited}, power {status.power_limited} samples",
+            "positions": f"{len(played.positions)} sent, {status.underruns} came too late, frames damaged "
+            f"{played.damaged}",
+            "DAC as computed": {**ANSWERS, False: "no, as where a position is lost"}[
+                hand.as_computed(played, expected, actuator)
+            ],
+        }
+    )
+
+
+def coded_already(file: Path, choices: dict[str, Any]) -> Stream:
+    """Read a .vct file to play, to which no option of the two groups applies but the model."""
+    model = choices.pop("model")
+    given = [name for name, value in choices.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
+    if given:
+        raise click.UsageError(f"{file} is coded already: drop --{given[0].removesuffix('_name').replace('_', '-')}.")
+    return read_stream(file, model.image if model else None)
+
+
+def playing(update: progress.Update, bits_per_second: float) -> Callable[[player.Progress], None]:
+    """Return what tells `update` of a playback: position, rate, buffer, underruns."""
+
+    def tell(now: player.Progress) -> None:
+        duration_s = now.duration_s or math.inf
+        details = (
+            f"{now.position_s:.1f} of {duration_s:.1f} s  {bits_per_second / 1000:.2f} kbit/s  "
+            f"buffer {1000 * now.buffered_s:.0f} ms  underruns {now.status.underruns}"
+        )
+        update(now.position_s / duration_s, details)
+
+    return tell
+
+
+def told_touch(touch: Touch) -> str:
+    """Return how far the skin's vibration exceeds the detection threshold, in words."""
+    if touch.level_db > 0:
+        return f"peak {touch.level_db:+.0f} dB re detection threshold at {touch.frequency_hz:.0f} Hz"
+    level = f"peak {touch.level_db:.0f} dB at {touch.frequency_hz:.0f} Hz" if touch.level_db > SILENT_DB else "silence"
+    return f"nothing exceeds the detection threshold ({level})"
+
+
+def summary(report: Report) -> dict[str, object]:
+    """Return the lines that `play` prints at its end."""
+    latency, limits = report.latency_ms, report.actuator
+    return {
+        "played": f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {report.loops} time(s)",
+        "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
+        f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
+        + (f", model {report.model}" if report.model else ""),
+        "quality": told_quality(report),
+        "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
+        "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
+        f"{latency.end_to_end:.1f} ms to the skin",
+        "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
+        "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
+        f"slew {limits.slew_limited}, power {limits.power_limited} samples",
+        "touch": told_touch(report.touch),
+        "decoded as sent": ANSWERS[report.decoded_equals_offline],
+        "DAC as computed": ANSWERS[report.dac_equals_offline],
+    }

@@ -1,0 +1,97 @@
+"""The subcommand `stability`: maps of where each codec and trained model holds and where it fails."""
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from vibrocast import extras, progress
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.options import (
+    INPUT,
+    BadInput,
+    command_run,
+    recording_options,
+)
+from vibrocast.models import ModelError
+from vibrocast.textures import Recording, TextureError, dataset
+from vibrocast.textures.dataset import DatasetError
+
+
+@click.command()
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the page.")
+@click.option("--codecs", "names", metavar="NAME,...", help="Codecs, or families of models, to try; all if not given.")
+@click.option(
+    "--models",
+    "model_folders",
+    type=INPUT,
+    multiple=True,
+    help="Folder of a model of your own, as `vibrocast export` writes it, beside those that ship; may be repeated.",
+)
+@click.option("--peers-edge", type=INPUT, help="CSV of what other codecs do with hard signals, joined to the page.")
+@click.option("--recordings", type=INPUT, help="Folder or manifest of recordings of your own, for a map of them.")
+@click.option("--maps", "map_names", metavar="NAME,...", help="Maps to make, such as recordings. Default: all.")
+@click.option("--quick", is_flag=True, help="Try a few conditions only.")
+@recording_options
+def stability(
+    out: Path,
+    names: str | None,
+    model_folders: tuple[Path, ...],
+    peers_edge: Path | None,
+    recordings: Path | None,
+    map_names: str | None,
+    quick: bool,
+    **options: Any,
+) -> None:
+    """Map where each codec holds and where it fails.
+
+    Writes stability.md, and pictures with their data in stability/. The maps cover your recordings, signals, settings,
+    transport, speed of the hand, actuator and trained models. A failure is a result: the maps show it.
+    """
+    extras.require("bench")
+    from vibrocast.evaluation import trained
+    from vibrocast.evaluation.cells import BenchError
+    from vibrocast.evaluation.stability import page
+    from vibrocast.evaluation.stability.maps import Scope, methods
+    from vibrocast.evaluation.stability.peers import PeersError, read_peers
+    from vibrocast.host.stability import report
+
+    try:
+        chosen = methods(None if names is None else names.split(","), trained.known_models(model_folders))
+        peers = read_peers(peers_edge) if peers_edge else []
+        chosen_maps = [] if map_names is None else map_names.split(",")
+        if unknown := set(chosen_maps) - {each.name for each in report.MAPS}:
+            raise BadInput(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in report.MAPS)}")
+        if "recordings" in chosen_maps and recordings is None:
+            raise BadInput("the map of recordings needs them; give a folder or manifest: --recordings")
+        own = load_all(recordings, options) if recordings else ()
+        page.folder_in(out)  # what cannot be written is better known before than after
+    except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
+        raise BadInput(str(error)) from error
+    with progress.shown("trying") as update:
+        cells = report.make(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
+    outcomes = Counter(cell.outcome for cell in cells)
+    counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
+    click.echo(f"{out / page.PAGE}: {len(cells)} trials, {counts}")
+
+
+def load_all(recordings: Path, options: dict[str, Any]) -> tuple[Recording, ...]:
+    """Return the recordings of a folder or manifest that load; the others, and what is skipped, are listed on stderr.
+
+    Raises DatasetError where none loads.
+    """
+    found = dataset.read(recordings)
+    for remark in found.remarks:
+        click.echo(remark, err=True)
+    loaded = []
+    for trace in found.traces:
+        try:
+            loaded.append(replace(dataset.load(trace, **options), name=trace.name))
+        except TextureError as error:
+            click.echo(f"left out: {trace.name}: {error}", err=True)
+    if not loaded:
+        raise DatasetError(f"{recordings}: no recording of it can be loaded; correct them as listed")
+    return tuple(loaded)

@@ -1,0 +1,92 @@
+"""Steps that several subcommands share: check arguments, encode with a progress bar, print facts."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from vibrocast import models, progress, textures
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
+from vibrocast.codec.stream import CodingQuality
+from vibrocast.codec.threshold import TACTILE_BAND_HZ
+from vibrocast.host import profiles
+from vibrocast.host.plain import plain
+from vibrocast.host.report import Report
+
+_Argument = TypeVar("_Argument")
+
+
+def needed(argument: _Argument | None, name: str) -> _Argument:
+    """Return an argument that only --plan makes up for. Raises click.UsageError."""
+    if argument is None:
+        raise click.UsageError(f"{name} is missing: give it, or --plan.")
+    return argument
+
+
+def refuse_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
+    """Raise click.UsageError where a file to write is also one to read, or two to write are the same."""
+    used = [path for path in inputs if path]
+    for output in filter(None, outputs):
+        for other in used:
+            same = os.path.realpath(output) == os.path.realpath(other)
+            if same or (output.exists() and other.exists() and output.samefile(other)):
+                raise click.UsageError(f"{output} and {other} are the same file: give the output another name.")
+        used.append(output)
+
+
+def files_of(model: models.Model | None) -> list[Path]:
+    """Return the files that a model was read from, as far as another could be written over them."""
+    return [model.path] if model else []
+
+
+def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) -> Encoding:
+    """Encode a recording, show how far it is, and say what was not met."""
+    with progress.shown("encoding") as update:
+        encoding = encode_recording(recording, live=live, progress=update, **quality)
+    if encoding.note:
+        click.echo(f"note: {encoding.note}", err=True)
+    return encoding
+
+
+def encoded_profile(recording: textures.Recording, quality: dict[str, Any], slowest_mm_s: float) -> Encoding:
+    """Encode a height profile as a spatial stream, show how far it is, and say what was not met."""
+    del quality["highpass_hz"]  # heights keep their own rules
+    if quality["rate_bps"] is not None or quality.pop("stream_rate_hz") != DEFAULT_STREAM_RATE_HZ:
+        raise click.UsageError("a profile has no time: give --snr-db and --slowest-hand-speed-mm-s instead of rates.")
+    with progress.shown("encoding") as update:
+        encoding = profiles.encode(recording, slowest_mm_s, progress=update, **quality)
+    if encoding.note:
+        click.echo(f"note: {encoding.note}", err=True)
+    return encoding
+
+
+def told_quality(quality: CodingQuality | Report) -> str:
+    """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words."""
+    if quality.snr_db is None:
+        told = "SNR not known (silent, without loss, or coded before)"
+    else:
+        told = f"SNR {quality.snr_db:.2f} dB"
+        if quality.tactile_snr_db is not None:
+            told += f" ({quality.tactile_snr_db:.2f} dB within {TACTILE_BAND_HZ[0]:g} to {TACTILE_BAND_HZ[1]:g} Hz)"
+    if quality.highpass_hz is None:
+        return told
+    return (
+        f"{told}, {100 * (quality.removed_energy or 0.0):.2g} % of the energy removed below {quality.highpass_hz:g} Hz"
+    )
+
+
+def show(facts: Mapping[str, object], as_json: bool = False) -> None:
+    """Print names and values, one pair a line, a list's items below each other; or all as JSON."""
+    if as_json:
+        click.echo(json.dumps(facts, indent=2, allow_nan=False))
+        return
+    width = max(map(len, facts))
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            value = [f"{key.replace('_', ' ')}: {item}" for key, item in value.items()]
+        lines = value if isinstance(value, list) else [value]
+        for index, line in enumerate(lines or ["none"]):
+            click.echo(f"{name.replace('_', ' ') if index == 0 else '':{width}}  {plain(str(line))}")

@@ -1,0 +1,276 @@
+"""Bad lines: whole playbacks by the host's player on the simulated controller, in simulated time."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from random import Random
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.messages import Configure, Start, Status, StreamData
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.host import uploader
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import BUFFER_S, play
+from vibrocast.host.stability import CLEAR_ERRORS
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.output.rendering import render
+from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
+from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
+
+SECONDS = 5.0
+LOOPS = 4
+OFF_PART = 0.01
+"""A sample is off where it differs from the faultless one by more than this part of the peak."""
+HELD_SHARE, FAILED_SHARE = 0.05, 0.5
+LARGEST_STEP_RATIO = 1.5
+STALLS_EVERY_S = 0.7
+
+LOSSES_PERCENT = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 20.0)
+DAMAGES_PERCENT = (0.1, 1.0, 10.0, 20.0)
+DRIFTS_PPM = (-10_000, -200, 200, 10_000)
+PACED_DRIFTS_PPM = (-10_000, -1000, 1000, 2000, 5000, 10_000)
+PACED_S, PACED_AHEAD_S = 60.0, 0.1
+STALLS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+BUFFERS_S = (BUFFER_S, 0.1, 1.0)
+
+
+@dataclass(frozen=True)
+class Line:
+    """What is wrong between host and controller. `lost`, `flipped`: chance of each frame, in both directions.
+
+    `stall_s`: how long nothing goes through, about every STALLS_EVERY_S. `drift_ppm`: of the controller's clock.
+    """
+
+    lost: float = 0.0
+    flipped: float = 0.0
+    stall_s: float = 0.0
+    drift_ppm: int = 0
+
+
+class StallingLink(MemoryLink):
+    """A link on which, now and then, a write takes long: a busy computer, or a bus that others use."""
+
+    def __init__(self, controller: Controller, stall_s: float) -> None:
+        super().__init__(controller)
+        self._stall_s = stall_s
+        self._random = Random(0)
+        self._next_s = STALLS_EVERY_S
+
+    def write(self, data: bytes) -> None:
+        """Send bytes, late where a stall is due."""
+        if self.clock() >= self._next_s:
+            self.sleep(self._stall_s)
+            self._next_s = self.clock() + STALLS_EVERY_S * self._random.uniform(0.5, 1.5)
+        super().write(data)
+
+
+@lru_cache(maxsize=1)
+def _stream(rung: Rung) -> tuple[Stream, NDArray[np.int16]]:
+    """Return a live stream of the texture, and all DAC codes of its faultless playback."""
+    stream = encoded(0.5 * texture(seconds=SECONDS), RATE_HZ, rung, live=True)
+    delay_samples = stream.decoder().delay_samples
+    codes, _ = render(stream.header, stream.decode_integers(), delay_samples, PIEZO_STACK, loops=LOOPS)
+    return stream, codes
+
+
+@lru_cache(maxsize=1)
+def flash_with(image: bytes | None) -> FlashMemory:
+    """Return the memory of a controller that has a model image, flashed over a faultless line, or none."""
+    flash = FlashMemory(FLASH_BYTES)
+    if image is not None:
+        link = MemoryLink(Controller(flash=flash))
+        uploader.flash(Host(link, link.clock, link.sleep), image)
+    return flash
+
+
+def measure(rung: Rung, line: Line, buffer_s: float = BUFFER_S) -> Measured:
+    """Play the texture LOOPS times over a line; judge what came to the DAC. Raises ControllerError and the like."""
+    stream, wanted = _stream(rung)
+    played: list[NDArray[np.int16]] = []
+    controller = Controller(Settings(drift_ppm=line.drift_ppm), flash_with(rung.image), on_dac=played.append)
+    link: MemoryLink
+    if line.stall_s:
+        link = StallingLink(controller, line.stall_s)
+    else:
+        link = MemoryLink(controller, *(FaultyLine(seed, line.lost, line.flipped) for seed in (1, 2)))
+    packet_samples = stream.decoder().packet_samples
+    host = Host(link, link.clock, link.sleep)
+    result = play(host, stream.header, stream.packets, packet_samples, loops=LOOPS, buffer_s=buffer_s)
+    codes = np.concatenate(played).astype(np.float64)
+    return judge(wanted.astype(np.float64), codes, result.underruns, result.lost_packets, result.reconnects)
+
+
+def judge(
+    wanted: NDArray[np.float64], codes: NDArray[np.float64], underruns: int, lost_packets: int, reconnects: int
+) -> Measured:
+    """Return the outcome of a playback from the codes (n, 1) that the DAC should have had and those that it had."""
+    length = max(len(wanted), len(codes))
+    error = np.zeros((length, 1))
+    error[: len(wanted)] = wanted
+    error[: len(codes)] -= codes
+    share = float(np.mean(np.abs(error) > OFF_PART * np.abs(wanted).max()))
+    noise = float(np.sum(error**2))
+    steps = [np.abs(np.diff(each, axis=0, prepend=0)).max() for each in (codes, wanted)]
+    figures = {
+        "off_share": share,
+        "snr_db": 10 * math.log10(float(np.sum(wanted**2)) / noise) if noise else math.inf,
+        "underruns": underruns,
+        "lost_packets": lost_packets,
+        "reconnects": reconnects,
+        "largest_step_ratio": float(steps[0] / steps[1]),
+    }
+    counted = "1 underrun" if underruns == 1 else f"{underruns} underruns"
+    effect = f"{100 * share:.1f} % of the signal off, {counted}" if share else ""
+    if figures["largest_step_ratio"] > LARGEST_STEP_RATIO:
+        effect += f", a click of {figures['largest_step_ratio']:.1f} times the signal's largest step"
+        return Measured(Outcome.FAILS, figures, effect)
+    if share > FAILED_SHARE:
+        return Measured(Outcome.FAILS, figures, effect)
+    return Measured(Outcome.HOLDS if share <= HELD_SHARE else Outcome.DEGRADED, figures, effect)
+
+
+def measure_paced(rung: Rung, drift_ppm: int) -> Measured:
+    """Play from a source that sends each packet when its own clock says so; judge by the packets that came too late.
+
+    Raises ControllerError and the like.
+    """
+    stream, _ = _stream(rung)
+    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm), flash_with(rung.image)))
+    host = Host(link, link.clock, link.sleep)
+    packets, packet_samples = stream.packets, stream.decoder().packet_samples
+    packet_s = stream.seconds / len(packets)
+    ahead = max(2, round(PACED_AHEAD_S / packet_s))
+    prebuffer_samples = ahead * packet_samples
+    host.request(Configure(1, stream.header.pack(), prebuffer_samples, packets=len(packets), loops=0), Status)
+    for number in range(ahead):
+        host.send(StreamData(1, 0, (packets[number],)))
+    started_s, late_s = host.clock(), math.nan
+    host.request(Start(), Status)
+    count = round(PACED_S / packet_s)
+    for number in range(ahead, count):
+        link.sleep(started_s + (number - ahead + 1) * packet_s - host.clock())
+        iteration, of_iteration = divmod(number, len(packets))
+        host.send(StreamData(1, iteration, (packets[of_iteration],)))
+        host.poll(0)
+        if host.status is not None and host.status.underruns and math.isnan(late_s):
+            late_s = host.clock() - started_s
+    status = host.stop()
+    share = status.lost_packets / count
+    figures = {"off_share": share, "underruns": status.underruns, "lost_packets": status.lost_packets}
+    if not share:
+        return Measured(Outcome.HOLDS, figures)
+    effect = f"{100 * share:.1f} % of the packets too late, the first after {late_s:.0f} s"
+    figures["first_underrun_s"] = late_s
+    return Measured(Outcome.DEGRADED if share <= FAILED_SHARE else Outcome.FAILS, figures, effect)
+
+
+def _trials(
+    name: str, values: Sequence[float], line: Callable[[float], Line], buffers_s: Sequence[float], scope: Scope
+) -> list[Trial]:
+    chosen = (values[0], values[-1]) if scope.quick else values
+    return [
+        Trial(
+            name,
+            method.name if buffer_s == BUFFER_S else f"{method.name}, buffer of {buffer_s:g} s",
+            f"buffer of {buffer_s:g} s",
+            middle_rung(method).text,
+            float(value),
+            partial(measure, middle_rung(method), line(value), buffer_s),
+            clear_errors=CLEAR_ERRORS,
+        )
+        for method in scope.methods
+        for buffer_s in (buffers_s if method is scope.methods[0] else buffers_s[:1])
+        for value in chosen
+    ]
+
+
+def _drift_trials(scope: Scope) -> list[Trial]:
+    """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
+    first, rung = scope.methods[0], middle_rung(scope.methods[0])
+    return [
+        *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,), scope),
+        *(
+            Trial(
+                DRIFT.name,
+                f"{first.name}, its own pace",
+                f"source {PACED_AHEAD_S:g} s ahead",
+                rung.text,
+                float(drift_ppm),
+                partial(measure_paced, rung, drift_ppm),
+                clear_errors=CLEAR_ERRORS,
+            )
+            for drift_ppm in PACED_DRIFTS_PPM[:: 3 if scope.quick else 1]
+        ),
+    ]
+
+
+def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> None:
+    """Three panels over what is varied: the share that is off, the SNR, the largest step; a curve for each codec."""
+    panels = []
+    for figure, title, least_span in (
+        ("off_share", "share of the signal that is off", 0.1),
+        ("snr_db", "SNR of what is played, dB", 10.0),
+        ("largest_step_ratio", "largest step, relative to the signal's", 1.0),
+    ):
+        curves = []
+        for method in dict.fromkeys(cell.method for cell in cells):
+            own = [cell for cell in cells if cell.method == method]
+            x = [cell.value or 0.0 for cell in own]
+            y = [cell.figure(figure) for cell in own]
+            y = [value if math.isfinite(value) else math.nan for value in y]
+            curves.append(pictures.Curve(method, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
+        if any(math.isfinite(y) for curve in curves for y in curve.y):
+            panels.append(pictures.Panel(title, x_label, "", curves, log_x, least_span=least_span))
+    pictures.curves(path, panels)
+
+
+_RULES = (
+    f"A texture of {SECONDS:g} s at each codec's middle setting, refreshed as for streaming, played {LOOPS} times "
+    "by the host's player on the simulated controller. A sample is off where the DAC's code differs from that of a "
+    f"faultless line by more than {100 * OFF_PART:g} % of the peak. Holds up to {100 * HELD_SHARE:g} % off; fails "
+    f"beyond {100 * FAILED_SHARE:g} %, or where a step (a click) is more than {LARGEST_STEP_RATIO:g} times the "
+    "signal's largest."
+)
+LOSS = Map(
+    "loss",
+    "Lost frames",
+    f"Frames are lost by chance, in both directions. {_RULES}",
+    "{} %",
+    partial(_trials, "loss", LOSSES_PERCENT, lambda percent: Line(lost=percent / 100), (BUFFER_S,)),
+    partial(_draw, "frames that are lost, %", True),
+)
+FLIPS = Map(
+    "bit_flips",
+    "Damaged frames",
+    f"One byte of a frame is changed by chance, in both directions; its CRC tells. {_RULES}",
+    "{} %",
+    partial(_trials, "bit_flips", DAMAGES_PERCENT, lambda percent: Line(flipped=percent / 100), (BUFFER_S,)),
+    partial(_draw, "frames that are damaged, %", True),
+)
+DRIFT = Map(
+    "drift",
+    "Clock drift",
+    f"The controller's clock runs faster or slower than the host's. {_RULES} The source with its own pace, of the "
+    f"first codec, sends packets for {PACED_S:g} s as its own clock says, whatever the controller's credit.",
+    "{} ppm",
+    _drift_trials,
+    partial(_draw, "drift of the controller's clock, ppm", False),
+)
+JITTER = Map(
+    "buffer",
+    "Buffer against stalls",
+    f"Every {STALLS_EVERY_S:g} s or so nothing goes through for a while; other buffers than the usual one with the "
+    f"first codec only. {_RULES}",
+    "{} s",
+    partial(_trials, "buffer", STALLS_S, lambda stall_s: Line(stall_s=stall_s), BUFFERS_S),
+    partial(_draw, "length of a stall, s", True),
+)

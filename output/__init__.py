@@ -1,0 +1,1 @@
+"""Samples to skin: actuator models, compensation, limits, DAC codes."""

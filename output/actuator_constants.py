@@ -1,0 +1,114 @@
+"""An actuator's constants in integers (vc_actuator of firmware/core/output.h); run directly, writes those that ship."""
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from vibrocast.output.actuator import (
+    LRA,
+    PIEZO_STACK,
+    VOICE_COIL,
+    Actuator,
+)
+
+TABLES = Path(__file__).parents[1] / "firmware" / "controller" / "actuator_tables.c"
+SHIPPED = {
+    "piezo_stack": PIEZO_STACK,
+    "piezo_stack_12_bits": replace(PIEZO_STACK, dac_bits=12),
+    "lra": LRA,
+    "voice_coil": VOICE_COIL,
+}
+
+_NAME_BYTES = 31
+_MAX_DAC_BITS = 16
+
+
+def constants(actuator: Actuator) -> dict[str, Any]:
+    """Return the fields of vc_actuator. Raises ValueError on what they have no room for, and says what that is."""
+    name = actuator.name.encode()
+    if len(name) > _NAME_BYTES:
+        raise ValueError(f"the actuator's name {actuator.name!r} is longer than {_NAME_BYTES} bytes")
+    if not 2 <= actuator.dac_bits <= _MAX_DAC_BITS:
+        raise ValueError(f"a DAC of {actuator.dac_bits} bits; 2 to {_MAX_DAC_BITS} are possible")
+    lower_hz, upper_hz = actuator.band_hz
+    fraction, exponent = math.frexp(actuator.full_scale / actuator.excursion_um)
+    return {
+        "name": name,
+        "stroke_um": _float_bits(actuator.stroke_um),
+        "volts": _float_bits(actuator.volts),
+        "lower_hz": _float_bits(lower_hz),
+        "upper_hz": _float_bits(upper_hz),
+        "slew_volts_per_second": _float_bits(actuator.slew_volts_per_second),
+        "dac_rate_hz": actuator.dac_rate_hz,
+        "dac_bits": actuator.dac_bits,
+        "codes_per_um_exponent": exponent - 31,
+        "codes_per_um_mantissa": min(2**31 - 1, round(fraction * 2**31)),
+        "code_limit": actuator.code_limit,
+        "code_step_limit": min(2 * actuator.full_scale, actuator.code_step_limit),
+        "power_limit": min(2**32 - 1, max(1, math.floor(actuator.power_limit * 2**30))),
+        "compensation": _section(*actuator.inverse_section()),
+    }
+
+
+def _float_bits(value: float) -> int:
+    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
+    return bits
+
+
+def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[str, Any]:
+    """Return the fields of vc_section."""
+    divisor = 1 + tangent / quality + tangent**2
+    # A bound on the sums of magnitudes that vc_section names: all three ring longer the higher the Q.
+    shift = max(0, math.ceil(math.log2((2 + 1.3 * quality) * abs(divisor) / 12)))
+    damping, scaled = 1 / quality + tangent, [2.0**shift * weight for weight in weights]
+    if not 0 < tangent < 4 or damping >= 32 or sum(map(abs, scaled)) >= 128:
+        raise ValueError(
+            f"the compensation, a resonance of Q {quality:.3g} at {math.atan(tangent) / math.pi:.3g} of the DAC's rate "
+            f"with gains up to {max(weights):.3g}, is out of range: choose another maximum_boost"
+        )
+    return {
+        "tangent": round(tangent * 2**29),
+        "damping": round(damping * 2**26),
+        "gain": min(2**31 - 1, round(2**30 / divisor)),
+        "weight": [round(weight * 2**24) for weight in scaled],
+        "shift": shift,
+    }
+
+
+def source() -> tuple[str, str]:
+    """Return the contents of actuator_tables.c and of its header."""
+    command = "written by `python -m vibrocast.output.actuator_constants`"
+    tables = [
+        f"const vc_actuator vc_{name} = {_initialiser(constants(actuator))};\n" for name, actuator in SHIPPED.items()
+    ]
+    declared = "".join(
+        f"/* {actuator.name}, DAC of {actuator.dac_bits} bits at {actuator.dac_rate_hz} Hz. */\n"
+        f"extern const vc_actuator vc_{name};\n"
+        for name, actuator in SHIPPED.items()
+    )
+    guard = "VIBROCAST_ACTUATOR_TABLES_H"
+    return (
+        f'/* Actuators that ship; {command}. */\n#include "actuator_tables.h"\n\n' + "\n".join(tables),
+        f"/* Actuators that ship; {command}. */\n#ifndef {guard}\n#define {guard}\n\n"
+        f'#include "output.h"\n\n/* cffi: begin */\n{declared}/* cffi: end */\n\n#endif\n',
+    )
+
+
+def _initialiser(constant: int | bytes | Sequence[int] | Mapping[str, Any], indent: str = "    ") -> str:
+    """Return a constant as C."""
+    if isinstance(constant, Mapping):
+        fields = [f"{indent}.{name} = {_initialiser(value, indent + '    ')},\n" for name, value in constant.items()]
+        return "{\n" + "".join(fields) + indent[4:] + "}"
+    if isinstance(constant, bytes):
+        return '"' + constant.decode("ascii") + '"'
+    if isinstance(constant, Sequence):
+        return "{" + ", ".join(map(str, constant)) + "}"
+    return f"{constant}u" if constant >= 2**31 else str(constant)
+
+
+if __name__ == "__main__":
+    for path, text in zip((TABLES, TABLES.with_suffix(".h")), source(), strict=True):
+        path.write_text(text)

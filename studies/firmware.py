@@ -1,0 +1,593 @@
+"""What decoding costs a microcontroller, counted in emulation: `python -m studies.firmware --out docs`."""
+
+import json
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import click
+import numpy as np
+
+from vibrocast import codec, extras, models
+from vibrocast.codec import CodedSignal, Signal
+from vibrocast.codec.interface import AUTO
+from vibrocast.codec.live_format import live_format
+from vibrocast.codec.stream import as_stream
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
+from vibrocast.evaluation import trained
+from vibrocast.evaluation.page_parts import code, number, paragraphs, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.files import whole_file
+from vibrocast.firmware.build import BuildError
+from vibrocast.firmware.build import size as firmware_size
+from vibrocast.host import live
+from vibrocast.host.harness.device_clock import DeviceClock
+from vibrocast.host.planner import costs, playing
+from vibrocast.host.planner.costs import BOARD_CORES, quiet_part
+from vibrocast.models import Model
+from vibrocast.textures.generate import GENERATORS
+
+try:
+    from studies.emulated_core import (
+        CORES,
+        Core,
+        EmulatedCore,
+        compile_core,
+        decode,
+        state_bytes,
+    )
+except ModuleNotFoundError as error:
+    raise SystemExit(str(extras.explained(error) or error)) from error
+
+RATE_HZ = 2800
+SECONDS = 0.5
+TARGET_DB = 10.0
+DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128", "parametric")
+"""Codecs, and models that ship."""
+BLOCKS = {"mdct": "hop", "dct": "block", "slp": "frame", "parametric": "hop"}
+"""The parameter of a codec that is the length of its block."""
+QUALITIES_DB = (5.0, 10.0, 20.0)
+LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
+"""Wanted: less than this load of a Cortex-M4F."""
+CHANNELS = (1, 2, 4)
+"""For how many a decoder is compiled."""
+TABLES = Path(costs.__file__).parent / "data"
+"""Folder of the figures as CSV, where an installed planner finds them too."""
+BOARD = "stm32f405"
+SMALL = {
+    "VC_BUFFER_SAMPLES": 4096,
+    "VC_BUFFER_PACKETS": 64,
+    "VC_BUFFER_BYTES": 8192,
+    "VC_PACKET_SAMPLES": 1024,
+    "VC_CAPTURE_SAMPLES": 0,
+}
+"""Buffers of a controller that plays streams as they come: half a second of 8 kHz, no captures."""
+_PORTABLE = {"DSP instructions": {}, "portable C": {"VC_PORTABLE": 1}}
+_FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
+
+
+@dataclass(frozen=True)
+class Load:
+    """What decoding one texture takes, per sample. `cycles`: of a Cortex-M4 by the page's model, None for others."""
+
+    decoder: str
+    texture: str
+    snr_db: float
+    bits_per_sample: float
+    core: str
+    kernels: str
+    instructions: float
+    cycles: float | None
+    stack_bytes: int
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What decoding one texture takes a Cortex-M4F with DSP kernels, in instructions per sample.
+
+    `block`: the codec's parameter of BLOCKS, empty where it has one length only. `bits_per_sample`, `quiet`: what that
+    depends on; the latter as host.planner.costs.quiet_part.
+    """
+
+    decoder: str
+    block: str
+    texture: str
+    bits_per_sample: float
+    quiet: float
+    instructions: float
+
+
+@dataclass(frozen=True)
+class Size:
+    """Bytes of a decoder for a Cortex-M4F: code with its constants, model image, and state for so many channels."""
+
+    decoder: str
+    kernels: str
+    code_bytes: int
+    image_bytes: int
+    state_1_bytes: int
+    state_2_bytes: int
+    state_4_bytes: int
+
+
+@dataclass(frozen=True)
+class Playing:
+    """A live stream of `mdct`, or a profile over position, that a whole controller plays."""
+
+    unit: str
+    rate_hz: int
+    channels: int
+    packet_samples: int
+
+
+@dataclass(frozen=True)
+class ControllerLoad(Playing):
+    """What a whole controller takes.
+
+    `board`: one of BOARD_CORES. `instructions`, `decoding`: in a second, all, and decoding alone.
+    `flash_bytes`, `ram_bytes`: of BOARD's firmware with the buffers of SMALL, but for the code and the state of its
+    decoders.
+    """
+
+    board: str
+    instructions: float
+    decoding: float
+    flash_bytes: int
+    ram_bytes: int
+
+
+PLAYED = (
+    *(Playing("m/s^2", RATE_HZ, channels, 128) for channels in CHANNELS),
+    Playing("full scale", RATE_HZ, 1, 128),
+    Playing("full scale", 1000, 2, 64),
+    Playing("m/s^2", 1000, 1, 64),
+    Playing("m/s^2", RATE_HZ, 1, 32),
+    Playing("m/s^2", RATE_HZ, 1, 512),
+    Playing(PROFILE_UNIT, 100_000, 1, 1024),
+)
+"""Streams that differ in all that a controller's load depends on besides decoding; profiles' rates are per metre."""
+PROFILE_SAMPLES = 4096
+PROFILE_SPEED_MM_S = 100.0
+
+
+def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
+    """Return a generated texture (n, 1) with a peak of 1."""
+    samples = GENERATORS[kind](seed=seed, seconds=seconds, rate_hz=RATE_HZ).samples
+    peak: float = np.abs(samples).max()
+    return samples / peak
+
+
+@cache
+def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
+    """Return a texture as it is streamed, near TARGET_DB or the next better quality there is, and its SNR in dB.
+
+    By a codec that keeps no waveform, as finely as its ladder goes.
+    """
+    model = _model(decoder)
+    signal = texture(kind, seconds)
+    for_encoder = trained.for_encoder(model) if model else None
+    name = _codec_name(decoder)
+    if codec.CODECS[name].keeps_waveform:
+        stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, codec=name, live=True, model=for_encoder)
+    else:
+        finest = next(iter(codec.CODECS[name].ladders.values()))[-1]
+        stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True)
+    snr_db = codec.snr_db(signal, codec.decode(stream, _tables(decoder)))
+    assert snr_db is not None, "textures are not silent"
+    return stream, snr_db
+
+
+def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Load]:
+    """Yield what decoding takes on each core with each kernels; programs are built in `folder`.
+
+    Raises BuildError, and AssertionError where an emulated decoder gives other samples than codec.decode_integers.
+    """
+    for core_name, core in CORES.items():
+        for kernels in _PORTABLE:
+            program = _program(folder, core, kernels, {_codec_name(decoder) for decoder in decoders})
+            for decoder in decoders:
+                for kind in kinds:
+                    stream, snr_db = coded(decoder, kind, seconds)
+                    run = decode(program, core, stream, _tables(decoder))
+                    expected = codec.decode_integers(stream, _tables(decoder))
+                    assert np.array_equal(run.decoded, expected), f"{decoder} decodes {kind} differently on {core_name}"
+                    yield Load(
+                        decoder,
+                        kind,
+                        round(snr_db, 2),
+                        round(8 * sum(map(len, stream.packets)) / len(run.decoded), 4),
+                        core_name,
+                        kernels,
+                        round(run.instructions, 1),
+                        round(run.cycles, 1) if core_name == "M4F" else None,
+                        run.stack_bytes,
+                    )
+
+
+def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Decoding]:
+    """Yield what decoding takes at every length of block and some qualities. Raises BuildError."""
+    core = CORES["M4F"]
+    for decoder in decoders:
+        name, model = _codec_name(decoder), _model(decoder)
+        program = _program(folder, core, "DSP instructions", {name})
+        parameter = BLOCKS.get(name)
+        choices = codec.CODECS[name].parameters[parameter].choices if parameter else ("",)
+        for block in choices:
+            if block == AUTO:
+                continue
+            for kind, stream in _qualities(name, model, {parameter: block} if parameter else {}, kinds, seconds):
+                run = decode(program, core, stream, _tables(decoder))
+                bits_per_sample = 8 * sum(map(len, stream.packets)) / len(run.decoded)
+                quiet = quiet_part(run.decoded)
+                yield Decoding(
+                    decoder, block, kind, round(bits_per_sample, 4), round(quiet, 4), round(run.instructions, 1)
+                )
+
+
+def _qualities(
+    name: str, model: Model | None, given: codec.Setting, kinds: Sequence[str], seconds: float
+) -> Iterator[tuple[str, CodedSignal]]:
+    """Yield textures as they are streamed at QUALITIES_DB, or at each rung of a codec that keeps no waveform."""
+    how: dict[str, Any] = {"codec": name, "live": True, "model": trained.for_encoder(model) if model else None}
+    for kind in kinds:
+        signal = texture(kind, seconds)
+        if codec.CODECS[name].keeps_waveform:
+            for snr_db in QUALITIES_DB:
+                yield kind, codec.encode_to_snr(signal, RATE_HZ, snr_db, setting=given, **how)
+        else:
+            for rung in next(iter(codec.CODECS[name].ladders.values())):
+                yield kind, codec.encode(signal, RATE_HZ, {**rung, **given}, **how)
+
+
+def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
+    """Yield the bytes of each decoder with each kernels. Raises BuildError."""
+    core = CORES["M4F"]
+    for decoder in decoders:
+        name, model = _codec_name(decoder), _model(decoder)
+        for kernels in _PORTABLE:
+            built = [EmulatedCore(_program(folder, core, kernels, {name}, channels), core) for channels in CHANNELS]
+            states = [state_bytes(emulated_core, name) for emulated_core in built]
+            image = trained.flash_bytes(model) if model else 0
+            yield Size(decoder, kernels, built[0].flash_bytes, image, *states)
+
+
+def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad]:
+    """Yield what each emulated controller takes to play PLAYED, as far as it has the channels. Raises BuildError."""
+    sizes = {channels: _rest_bytes(folder, CORES["M4F"], channels) for channels in CHANNELS}
+    for board, core_name in BOARD_CORES.items():
+        core = CORES[core_name]
+        program = _program(folder, core, "DSP instructions", {"mdct"}, max(CHANNELS))
+        for played in PLAYED:
+            with playing.opened(board, None) as controller:
+                if played.channels > controller.description.limits.channels:
+                    continue
+                long_s = PROFILE_SAMPLES / played.rate_hz if played.unit == PROFILE_UNIT else seconds
+                samples = GENERATORS["rough"](seed=0, seconds=long_s, rate_hz=played.rate_hz).samples
+                signal = np.repeat(samples / np.abs(samples).max(), played.channels, axis=1)
+                instructions, decoding = _play(controller, signal, played, program, core)
+            yield ControllerLoad(
+                **asdict(played),
+                board=board,
+                instructions=round(instructions),
+                decoding=round(decoding),
+                flash_bytes=sizes[played.channels][0],
+                ram_bytes=sizes[played.channels][1],
+            )
+
+
+def _play(
+    controller: playing.CountingController, signal: Signal, played: Playing, program: Path, core: Core
+) -> tuple[float, float]:
+    """Play a signal; return the instructions a second that it took, and of these what decoding takes while playing."""
+    framing = codec.Framing(played.packet_samples, 0)
+    if played.unit == PROFILE_UNIT:
+        coded_profile = codec.encode(signal, played.rate_hz, {}, unit="um", live=True, framing=framing)
+        stream = as_stream(coded_profile, PROFILE_UNIT, None)
+        length_mm = 1e3 * len(signal) / played.rate_hz
+        _, instructions = playing.play_by_hand(controller, stream, length_mm, PROFILE_SPEED_MM_S, lambda part: None)
+        assert instructions is not None, "emulated processors are counted"
+        return instructions, 0.0
+    channels = played.channels
+    live_stream = live.LiveStream(
+        controller,
+        live_format(played.rate_hz, played.unit, [1.0] * channels, [0.3] * channels),
+        packet_samples=played.packet_samples,
+    )
+    clock = DeviceClock(controller)
+    _, instructions = playing.play_live(live_stream, controller, signal, clock, lambda part: None)
+    assert instructions is not None, "emulated processors are counted"
+    header, packets = live_stream.header, tuple(controller.packets[live_stream.stream])
+    sent = CodedSignal("mdct", played.rate_hz, len(signal), header.gains, header.configuration, packets)
+    return instructions, decode(program, core, sent).instructions * played.rate_hz
+
+
+def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:
+    """Return flash and RAM of a small controller but for its decoders, which share one memory. Raises BuildError."""
+    whole = firmware_size(BOARD, {**SMALL, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels})
+    names = {_codec_name(decoder) for decoder in DECODERS}
+    decoders = EmulatedCore(_program(folder, core, "DSP instructions", names, channels), core)
+    return whole.flash - decoders.flash_bytes, whole.ram - max(state_bytes(decoders, name) for name in names)
+
+
+def _program(folder: Path, core: Core, kernels: str, codecs: set[str], channels: int = 1) -> Path:
+    functions = [f"vc_{name}_{function}" for name in sorted(codecs) for function in _FUNCTIONS]
+    name = "-".join((*sorted(codecs), core.title, kernels.split()[0], str(channels)))
+    return compile_core(folder / f"{name}.elf", core, functions, VC_MAX_CHANNELS=channels, **_PORTABLE[kernels])
+
+
+def _codec_name(decoder: str) -> str:
+    return decoder if decoder in codec.CODECS else trained.codec_name(models.find(decoder))
+
+
+def _model(decoder: str) -> Model | None:
+    return None if decoder in codec.CODECS else models.find(decoder)
+
+
+def _tables(decoder: str) -> bytes | None:
+    model = _model(decoder)
+    return model.tables if model else None
+
+
+def write_page(
+    out: Path,
+    loads: Sequence[Load],
+    sizes: Sequence[Size],
+    controller: Sequence[ControllerLoad],
+    tables: Path = TABLES,
+) -> None:
+    """Write OUT/firmware.md, its figures as JSON in OUT/results, and as CSV in `tables`. Raises OSError."""
+    results = out / "results"
+    results.mkdir(parents=True, exist_ok=True)
+    for stem, rows, kind in (
+        ("firmware_loads", loads, Load),
+        ("firmware_sizes", sizes, Size),
+        ("firmware_controller", controller, ControllerLoad),
+    ):
+        with whole_file(tables / f"{stem}.csv") as path:
+            write_rows(path, rows, kind)
+    figures: dict[str, Sequence[Any]] = {"loads": loads, "sizes": sizes, "controller": controller}
+    with whole_file(results / "firmware.json") as path:
+        listed = {name: [asdict(row) for row in rows] for name, rows in figures.items()}
+        path.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
+    with whole_file(out / "firmware.md") as path:
+        path.write_text(_page(loads, sizes, controller) + "\n", encoding="utf-8")
+
+
+def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> str:
+    return paragraphs(
+        "# Decoding on a microcontroller",
+        "What each decoder costs: instructions, load of the processor, flash, RAM, stack. Made by the command "
+        "below, on a computer with the extra `[firmware]`; nothing here has been timed on a board.",
+        "    python -m studies.firmware --out docs",
+        _method(loads),
+        _m4_section(loads),
+        _cores_section(loads),
+        _memory_section(loads, sizes),
+        _controller_section(controller),
+        "Rows: [firmware_loads.csv](../host/planner/data/firmware_loads.csv), "
+        "[firmware_sizes.csv](../host/planner/data/firmware_sizes.csv), "
+        "[firmware_controller.csv](../host/planner/data/firmware_controller.csv), "
+        "all as [JSON](results/firmware.json). "
+        "[firmware_decoding.csv](../host/planner/data/firmware_decoding.csv) has decoding at every length of block and "
+        "some qualities, from which `vibrocast plan` forecasts loads.",
+    )
+
+
+def _method(loads: Sequence[Load]) -> str:
+    kinds = list(dict.fromkeys(load.texture for load in loads))
+    return paragraphs(
+        f"The signals are {len(kinds)} generated textures ({', '.join(kinds)}) of one channel at {RATE_HZ} Hz, "
+        f"coded as they are streamed (packets of 128 samples, a refresh every 0.25 s) at {TARGET_DB:g} dB of SNR "
+        "or, where no setting comes near, the next better (`parametric`, which keeps no waveform, as finely as its "
+        "ladder goes). Each stream is decoded by the core as compiled for the processor (`firmware/core` by ziglang, "
+        "`-O2`), executed in Unicorn; the samples are those of the decoder "
+        "on the host, to the last bit, with DSP kernels and without, or the command fails. Given are means over "
+        "the textures, refreshes included.",
+        "A *load* is the part of the processor that one channel takes: instructions (or cycles) a sample times "
+        f"{RATE_HZ} Hz, divided by the clock. Instructions are counted exactly, but take a cycle at least, and "
+        "memory and branches more. So cycles of the Cortex-M4 are estimated too, by the timings of its Technical "
+        "Reference Manual (ARM DDI 0439, 3.3), from memory without wait states: a load takes 2 cycles, or 1 "
+        "behind another whose result it does not address by; a store 1, or 2 where its address is a sum of "
+        "registers; either one more where its address is the result of the instruction before; LDM, STM, PUSH "
+        "and POP 1 + N; LDRD and STRD 3; UDIV and SDIV, which take 2 to 12, 12; TBB and TBH 2; all else 1; "
+        "and a branch that is taken 2 more, of the 1 to 3 that the manual gives. Words across word bounds, 1 or 2 "
+        "cycles more, are not counted: with DSP kernels one in three of the loads in EVA's products, where a model's "
+        "weights lie so. On an STM32F405 the flash accelerator hides "
+        "most, not all, of the wait states at 168 MHz. An M7 can carry out two instructions at once, and an M33 "
+        "some; their loads, by instructions, say no more than that.",
+    )
+
+
+def _m4_section(loads: Sequence[Load]) -> str:
+    clock_hz = CORES["M4F"].clock_hz
+    rows = []
+    for decoder in dict.fromkeys(load.decoder for load in loads):
+        dsp, portable = (
+            [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, "M4F", kernels)]
+            for kernels in _PORTABLE
+        )
+        limit = LIMITS_PERCENT.get(decoder)
+        greatest = max(100 * load.instructions * RATE_HZ / clock_hz for load in dsp)
+        by_cycles = _mean_load(dsp, _cycles, clock_hz)
+        rows.append(
+            (
+                code(decoder),
+                number(fmean(load.bits_per_sample for load in dsp)),
+                *_columns(portable, clock_hz),
+                *_columns(dsp, clock_hz),
+                _percent(greatest),
+                "" if limit is None else f"< {limit:g} %",
+                "" if limit is None else _verdict(greatest < limit, by_cycles < limit),
+            )
+        )
+    return paragraphs(
+        "## Cortex-M4F at 168 MHz",
+        "Portable C, and the kernels with DSP instructions (SMLAD and its kin, in "
+        "`firmware/core/eva_kernels_dsp.c`) that `eva` and the network of `mdct` use; the other codecs have none. "
+        "`eva` uses them in layers of a multiple of 16 channels, as all models that ship have; other layers take the "
+        "portable ones. *Greatest*: the texture that takes most, by instructions with DSP kernels; it must keep within "
+        "what is wanted, and so must the mean by cycles. To choose a codec, look at the DSP columns by cycles first: "
+        "they are nearest to what a board takes.",
+        table(
+            (
+                "decoder",
+                "bit/sample",
+                "portable: instructions/sample",
+                "load",
+                "load by cycles",
+                "DSP: instructions/sample",
+                "load",
+                "load by cycles",
+                "greatest",
+                "wanted",
+                "by instructions, by cycles",
+            ),
+            rows,
+        ),
+    )
+
+
+def _columns(loads: Sequence[Load], clock_hz: float) -> tuple[str, str, str]:
+    return (
+        f"{fmean(load.instructions for load in loads):.0f}",
+        _percent(_mean_load(loads, lambda load: load.instructions, clock_hz)),
+        _percent(_mean_load(loads, _cycles, clock_hz)),
+    )
+
+
+def _cycles(load: Load) -> float:
+    assert load.cycles is not None, "cycles are estimated for the M4"
+    return load.cycles
+
+
+def _mean_load(loads: Sequence[Load], cost: Callable[[Load], float], clock_hz: float) -> float:
+    """Return the mean load in percent."""
+    return 100 * fmean(map(cost, loads)) * RATE_HZ / clock_hz
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2f} %"
+
+
+def _verdict(*met: bool) -> str:
+    return ", ".join("met" if one else "**missed**" for one in met)
+
+
+def _cores_section(loads: Sequence[Load]) -> str:
+    names = [name for name in CORES if name != "M4F"]
+    rows = []
+    for decoder in dict.fromkeys(load.decoder for load in loads):
+        cells = [code(decoder)]
+        for name in names:
+            for kernels in reversed(_PORTABLE):
+                of = [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, name, kernels)]
+                mean = fmean(load.instructions for load in of)
+                cells += [f"{mean:.0f}", _percent(100 * mean * RATE_HZ / CORES[name].clock_hz)]
+        rows.append(cells)
+    header = ["decoder"]
+    for name in names:
+        for kernels in ("portable", "DSP"):
+            header += [f"{name}, {kernels}: instructions/sample", f"load at {CORES[name].clock_hz / 1e6:g} MHz"]
+    return paragraphs("## Cortex-M7 and Cortex-M33", "By instructions.", table(header, rows))
+
+
+def _memory_section(loads: Sequence[Load], sizes: Sequence[Size]) -> str:
+    rows = []
+    for decoder in dict.fromkeys(size.decoder for size in sizes):
+        dsp, portable = (
+            next(size for size in sizes if (size.decoder, size.kernels) == (decoder, kernels)) for kernels in _PORTABLE
+        )
+        stack = [
+            max(
+                load.stack_bytes
+                for load in loads
+                if (load.decoder, load.core, load.kernels) == (decoder, "M4F", kernels)
+            )
+            for kernels in reversed(_PORTABLE)
+        ]
+        cells = (
+            *(portable.code_bytes, dsp.code_bytes, dsp.image_bytes),
+            *(dsp.state_1_bytes, dsp.state_2_bytes, dsp.state_4_bytes, *stack),
+        )
+        rows.append((code(decoder), *(f"{cell:,}" for cell in cells)))
+    return paragraphs(
+        "## Memory",
+        "Bytes on a Cortex-M4F. Code is all that one codec's decoder links, constants and the compiler's "
+        "arithmetic included; codecs in one controller share the context model's part of it. The image is what is "
+        "flashed of the model, without an ONNX graph. State is a decoder compiled for 1, 2 and 4 channels "
+        "(`VC_MAX_CHANNELS`). The stack is the most that was used while the textures were decoded.",
+        table(
+            (
+                *("decoder", "code, portable", "code, DSP", "image", "state, 1 channel", "2 channels", "4 channels"),
+                *("stack, portable", "stack, DSP"),
+            ),
+            rows,
+        ),
+    )
+
+
+def _controller_section(controller: Sequence[ControllerLoad]) -> str:
+    rows = []
+    for load in controller:
+        rest = load.instructions - load.decoding
+        profile = load.unit == PROFILE_UNIT
+        rows.append(
+            (
+                code(load.board),
+                load.unit,
+                "" if profile else str(load.rate_hz),
+                str(load.channels),
+                "" if profile else str(load.packet_samples),
+                f"{load.instructions / 1e6:.2f}",
+                _percent(100 * load.instructions / CORES[BOARD_CORES[load.board]].clock_hz),
+                f"{load.decoding / 1e6:.2f}",
+                f"{rest / 1e6:.2f}",
+                f"{load.flash_bytes:,}",
+                f"{load.ram_bytes:,}",
+            )
+        )
+    return paragraphs(
+        "## The whole controller",
+        "A texture coded by `mdct` and played live on the firmware, as `vibrocast play --plan` does, or a profile "
+        f"rendered under a hand that goes there and back, at {PROFILE_SPEED_MM_S:g} mm/s at most: messages, buffer, "
+        "decoding, and the output stage at the actuator's DAC rate, in millions of instructions a second; its "
+        "main loop is run every millisecond. *The rest*: all but decoding, of which most depends on channels, rate, "
+        "packets a second, and whether an acceleration is to be integrated. Flash and RAM: of the "
+        f"board's firmware (`{BOARD}`) but for its decoders, with the buffers of a small controller.",
+        table(
+            (
+                *("controller", "unit", "Hz", "channels", "samples in a packet", "all", "load", "decoding", "the rest"),
+                *("flash", "RAM"),
+            ),
+            rows,
+        ),
+    )
+
+
+@click.command()
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for firmware.md.")
+def main(out: Path) -> None:
+    """Count what decoding costs a Cortex-M and write the page OUT/firmware.md, its figures in OUT/results."""
+    try:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            loads = list(measure_loads(folder, DECODERS, list(GENERATORS), SECONDS))
+            sizes = list(measure_sizes(folder, DECODERS))
+            controller = list(measure_controllers(folder, 2.0))
+            decoding = list(measure_decoding(folder, DECODERS, list(GENERATORS), SECONDS))
+        write_page(out, loads, sizes, controller)
+        with whole_file(TABLES / "firmware_decoding.csv") as path:
+            write_rows(path, decoding, Decoding)
+    except (BuildError, extras.MissingExtraError) as error:
+        raise click.ClickException(str(error)) from error
+    except OSError as error:
+        raise click.ClickException(f"{error.filename}: {error.strerror}") from error
+    click.echo(f"{out / 'firmware.md'}: {len(DECODERS)} decoders")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,297 @@
+"""Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs`."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from statistics import fmean, median
+
+import click
+import numpy as np
+
+from vibrocast import codec, progress, textures
+from vibrocast.codec import mdct
+from vibrocast.codec.encoding import DEFAULT_CODEC, DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
+from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
+from vibrocast.evaluation.page_parts import code, paragraphs, table
+from vibrocast.evaluation.points import write_rows
+from vibrocast.files import whole_file
+from vibrocast.host.harness.bench_file import BenchActuator
+from vibrocast.host.planner import costs
+from vibrocast.host.planner.band import BandError, band_of, rendering_s
+from vibrocast.host.planner.candidates import BUFFERS_MS, Workbench
+from vibrocast.host.planner.choose import Refusal, choose
+from vibrocast.host.planner.plan_file import prepared
+from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.textures import Profile, Recording, TextureError
+from vibrocast.textures.dataset import DatasetError, Trace, traces
+
+ADDRESS, CORE, CLOCK_HZ = "cortex-m4", "M4F", 168e6
+HAND_SPEED_MM_S = 50.0
+WEIGHTS = {
+    "all costs": Weights(1.0, 0.1, 0.01, 0.01),
+    "bits alone": Weights(1.0, 0.0, 0.0, 0.0),
+    "instructions alone": Weights(0.0, 1.0, 0.0, 0.0),
+}
+"""The planner's own, and what can be saved where one cost is all that counts."""
+_ALL_COSTS = next(iter(WEIGHTS))
+FREE, HELD = "any", "as the default's"
+"""Delays: weighed as any other cost; or no longer than that of the default, both with the least margin."""
+PAGE, ROWS = "planning_results.md", "planning.csv"
+
+
+@dataclass(frozen=True)
+class Saving:
+    """One texture, planned with one of WEIGHTS, beside the fixed default. `delay`: FREE or HELD.
+
+    `snr_db`: of both in the band worth coding, default first. `wire_bps`: frames included. `instructions`: of decoding
+    on a Cortex-M4F, in a second. `kilobytes`: flash and RAM of the decoder. `delay_ms`: from a sample at the host to
+    the skin, without a link.
+    """
+
+    group: str
+    texture: str
+    weights: str
+    delay: str
+    highest_hz: float
+    rate_hz: int
+    chosen: str
+    default_snr_db: float
+    planned_snr_db: float
+    default_wire_bps: float
+    planned_wire_bps: float
+    default_instructions: float
+    planned_instructions: float
+    default_kilobytes: float
+    planned_kilobytes: float
+    default_delay_ms: float
+    planned_delay_ms: float
+
+    @property
+    def bits_percent(self) -> float:
+        """Bits on the wire, planned against default."""
+        return 100 * (self.planned_wire_bps / self.default_wire_bps - 1)
+
+    @property
+    def instructions_percent(self) -> float:
+        """Instructions of decoding, planned against default."""
+        return 100 * (self.planned_instructions / self.default_instructions - 1)
+
+
+def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
+    """Yield what planning a trace saves. Raises TextureError, CodecError, BandError, Refusal."""
+    recording = _loaded(trace, unit)
+    default = encode_recording(recording, live=True)
+    threshold = read_threshold()
+    speeds = (HAND_SPEED_MM_S, HAND_SPEED_MM_S)
+    band = band_of(recording, PIEZO_STACK, threshold, speeds, over_position=False)
+    reference = prepared(recording, HAND_SPEED_MM_S, False, band.rate, band.lowest)
+    decoded = Recording(default.stream.decode(), DEFAULT_STREAM_RATE_HZ, recording.unit, recording.name)
+    in_band = prepared(decoded, HAND_SPEED_MM_S, False, band.rate, band.lowest)
+    length = min(len(reference.samples), len(in_band.samples))
+    default_snr_db = codec.snr_db(reference.samples[:length], in_band.samples[:length])
+    assert default_snr_db is not None, "what is silent has no band worth coding"
+    header = default.stream.header
+    default_delay_s = default.stream.decoder().packet_samples / header.rate_hz + rendering_s(
+        default.stream, PIEZO_STACK
+    )
+    limits_ms = {FREE: None, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
+    bench: Workbench | None = None
+    for (delay, limit_ms), (name, weights) in product(limits_ms.items(), WEIGHTS.items()):
+        scene = _scene(trace, recording, default_snr_db, limit_ms, weights)
+        bench = bench or Workbench(scene, scene.textures[0])
+        chosen = choose(bench, scene).chosen
+        forecast = chosen.forecast
+        assert forecast.instructions_per_second is not None and forecast.snr_db is not None
+        assert forecast.flash_bytes is not None and forecast.ram_bytes is not None
+        measured = chosen.measured
+        rest_instructions = costs.rest_instructions(
+            ADDRESS, CORE, recording.unit, recording.channels, band.rate, band.rate / measured.packet_samples
+        )
+        wire_bps, instructions, kilobytes = _default_costs(default)
+        yield Saving(
+            group=group,
+            texture=trace.name,
+            weights=name,
+            delay=delay,
+            highest_hz=band.highest,
+            rate_hz=band.rate,
+            chosen=chosen.measured.way.name,
+            default_snr_db=round(default_snr_db, 2),
+            planned_snr_db=round(forecast.snr_db, 2),
+            default_wire_bps=round(wire_bps),
+            planned_wire_bps=round(forecast.wire_bps),
+            default_instructions=round(instructions),
+            planned_instructions=round(forecast.instructions_per_second - rest_instructions),
+            default_kilobytes=round(kilobytes, 1),
+            planned_kilobytes=round(
+                (forecast.flash_bytes + forecast.ram_bytes - sum(costs.rest_memory(recording.channels))) / 1e3, 1
+            ),
+            default_delay_ms=round(1e3 * default_delay_s + BUFFERS_MS[0], 1),
+            planned_delay_ms=round(forecast.delay_ms - chosen.buffer_ms + BUFFERS_MS[0], 1),
+        )
+
+
+def _loaded(trace: Trace, unit: str | None) -> Recording:
+    """Load a trace; one relative to full scale, whose level nobody knows, is brought to the actuator's full stroke."""
+    try:
+        loaded = Source((trace.path,), None, {}).load(HAND_SPEED_MM_S)
+    except TextureError:
+        if unit is None:
+            raise
+        loaded = Source((trace.path,), None, {"unit": unit}).load(HAND_SPEED_MM_S)
+    recording = loaded.recording(HAND_SPEED_MM_S) if isinstance(loaded, Profile) else loaded
+    if recording.unit != "full scale":
+        return recording
+    peak: float = np.max(np.abs(recording.samples)) or 1.0
+    return replace(recording, samples=recording.samples / peak)
+
+
+def _scene(trace: Trace, recording: Recording, snr_db: float, delay_limit_ms: float | None, weights: Weights) -> Scene:
+    """Return a scene of a piezo stack on a Cortex-M4F that asks for an SNR, and for a delay where one is given."""
+    controller = SceneController("controller", ADDRESS, CORE, CLOCK_HZ, None, None, 4, False)
+    return Scene(
+        path=trace.path,
+        hand_speed_mm_s=(HAND_SPEED_MM_S, HAND_SPEED_MM_S),
+        textures=(SceneTexture(trace.name, Source((trace.path,), None, {}), "controller", recording),),
+        controllers=(controller,),
+        actuators=(BenchActuator(PIEZO_STACK, "controller", None),),
+        link=Link("simulated", None, 0.0),
+        asked=Asked(snr_db, None, None, False, True, None, delay_limit_ms),
+        weights=weights,
+        threshold_path=DETECTION_THRESHOLD,
+    )
+
+
+def _default_costs(default: Encoding) -> tuple[float, float, float]:
+    """Return bits a second on the wire, instructions a second and kilobytes of decoding the default."""
+    header, packets = default.stream.header, default.stream.packets
+    seconds = len(packets) * default.stream.decoder().packet_samples / header.rate_hz
+    payload_bytes = sum(map(len, packets))
+    wire_bytes = payload_bytes + sum(map(added_bytes, packets))
+    decoding = costs.decoder_cost(DEFAULT_CODEC, CORE, str(mdct.hop_samples(header.rate_hz)))
+    assert decoding is not None, "the tables have the default codec"
+    bits_per_sample = 8 * payload_bytes / seconds / header.rate_hz / header.channels
+    quiet = costs.quiet_part(default.stream.decode_integers())
+    return (
+        8 * wire_bytes / seconds,
+        decoding.instructions_per_second(bits_per_sample, quiet, header.rate_hz, header.channels),
+        (decoding.flash_bytes + decoding.ram_bytes(header.channels)) / 1e3,
+    )
+
+
+def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
+    """Return the page."""
+    groups = list(dict.fromkeys(row.group for row in rows))
+    summary = []
+    for delay, weights, group in product((FREE, HELD), WEIGHTS, groups):
+        of = [row for row in rows if (row.group, row.weights, row.delay) == (group, weights, delay)]
+        if of:
+            bits, instructions = [row.bits_percent for row in of], [row.instructions_percent for row in of]
+            summary.append(
+                (
+                    weights,
+                    delay,
+                    group,
+                    str(len(of)),
+                    f"{median(row.rate_hz for row in of):.0f}",
+                    f"{fmean(bits):+.1f} %",
+                    f"{min(bits):+.1f} to {max(bits):+.1f} %",
+                    f"{fmean(instructions):+.1f} %",
+                    f"{min(instructions):+.1f} to {max(instructions):+.1f} %",
+                    f"{fmean(row.planned_kilobytes - row.default_kilobytes for row in of):+.1f}",
+                )
+            )
+    header = ("weights", "delay", "recordings", "number", "median rate, Hz", "bits", "", "instructions", "", "kB")
+    held = {(row.group, row.texture): row for row in rows if (row.delay, row.weights) == (HELD, _ALL_COSTS)}
+    each = [
+        (
+            row.texture,
+            f"{row.highest_hz:.0f}",
+            code(row.chosen),
+            f"{row.default_snr_db:.1f}, {row.planned_snr_db:.1f}",
+            f"{row.default_wire_bps:.0f}, {row.planned_wire_bps:.0f}",
+            f"{row.bits_percent:+.1f} %",
+            f"{row.instructions_percent:+.1f} %",
+            f"{row.default_delay_ms:.0f}, {row.planned_delay_ms:.0f}",
+            *_held_cells(held.get((row.group, row.texture))),
+        )
+        for row in rows
+        if (row.delay, row.weights) == (FREE, _ALL_COSTS)
+    ]
+    columns = (
+        "texture",
+        "band up to, Hz",
+        "planned",
+        "SNR dB, default and plan",
+        "bit/s",
+        "bits",
+        "instructions",
+        "delay, ms",
+        "planned, delay held",
+        "bits",
+        "instructions",
+    )
+    return paragraphs(
+        "# What planning saves",
+        "Written by `python -m studies.planning FOLDER... --out docs` from recordings that are not "
+        f"part of this project; every row: [{ROWS}](results/{ROWS}).",
+        f"The fixed default is what `vibrocast play` does unasked: `mdct`, {DEFAULT_STREAM_RATE_HZ} Hz, "
+        f"{DEFAULT_SNR_DB:g} dB of SNR, packets of 4 blocks, a refresh every 0.25 s. The plan is for a piezo "
+        f"stack on a Cortex-M4F; a height profile is swept at {HAND_SPEED_MM_S:g} mm/s, and a recording that states no "
+        "level is played at full stroke. It is asked for "
+        "the SNR that the default has in the band worth coding, measured on the same samples, so that it saves "
+        "nothing by being worse; what the default spends outside that band nobody can feel. Bits are those on the "
+        "wire, frames included; instructions are of decoding, as measured in [firmware.md](firmware.md). Weights: the "
+        "planner's own, and bits or instructions alone: the most that can be saved of each. Delay is weighed as any "
+        "other cost, so that some of the bits are saved by longer packets; or it is held to that of the default, which "
+        "sends packets of 4 blocks at once: then nothing is saved by waiting.",
+        "## By kind of recording",
+        "Means over recordings, and the range.",
+        table(header, summary),
+        "## Each texture, all costs weighed",
+        table(columns, each),
+        paragraphs("Left out:", *(f"- {reason}" for reason in left_out)) if left_out else "",
+    )
+
+
+def _held_cells(row: Saving | None) -> tuple[str, str, str]:
+    """Return what is planned at the default's delay, and what it saves."""
+    if row is None:
+        return "", "", ""
+    return code(row.chosen), f"{row.bits_percent:+.1f} %", f"{row.instructions_percent:+.1f} %"
+
+
+@click.command()
+@click.argument("folders", nargs=-1, required=True, type=click.Path(file_okay=False, exists=True, path_type=Path))
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for the page.")
+@click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of files that do not state it.")
+def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
+    """Plan all recordings of folders, and write what that saves: OUT/planning_results.md and its rows as CSV."""
+    try:
+        found = [(folder.name, trace) for folder in folders for trace in traces(folder)]
+    except DatasetError as error:
+        raise click.ClickException(str(error)) from error
+    rows: list[Saving] = []
+    left_out: list[str] = []
+    with progress.shown("planning") as update:
+        for place, (group, trace) in enumerate(found):
+            update(place / len(found), trace.name)
+            try:
+                rows += savings(group, trace, unit)
+            except (TextureError, codec.CodecError, BandError, Refusal) as error:
+                left_out.append(str(error))
+    if not rows:
+        raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))
+    (out / "results").mkdir(parents=True, exist_ok=True)
+    with whole_file(out / "results" / ROWS) as path:
+        write_rows(path, rows, Saving)
+    with whole_file(out / PAGE) as path:
+        path.write_text(page(rows, left_out) + "\n", encoding="utf-8")
+    click.echo(str(out / PAGE))
+
+
+if __name__ == "__main__":
+    main()

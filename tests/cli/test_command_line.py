@@ -1,0 +1,650 @@
+"""Tests of the `vibrocast` command: every subcommand, what it prints, its exit codes, and bad input of every kind."""
+
+import dataclasses
+import errno
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+import soundfile
+from click.testing import CliRunner, Result
+
+from vibrocast import codec, models, textures
+from vibrocast.codec.stream import read_stream
+from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.host import devices
+from vibrocast.host.cli.command_line import main
+from vibrocast.host.harness.bench_file import actuator_toml
+from vibrocast.host.report import Report
+from vibrocast.output.actuator import ACTUATORS, Codes
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.pty_port import PtyPort
+
+ROOT = Path(__file__).parents[2]
+SHARED = ROOT / ".." / "shared" / "data"
+IMAGE = str(ROOT / "models" / "mdct-textures" / "mdct-textures.vcmi")
+RATE_HZ = 2800
+
+
+def vibrocast(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def succeeds(*arguments: object) -> str:
+    result = vibrocast(*arguments)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def fails(exit_code: int, *arguments: object) -> str:
+    """Return the error, which is one line, for a person, without a traceback."""
+    result = vibrocast(*arguments)
+    assert result.exit_code == exit_code, result.output
+    # On a busy machine, lines of progress come before it.
+    (error,) = [line for line in result.stderr.splitlines(keepends=True) if not re.match(r"\w+ \d+ %", line)]
+    assert error.startswith("error: ")
+    assert "unexpected" not in error
+    return error
+
+
+@pytest.fixture
+def texture(tmp_path: Path) -> Path:
+    """A texture short enough to lie in the controller's buffer before it is played: no busy machine disturbs it."""
+    path = tmp_path / "texture.wav"
+    samples = np.random.default_rng(3).normal(size=(RATE_HZ // 5, 1))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "texture"))
+    return path
+
+
+@pytest.fixture
+def coded(texture: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "texture.vct"
+    succeeds("encode", texture, path)
+    return path
+
+
+class Watched:
+    """A simulated controller on a pseudo-terminal, and when it began to move its actuator."""
+
+    def __init__(self) -> None:
+        self.moved = threading.Event()
+        self.port = PtyPort(Controller(on_dac=self._on_dac))
+        self.address = f"serial:{self.port.name}"
+
+    def _on_dac(self, codes: Codes) -> None:
+        if codes.any():
+            self.moved.set()
+
+
+@pytest.fixture
+def watched() -> Iterator[Watched]:
+    controller = Watched()
+    with controller.port:
+        yield controller
+
+
+def started(*arguments: object) -> subprocess.Popen[str]:
+    """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background."""
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "from vibrocast.host.cli.entry import main; main()"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("device", ["sim", "sim-usb"])
+def test_play_reports_and_draws(device: str, texture: Path, tmp_path: Path) -> None:
+    report_path, plot_path = tmp_path / "report.json", tmp_path / "plot.png"
+    output = succeeds("play", texture, "--device", device, "--report", report_path, "--plot", plot_path)
+    assert "decoded as sent" in output
+    assert "\x1b" not in output
+    report = json.loads(report_path.read_text())
+    assert set(report) == {field.name for field in dataclasses.fields(Report)}
+    assert report["decoded_equals_offline"] is True
+    assert report["dac_equals_offline"] is True
+    assert (report["underruns"], report["lost_packets"], report["reconnects"]) == (0, 0, 0)
+    assert report["snr_db"] == pytest.approx(15, abs=0.2)
+    assert report["bits_per_second"] == 8 * report["stream_bytes"] / 0.2
+    assert report["bits_per_sample"] == pytest.approx(report["bits_per_second"] / RATE_HZ)
+    assert report["wire_bytes"] > report["stream_bytes"]
+    latency = report["latency_ms"]
+    assert latency["end_to_end"] > latency["algorithmic"] + latency["buffered"] > 0
+    assert report["device"]["address"] == device
+    assert report["actuator"]["name"] == "piezo-stack"
+    assert plot_path.stat().st_size > 10_000
+
+
+def test_report_page_explains_every_field() -> None:
+    page = (ROOT / "docs" / "report.md").read_text()
+    missing = [field.name for field in dataclasses.fields(Report) if f"`{field.name}" not in page]
+    assert missing == []
+
+
+def test_play_loops_over_several_channels(tmp_path: Path) -> None:
+    path, report_path = tmp_path / "two.wav", tmp_path / "report.json"
+    samples = np.random.default_rng(4).normal(size=(400, 2))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "um", "two"))
+    succeeds("play", path, "--loop", 3, "--snr-db", 10, "--report", report_path, "--plot", tmp_path / "two.svg")
+    report = json.loads(report_path.read_text())
+    assert (report["loops"], report["channels"]) == (3, 2)
+    assert report["decoded_equals_offline"] is True
+    assert report["dac_equals_offline"] is True
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("samples", "level"), [(1, 1.0), (17, 0.5), (500, 0.0), (500, 1.0)])
+def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
+    path, report_path = tmp_path / "extreme.wav", tmp_path / "report.json"
+    soundfile.write(path, np.full((samples, 1), level), RATE_HZ, subtype="FLOAT")
+    succeeds("play", path, "--unit", "drive", "--report", report_path, "--plot", tmp_path / "plot.png")
+    report = json.loads(report_path.read_text())
+    assert report["dac_equals_offline"] is True
+    assert (report["snr_db"] is None) == (level == 0)
+
+
+def test_plays_a_coded_file(coded: Path, tmp_path: Path) -> None:
+    report_path = tmp_path / "report.json"
+    succeeds("play", coded, "--report", report_path, "--plot", tmp_path / "plot.png")
+    report = json.loads(report_path.read_text())
+    assert report["stream_bytes"] == coded.stat().st_size
+    assert report["snr_db"] is None
+    assert report["decoded_equals_offline"] is True
+
+
+def test_plays_a_height_profile_at_a_hand_speed() -> None:
+    profile = ROOT / "examples" / "leather_profile.csv"
+    assert "DAC as computed" in succeeds("play", profile, "--hand-speed-mm-s", 50)
+    assert "the speed of the hand over it" in fails(2, "play", profile)
+
+
+@pytest.mark.parametrize("suffix", [".wav", ".csv", ".npy", ".mat"])
+def test_decodes_into_every_format(suffix: str, coded: Path, tmp_path: Path) -> None:
+    out = tmp_path / f"out{suffix}"
+    told = succeeds("decode", coded, out)
+    assert f"at {RATE_HZ} Hz, {'1.0 is 1' if suffix == '.wav' else 'in'} m/s^2" in told
+    options: dict[str, Any] = {"rate_hz": RATE_HZ, "unit": "m/s^2"} if suffix == ".npy" else {}
+    np.testing.assert_array_equal(textures.load(out, **options).samples, read_stream(coded).decode())
+    succeeds("encode", out, tmp_path / "again.vct", *(("--rate-hz", RATE_HZ, "--unit", "g") if options else ()))
+    if suffix != ".wav":
+        assert "--format is for a WAV file" in fails(2, "decode", coded, out, "--format", "16-bit")
+
+
+def test_axes_are_chosen_or_reduced(tmp_path: Path) -> None:
+    path, out = tmp_path / "three.csv", tmp_path / "out.vct"
+    samples = np.random.default_rng(3).normal(size=(RATE_HZ // 5, 3))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "three", textures.AXES))
+    for options, channels in ((("--reduce", "dft321"), 1), (("--reduce", "none"), 3), (("--axis", "x"), 1)):
+        succeeds("encode", path, out, *options)
+        assert read_stream(out).header.channels == channels
+
+
+def test_encode_info_decode(texture: Path, tmp_path: Path) -> None:
+    coded_path, wav_path = tmp_path / "out.vct", tmp_path / "out.wav"
+    assert "SNR " in succeeds("encode", texture, coded_path, "--snr-db", 30, "--keep-dc")
+    facts = json.loads(succeeds("info", coded_path, "--json"))
+    assert (facts["codec"], facts["rate_hz"], facts["unit"], facts["samples"]) == ("mdct", RATE_HZ, "m/s^2", 560)
+    assert facts["size_bytes"] == coded_path.stat().st_size
+    assert "mdct" in succeeds("info", coded_path)
+    for sample_format in ("float", "16-bit"):
+        assert "m/s^2" in succeeds("decode", coded_path, wav_path, "--format", sample_format)
+        decoded = textures.load(wav_path)
+        original = textures.load(texture)
+        error = np.sum((decoded.samples - original.samples) ** 2) / np.sum(original.samples**2)
+        assert -10 * np.log10(error) == pytest.approx(30, abs=0.3)
+
+
+def test_encode_to_a_rate_and_at_another_stream_rate(tmp_path: Path) -> None:
+    out = tmp_path / "oak.vct"
+    succeeds("encode", ROOT / "examples" / "oak.wav", out, "--rate-bps", 3000, "--stream-rate-hz", 2000)
+    assert 8 * out.stat().st_size / 4 == pytest.approx(3000, rel=0.02)
+    assert json.loads(succeeds("info", out, "--json"))["rate_hz"] == 2000
+
+
+def test_a_setting_is_used_as_it_is(texture: Path, tmp_path: Path) -> None:
+    sizes = []
+    for step in (0.2, 0.8):
+        out = tmp_path / f"{step}.vct"
+        succeeds("encode", texture, out, "--setting", f"step={step}")
+        sizes.append(out.stat().st_size)
+    assert sizes[0] > 1.5 * sizes[1]
+
+
+def test_lists_the_codecs() -> None:
+    listed = succeeds("codecs")
+    assert "mdct" in listed
+    assert all(name in listed for known in codec.CODECS.values() for name in known.parameters)
+    assert set(json.loads(succeeds("codecs", "--json"))) == set(codec.CODECS)
+
+
+@pytest.mark.parametrize("kind", sorted(textures.GENERATORS))
+def test_generate(kind: str, tmp_path: Path) -> None:
+    one, again, other = tmp_path / "one.wav", tmp_path / "again.wav", tmp_path / "other.wav"
+    for path, seed in ((one, 1), (again, 1), (other, 2)):
+        succeeds("generate", kind, path, "--seed", seed, "--seconds", 0.5, "--hand-speed-mm-s", 80)
+    assert one.read_bytes() == again.read_bytes()
+    assert textures.load(one).seconds == 0.5
+
+
+def test_generate_with_a_hand_speed_that_varies(tmp_path: Path) -> None:
+    steady, varying = tmp_path / "steady.wav", tmp_path / "varying.wav"
+    succeeds("generate", "grating", steady, "--seconds", 1)
+    succeeds("generate", "grating", varying, "--seconds", 1, "--speed-variation", 0.3)
+    speed_mm_s = textures.varying_speed(1, RATE_HZ, 50, 0.3)
+    expected = textures.GENERATORS["grating"](seconds=1, hand_speed_mm_s=speed_mm_s).samples
+    np.testing.assert_allclose(textures.load(varying).samples, expected, atol=0.01)
+    assert np.abs(textures.load(varying).samples - textures.load(steady).samples).max() > 10
+
+
+def test_generate_a_height_profile(tmp_path: Path) -> None:
+    path = tmp_path / "wood.csv"
+    assert "39.9857 mm" in succeeds("generate", "wood", path, "--seconds", 1, "--hand-speed-mm-s", 40)
+    assert path.read_text().startswith("position_um,height_um\n0,")
+    succeeds("encode", path, tmp_path / "out.vct", "--hand-speed-mm-s", 60)
+    assert "made of grating, ridges" in fails(2, "generate", "taps", tmp_path / "taps.csv")
+    assert "--speed-variation" in fails(2, "generate", "wood", path, "--speed-variation", 0.3)
+
+
+def test_devices_and_status() -> None:
+    listed = succeeds("devices")
+    assert "sim-usb" in listed
+    assert "piezo-stack" in succeeds("status")
+    facts = json.loads(succeeds("status", "--device", "sim-usb", "--json"))
+    assert facts["status"]["state"] == "idle"
+    assert facts["codecs"] == list(codec.CODECS)
+
+
+def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, watched: Watched) -> None:
+    coded_path = tmp_path / "image.vct"
+    assert "model mdct-textures" in succeeds("encode", texture, coded_path, "--model", IMAGE)
+    refusal = fails(1, "play", coded_path, "--device", watched.address)
+    assert "runs none: flash it first" in refusal
+    assert "drop --codec." in fails(2, "play", coded_path, "--codec", "mdct")
+    command = re.search("`vibrocast (flash .*)`", refusal)
+    assert command is not None
+    assert "confirmed" in succeeds(*command.group(1).split())
+    assert "mdct-textures" in succeeds("status", "--device", watched.address)
+    assert "DAC as computed" in succeeds("play", coded_path, "--device", watched.address)
+
+
+def test_a_simulated_controller_is_flashed_with_the_model_that_it_plays(texture: Path, tmp_path: Path) -> None:
+    report_path = tmp_path / "report.json"
+    output = succeeds("play", texture, "--model", "mdct-textures", "--report", report_path)
+    assert "codec mdct, model mdct-textures" in output
+    report = json.loads(report_path.read_text())
+    assert report["model"] == "mdct-textures"
+    assert "confirmed" in report["device"]["model_images"][0]
+
+
+def test_a_model_of_ones_own_is_named_by_its_file(texture: Path, tmp_path: Path) -> None:
+    shipped, own, coded_path = models.find("mdct-textures"), tmp_path / "own.vcmi", tmp_path / "own.vct"
+    own.write_bytes(ModelImage(1, "own", "1", "", shipped.tables).pack())
+    succeeds("encode", texture, coded_path, "--model", own)
+    for command in (("decode", coded_path, tmp_path / "out.wav"), ("play", coded_path)):
+        assert "give its folder or its file as --model" in fails(2, *command)
+        succeeds(*command, "--model", own)
+    assert "not coded for" in fails(2, "decode", coded_path, tmp_path / "out.wav", "--model", "mdct-textures")
+    assert json.loads(succeeds("info", coded_path, "--json"))["model"] is None
+    assert json.loads(succeeds("info", coded_path, "--json", "--model", own))["model"] == "own"
+
+
+def test_models_lists_what_ships() -> None:
+    assert re.search(r"mdct-textures +mdct +\d+", succeeds("models"))
+    cards = json.loads(succeeds("models", "--json"))
+    assert list(cards) == [model.name for model in models.shipped()]
+    assert cards["mdct-textures"]["training"]["seed"] == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
+def test_simulate_cleans_up_when_it_is_killed(number: signal.Signals) -> None:
+    process = started("simulate")
+    assert process.stdout is not None
+    address = process.stdout.readline().strip()
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert errors.strip() == "error: interrupted"
+    assert not Path(address.removeprefix("serial:")).parent.exists()
+
+
+def test_simulate_serves_other_programs_until_interrupted(texture: Path, tmp_path: Path) -> None:
+    process = started("simulate", "--actuator", "lra", "--drift-ppm", "100", "--flash-file", tmp_path / "flash.bin")
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert address.startswith("serial:/")
+        report_path = tmp_path / "report.json"
+        succeeds("play", texture, "--device", address, "--report", report_path, "--plot", tmp_path / "plot.png")
+        report = json.loads(report_path.read_text())
+        assert report["actuator"]["name"] == "lra"
+        assert report["dac_equals_offline"] is True
+        succeeds("flash", IMAGE, "--device", address)
+    finally:
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert errors.strip() == "error: interrupted"
+    assert not Path(address.removeprefix("serial:")).exists()
+    assert b"mdct-textures" in (tmp_path / "flash.bin").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGTERM, signal.SIGHUP))],
+)
+def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
+    number: signal.Signals, tmp_path: Path, watched: Watched
+) -> None:
+    path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
+    textures.save(path, textures.GENERATORS["rough"](seconds=60.0))
+    process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
+    assert watched.moved.wait(30)
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert (output, errors.splitlines()[-1]) == ("", "error: interrupted")
+    assert not report_path.exists()
+    with devices.connect(watched.address) as controller:
+        assert controller.request_status().state == State.STOPPED
+
+
+@pytest.mark.slow
+def test_pulled_cable_is_found_again(tmp_path: Path, watched: Watched) -> None:
+    path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
+    textures.save(path, textures.GENERATORS["rough"](seconds=1.5))
+    process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
+    assert watched.moved.wait(30)
+    watched.port.unplug()
+    watched.port.plug()
+    process.communicate(timeout=30)
+    assert json.loads(report_path.read_text())["reconnects"] >= 1
+
+
+def test_play_says_where_it_is_where_there_is_no_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vibrocast.progress.LINE_INTERVAL_S", 0.0)
+    path = tmp_path / "texture.wav"
+    textures.save(path, textures.GENERATORS["rough"](seconds=0.5))
+    result = vibrocast("play", path, "--snr-db", 5)
+    assert result.exit_code == 0
+    lines = result.stderr.splitlines()
+    assert lines[0].startswith("encoding ")
+    assert re.match(r"playing 1?\d?\d % +\d\.\d of 0\.\d s +\d+\.\d\d kbit/s +buffer \d+ ms +underruns \d+$", lines[-1])
+
+
+def test_no_arguments_and_help_and_version() -> None:
+    for arguments in ((), ("--help",), ("play", "-h")):
+        assert "Usage" in succeeds(*arguments)
+    assert "version" in succeeds("--version")
+
+
+def test_refuses_bad_usage(texture: Path, coded: Path, tmp_path: Path) -> None:
+    assert "No such command" in fails(2, "dance")
+    assert "exclude each other" in fails(2, "play", texture, "--rate-bps", 1000, "--snr-db", 10)
+    assert "coded already" in fails(2, "play", coded, "--snr-db", 10)
+    assert "finite" in fails(2, "play", texture, "--snr-db", "nan")
+    assert "--rate-bps" in fails(2, "play", texture, "--rate-bps", -5)
+    assert "--loop" in fails(2, "play", texture, "--loop", 0)
+    assert "cannot be met" in fails(2, "encode", texture, tmp_path / "out.vct", "--rate-bps", 1)
+    assert "does not exist" in fails(2, "play", texture, "--report", tmp_path / "none" / "out.json")
+    assert ".png" in fails(2, "play", texture, "--plot", tmp_path / "plot.bmp")
+    assert ".vct" in fails(2, "encode", texture, tmp_path / "out.wav")
+    out = tmp_path / "out.vct"
+    assert "NAME=VALUE" in fails(2, "encode", texture, out, "--setting", "step")
+    assert "no parameter pace" in fails(2, "encode", texture, out, "--setting", "pace=1")
+    assert "step is coarse" in fails(2, "encode", texture, out, "--setting", "step=coarse")
+    assert "fixes the quality" in fails(2, "encode", texture, out, "--setting", "step=1", "--snr-db", 10)
+    assert "flac has one quality only" in fails(2, "encode", texture, out, "--codec", "flac", "--snr-db", 10)
+    assert "step is given twice" in fails(2, "encode", texture, out, "--setting", "step=1", "--setting", "step=2")
+    assert "neither off nor on" in fails(2, "encode", texture, out, "--codec", "dct", "--setting", "threshold=Off")
+    assert "coded already" in fails(2, "play", coded, "--setting", "step=1")
+    assert "sim-usb" in fails(2, "play", texture, "--device", "hand")
+    assert "serial:PORT" in fails(2, "status", "--device", "serial:")
+    assert "hexadecimal" in fails(2, "status", "--device", "usb:nonsense")
+
+
+def test_names_the_controllers_limits_before_encoding(
+    texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wide, coded = tmp_path / "wide.wav", tmp_path / "wide.vct"
+    soundfile.write(wide, np.ones((100, 16)), RATE_HZ, subtype="FLOAT")
+    succeeds("encode", wide, coded)
+    monkeypatch.setattr("vibrocast.host.cli.steps.encode_recording", None)
+    for path in (wide, coded):
+        assert "16 channels, the controller has 8" in fails(2, "play", path, "--unit", "drive")
+    assert "100 to 48000 Hz" in fails(2, "play", texture, "--stream-rate-hz", 99)
+
+
+@pytest.mark.parametrize("name", ["out.vct", "out.wav"])
+def test_says_where_there_is_no_room(
+    name: str, texture: Path, coded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> NoReturn:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr("vibrocast.textures.save", full)
+    command = ("encode", texture) if name == "out.vct" else ("decode", coded)
+    assert fails(2, *command, tmp_path / name).endswith(
+        f"{name}: No space left on device; make room, or write elsewhere\n"
+    )
+    assert not (tmp_path / name).exists()
+
+
+def test_refuses_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path: Path) -> None:
+    before = texture.read_bytes()
+    assert ".json" in fails(2, "play", texture, "--report", texture)
+    named_json, linked = tmp_path / "image.json", tmp_path / "linked.json"
+    named_json.write_bytes(Path(IMAGE).read_bytes())
+    linked.hardlink_to(texture)
+    assert "same file" in fails(2, "play", coded, "--model", named_json, "--report", named_json)
+    assert "same file" in fails(2, "play", texture, "--report", linked)
+    looped = tmp_path / "again.vct"
+    looped.symlink_to(texture)
+    assert "same file" in fails(2, "encode", texture, looped)
+    out = tmp_path / "out.wav"
+    out.symlink_to(tmp_path / ".." / tmp_path.name / coded.name)
+    assert "same file" in fails(2, "decode", coded, out)
+    assert texture.read_bytes() == before
+    assert coded.exists()
+
+
+def test_refuses_one_name_for_two_outputs(texture: Path, tmp_path: Path) -> None:
+    report_path, plot_path = tmp_path / "out.json", tmp_path / "out.png"
+    plot_path.symlink_to(report_path)
+    assert "same file" in fails(2, "play", texture, "--report", report_path, "--plot", plot_path)
+    assert not report_path.exists()
+
+
+@pytest.mark.parametrize("name", ["texture.wav", "pipe"])
+def test_refuses_a_flash_file_that_is_none(name: str, texture: Path) -> None:
+    path = texture.with_name(name)
+    if name == "pipe":
+        os.mkfifo(path)
+    assert "flash memory" in fails(2, "simulate", "--flash-file", path)
+
+
+def test_refuses_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.vct"
+    garbage, truncated, flipped = tmp_path / "garbage.wav", tmp_path / "short.vct", tmp_path / "flipped.vct"
+    garbage.write_bytes(bytes(range(256)) * 10)
+    truncated.write_bytes(coded.read_bytes()[:-3])
+    flipped.write_bytes(coded.read_bytes()[:-9] + b"\x55" + coded.read_bytes()[-8:])
+    not_a_number, no_rate, ragged = tmp_path / "nan.wav", tmp_path / "plain.csv", tmp_path / "ragged.csv"
+    soundfile.write(not_a_number, np.array([0.0, np.nan]), RATE_HZ, subtype="FLOAT")
+    no_rate.write_text("1\n2\n3\n")
+    ragged.write_text("1,2\n3\n")
+    fails(2, "play", tmp_path / "missing.wav")
+    fails(2, "play", tmp_path)
+    fails(2, "play", garbage)
+    fails(2, "play", truncated)
+    fails(2, "info", flipped)
+    fails(2, "decode", flipped, tmp_path / "out.wav")
+    fails(2, "decode", texture, tmp_path / "out.wav")
+    fails(2, "info", tmp_path)
+    fails(2, "info", tmp_path / "missing.vct")
+    fails(2, "encode", not_a_number, out)
+    fails(2, "encode", ragged, out, "--rate-hz", 2800, "--unit", "um")
+    assert "does not state its sample rate" in fails(2, "encode", no_rate, out)
+    assert "does not state its unit" in fails(2, "encode", no_rate, out, "--rate-hz", 2800)
+    fails(2, "encode", texture, out, "--rate-hz", 44_100)
+    fails(2, "encode", texture, out, "--unit", "um")
+    fails(2, "encode", texture, out, "--hand-speed-mm-s", 10)
+    fails(2, "encode", texture, out, "--stream-rate-hz", 10**9)
+    fails(2, "generate", "rough", tmp_path / "out.wav", "--seconds", 1e12)
+    fails(2, "generate", "taps", tmp_path / "out.wav", "--rate-hz", 2**31, "--seconds", 1e-8)
+    fails(2, "flash", garbage)
+    assert "no file" in fails(2, "info", "/dev/zero")
+    assert "no file" in fails(2, "decode", "/dev/zero", tmp_path / "out.wav")
+    assert "no file" in fails(2, "flash", "/dev/zero")
+    assert "no file" in fails(2, "encode", texture, out, "--model", "/dev/zero")
+    assert "model image" in fails(2, "encode", texture, out, "--model", coded)
+    fails(2, "flash", tmp_path / "missing.vcmi")
+    assert not out.exists()
+
+
+def test_fails_on_the_device(texture: Path, tmp_path: Path) -> None:
+    assert "vibrocast devices" in fails(1, "play", texture, "--device", f"serial:{tmp_path}/none")
+    assert "Plug it in" in fails(1, "status", "--device", "usb:dead:beef")
+
+
+def test_a_good_file_outlives_a_failed_run(texture: Path, coded: Path) -> None:
+    before = coded.read_bytes()
+    fails(2, "encode", texture, coded, "--snr-db", 300)
+    assert coded.read_bytes() == before
+
+
+def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("two\nlines")
+
+    monkeypatch.setattr("vibrocast.host.cli.steps.encode_recording", breaks)
+    result = vibrocast("play", texture)
+    assert result.exit_code == 1
+    assert "unexpected ZeroDivisionError: two lines" in result.stderr
+    assert "--debug" in result.stderr
+    assert isinstance(vibrocast("--debug", "play", texture).exception, ZeroDivisionError)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the shared recordings are not beside this checkout")
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("lmt_acceleration/Brick_3_Z.wav", ()),
+        ("textsense_fingertip/text9_v4.wav", ()),
+        ("vibviz_effects/v-09-12-8-21.wav", ()),
+        ("surface_profiles/mts_Bu_1_56_ak.csv", ("--hand-speed-mm-s", 20)),
+        ("p1918_reference/Direct_-_1spike_Probe_-_polyesterPad_-_slow_X.txt", ("--unit", "m/s^2")),
+    ],
+)
+def test_encodes_every_kind_of_shared_recording(name: str, options: tuple[object, ...], tmp_path: Path) -> None:
+    assert "SNR 1" in succeeds("encode", SHARED / name, tmp_path / "out.vct", *options)
+
+
+def test_play_asks_for_the_unit_of_a_file_that_states_none(tmp_path: Path) -> None:
+    plain, coded_path = tmp_path / "plain.wav", tmp_path / "plain.vct"
+    soundfile.write(plain, 0.1 * np.random.default_rng(0).normal(size=560), RATE_HZ)
+    succeeds("encode", plain, coded_path)
+    for path in (plain, coded_path):
+        assert "encode it with --unit (and --full-scale), or pass --unit drive" in fails(2, "play", path)
+        assert "re detection threshold" in succeeds("play", path, "--unit", "drive")
+
+
+def test_an_offset_does_not_change_the_quality(texture: Path, tmp_path: Path) -> None:
+    moved, recording = tmp_path / "moved.wav", textures.load(texture)
+    textures.save(moved, replace(recording, samples=recording.samples + 9.81))
+    told = [succeeds("encode", path, tmp_path / "out.vct", "--snr-db", 15) for path in (texture, moved)]
+    figures = [re.search(r"SNR (\S+) dB .* (\S+) % of the energy removed below 20 Hz", text) for text in told]
+    assert figures[0] and figures[1]
+    assert figures[0][1] == figures[1][1] and float(figures[1][2]) > 98 > float(figures[0][2])
+    assert "removed" not in succeeds("encode", moved, tmp_path / "out.vct", "--keep-dc")
+
+
+@pytest.mark.parametrize("options", [("--hand-speed-mm-s", 50), ("--spatial",)])
+def test_an_offset_of_heights_changes_no_byte(options: tuple[object, ...], tmp_path: Path) -> None:
+    profile, written = textures.surface_profile("rough", seconds=0.3), []
+    for name, offset_um in (("flat", 0.0), ("high", 1000.0)):
+        path = tmp_path / f"{name}.csv"
+        textures.save_profile(path, replace(profile, heights_um=profile.heights_um.round(3) + offset_um))
+        assert "removed" not in succeeds("encode", path, tmp_path / "out.vct", *options)
+        written.append((tmp_path / "out.vct").read_bytes())
+    assert written[0] == written[1]
+
+
+def test_play_asks_how_one_actuator_plays_three_axes(tmp_path: Path) -> None:
+    path, samples = tmp_path / "axes.csv", np.random.default_rng(0).normal(size=(560, 3))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "axes", textures.AXES))
+    told = fails(2, "play", path)
+    assert f"{path}: three axes of one texture; pass --reduce dft321, norm or none (one actuator" in told
+    for choice, channels in (("--reduce=none", 3), ("--reduce=dft321", 1), ("--reduce=norm", 1), ("--axis=y", 1)):
+        assert f"{channels} channel(s)" in succeeds("play", path, choice)
+    succeeds("encode", path, tmp_path / "axes.vct")
+    assert "3 channel(s)" in succeeds("play", tmp_path / "axes.vct")
+
+
+@pytest.mark.parametrize(
+    ("content", "cause"),
+    [
+        ("", "stroke_um is missing"),
+        ("actuators = 3", "not one actuator"),
+        ("actuators = []", "not one actuator"),
+        ("[[actuators]]\n[[actuators]]", "not one actuator"),
+        ('model = "lra"\ncorner_hz = nan', "corner_hz must be a positive number"),
+        ('model = "lra"\nvolts = 1e300', "no controller can drive this actuator"),
+        ('model = "lra"\ncorner = 80', "there is no key corner"),
+        ("\0", "not a TOML file"),
+    ],
+)
+def test_a_file_that_describes_no_actuator_is_one_line(content: str, cause: str, texture: Path, tmp_path: Path) -> None:
+    path = tmp_path / "actuator.toml"
+    path.write_text(content)
+    told = fails(2, "play", texture, "--actuator", path)
+    assert str(path) in told and cause in told
+
+
+def test_a_level_beyond_any_stream_is_refused(texture: Path) -> None:
+    for gain_db in (-1e9, -401, 401, 1e9):
+        assert "--gain-db" in fails(2, "play", texture, f"--gain-db={gain_db}")
+    assert "finite" in fails(2, "play", texture, "--gain-db", "nan")
+    assert "(silence)" in succeeds("play", texture, "--gain-db", -200)
+    assert re.search(r"clipped [1-9]\d+", succeeds("play", texture, "--gain-db", 200))
+
+
+def test_the_actuator_that_measure_writes_is_taken(texture: Path, tmp_path: Path) -> None:
+    path = tmp_path / "measured.toml"
+    measured = replace(ACTUATORS["lra"], name="measured", corner_hz=161.0)
+    path.write_text(actuator_toml(measured, "one") + "channel = 0\n")
+    assert "measured, clipped" in succeeds("play", texture, "--actuator", path)
+
+
+def test_one_channel_of_eight_that_is_felt_is_enough(tmp_path: Path) -> None:
+    path, noise = tmp_path / "eight.wav", np.random.default_rng(0).normal(size=(560, 8))
+    for loud, felt in ((1.0, True), (1e-3, False)):
+        levels = np.array([1e-3, 0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, loud])
+        textures.save(path, textures.Recording(noise * levels, RATE_HZ, "m/s^2", "eight"))
+        told = vibrocast("play", path)
+        assert told.exit_code == 0 and ("nobody would feel this" in told.stderr) is not felt
+
+
+def test_level_and_actuator_are_your_own(texture: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\nmodel = "voice-coil"\ncorner_hz = 80\n')
+    loud = succeeds("play", texture, "--actuator", tmp_path / "mine.toml")
+    assert re.search(r"touch +peak \+\d+ dB re detection threshold", loud) and "mine, clipped" in loud
+    quiet = vibrocast("play", texture, "--gain-db", -80)
+    assert "nothing exceeds the detection threshold" in quiet.stdout and "raise --gain-db" in quiet.stderr
+    assert "no actuator of that name" in fails(2, "play", texture, "--actuator", "none")

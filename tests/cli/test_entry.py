@@ -1,0 +1,116 @@
+"""Tests of the entry: interrupted while it loads, and what it need not load."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from vibrocast.host.cli.command_line import SUBCOMMANDS, main
+
+ROOT = Path(__file__).parents[2]
+
+# A command line that is interrupted while it is being imported.
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == "vibrocast.host.cli.command_line":
+            os.kill(os.getpid(), {number})
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupting())
+from vibrocast.host.cli.entry import main
+main()
+"""
+
+
+def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_while_loading(number: signal.Signals) -> None:
+    result = run(INTERRUPTED_IMPORT.format(number=int(number)))
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "error: interrupted\n")
+
+
+def test_a_hangup_that_is_to_be_ignored_is() -> None:
+    code = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    result = run(code + INTERRUPTED_IMPORT.format(number=int(signal.SIGHUP)), "--version")
+    assert result.returncode == 0
+    assert "version" in result.stdout
+
+
+# Each takes as long to load as numpy, or longer.
+SLOW = {"av", "distributed", "matplotlib", "onnxruntime", "pytest", "scipy", "torch", "vibromaf"}
+# What only encoding, playing, listing devices or an error needs.
+LIBRARIES = SLOW | {"cffi", "urllib.request", "libusb_package", "numpy", "rich", "serial", "soundfile", "soxr", "usb"}
+COMMAND = """
+import sys
+from vibrocast.host.cli.entry import main
+try:
+    main()
+finally:
+    print(*sys.modules, file=sys.stderr)
+"""
+
+
+def loaded(code: str, *arguments: str) -> set[str]:
+    """Return the modules that a program has loaded when it ends."""
+    result = run(code, *arguments)
+    assert result.returncode == 0, result.stderr
+    return set(result.stderr.split())
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_load_no_library_but_click(option: str) -> None:
+    modules = loaded(COMMAND, option)
+    assert "vibrocast.host.cli.command_line" in modules
+    assert modules.isdisjoint(LIBRARIES)
+
+
+def test_importing_vibrocast_loads_no_library() -> None:
+    assert loaded("import sys, vibrocast; print(*sys.modules, file=sys.stderr)").isdisjoint(LIBRARIES | {"click"})
+
+
+def test_the_api_loads_no_slow_library() -> None:
+    modules = loaded("import sys; from vibrocast import encode; print(*sys.modules, file=sys.stderr)")
+    assert "numpy" in modules
+    assert modules.isdisjoint(SLOW)
+
+
+def test_the_help_of_subcommands_and_lists_load_no_slow_library() -> None:
+    code = """
+import sys
+from click.testing import CliRunner
+from vibrocast.host.cli.command_line import SUBCOMMANDS, main
+for arguments in [*([name, "--help"] for name in SUBCOMMANDS), ["codecs"], ["devices"], ["models"]]:
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+print(*sys.modules, file=sys.stderr)
+"""
+    modules = loaded(code)
+    assert "vibrocast.host.cli.train" in modules
+    assert modules.isdisjoint(SLOW)
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_the_list_of_subcommands_shows_the_first_paragraph_of_each_help(name: str) -> None:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None and command.name == name
+    assert " ".join((command.help or "").split("\n\n")[0].split()) == SUBCOMMANDS[name].summary
+
+
+def test_prints_names_that_are_no_text(tmp_path: Path) -> None:
+    out = tmp_path / "\udcff.vct"
+    arguments = "encode", str(ROOT / "examples" / "taps.wav"), str(out)
+    result = run("from vibrocast.host.cli.entry import main; main()", *arguments)
+    assert result.returncode == 0 and "error" not in result.stderr
+    assert "\\udcff.vct: " in result.stdout
+    assert out.exists()

@@ -1,0 +1,206 @@
+"""Tests of `vibrocast export`: a checkpoint becomes a folder that codes and plays; what is none is refused."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+import onnx
+import pytest
+import torch
+
+from tests.cli.test_command_line import fails, succeeds, vibrocast
+from tests.export import tiny
+from vibrocast import codec, models, textures
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.evaluation import model_card
+
+
+@pytest.fixture(scope="session")
+def best(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("trained") / "best.pt"
+    tiny.checkpoint().save(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def exported(best: Path) -> Path:
+    out = best.with_name("exported")
+    succeeds("export", best, "--out", out, "--runtime", "both")
+    return out
+
+
+def texture() -> textures.Recording:
+    return textures.GENERATORS["rough"](seed=5, seconds=0.5)
+
+
+def test_the_folder_holds_a_model(exported: Path) -> None:
+    model = models.load(exported)
+    assert sorted(path.name for path in exported.iterdir()) == sorted(
+        ["analysis.onnx", "synthesis.onnx", "tiny.vcmi", "card.json", "card.md"]
+    )
+    assert (model.name, model.family) == ("tiny", "tiny")
+    codec.check_tables(model.codec_identifier, model.tables)
+    image = EvaImage.unpack(model.tables)
+    assert (image.width, image.latents, image.rates, image.runtime) == (8, 16, 3, "core")
+    assert image.graph == (exported / "synthesis.onnx").read_bytes()
+    for file in ("analysis.onnx", "synthesis.onnx"):
+        onnx.checker.check_model(onnx.load(exported / file), full_check=True)
+
+
+def test_the_card_says_what_the_model_is_and_does(exported: Path) -> None:
+    card = models.load(exported).card
+    assert card["shape"] == {"width": 8, "latents": 16, "rates": 3}
+    assert card["prior"] == "contexts"
+    assert card["training"]["data"] == [
+        {"name": "generator", "recordings": 2, "hours": pytest.approx(2 / 3600, rel=0.01)}
+    ]
+    assert card["training"]["held_back"] == ["generator/grating", "generator/wood"]
+    assert (card["training"]["seed"], card["training"]["steps"]) == (1, 0)
+    assert max(card["export"]["parity"].values()) <= 1e-5
+    points = card["results"]["points"]
+    assert [point["quality"] for point in points] == [0, 1, 2]
+    for key in ("bits_per_sample", "snr_db", "snr_db_by_onnx"):
+        values = [point[key] for point in points]
+        assert values == sorted(values)
+    assert points[-1]["snr_db"] == pytest.approx(points[-1]["snr_db_by_onnx"], abs=1.5)
+    assert all(seconds > 0 for seconds in card["results"]["seconds_per_million_samples"].values())
+    for file, about in card["files"].items():
+        assert about["bytes"] == (exported / file).stat().st_size
+    text = (exported / "card.md").read_text()
+    for needed in ("# tiny, version 1", "generator/wood", "seed 1", "opset 17", "seconds per million samples"):
+        assert needed in text
+
+
+def test_the_same_checkpoint_gives_the_same_files(best: Path, exported: Path, tmp_path: Path) -> None:
+    succeeds("export", best, "--out", tmp_path / "again", "--runtime", "both")
+    for file in ("analysis.onnx", "synthesis.onnx", "tiny.vcmi"):
+        assert (tmp_path / "again" / file).read_bytes() == (exported / file).read_bytes()
+
+
+def test_an_image_holds_what_was_asked_for(best: Path, tmp_path: Path) -> None:
+    succeeds(
+        "export", best, "--name", "other", "--version", "2", "--out", tmp_path / "new" / "out", "--runtime", "onnx"
+    )
+    model = models.load(tmp_path / "new" / "out")
+    image = EvaImage.unpack(model.tables)
+    assert (model.name, model.card["version"], image.runtime, image.network) == ("other", "2", "onnx", None)
+    encoding = encode_recording(texture(), setting={"quality": 2}, model=model)
+    assert encoding.snr_db is not None and encoding.snr_db > 8
+
+
+def unreadable(kind: str, whole: bytes, path: Path) -> None:
+    if kind == "text":
+        path.write_text("no checkpoint")
+    elif kind == "cut short":
+        path.write_bytes(whole[: len(whole) // 2])
+    elif kind == "weights alone":
+        torch.save({"weight": torch.zeros(3)}, path)
+    elif kind == "another version":
+        torch.save({**torch.load(path.with_name("best.pt"), weights_only=True), "version": 99}, path)
+    elif kind == "arrays of another shape":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        torch.save({**content, "shape": {**content["shape"], "width": 16}}, path)
+    elif kind == "not finite":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        content["model"]["analysis.0.weight"][:] = torch.nan
+        torch.save(content, path)
+    elif kind == "all zeros":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        torch.save({**content, "model": {name: 0 * array for name, array in content["model"].items()}}, path)
+    elif kind == "steps without end":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        content["model"]["log2_step"][:] = 1e6
+        torch.save(content, path)
+    elif kind == "sparse":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        torch.save({**content, "model": {name: array.to_sparse() for name, array in content["model"].items()}}, path)
+    elif kind == "another training":
+        content = torch.load(path.with_name("best.pt"), weights_only=True)
+        torch.save({**content, "training": {"name": "tiny"}}, path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "advice"),
+    [
+        ("missing", "give a checkpoint"),
+        ("text", "give one that"),
+        ("cut short", "give one that"),
+        ("weights alone", "give one that"),
+        ("another version", "version 99"),
+        ("arrays of another shape", "train the model again"),
+        ("not finite", "train the model again"),
+        ("all zeros", "train it anew"),
+        ("steps without end", "train it anew"),
+        ("sparse", "train the model again"),
+        ("another training", "missing"),
+    ],
+)
+def test_bad_checkpoints_are_refused(kind: str, advice: str, best: Path, tmp_path: Path) -> None:
+    (tmp_path / "best.pt").write_bytes(best.read_bytes())
+    unreadable(kind, best.read_bytes(), tmp_path / "other.pt")
+    assert advice in fails(2, "export", tmp_path / "other.pt", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_no_model_is_not_replaced(best: Path, tmp_path: Path) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "to_a_friend").write_text("dear")
+    assert "give another --out" in fails(2, "export", best, "--out", tmp_path / "letters")
+    assert "small letters" in fails(2, "export", best, "--name", "../up", "--out", tmp_path / "up")
+    assert [path.name for path in tmp_path.rglob("*")] == ["letters", "to_a_friend"]
+
+
+def test_data_that_are_not_there_are_named(tmp_path: Path) -> None:
+    checkpoint = tiny.checkpoint()
+    checkpoint.training["archive"] = [{"archive": "recordings.npz", "drop_s": 0.0, "high_pass_hz": 0.0}]
+    checkpoint.save(tmp_path / "best.pt")
+    refusal = fails(2, "export", tmp_path / "best.pt", "--out", tmp_path / "out", "--data", tmp_path)
+    assert "recordings.npz" in refusal
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_failed_export_leaves_the_model_that_was_there(
+    best: Path, exported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(card: Any) -> NoReturn:
+        raise OSError(28, "No space left on device", "card.md")
+
+    before = {path.name: path.read_bytes() for path in exported.iterdir()}
+    monkeypatch.setattr(model_card, "as_markdown", full)
+    failed = vibrocast("export", best, "--name", "other", "--out", exported)
+    assert failed.exit_code == 2
+    assert "make room" in failed.stderr
+    assert {path.name: path.read_bytes() for path in exported.iterdir()} == before
+    assert not [path.name for path in exported.parent.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", ["torch", "onnx"])
+def test_without_torch_or_onnx_the_command_says_what_to_install(missing: str, best: Path, tmp_path: Path) -> None:
+    (tmp_path / f"{missing}.py").write_text(f"raise ModuleNotFoundError('not installed', name={missing!r})")
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from vibrocast.host.cli.entry import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "export", str(best)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert f"needs {missing}; install the extra [train]: " in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_thinned_curves_keep_their_end() -> None:
+    records = [{"step": step} for step in range(1, 101)]
+    assert [record["step"] for record in model_card.thinned(records)] == list(range(5, 101, 5))
+    assert model_card.thinned(records[:3]) == records[:3]
+    assert json.loads(model_card.as_json({"name": "x"})) == {"name": "x"}
+
+
+def test_a_folder_that_holds_more_than_a_model_is_not_replaced(exported: Path, best: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model"
+    out.mkdir()
+    succeeds("export", best, "--out", out)
+    (out / "recording.wav").touch()
+    assert "holds more than a model" in fails(2, "export", best, "--out", out)
+    assert (out / "recording.wav").exists()

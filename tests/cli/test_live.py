@@ -1,0 +1,91 @@
+"""`vibrocast live`: a generated texture, and raw samples from standard input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from vibrocast.host.cli.command_line import main
+
+
+def run(*arguments: str, data: bytes = b"") -> Result:
+    return CliRunner().invoke(main, ["live", *arguments], input=data)
+
+
+def test_a_generated_texture_is_streamed() -> None:
+    result = run("rough", "--seconds", "0.3", "--margin-ms", "300")
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
+
+
+@pytest.mark.parametrize(("name", "kind"), [("int16", "<i2"), ("float32", "<f4")])
+def test_raw_samples_are_streamed_to_their_end(name: str, kind: str) -> None:
+    samples = (0.2 * np.random.default_rng(1).standard_normal((800, 2)) * (32768 if name == "int16" else 1)).astype(
+        kind
+    )
+    data = samples.tobytes() + b"\0"  # half a sample at the end is no sample
+    result = run("-", "--format", name, "--channels", "2", "--unit", "um", "--full-scale", "20", data=data)
+    assert result.exit_code == 0, result.output
+
+
+def test_no_sample_is_no_error() -> None:
+    assert run("-", "--unit", "drive").exit_code == 0
+
+
+def test_the_unit_of_raw_samples_is_asked_for() -> None:
+    result = run("-")
+    assert result.exit_code == 2
+    assert "--unit is missing" in result.output
+
+
+def test_a_recording_that_is_piped_in_is_refused() -> None:
+    result = run("-", "--unit", "g", data=bytes(2 * 2800 * 120))
+    assert result.exit_code == 2
+    assert "a live one keeps its rate" in result.output
+
+
+def test_samples_that_are_no_numbers_are_refused() -> None:
+    result = run("-", "--unit", "m/s^2", "--format", "float32", data=np.full(800, np.nan, "<f4").tobytes())
+    assert result.exit_code == 2
+    assert "NaN" in result.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [["--model", "eva-16"], ["--codec", "eva"], ["--model", "mdct-network"]])
+def test_a_model_is_flashed_and_streamed_with(arguments: list[str]) -> None:
+    result = run("rough", "--seconds", "0.3", "--margin-ms", "300", *arguments)
+    assert result.exit_code == 0, result.output
+    assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
+
+
+def test_a_model_of_another_codec_is_refused() -> None:
+    result = run("rough", "--model", "eva-16", "--codec", "dct")
+    assert result.exit_code == 2
+    assert "is not for the codec dct" in result.output
+
+
+def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
+    report = tmp_path / "live.json"
+    arguments = ["--constant-rate-bps", "4000", "--margin-ms", "300", "--report", str(report)]
+    result = run("rough", "--seconds", "0.6", *arguments)
+    assert result.exit_code == 0, result.output
+    figures = json.loads(report.read_text())
+    assert figures["payload_bits_per_second"] < figures["wire_bits_per_second"]
+    assert figures["margin_ms"] == 300
+    assert figures["underruns"] == figures["dropped_packets"] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "told"),
+    [
+        (["--constant-rate-bps", "300", "--packet-ms", "20"], 2, "cannot be held"),
+        (["--constant-rate-bps", "20"], 2, "ask for 272 bit/s or more"),
+        (["--constant-rate-bps", "50", "--packet-ms", "20000"], 1, "encode with shorter packets"),
+    ],
+)
+def test_a_rate_out_of_reach_is_refused(arguments: list[str], exit_code: int, told: str) -> None:
+    result = run("rough", *arguments)
+    assert result.exit_code == exit_code
+    assert told in result.output

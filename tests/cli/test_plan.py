@@ -1,0 +1,67 @@
+"""The subcommand `plan`: what it writes and tells, and that a bad scene is one line."""
+
+import csv
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from tests.planner.scenes import CONTROLLER, TEXTURE, written
+from vibrocast.host.cli.command_line import main
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["plan", *map(str, arguments)])
+
+
+def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
+    # Descriptions look far ahead: they are the cheapest where delay is of no matter.
+    asked, weights = "[asked]\nthird_octave_distance_db = 4.5\n", "[weights]\nper_millisecond = 0\n"
+    done = run(written(tmp_path, asked=asked, weights=weights), "--out", tmp_path / "planned")
+    assert done.exit_code == 0, done.output
+    names = {path.name for path in (tmp_path / "planned").iterdir()}
+    assert names == {"plan.toml", "plan.png", "candidates.csv", "bands.csv"}
+    plan = tomllib.loads((tmp_path / "planned" / "plan.toml").read_text())
+    assert plan["textures"][0]["codec"] == "parametric", "the cheapest rung where a measure blind to phase allows it"
+    assert plan["textures"][0]["forecast"]["snr_db"] < 5, "what it gives up is told"
+    with (tmp_path / "planned" / "candidates.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sum(row["chosen"] == "True" for row in rows) == 1
+    assert re.search(r"^wood: parametric", done.output, re.MULTILINE) and "not needed: costs" in done.output
+    left_out = re.search(r"left out, .* at most (-[\d.]+) dB re detection threshold", done.output)
+    assert left_out is not None and float(left_out[1]) < -8
+    assert "quality: SNR -" in done.output or "quality: SNR 0" in done.output
+
+
+def test_a_waveform_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
+    scene = written(tmp_path, asked="[asked]\nthird_octave_distance_db = 4.5\nwaveform = true\n")
+    done = run(scene, "--out", tmp_path / "planned", "--json")
+    assert done.exit_code == 0, done.output
+    forecast = json.loads(done.stdout)["wood"]
+    assert forecast["wire_bps"] > forecast["payload_bps"] > 0 and "parametric" not in done.output
+    assert 'codec = "parametric"' not in (tmp_path / "planned" / "plan.toml").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"texture": TEXTURE.replace("0.6", "600000")}, "seconds = 600000 is out of range"),
+        ({"controller": CONTROLLER + "clock_hz = 168e9\n"}, "are the units mixed up?"),
+        ({"controller": CONTROLLER + "flash_bytes = 20_000\n"}, "is in the way; the nearest scene that can: flash"),
+    ],
+)
+def test_a_bad_scene_is_one_line_and_nothing_is_written(changed: dict[str, str], message: str, tmp_path: Path) -> None:
+    path = written(tmp_path, **changed)
+    done = run(path, "--out", tmp_path / "planned")
+    assert done.exit_code == 2 and message in done.output
+    assert len(done.output.splitlines()) == 1 + done.output.count("planning ")
+    assert not (tmp_path / "planned").exists()
+
+
+def test_a_scene_that_is_not_there_is_told(tmp_path: Path) -> None:
+    done = run(tmp_path / "none.toml", "--out", tmp_path)
+    assert done.exit_code == 2 and "No such file" in done.output

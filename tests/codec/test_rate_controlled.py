@@ -1,0 +1,72 @@
+"""`vibrocast encode` with a policy: constant and capped rates, constant quality, and what cannot be asked for."""
+
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from vibrocast import textures
+from vibrocast.codec import rate_controlled
+from vibrocast.codec.rate_controlled import Wish
+from vibrocast.codec.stream import read_stream
+from vibrocast.host.cli.command_line import main
+
+OAK = Path(__file__).parents[2] / "examples" / "oak.wav"
+
+
+def encode(out: Path, *options: str) -> str:
+    result = CliRunner().invoke(main, ["encode", str(OAK), str(out), *options])
+    return result.output
+
+
+def test_a_constant_rate_is_reported_with_its_frames(tmp_path: Path) -> None:
+    out = tmp_path / "oak.vct"
+    printed = encode(out, "--constant-rate-bps", "1000")
+    assert "bit/s of 1000" in printed
+    added = re.search(r"frames add ([\d.]+) %", printed)
+    assert added is not None
+    assert 10 < float(added[1]) <= 15
+    furthest = re.search(r"over 2 s: ([-+][\d.]+) %", printed)
+    assert furthest is not None
+    assert abs(float(furthest[1])) < 1
+    assert read_stream(out).seconds == pytest.approx(textures.load(OAK).seconds, abs=0.01)
+
+
+def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> None:
+    out = tmp_path / "oak.vct"
+    assert "bit/s of 4000" in encode(out, "--capped-rate-bps", "4000", "--snr-db", "12")
+    assert "SNR 12." in encode(out, "--constant-quality", "--snr-db", "12")
+    assert " ms each, SNR" in encode(out, "--constant-quality", "--error-db", "6", "--packet-ms", "50")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--constant-rate-bps", "1000", "--snr-db", "4"], "leaves no quality to ask for"),
+        (["--constant-rate-bps", "1000", "--rate-bps", "4"], "exclude each other"),
+        (["--capped-rate-bps", "1000", "--constant-quality"], "exclude each other"),
+        (["--capped-rate-bps", "1000"], "--capped-rate-bps needs either --snr-db or --error-db"),
+        (["--constant-quality", "--snr-db", "4", "--error-db", "0"], "needs either --snr-db or --error-db"),
+        (["--constant-quality", "--snr-db", "4", "--bucket-s", "1"], "--bucket-s belongs to a rate"),
+        (["--packet-ms", "20"], "--packet-ms needs one of --constant-rate-bps"),
+        (["--constant-rate-bps", "1000", "--packet-ms", "20"], "longer packets"),
+        (["--constant-rate-bps", "9000", "--codec", "opus"], "are of one quality"),
+        (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "with mdct or eva"),
+    ],
+)
+def test_what_cannot_be_held_is_told(tmp_path: Path, options: list[str], told: str) -> None:
+    printed = encode(tmp_path / "oak.vct", *options)
+    assert told in printed
+    assert printed.count("\n") == 1
+    assert not (tmp_path / "oak.vct").exists()
+
+
+def test_silence_has_a_rate_and_no_snr(tmp_path: Path) -> None:
+    recording = textures.load(OAK)
+    silence = textures.Recording(0 * recording.samples, recording.rate_hz, recording.unit, "silence")
+    _, outcome = rate_controlled.encode(silence, Wish(constant_rate_bps=2000))
+    assert outcome.furthest is not None
+    assert abs(outcome.furthest) < 0.01
+    assert outcome.padding > 0.5
+    assert outcome.packet_snrs_db == ()

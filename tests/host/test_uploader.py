@@ -1,0 +1,156 @@
+"""Flashing: the whole way, cuts, refusals, images that do not start."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.host.scripted_controller import ScriptedController
+from vibrocast.device_protocol.messages import (
+    Error,
+    ErrorCode,
+    FlashActivate,
+    FlashBegin,
+    FlashConfirm,
+    FlashData,
+    FlashStatus,
+    FlashVerify,
+    ImageDescription,
+    Message,
+    SlotState,
+)
+from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.uploader import flash
+
+IMAGE = ModelImage(1, "oak", "1.0", "none", bytes(range(256)) * 20).pack()
+IMAGES_ON_TRIAL = (
+    ImageDescription(0, SlotState.CONFIRMED),
+    ImageDescription(1, SlotState.TRIAL, sha256(IMAGE), "oak", "1.0"),
+)
+
+
+def connect(scripted: ScriptedController) -> Controller:
+    return Controller(scripted, scripted.clock, scripted.sleep)
+
+
+def test_flashes_verifies_tries_and_confirms() -> None:
+    scripted = ScriptedController()
+    seen: list[tuple[int, int]] = []
+    assert flash(connect(scripted), IMAGE, progress=lambda *step: seen.append(step)).state == SlotState.CONFIRMED
+    assert bytes(scripted.flash) == IMAGE
+    assert seen[-1] == (len(IMAGE), len(IMAGE))
+    kinds = [type(message) for message in scripted.handled if type(message).__name__.startswith("Flash")]
+    assert kinds[0] is FlashBegin
+    assert kinds[-3:] == [FlashVerify, FlashActivate, FlashConfirm]
+    assert set(kinds[1:-3]) == {FlashData}
+
+
+def test_cut_in_the_middle_is_resumed_without_sending_again() -> None:
+    scripted = ScriptedController()
+
+    def unplug() -> None:
+        cut = len(scripted.flash) > 2000 and not scripted.reopened
+        scripted.unplugged = cut and scripted.now_s < 2
+
+    scripted.at_read = unplug
+    assert flash(connect(scripted), IMAGE).state == SlotState.CONFIRMED
+    assert scripted.reopened >= 1
+    offsets = [message.offset for message in scripted.handled if isinstance(message, FlashData)]
+    assert offsets == sorted(set(offsets))
+    assert sum(isinstance(message, FlashBegin) for message in scripted.handled) == 2
+
+
+def test_cable_that_stays_out_is_an_error_and_a_later_call_resumes() -> None:
+    scripted = ScriptedController()
+    controller = connect(scripted)
+
+    def unplug() -> None:
+        scripted.unplugged = len(scripted.flash) > 2000
+
+    scripted.at_read = unplug
+    with pytest.raises(TransportError):
+        flash(controller, IMAGE, reconnect_s=1)
+    written = len(scripted.flash)
+    scripted.at_read, scripted.unplugged = lambda: None, False
+    before = len(scripted.handled)
+    assert flash(connect(scripted), IMAGE).state == SlotState.CONFIRMED
+    offsets = [message.offset for message in scripted.handled[before:] if isinstance(message, FlashData)]
+    assert offsets[0] == written
+
+
+@pytest.mark.parametrize("fallen_back", [{"state": SlotState.VERIFIED}, {"name": "", "version": ""}])
+def test_image_that_does_not_start_is_reported_and_not_confirmed(fallen_back: dict[str, Any]) -> None:
+    scripted = ScriptedController()
+
+    def fall_back() -> None:
+        if FlashActivate(1) in scripted.handled:
+            images = [image if image.slot == 0 else replace(image, **fallen_back) for image in IMAGES_ON_TRIAL]
+            scripted.description = replace(scripted.description, images=tuple(images))
+
+    scripted.at_read = fall_back
+    with pytest.raises(ControllerError, match="did not start"):
+        flash(connect(scripted), IMAGE)
+    assert not any(isinstance(message, FlashConfirm) for message in scripted.handled)
+
+
+def test_image_that_is_not_kept_is_reported() -> None:
+    scripted = ScriptedController()
+    scripted.answer = lambda message: FlashStatus(1, SlotState.TRIAL, 0) if isinstance(message, FlashConfirm) else None
+    with pytest.raises(ControllerError, match="did not keep"):
+        flash(connect(scripted), IMAGE)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        (FlashStatus(1, SlotState.WRITING, 3), "up to byte 3"),
+        (Error(ErrorCode.FLASH_FAILED, "worn out"), "worn out"),
+    ],
+)
+def test_data_that_is_not_taken_is_an_error(wrong: Message, reason: str) -> None:
+    scripted = ScriptedController()
+    scripted.answer = lambda message: wrong if isinstance(message, FlashData) else None
+    with pytest.raises(ControllerError, match=reason):
+        flash(connect(scripted), IMAGE)
+
+
+def test_other_bytes_read_back_are_an_error_and_nothing_is_activated() -> None:
+    scripted = ScriptedController()
+    answer = FlashStatus(1, SlotState.VERIFIED, len(IMAGE), bytes(32))
+    scripted.answer = lambda message: answer if isinstance(message, FlashVerify) else None
+    with pytest.raises(ControllerError, match="reads back"):
+        flash(connect(scripted), IMAGE)
+    assert not any(isinstance(message, FlashActivate) for message in scripted.handled)
+
+
+def test_image_that_runs_already_is_left_alone() -> None:
+    scripted = ScriptedController()
+    running = ImageDescription(0, SlotState.CONFIRMED, sha256(IMAGE), "oak", "1.0")
+    scripted.description = replace(scripted.description, images=(running,))
+    assert flash(connect(scripted), IMAGE) == running
+    assert len(scripted.handled) == 1
+
+
+def test_image_left_on_trial_is_confirmed() -> None:
+    scripted = ScriptedController()
+    scripted.description = replace(scripted.description, images=IMAGES_ON_TRIAL)
+    scripted.flash = bytearray(IMAGE)
+    scripted.begun = FlashBegin(1, len(IMAGE), sha256(IMAGE), "none")
+    assert flash(connect(scripted), IMAGE).state == SlotState.CONFIRMED
+    assert not any(isinstance(message, FlashData) for message in scripted.handled)
+
+
+def test_controller_without_a_free_slot_is_an_error() -> None:
+    scripted = ScriptedController()
+    scripted.description = replace(scripted.description, images=())
+    with pytest.raises(ControllerError, match="no slot"):
+        flash(connect(scripted), IMAGE)
+
+
+def test_file_that_is_no_image_is_refused_before_anything_is_sent() -> None:
+    scripted = ScriptedController()
+    with pytest.raises(ModelImageError):
+        flash(connect(scripted), IMAGE[:-1])
+    assert len(scripted.handled) == 1

@@ -1,0 +1,94 @@
+"""The actuators' response, its inverse and the limits that follow from their descriptions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from vibrocast.output.actuator import (
+    ACTUATORS,
+    LRA,
+    PIEZO_STACK,
+    Actuator,
+)
+
+
+def gain_at(coefficients: tuple[np.ndarray, np.ndarray], frequency_hz: float, rate_hz: float) -> float:
+    _, response = signal.freqz(*coefficients, worN=[frequency_hz], fs=rate_hz)
+    return float(abs(response[0]))
+
+
+def test_piezo_stack_is_that_of_the_paper() -> None:
+    rate_hz = 300_000.0
+    assert PIEZO_STACK.excursion_um == 40.0
+    assert gain_at(PIEZO_STACK.response(rate_hz), 1.0, rate_hz) == pytest.approx(1.0, abs=1e-4)
+    assert gain_at(PIEZO_STACK.response(rate_hz), 270.0, rate_hz) == pytest.approx(2**-0.5, abs=1e-3)
+    assert gain_at(PIEZO_STACK.response(rate_hz), 400.0, rate_hz) == pytest.approx(0.559, abs=1e-3)
+
+
+def test_full_drive_moves_the_piezo_stack_by_half_its_stroke() -> None:
+    codes = np.full((3000, 1), 32767, np.int16)
+    assert PIEZO_STACK.displacement_um(codes)[-1, 0] == pytest.approx(40.0, rel=1e-4)
+
+
+def test_resonant_tactor_peaks_at_its_resonance_by_its_stroke() -> None:
+    rate_hz = 800_000.0
+    frequencies_hz = np.linspace(50.0, 400.0, 351)
+    _, response = signal.freqz(*LRA.response(rate_hz), worN=frequencies_hz, fs=rate_hz)
+    gains = np.abs(response)
+    assert frequencies_hz[int(np.argmax(gains))] == pytest.approx(LRA.corner_hz, abs=1.0)
+    assert max(gains) == pytest.approx(1.0, rel=2e-3)
+    lower_hz, upper_hz = LRA.band_hz
+    assert upper_hz - lower_hz == pytest.approx(LRA.corner_hz / 15.0)
+
+
+def test_compensated_piezo_stack_follows_up_to_400_hz() -> None:
+    rate_hz = PIEZO_STACK.dac_rate_hz
+    frequencies_hz = np.arange(1.0, 401.0)
+    _, inverse = signal.freqz(*PIEZO_STACK.inverse(), worN=frequencies_hz, fs=rate_hz)
+    _, response = signal.freqz(*PIEZO_STACK.response(rate_hz), worN=frequencies_hz, fs=rate_hz)
+    followed = inverse * response
+    assert np.abs(20 * np.log10(np.abs(followed))).max() < 0.12
+    assert np.abs(followed * np.exp(2j * np.pi * frequencies_hz / rate_hz * 1.7) - 1).max() < 0.02
+    delay_samples = -np.angle(followed[9]) / (2 * np.pi * frequencies_hz[9] / rate_hz)
+    assert delay_samples == pytest.approx(1 + PIEZO_STACK.low_pass_delay_seconds * rate_hz, abs=1e-3)
+
+
+def test_compensation_does_not_boost_what_is_not_felt() -> None:
+    _, inverse = signal.freqz(*PIEZO_STACK.inverse(), worN=np.arange(1.0, 1500.0), fs=PIEZO_STACK.dac_rate_hz)
+    assert np.abs(inverse).max() < 2.14
+    assert np.abs(inverse[1200:]).max() < 1.0
+
+
+@pytest.mark.parametrize("dac_rate_hz", [1, 1000, 1_000_000])
+def test_compensation_is_stable_at_every_rate_of_a_dac(dac_rate_hz: int) -> None:
+    b, a = replace(PIEZO_STACK, dac_rate_hz=dac_rate_hz).inverse()
+    assert np.isfinite(b).all()
+    assert np.abs(np.roots(a)).max() < 1
+
+
+@pytest.mark.parametrize("actuator", [LRA, ACTUATORS["voice-coil"]], ids=lambda actuator: actuator.name)
+def test_compensation_of_a_resonance_is_bounded_and_broadens_it(actuator: Actuator) -> None:
+    inverse = actuator.inverse()
+    _, response = signal.freqz(*inverse, worN=500)
+    assert np.abs(response).max() <= actuator.maximum_boost * (1 + 1e-9)
+    assert gain_at(inverse, actuator.corner_hz, actuator.dac_rate_hz) == pytest.approx(1.0, rel=1e-9)
+    beside_hz = 1.2 * actuator.corner_hz
+    bare = gain_at(actuator.response(actuator.dac_rate_hz), beside_hz, actuator.dac_rate_hz)
+    compensated = bare * gain_at(inverse, beside_hz, actuator.dac_rate_hz)
+    assert bare < compensated <= 1.0
+
+
+def test_oversampled_displacement_agrees_at_the_instants_of_the_dac() -> None:
+    codes = np.random.default_rng(2).integers(-20000, 20000, (200, 1)).astype(np.int16)
+    coarse = PIEZO_STACK.displacement_um(codes)
+    fine = PIEZO_STACK.displacement_um(codes, oversampling=8)
+    np.testing.assert_allclose(fine[::8], coarse, atol=1e-9)
+
+
+def test_limits_in_codes() -> None:
+    assert PIEZO_STACK.code_limit == 32767
+    assert replace(PIEZO_STACK, volts_limit=37.5).code_limit == 16384
+    assert PIEZO_STACK.code_step_limit == 32768 * 100 // 75
+    assert replace(PIEZO_STACK, dac_bits=12, volts_limit=37.5).code_limit == 1024

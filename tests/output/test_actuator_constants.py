@@ -1,0 +1,91 @@
+"""Actuators in integers: the tables that ship are those of the descriptions, and no compensation can overflow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from vibrocast.output.actuator import (
+    ACTUATORS,
+    LRA,
+    PIEZO_STACK,
+    VOICE_COIL,
+    Actuator,
+    Filter,
+)
+from vibrocast.output.actuator_constants import TABLES, constants, source
+
+DESCRIBED = [
+    PIEZO_STACK,
+    LRA,
+    VOICE_COIL,
+    replace(PIEZO_STACK, dac_rate_hz=1000),
+    replace(PIEZO_STACK, dac_rate_hz=1_000_000),
+    replace(PIEZO_STACK, corner_hz=1e9),
+    replace(LRA, quality=30.0, maximum_boost=1.0),
+    replace(LRA, quality=0.7, maximum_boost=2.0),
+    replace(LRA, corner_hz=2000.0, quality=50.0),
+    replace(VOICE_COIL, dac_rate_hz=200_000),
+]
+
+
+def outputs(actuator: Actuator) -> dict[str, Filter]:
+    """The filters from the input of an actuator's section to its outputs, from the integers."""
+    section = constants(actuator)["compensation"]
+    g, damping, gain = section["tangent"] / 2**29, section["damping"] / 2**26, section["gain"] / 2**30
+    denominator = np.array([1 + g * (damping - g) + g**2, 2 * g**2 - 2, 1 - g * (damping - g) + g**2])
+    high, band, low = np.array([1, -2, 1]), g * np.array([1, 0, -1]), g**2 * np.array([1, 2, 1])
+    weights = np.array(section["weight"]) / 2**24 / 2 ** section["shift"]
+    whole = np.polyadd(weights[0] * high + weights[1] * band + weights[2] * low, 0)
+    return {
+        "before gain": (high / gain, denominator),
+        "band": (band, denominator),
+        "low": (low, denominator),
+        "whole": (np.append(whole, 0) + weights[3] * np.append(0, band), denominator),
+    }
+
+
+@pytest.mark.parametrize("actuator", DESCRIBED, ids=lambda each: f"{each.name}-{each.corner_hz}-{each.dac_rate_hz}")
+def test_section_is_the_inverse_filter(actuator: Actuator) -> None:
+    frequencies = np.geomspace(1e-5, 0.99, 200) * np.pi
+    _, exact = signal.freqz(*actuator.inverse(), worN=frequencies)
+    _, rounded = signal.freqz(*outputs(actuator)["whole"], worN=frequencies)
+    assert np.abs(rounded - exact).max() < 1e-5 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("actuator", DESCRIBED, ids=lambda each: f"{each.name}-{each.corner_hz}-{each.dac_rate_hz}")
+def test_section_has_room_to_ring(actuator: Actuator) -> None:
+    impulse = np.zeros(100_000)
+    impulse[0] = 1.0
+    shift = constants(actuator)["compensation"]["shift"]
+    for name, filter_ in outputs(actuator).items():
+        if name != "whole":
+            assert np.abs(signal.lfilter(*filter_, impulse)).sum() <= 12 * 2**shift
+
+
+@pytest.mark.parametrize(
+    ("actuator", "reason"),
+    [
+        (replace(LRA, name="x" * 32), "name"),
+        (replace(LRA, dac_bits=17), "17 bits"),
+        (replace(LRA, corner_hz=4000.0), "compensation"),
+        (replace(LRA, quality=1e6), "compensation"),
+        (replace(LRA, quality=0.01), "compensation"),
+        (replace(LRA, maximum_boost=100.0), "maximum_boost"),
+    ],
+)
+def test_what_has_no_room_is_refused(actuator: Actuator, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        constants(actuator)
+
+
+def test_tables_are_what_their_command_writes() -> None:
+    tables, header = source()
+    assert TABLES.read_text() == tables
+    assert TABLES.with_suffix(".h").read_text() == header
+
+
+def test_every_actuator_ships() -> None:
+    tables, _ = source()
+    assert all(f'.name = "{name}"' in tables for name in ACTUATORS)
