@@ -28,17 +28,17 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Parameter,
+    RateControl,
     Setting,
     Signal,
     SignalFormat,
-    Steering,
     number,
     varint,
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
-from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
 from vibrocast.firmware.native_core import ffi, library
 
 NAME = "dct"
@@ -48,18 +48,19 @@ MAX_PACKET_BLOCKS = 4095
 MAX_PACKET_SAMPLES = 2**18
 MAX_LEVELS = 65_535
 LEVEL_CODES = 231
-"""Of the numbers of levels that the packets of a steered stream say."""
+"""Of the numbers of levels that the packets of a rate-controlled stream say."""
 HEIGHT_LIMIT_HZ = 400.0
 """The source paper drops what is above it: its display has no more, and fingers feel little of it."""
-SMALLEST_HEIGHT_UM = 0.05
+MIN_HEIGHT_UM = 0.05
 """S of the source paper."""
-SMALLEST_OF_RMS = 0.05
+MIN_OF_RMS = 0.05
 """S of other units, relative to the RMS value of a coefficient: a tenth gains 1 dB at 14 levels, but stops at 25 dB."""
 
 _RANGE_CODES_PER_OCTAVE = 256
 _LEVEL_CODES_PER_OCTAVE = 16
-# Coarsenesses beyond 4 levels cut what is small, from 36 dB below the greatest magnitude on, and with the last one all.
-_CUTTING_COARSENESSES = 6 * _LEVEL_CODES_PER_OCTAVE + 1
+# Quantiser offsets beyond 4 levels cut what is small, from 36 dB below the greatest magnitude on, and with the last one
+# all.
+_CUTTING_QUANTISER_OFFSETS = 6 * _LEVEL_CODES_PER_OCTAVE + 1
 _FIRST_CLASS = 16
 
 
@@ -98,20 +99,20 @@ class DctEncoder(PacketwiseEncoder):
     """Encoder of `dct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
     def __init__(
-        self, setting: Setting, signal_format: SignalFormat, framing: Framing, steering: Steering | None = None
+        self, setting: Setting, signal_format: SignalFormat, framing: Framing, rate_control: RateControl | None = None
     ) -> None:
-        """Make an encoder; the setting is complete and checked. `steering` chooses the levels of each packet.
+        """Make an encoder; the setting is complete and checked. `rate_control` chooses the levels of each packet.
 
         Raises CodecError on a channel count, packet length, frequency limit or threshold that the codec does not have.
         """
         self._block = int(word(setting, "block"))
-        most_blocks = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
-        super().__init__(signal_format.channels, framing, self._block, most_blocks)
+        max_blocks = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
+        super().__init__(signal_format.channels, framing, self._block, max_blocks)
         self._logarithmic = word(setting, "quantiser") == "log"
         entropy = word(setting, "entropy")
-        self._range_coded = entropy == "range" or (entropy == AUTO and steering is not None)
+        self._range_coded = entropy == "range" or (entropy == AUTO and rate_control is not None)
         self._levels = int(number(setting, "levels"))
-        self._steering, self._coarseness = steering, 0
+        self._rate_control, self._quantiser_offset = rate_control, 0
         self._bins = _kept_bins(setting, signal_format, self._block)
         self._cuts = _cuts(setting, signal_format, self._block)[:, self._bins]
         self._smallest = [range_code(value) for value in _smallest(setting, signal_format, self._block)]
@@ -119,7 +120,7 @@ class DctEncoder(PacketwiseEncoder):
             (
                 bytes((BLOCKS.index(self._block) | self._logarithmic << 3 | self._range_coded << 4,)),
                 self._packet_blocks.to_bytes(2, "little"),
-                (0 if steering else self._levels).to_bytes(2, "little"),
+                (0 if rate_control else self._levels).to_bytes(2, "little"),
                 self._bins.start.to_bytes(2, "little"),
                 self._bins.stop.to_bytes(2, "little"),
                 *(code.to_bytes(2, "little") for code in self._smallest if self._logarithmic),
@@ -138,39 +139,42 @@ class DctEncoder(PacketwiseEncoder):
         parts = zip(kept.transpose(0, 3, 1, 2), samples.reshape(-1, self.packet_samples, self._channels), strict=True)
         packets = []
         for packet, own_samples in parts:
-            packets.append(self._steered(packet, own_samples) if self._steering else self._code(packet, self._levels))
+            packets.append(
+                self._rate_controlled(packet, own_samples) if self._rate_control else self._code(packet, self._levels)
+            )
             self._sequence += 1
         return packets
 
-    def _steered(self, coefficients: Signal, samples: Signal) -> bytes:
-        """Return one packet at the coarseness chosen for it."""
-        assert self._steering is not None
+    def _rate_controlled(self, coefficients: Signal, samples: Signal) -> bytes:
+        """Return one packet at the quantiser offset chosen for it."""
+        assert self._rate_control is not None
         own_code = level_code(self._levels)
 
-        def code(coarseness: int) -> bytes:
-            packet_code = max(own_code - coarseness, 0)
+        def code(quantiser_offset: int) -> bytes:
+            packet_code = max(own_code - quantiser_offset, 0)
             levels = library().vc_dct_levels_of(packet_code)
-            cut = self._cut(coefficients, levels, coarseness - own_code)
+            cut = self._cut(coefficients, levels, quantiser_offset - own_code)
             return self._code(cut, levels, bytes((packet_code,)))
 
-        coarsenesses = range(own_code - LEVEL_CODES + 1, own_code + _CUTTING_COARSENESSES + 1)
-        trial = PacketTrial(samples, coarsenesses, self._coarseness, code)
-        self._coarseness, packet = steered_packet(trial, self._steering, code)
+        quantiser_offsets = range(own_code - LEVEL_CODES + 1, own_code + _CUTTING_QUANTISER_OFFSETS + 1)
+        trial = PacketTrial(samples, quantiser_offsets, self._quantiser_offset, code)
+        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, code)
         return packet
 
-    def _cut(self, coefficients: Signal, levels: int, coarseness: int) -> Signal:
-        """Return the coefficients of a steered packet without those that count as zero.
+    def _cut(self, coefficients: Signal, levels: int, quantiser_offset: int) -> Signal:
+        """Return the coefficients of a rate-controlled packet without those that count as zero.
 
-        These are less than half a step of linear levels, and, `coarseness` beyond the fewest levels, what it cuts.
+        These are less than half a step of linear levels, and, `quantiser_offset` beyond the fewest levels, what it
+        cuts.
         """
         magnitudes = np.abs(coefficients)
         limits = np.zeros((self._channels, 1, 1))
         if not self._logarithmic:
             limits = np.ptp(coefficients, axis=(1, 2), keepdims=True) / (levels - 1) / 2
-        if coarseness > 0:
+        if quantiser_offset > 0:
             # Equal in the physical unit, so that the bits go to the channels that have most.
             physical = magnitudes * self._gains[:, None, None]
-            octaves = (coarseness + 1 - _CUTTING_COARSENESSES) / _LEVEL_CODES_PER_OCTAVE
+            octaves = (quantiser_offset + 1 - _CUTTING_QUANTISER_OFFSETS) / _LEVEL_CODES_PER_OCTAVE
             limits = np.maximum(limits, 2**octaves * np.max(physical) / self._gains[:, None, None])
         return np.where(magnitudes < limits, 0, coefficients)
 
@@ -262,8 +266,8 @@ def _smallest(setting: Setting, signal_format: SignalFormat, block: int) -> list
     """Return S of the logarithmic quantiser for each channel, in the core's unit."""
     smallest = number(setting, "smallest")
     if smallest == 0 and signal_format.unit not in ("um", OVER_POSITION):
-        return [SMALLEST_OF_RMS * rms * UNIT for rms in signal_format.rms]
-    return [(smallest or SMALLEST_HEIGHT_UM) * _coefficients_of(gain, block) for gain in signal_format.gains]
+        return [MIN_OF_RMS * rms * UNIT for rms in signal_format.rms]
+    return [(smallest or MIN_HEIGHT_UM) * _coefficients_of(gain, block) for gain in signal_format.gains]
 
 
 def _coefficients_of(gain: float, block: int) -> float:
@@ -287,11 +291,11 @@ def make_encoder(
     signal_format: SignalFormat,
     framing: Framing,
     model: Model | None,
-    steering: Steering | None = None,
+    rate_control: RateControl | None = None,
 ) -> DctEncoder:
     """Make an encoder. Raises CodecError as `DctEncoder`."""
     assert model is None, "takes_model is not set"
-    return DctEncoder(setting, signal_format, framing, steering)
+    return DctEncoder(setting, signal_format, framing, rate_control)
 
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
@@ -300,13 +304,13 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None = Non
     return CoreDecoder(NAME, configuration, channels)
 
 
-LADDER_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
+RATE_POINT_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
 """The paper's seven, then on to some 25 dB of SNR and beyond."""
-LADDER_B0_DB = (24.0, 18.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -18.0, -24.0)
+RATE_POINT_B0_DB = (24.0, 18.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -18.0, -24.0)
 
 
-def _level_ladder(**fixed: str) -> tuple[Setting, ...]:
-    return tuple({**fixed, "levels": levels} for levels in LADDER_LEVELS)
+def _level_rate_point_set(**fixed: str) -> tuple[Setting, ...]:
+    return tuple({**fixed, "levels": levels} for levels in RATE_POINT_LEVELS)
 
 
 CODEC = Codec(
@@ -327,22 +331,24 @@ CODEC = Codec(
             text=True,
         ),
         "b0_db": Parameter("where the cut is, relative to the detection threshold", -8.0, low=-200, high=200),
-        "entropy": Parameter("entropy coder; auto: range where steered", AUTO, choices=(AUTO, "huffman", "range")),
+        "entropy": Parameter(
+            "entropy coder; auto: range where rate-controlled", AUTO, choices=(AUTO, "huffman", "range")
+        ),
         "block": Parameter("samples in a block", "512", choices=tuple(map(str, BLOCKS))),
         "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um over time, else none", 0.0, low=0),
         "dc": Parameter("the mean of each block", "keep", choices=("keep", "drop")),
     },
-    ladders={
-        "dct-linear": _level_ladder(),
-        "dct-log": _level_ladder(quantiser="log"),
-        "dct-linear-range": _level_ladder(entropy="range"),
-        "dct-log-range": _level_ladder(quantiser="log", entropy="range"),
-        "dct-threshold": tuple({"levels": MAX_LEVELS, "threshold": "on", "b0_db": b0} for b0 in LADDER_B0_DB),
-        "dct-linear-threshold": _level_ladder(threshold="on"),
-        "dct-log-threshold": _level_ladder(quantiser="log", threshold="on"),
+    rate_point_sets={
+        "dct-linear": _level_rate_point_set(),
+        "dct-log": _level_rate_point_set(quantiser="log"),
+        "dct-linear-range": _level_rate_point_set(entropy="range"),
+        "dct-log-range": _level_rate_point_set(quantiser="log", entropy="range"),
+        "dct-threshold": tuple({"levels": MAX_LEVELS, "threshold": "on", "b0_db": b0} for b0 in RATE_POINT_B0_DB),
+        "dct-linear-threshold": _level_rate_point_set(threshold="on"),
+        "dct-log-threshold": _level_rate_point_set(quantiser="log", threshold="on"),
     },
-    physical_ladders=frozenset({"dct-threshold", "dct-linear-threshold", "dct-log-threshold"}),
+    physical_rate_point_sets=frozenset({"dct-threshold", "dct-linear-threshold", "dct-log-threshold"}),
     make_encoder=make_encoder,
     make_decoder=make_decoder,
-    steers=True,
+    controls_rate=True,
 )

@@ -99,7 +99,7 @@ def first_reachable(
     code: Callable[[models.Model | None, Callable[[float], None] | None], Made],
     progress: Callable[[float], None] | None,
 ) -> Made:
-    """Return what `code` makes with the model or, where a codec needs one, with the smallest that reaches the wish.
+    """Return what `code` makes with the model or, where a codec needs one, with the smallest that reaches the target.
 
     `code` is called with a model and with what it tells its progress. Raises as it does, and as `models.shipped`.
     """
@@ -108,7 +108,7 @@ def first_reachable(
         tell = None if progress is None else partial(_tell_of_part, progress, number, len(candidates))
         try:
             return code(candidate, tell)
-        except codec.OutOfReach:
+        except codec.TargetUnreachable:
             if number + 1 == len(candidates):
                 raise
     raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`")

@@ -25,18 +25,18 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Parameter,
+    RateControl,
     Setting,
     Signal,
     SignalFormat,
-    Steering,
     check_channels,
     checked_parts,
     number,
     numbers,
     varint,
 )
-from vibrocast.codec.mdct import LAMBDA, STEERED, step_code
-from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.mdct import LAMBDA, RATE_CONTROLLED, step_code
+from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "eva"
@@ -66,7 +66,7 @@ class LatentEncoder:
     """Encoder of latents into packets: all of `eva` but its analysis."""
 
     def __init__(
-        self, configuration: bytes, channels: int, payload: bytes, refresh_packets: int, thrift: float = 1.0
+        self, configuration: bytes, channels: int, payload: bytes, refresh_packets: int, rd_weight: float = 1.0
     ) -> None:
         """Make an encoder from the codec's bytes in the stream header and a model image's payload.
 
@@ -84,7 +84,7 @@ class LatentEncoder:
                 self._model,
                 len(payload),
                 refresh_packets,
-                round(LAMBDA * thrift),
+                round(LAMBDA * rd_weight),
             )
         )
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
@@ -95,15 +95,15 @@ class LatentEncoder:
         twin._state = self._state.copy()
         return twin
 
-    def encode(self, latents: Sequence[Signal], coarseness: int = 0) -> bytes:
+    def encode(self, latents: Sequence[Signal], quantiser_offset: int = 0) -> bytes:
         """Return the next packet, of each channel's latents (latents, columns) in the packet's quantiser steps.
 
-        `coarseness`: of a steered stream. Raises CodecError where it does not fit.
+        `quantiser_offset`: of a rate-controlled stream. Raises CodecError where it does not fit.
         """
         fixed = np.clip(np.rint(np.stack(latents) * 256), -_MAX_LATENT, _MAX_LATENT).astype(np.int32)
         columns_first = np.ascontiguousarray(fixed.transpose(0, 2, 1))
         pointer = ffi.cast("const int32_t *", columns_first.ctypes.data)
-        length = library().vc_eva_encode(self._state.pointer, pointer, coarseness, self._packet, MAX_PACKET_BYTES)
+        length = library().vc_eva_encode(self._state.pointer, pointer, quantiser_offset, self._packet, MAX_PACKET_BYTES)
         if length < 0:
             raise does_not_fit(columns_first.shape[1] * HOP)
         return bytes(ffi.buffer(self._packet, length))
@@ -131,17 +131,17 @@ class EvaEncoder:
         qualities: Sequence[float],
         framing: Framing,
         model: Model,
-        thrift: float = 1.0,
-        steering: Steering | None = None,
+        rd_weight: float = 1.0,
+        rate_control: RateControl | None = None,
     ) -> None:
         """Make an encoder of len(levels) channels.
 
         `levels`: of each channel, relative to full scale, what the network sees as an RMS value of 1. `qualities`: of
-        each channel, in rates of the model, to the next sixteenth. `thrift`: weight of bits against error in
-        rounding, of a model whose prior adapts. `steering`: chooses the coarseness of each packet, in sixteenths of a
-        rate by which the qualities are lower, within the model's; None = all have the qualities as they are. Raises
-        CodecError on a channel count or packet length that the codec does not have, a model that is none or does not
-        have the quality, and where it brings no analysis that fits.
+        each channel, in rates of the model, to the next sixteenth. `rd_weight`: weight of bits against error in
+        rounding, of a model whose prior adapts. `rate_control`: chooses the quantiser offset of each packet, in
+        sixteenths of a rate by which the qualities are lower, within the model's; None = all have the qualities as they
+        are. Raises CodecError on a channel count or packet length that the codec does not have, a model that is none or
+        does not have the quality, and where it brings no analysis that fits.
         """
         self._channels = len(levels)
         check_channels(self._channels)
@@ -162,14 +162,16 @@ class EvaEncoder:
         if max(qualities) > image.rates - 1:
             raise CodecError(f"quality {max(qualities):g} is above the model's finest, {image.rates - 1}; ask for less")
         self._qualities = [round(quality * QUALITY_PARTS) for quality in qualities]
-        self.configuration = configuration(self._columns, level_codes, self._qualities, steering is not None)
-        self._steering = steering
-        self._coarsenesses = range(
+        self.configuration = configuration(self._columns, level_codes, self._qualities, rate_control is not None)
+        self._rate_control = rate_control
+        self._quantiser_offsets = range(
             min(self._qualities) - image.finest_quality_code, max(self._qualities) + _DEAD_ZONES + 1
         )
-        self._coarseness = 0
+        self._quantiser_offset = 0
         self._levels = [level_of(code) for code in level_codes]
-        self._encoder = LatentEncoder(self.configuration, self._channels, model.tables, framing.refresh_packets, thrift)
+        self._encoder = LatentEncoder(
+            self.configuration, self._channels, model.tables, framing.refresh_packets, rd_weight
+        )
         self._pending: Signal = np.zeros((_HISTORY, self._channels))
         self._begun = False
 
@@ -205,24 +207,27 @@ class EvaEncoder:
     def _code(self, samples: Signal) -> bytes:
         latents = [self._analyse(channel, level) for channel, level in zip(samples.T, self._levels, strict=True)]
 
-        def code(encoder: LatentEncoder, coarseness: int) -> bytes:
-            within = min(coarseness, max(self._qualities))  # what the model still has
+        def code(encoder: LatentEncoder, quantiser_offset: int) -> bytes:
+            within = min(quantiser_offset, max(self._qualities))  # what the model still has
             told = (within + 1) // 4 * 4  # the rest is in how bits are weighed
             qualities = np.clip(np.array(self._qualities) - told, 0, self._image.finest_quality_code)
             steps = [self._image.relative_steps(int(quality))[:, None] for quality in qualities]
             scaled = [part / step for part, step in zip(latents, steps, strict=True)]
-            beyond = coarseness - within
+            beyond = quantiser_offset - within
             if beyond > 0:
                 scaled = [np.where(np.abs(part) < 2 ** (beyond / 16 - 1), 0.0, part) for part in scaled]
             return encoder.encode(scaled, within)
 
-        if self._steering is None:
+        if self._rate_control is None:
             return code(self._encoder, 0)
         late = samples[_HISTORY - self.delay_samples :][: self.packet_samples]
         trial = PacketTrial(
-            late, self._coarsenesses, self._coarseness, lambda coarseness: code(self._encoder.copy(), coarseness)
+            late,
+            self._quantiser_offsets,
+            self._quantiser_offset,
+            lambda quantiser_offset: code(self._encoder.copy(), quantiser_offset),
         )
-        self._coarseness, packet = steered_packet(trial, self._steering, partial(code, self._encoder))
+        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, partial(code, self._encoder))
         return packet
 
     def _analyse(self, samples: Signal, level: float) -> Signal:
@@ -289,11 +294,11 @@ class OnnxDecoder(EvaDecoder):
 
 
 def configuration(
-    columns: int, level_codes: Sequence[int], quality_codes: Sequence[int], steered: bool = False
+    columns: int, level_codes: Sequence[int], quality_codes: Sequence[int], rate_controlled: bool = False
 ) -> bytes:
     """Return the codec's bytes in the stream header."""
     fields = np.array(list(zip(level_codes, quality_codes, strict=True)), _CHANNEL_FIELDS)
-    return varint(columns) + fields.tobytes() + STEERED * steered
+    return varint(columns) + fields.tobytes() + RATE_CONTROLLED * rate_controlled
 
 
 def level_of(code: int) -> float:
@@ -315,7 +320,7 @@ def make_encoder(
     signal_format: SignalFormat,
     framing: Framing,
     model: Model | None,
-    steering: Steering | None = None,
+    rate_control: RateControl | None = None,
 ) -> EvaEncoder:
     """Make an encoder whose levels are relative to the RMS values. Raises CodecError as `EvaEncoder`."""
     if model is None:
@@ -324,7 +329,7 @@ def make_encoder(
     relative_levels = numbers(setting, "level", channels)
     levels = [level * rms for level, rms in zip(relative_levels, signal_format.rms, strict=True)]
     qualities = numbers(setting, "quality", channels)
-    return EvaEncoder(levels, qualities, framing, model, number(setting, "thrift"), steering)
+    return EvaEncoder(levels, qualities, framing, model, number(setting, "rd_weight"), rate_control)
 
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
@@ -359,19 +364,19 @@ CODEC = Codec(
             high=2.0**10,
             per_channel=True,
         ),
-        "thrift": Parameter(
+        "rd_weight": Parameter(
             "weight of bits against error in rounding, 1 = the best for its rate, of models that adapt",
             1.0,
             low=0,
             high=1,
         ),
     },
-    ladders={NAME: tuple({"quality": half / 2} for half in range(15))},
+    rate_point_sets={NAME: tuple({"quality": half / 2} for half in range(15))},
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     check_tables=check_tables,
     with_runtime=with_runtime,
     takes_model=True,
     needs_model=True,
-    steers=True,
+    controls_rate=True,
 )

@@ -21,7 +21,7 @@ UNARY_LIMIT = 15
 """Decisions on a magnitude before its escape code."""
 QUALITY_PARTS = 16
 """Qualities in a stream from one rate to the next."""
-LARGEST_SHIFT = 30
+MAX_SHIFT = 30
 
 PriorKind: TypeAlias = Literal["factorised", "contexts"]
 PRIOR_KINDS: tuple[PriorKind, ...] = get_args(PriorKind)
@@ -205,7 +205,7 @@ def _network(reader: "_Reader", width: int, latents: int) -> IntegerNetwork:
         gamma = reader.array("i1", channels, channels)
         multipliers, constants = (reader.array("<u4", channels).astype(np.uint32) for _ in range(2))
         (shift,) = reader.bytes(1)
-        _check(bool(np.all(gamma >= 0)) and shift <= LARGEST_SHIFT)
+        _check(bool(np.all(gamma >= 0)) and shift <= MAX_SHIFT)
         normalisations.append(Normalisation(gamma, multipliers, constants, shift))
         weights = np.empty((kernel, results, channels), dtype=np.int8)
         for taps in _PHASES[kernel]:

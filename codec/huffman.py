@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-LONGEST_CODE = 15
+MAX_CODE = 15
 
 
 def code_lengths(counts: Sequence[int]) -> list[int]:
-    """Return the length, in bits, of each symbol's code, 0 for those that do not occur; none is above LONGEST_CODE.
+    """Return the length, in bits, of each symbol's code, 0 for those that do not occur; none is above MAX_CODE.
 
     D. Huffman, "A method for the construction of minimum-redundancy codes", Proc. IRE 40 (1952). The code is complete:
     where only one symbol occurs, another has a code too. Where one gets too long, the counts are halved, as in bzip2.
@@ -29,7 +29,7 @@ def code_lengths(counts: Sequence[int]) -> list[int]:
             for symbol in left + right:
                 lengths[symbol] += 1
             heapq.heappush(heap, (first + second, left + right))
-        if max(lengths) <= LONGEST_CODE:
+        if max(lengths) <= MAX_CODE:
             return lengths
         shared = [(count + 1) // 2 for count in shared]
 

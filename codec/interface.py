@@ -23,10 +23,10 @@ RUNTIMES = ("core", "onnx")
 
 
 class CodecError(ValueError):
-    """A signal, parameter, configuration or packet that the codec refuses; the message says why and what to do."""
+    """A signal, parameter, configuration or packet that the codec rejects; the message says why and what to do."""
 
 
-class OutOfReach(CodecError):
+class TargetUnreachable(CodecError):
     """An SNR or a rate that this signal cannot be coded at; another codec or model may."""
 
 
@@ -185,31 +185,31 @@ class Trial(Protocol):
     """A packet whose quality is still to be chosen: all of its input is there, and nothing beyond it.
 
     `samples`: what its decoded samples stand for, float64 (packet_samples, channels), full scale = 1: the input, as
-    late as the codec's delay. `coarsenesses`: what may be chosen, the finest first; 0 is the stream's own setting, and
-    more is coarser, on the whole in fewer bytes. `previous`: that of the packet before, which costs least to say again,
-    but in a refresh.
+    late as the codec's delay. `quantiser_offsets`: what may be chosen, the finest first; 0 is the stream's own setting,
+    and more is coarser, on the whole in fewer bytes. `previous`: that of the packet before, which costs least to say
+    again, but in a refresh.
     """
 
     @property
     def samples(self) -> Signal: ...
     @property
-    def coarsenesses(self) -> range: ...
+    def quantiser_offsets(self) -> range: ...
     @property
     def previous(self) -> int: ...
 
-    def packet(self, coarseness: int) -> bytes:
-        """Return the packet at one of the coarsenesses, each time from the same state. Raises CodecError."""
+    def packet(self, quantiser_offset: int) -> bytes:
+        """Return the packet at one of the quantiser offsets, each time from the same state. Raises CodecError."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is chosen for a packet: its coarseness, and to how many bytes it is padded where it is shorter."""
+    """What is chosen for a packet: its quantiser offset, and to how many bytes it is padded where it is shorter."""
 
-    coarseness: int
-    least_bytes: int = 0
+    quantiser_offset: int
+    min_bytes: int = 0
 
 
-Steering: TypeAlias = Callable[[Trial], Choice]
+RateControl: TypeAlias = Callable[[Trial], Choice]
 """Chooses the quality of each packet of one stream, packet after packet."""
 
 
@@ -268,20 +268,20 @@ class Decoder(Protocol):
 class Codec:
     """A codec by its name and by its number in stream headers; each codec's module defines its own.
 
-    `ladders`: named curves of settings ("rungs"), the coarsest first, for benchmarks; what a rung leaves out has its
-    default. A search for an SNR or a rate tries rungs of the first, and between them where what varies is a fraction;
-    with `searches_steps` (`mdct`), and nothing of the setting given, it searches the parameters `step`, relative to
-    each channel's RMS value, and `thrift`. `steers`: packets may each be of another quality. `physical_ladders`: those
-    that need a signal in a physical unit.
+    `rate_point_sets`: named curves of settings ("rate points"), the coarsest first, for benchmarks; what a rate point
+    leaves out has its default. A search for an SNR or a rate tries rate points of the first, and between them where
+    what varies is a fraction; with `searches_steps` (`mdct`), and nothing of the setting given, it searches the
+    parameters `step`, relative to each channel's RMS value, and `rd_weight`. `controls_rate`: packets may each be of
+    another quality. `physical_rate_point_sets`: those that need a signal in a physical unit.
     `keeps_waveform`: decoded samples come near the input's, so that an SNR can be asked for; False for one that keeps
     what a texture is like, and none of its samples.
     `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
     CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
     `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, or raises
     CodecError; None where there is no choice.
-    `make_encoder(setting, format, framing, model, steering)`: the setting complete and checked; `steering` chooses the
-    quality of each packet, None = all are of the setting's; a codec that does not steer refuses it.
-    `settle(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
+    `make_encoder(setting, format, framing, model, rate_control)`: the setting complete and checked; `rate_control`
+    chooses the quality of each packet, None = all are of the setting's; a codec that does not control the rate rejects
+    it. `settle(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
     unit; None where no signal decides on it.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
@@ -290,17 +290,17 @@ class Codec:
     identifier: int
     summary: str
     parameters: Mapping[str, Parameter]
-    ladders: Mapping[str, tuple[Setting, ...]]
-    make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None, Steering | None], Encoder]
+    rate_point_sets: Mapping[str, tuple[Setting, ...]]
+    make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None, RateControl | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
     settle: Callable[[Signal, SignalFormat], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None
-    physical_ladders: frozenset[str] = frozenset()
+    physical_rate_point_sets: frozenset[str] = frozenset()
     takes_model: bool = False
     needs_model: bool = False
     searches_steps: bool = False
-    steers: bool = False
+    controls_rate: bool = False
     keeps_waveform: bool = True
 
     def checked(self, setting: Setting) -> Setting:
@@ -310,9 +310,9 @@ class Codec:
         return {name: self.parameters[name].checked(name, value) for name, value in setting.items()}
 
     def leaves_open(self, setting: Setting) -> bool:
-        """Return whether a setting leaves something to search: a parameter that the first ladder varies."""
-        ladder = next(iter(self.ladders.values()))
-        return any(name not in setting for rung in ladder for name in rung)
+        """Return whether a setting leaves something to search: a parameter that the first set of rate points varies."""
+        rate_point_set = next(iter(self.rate_point_sets.values()))
+        return any(name not in setting for rate_point in rate_point_set for name in rate_point)
 
     def complete(self, setting: Setting) -> Setting:
         """Return the setting, checked, with the defaults of what it leaves out. Raises CodecError as `checked`."""
@@ -320,11 +320,11 @@ class Codec:
         return {**defaults, **self.checked(setting)}
 
 
-def refuse_steering(name: str, steering: Steering | None) -> None:
-    """Raise CodecError where a codec whose packets are all of one quality is asked to steer."""
-    if steering is not None:
+def reject_rate_control(name: str, rate_control: RateControl | None) -> None:
+    """Raise CodecError where a codec whose packets are all of one quality is asked to control the rate."""
+    if rate_control is not None:
         raise CodecError(
-            f"all packets of {name} are of one quality; choose mdct, or another that `vibrocast codecs` says steers"
+            f"all packets of {name} are of one quality; choose mdct, or another with rate control in `vibrocast codecs`"
         )
 
 

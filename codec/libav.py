@@ -16,19 +16,19 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Parameter,
+    RateControl,
     Setting,
     Signal,
     SignalFormat,
-    Steering,
     check_channels,
     checked_parts,
     number,
-    refuse_steering,
+    reject_rate_control,
     varint,
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
 
 LABEL_HZ = 8000
 """The rate that samples of every stream are passed off as: speech codecs have no other, the rest do not mind."""
@@ -45,8 +45,8 @@ _AMR_FRAME_BYTES = (13, 14, 16, 18, 20, 21, 27, 32)
 _G726_FULL_SCALE_BITS = 15
 _OPUS_FRAMES_SAMPLES = (20, 40, 80, 160, 320, 480)
 _OPUS_BITS_PER_SECOND = (6000, 8000, 10_000, 12_000, 16_000, 20_000, 24_000, 32_000, 48_000, 64_000)
-_FEWEST_WAVPACK_BITS, _MOST_WAVPACK_BITS = 2, 16
-_COARSENESSES_PER_BIT = 16
+_FEWEST_WAVPACK_BITS, _MAX_WAVPACK_BITS = 2, 16
+_QUANTISER_OFFSETS_PER_BIT = 16
 _WAVPACK_BITS_PER_SAMPLE = (3, 4, 5, 6, 7, 8, 10, 12, 14, 16)
 
 
@@ -72,7 +72,7 @@ class _Library:
     `plan(setting, packet_samples)`. `decimation`: of decoded samples, one of so many is kept. `continuous`: frames
     have no bounds, and those of a packet are decoded at once. `full_scale_bits`: 16, fewer where the codec wants
     headroom. `settling_samples`: that a decoder which begins anew in the middle of a stream takes to find the signal.
-    `decoder_options(frame_bytes)`. `steers`: WavPack does.
+    `decoder_options(frame_bytes)`. `controls_rate`: WavPack does.
     """
 
     encoder: str
@@ -84,7 +84,7 @@ class _Library:
     full_scale_bits: int = 16
     settling_samples: int = 640  # 80 ms at 8 kHz, the pre-roll of RFC 7845, 4.6; enough for the speech codecs too
     decoder_options: Callable[[int], Mapping[str, str]] = lambda frame_bytes: {}
-    steers: bool = False
+    controls_rate: bool = False
 
 
 def _plan_opus(setting: Setting, packet_samples: int) -> _Plan:
@@ -210,36 +210,38 @@ class LibavEncoder:
         return packets
 
 
-class SteeredWavpackEncoder(PacketwiseEncoder):
+class RateControlledWavpackEncoder(PacketwiseEncoder):
     """Encoder of `wavpack` that keeps as many bits of each packet's samples as are chosen for it.
 
     Each block of WavPack stands alone, so a trial is coded by an encoder of its own.
     """
 
-    def __init__(self, library: _Library, plan: _Plan, framing: Framing, channels: int, steering: Steering) -> None:
-        """Make an encoder; `plan` has the bits of a coarseness of 0. Raises CodecError as `LibavEncoder`."""
+    def __init__(
+        self, library: _Library, plan: _Plan, framing: Framing, channels: int, rate_control: RateControl
+    ) -> None:
+        """Make an encoder; `plan` has the bits of a quantiser offset of 0. Raises CodecError as `LibavEncoder`."""
         self.configuration = LibavEncoder(library, plan, framing, channels).configuration
         super().__init__(channels, framing, plan.frame_samples, 1)
-        self._library, self._plan, self._framing, self._steering = library, plan, framing, steering
-        self._coarsenesses = range(
-            _COARSENESSES_PER_BIT * (plan.bits_per_sample - _MOST_WAVPACK_BITS),
-            _COARSENESSES_PER_BIT * (plan.bits_per_sample - _FEWEST_WAVPACK_BITS) + 1,
+        self._library, self._plan, self._framing, self._rate_control = library, plan, framing, rate_control
+        self._quantiser_offsets = range(
+            _QUANTISER_OFFSETS_PER_BIT * (plan.bits_per_sample - _MAX_WAVPACK_BITS),
+            _QUANTISER_OFFSETS_PER_BIT * (plan.bits_per_sample - _FEWEST_WAVPACK_BITS) + 1,
         )
-        self._sequence = self._coarseness = 0
+        self._sequence = self._quantiser_offset = 0
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
         return [self._packet_of(part) for part in np.split(samples, len(samples) // self.packet_samples)]
 
     def _packet_of(self, samples: Signal) -> bytes:
-        def code(coarseness: int) -> bytes:
-            bits = self._plan.bits_per_sample - round(coarseness / _COARSENESSES_PER_BIT)
+        def code(quantiser_offset: int) -> bytes:
+            bits = self._plan.bits_per_sample - round(quantiser_offset / _QUANTISER_OFFSETS_PER_BIT)
             plan = replace(self._plan, bits_per_sample=bits)
             encoder = LibavEncoder(self._library, plan, self._framing, self._channels)
             (packet,) = encoder.encode(samples) + encoder.finish()
             return varint(2 * self._sequence + 1) + packet[1:]
 
-        trial = PacketTrial(samples, self._coarsenesses, self._coarseness, code)
-        self._coarseness, packet = steered_packet(trial, self._steering, code)
+        trial = PacketTrial(samples, self._quantiser_offsets, self._quantiser_offset, code)
+        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, code)
         self._sequence += 1
         return packet
 
@@ -407,26 +409,33 @@ def _codec(
     summary: str,
     library: _Library,
     parameters: Mapping[str, Parameter],
-    ladder: tuple[Setting, ...],
+    rate_point_set: tuple[Setting, ...],
 ) -> Codec:
     def make_encoder(
         setting: Setting,
         signal_format: SignalFormat,
         framing: Framing,
         model: Model | None,
-        steering: Steering | None = None,
+        rate_control: RateControl | None = None,
     ) -> Encoder:
         plan = library.plan(setting, framing.packet_samples)
-        if steering is not None and library.steers:
-            return SteeredWavpackEncoder(library, plan, framing, signal_format.channels, steering)
-        refuse_steering(name, steering)
+        if rate_control is not None and library.controls_rate:
+            return RateControlledWavpackEncoder(library, plan, framing, signal_format.channels, rate_control)
+        reject_rate_control(name, rate_control)
         return LibavEncoder(library, plan, framing, signal_format.channels)
 
     def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> LibavDecoder:
         return LibavDecoder(library, configuration, channels)
 
     return Codec(
-        name, identifier, summary, parameters, {name: ladder}, make_encoder, make_decoder, steers=library.steers
+        name,
+        identifier,
+        summary,
+        parameters,
+        {name: rate_point_set},
+        make_encoder,
+        make_decoder,
+        controls_rate=library.controls_rate,
     )
 
 
@@ -482,10 +491,10 @@ CODECS = (
         "wavpack",
         9,
         "WavPack, lossless linear prediction, of samples rounded to fewer bits",
-        _Library("wavpack", "wavpack", _plan_wavpack, sample_format="s16p", settling_samples=0, steers=True),
+        _Library("wavpack", "wavpack", _plan_wavpack, sample_format="s16p", settling_samples=0, controls_rate=True),
         {
             "bits_per_sample": Parameter(
-                "bits kept of each sample, 16 = lossless", 8, _FEWEST_WAVPACK_BITS, _MOST_WAVPACK_BITS, True
+                "bits kept of each sample, 16 = lossless", 8, _FEWEST_WAVPACK_BITS, _MAX_WAVPACK_BITS, True
             )
         },
         tuple({"bits_per_sample": bits} for bits in _WAVPACK_BITS_PER_SAMPLE),

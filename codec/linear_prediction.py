@@ -16,8 +16,8 @@ SPARSITY = 120.0
 """Weight gamma of the predictor's 1-norm against the residual's in units of the RMS value; docs/codecs.md has the rates
 that others take."""
 _ITERATIONS = 5
-_SMALLEST_RESIDUAL = 0.01
-_SMALLEST_COEFFICIENT = 0.01
+_MIN_RESIDUAL = 0.01
+_MIN_COEFFICIENT = 0.01
 
 
 def windows(signal: Signal, samples: int, hop: int, order: int) -> tuple[Signal, Signal]:
@@ -53,8 +53,8 @@ def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
         normal[:, diagonal, diagonal] += regularisation + penalty
         predictors = np.asarray(np.linalg.solve(normal, weighted @ targets[:, :, None])[:, :, 0], dtype=np.float64)
         residual = targets - (rows @ predictors[:, :, None])[:, :, 0]
-        weights = 1 / np.maximum(np.abs(residual) / scale, _SMALLEST_RESIDUAL)
-        penalty = SPARSITY * scale**2 / (np.abs(predictors) + _SMALLEST_COEFFICIENT)
+        weights = 1 / np.maximum(np.abs(residual) / scale, _MIN_RESIDUAL)
+        penalty = SPARSITY * scale**2 / (np.abs(predictors) + _MIN_COEFFICIENT)
     return predictors
 
 

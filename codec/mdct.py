@@ -22,10 +22,10 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Parameter,
+    RateControl,
     Setting,
     Signal,
     SignalFormat,
-    Steering,
     check_channels,
     checked_parts,
     number,
@@ -33,7 +33,7 @@ from vibrocast.codec.interface import (
     varint,
     word,
 )
-from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "mdct"
@@ -41,11 +41,11 @@ IDENTIFIER = 1
 HOPS = (16, 32, 64, 128)
 MAX_PACKET_BLOCKS = 4095
 STEP_CODES = 21 * 64
-STEP_CODES_OF_COARSENESS = 4
-"""By how many codes the steps of a packet are larger for each unit of its coarseness."""
-STEERED = b"\x01"
-"""What ends the configuration of a stream whose packets carry their coarseness."""
-LARGEST_FILL = 31 / 128
+STEP_CODES_OF_QUANTISER_OFFSET = 4
+"""By how many codes the steps of a packet are larger for each unit of its quantiser offset."""
+RATE_CONTROLLED = b"\x01"
+"""What ends the configuration of a stream whose packets carry their quantiser offset."""
+MAX_FILL = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
 
@@ -56,8 +56,8 @@ _SETTLING_PACKET = 1024
 _FILL_UNIT = 128
 
 
-SMALLEST_STEP = 2.0**-18
-LARGEST_STEP = 2.0**6
+MIN_STEP = 2.0**-18
+MAX_STEP = 2.0**6
 
 
 def hop_samples(rate_hz: float) -> int:
@@ -73,12 +73,12 @@ def step_code(step: float) -> int:
 
 
 def configuration(
-    hop: int, packet_blocks: int, step_codes: Sequence[int], fill_code: int = 0, steered: bool = False
+    hop: int, packet_blocks: int, step_codes: Sequence[int], fill_code: int = 0, rate_controlled: bool = False
 ) -> bytes:
     """Return the codec's bytes in the stream header."""
     head = varint(packet_blocks << 2 | HOPS.index(hop))
     steps = b"".join((fill_code << 11 | code).to_bytes(2, "little") for code in step_codes)
-    return head + steps + STEERED * steered
+    return head + steps + RATE_CONTROLLED * rate_controlled
 
 
 def built_in_tables() -> bytes:
@@ -118,18 +118,18 @@ class MdctEncoder:
         rate_hz: float,
         framing: Framing,
         tables: bytes | None = None,
-        thrift: float = 1.0,
+        rd_weight: float = 1.0,
         hop: int | None = None,
         fill: float = 0.0,
-        steering: Steering | None = None,
+        rate_control: RateControl | None = None,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
-        `thrift`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
+        `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
         `hop`: one of HOPS, None = that of live streams. `fill`: magnitude that stands in for coefficients rounded to
-        zero, in quantiser steps. `steering`: chooses the coarseness of each packet, in 1/16 octave of the steps; None =
-        all have the steps as they are. Raises CodecError on a channel count, step, packet length, hop, fill or tables
-        that the codec does not have.
+        zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave of the
+        steps; None = all have the steps as they are. Raises CodecError on a channel count, step, packet length, hop,
+        fill or tables that the codec does not have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
@@ -143,18 +143,18 @@ class MdctEncoder:
             )
         self._channels = len(steps)
         check_channels(self._channels)
-        if not 0 <= fill <= LARGEST_FILL:
-            raise CodecError(f"fill {fill} is not from 0 to {LARGEST_FILL}")
+        if not 0 <= fill <= MAX_FILL:
+            raise CodecError(f"fill {fill} is not from 0 to {MAX_FILL}")
         step_codes = [step_code(step) for step in steps]
         self.configuration = configuration(
-            self._hop, self._packet_blocks, step_codes, round(fill * _FILL_UNIT), steering is not None
+            self._hop, self._packet_blocks, step_codes, round(fill * _FILL_UNIT), rate_control is not None
         )
-        self._steering = steering
-        self._coarsenesses = range(
-            -(max(step_codes) // STEP_CODES_OF_COARSENESS),
-            (STEP_CODES - 1 - min(step_codes)) // STEP_CODES_OF_COARSENESS + 1,
+        self._rate_control = rate_control
+        self._quantiser_offsets = range(
+            -(max(step_codes) // STEP_CODES_OF_QUANTISER_OFFSET),
+            (STEP_CODES - 1 - min(step_codes)) // STEP_CODES_OF_QUANTISER_OFFSET + 1,
         )
-        self._coarseness = 0
+        self._quantiser_offset = 0
         core = library()
         self._tables, table_arguments = _tables_arguments(tables)
         self._state = Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
@@ -166,7 +166,7 @@ class MdctEncoder:
                 self._channels,
                 *table_arguments,
                 framing.refresh_packets,
-                round(LAMBDA * thrift),
+                round(LAMBDA * rd_weight),
             )
         )
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
@@ -238,19 +238,22 @@ class MdctEncoder:
     def _packet_of(self, coefficients: NDArray[np.int32], samples: Signal) -> bytes:
         coefficients = np.ascontiguousarray(coefficients)
 
-        def code(state: Structure, coarseness: int) -> bytes:
+        def code(state: Structure, quantiser_offset: int) -> bytes:
             pointer = ffi.cast("const int32_t *", coefficients.ctypes.data)
-            length = library().vc_mdct_encode(state.pointer, pointer, coarseness, self._packet, MAX_PACKET_BYTES)
+            length = library().vc_mdct_encode(state.pointer, pointer, quantiser_offset, self._packet, MAX_PACKET_BYTES)
             if length < 0:
                 raise does_not_fit(self.packet_samples)
             return bytes(ffi.buffer(self._packet, length))
 
-        if self._steering is None:
+        if self._rate_control is None:
             return code(self._state, 0)
         trial = PacketTrial(
-            samples, self._coarsenesses, self._coarseness, lambda coarseness: code(self._state.copy(), coarseness)
+            samples,
+            self._quantiser_offsets,
+            self._quantiser_offset,
+            lambda quantiser_offset: code(self._state.copy(), quantiser_offset),
         )
-        self._coarseness, packet = steered_packet(trial, self._steering, partial(code, self._state))
+        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, partial(code, self._state))
         return packet
 
 
@@ -306,13 +309,12 @@ def make_encoder(
     signal_format: SignalFormat,
     framing: Framing,
     model: Model | None,
-    steering: Steering | None = None,
+    rate_control: RateControl | None = None,
 ) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
     relative_steps = numbers(setting, "step", signal_format.channels)
     steps = [
-        min(max(step * rms, SMALLEST_STEP), LARGEST_STEP)
-        for step, rms in zip(relative_steps, signal_format.rms, strict=True)
+        min(max(step * rms, MIN_STEP), MAX_STEP) for step, rms in zip(relative_steps, signal_format.rms, strict=True)
     ]
     live_hop = hop_samples(signal_format.rate_hz)
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
@@ -324,10 +326,10 @@ def make_encoder(
         signal_format.rate_hz,
         framing,
         model.tables if model else None,
-        number(setting, "thrift"),
+        number(setting, "rd_weight"),
         hop,
         number(setting, "fill"),
-        steering,
+        rate_control,
     )
 
 
@@ -336,13 +338,15 @@ CODEC = Codec(
     identifier=IDENTIFIER,
     summary="low-delay MDCT, trellis-coded quantisation, trained and adaptive context mixing",
     parameters={
-        "step": Parameter("quantiser step relative to the RMS value", 0.25, low=SMALLEST_STEP, per_channel=True),
-        "thrift": Parameter("weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1),
+        "step": Parameter("quantiser step relative to the RMS value", 0.25, low=MIN_STEP, per_channel=True),
+        "rd_weight": Parameter(
+            "weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1
+        ),
         "hop": Parameter("samples from block to block", AUTO, choices=(AUTO, *map(str, HOPS))),
-        "fill": Parameter("noise in place of zeros, in quantiser steps", 1 / 32, low=0, high=LARGEST_FILL),
+        "fill": Parameter("noise in place of zeros, in quantiser steps", 1 / 32, low=0, high=MAX_FILL),
     },
     # From some 2 dB of SNR to some 42; the second with the delay of a live stream at 2800 Hz.
-    ladders={
+    rate_point_sets={
         NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1)),
         f"{NAME}-live": tuple({"step": 2 ** (exponent / 2), "hop": "32"} for exponent in range(4, -14, -1)),
     },
@@ -352,5 +356,5 @@ CODEC = Codec(
     check_tables=check_tables,
     takes_model=True,
     searches_steps=True,
-    steers=True,
+    controls_rate=True,
 )

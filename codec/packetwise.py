@@ -14,15 +14,15 @@ class PacketwiseEncoder(ABC):
 
     delay_samples = 0
 
-    def __init__(self, channels: int, framing: Framing, block: int, most_blocks: int) -> None:
-        """Gather into packets of whole blocks of `block` samples, at most `most_blocks` of them.
+    def __init__(self, channels: int, framing: Framing, block: int, max_blocks: int) -> None:
+        """Gather into packets of whole blocks of `block` samples, at most `max_blocks` of them.
 
         Raises CodecError on a channel count or packet length outside what the codec has.
         """
         check_channels(channels)
         self._packet_blocks = -(-framing.packet_samples // block)
-        if not 1 <= self._packet_blocks <= most_blocks:
-            raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {most_blocks * block} are allowed")
+        if not 1 <= self._packet_blocks <= max_blocks:
+            raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {max_blocks * block} are allowed")
         self.packet_samples = self._packet_blocks * block
         self._channels = channels
         self._pending: Signal = np.zeros((0, channels))

@@ -19,12 +19,12 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Parameter,
+    RateControl,
     Setting,
     Signal,
     SignalFormat,
-    Steering,
     number,
-    refuse_steering,
+    reject_rate_control,
     word,
 )
 from vibrocast.codec.mdct import HOPS, analysis_matrix
@@ -36,25 +36,25 @@ IDENTIFIER = 11
 BANDS = ("octave", "half octave", "third octave", "sixth octave")
 """Widths of bands, roughly: a band is at least a bin wide, and 1, 1/2, 1/4 or 1/8 of the frequency where it begins."""
 LEVEL_STEPS_DB = ("6", "3", "1.5", "0.75")
-LARGEST_FRAME = 64
+MAX_FRAME = 64
 """Blocks in a frame."""
 MAX_HARMONICS = 8
 MAX_PACKET_SAMPLES = 1 << 18
 PITCHES = 512
 
 _OCTAVES = 21
-_SMALLEST_AMPLITUDE = 64
+_MIN_AMPLITUDE = 64
 """Of level 1, in the core's unit."""
 _HYSTERESIS = 0.75
 """How far, in steps, a level is from that of the frame before when it changes: 1/2 would be plain rounding."""
 _RIDGE_WINDOW = 1024
 """Samples that ridges are looked for in: three turns of the longest, at 1/340 of a turn per sample."""
-_LOWEST_TURN, _HIGHEST_TURN = 3 / _RIDGE_WINDOW, 0.25
+_MIN_TURN, _MAX_TURN = 3 / _RIDGE_WINDOW, 0.25
 _LINE_EXCESS = 12.0
 """Power of a spectral line over the median about it, which noise exceeds in one bin of 4000: exp(-12 ln 2)."""
 _SUBHARMONIC_WEIGHT = 0.84
 """Of each harmonic beside the one before: D. J. Hermes, "Measurement of pitch by subharmonic summation", 1988."""
-_SHORTEST_FIT = 512
+_MIN_FIT = 512
 """Samples that the harmonics' levels are fitted to, or as many as a frame has."""
 _RIDGE_SHARE = 0.25
 """Of the signal's energy that ridges must hold to be coded."""
@@ -74,7 +74,7 @@ def band_edges(hop: int, bands: str) -> NDArray[np.intp]:
 def amplitudes(level_bits: int) -> Signal:
     """Return what the levels from 1 on stand for, in the core's unit: float64 (levels,)."""
     codes = np.arange(_OCTAVES << level_bits) << (6 - level_bits)
-    each: Signal = np.ldexp(_SMALLEST_AMPLITUDE + codes % 64.0, codes // 64)
+    each: Signal = np.ldexp(_MIN_AMPLITUDE + codes % 64.0, codes // 64)
     return each
 
 
@@ -244,7 +244,7 @@ class _Analysis:
         pitches = np.full(len(spans), -1, dtype=np.int16)
         amplitudes = np.zeros((len(spans), harmonics))
         ridges = np.zeros((len(spans), self._segment))
-        fitted_samples = max(self._segment, _SHORTEST_FIT)
+        fitted_samples = max(self._segment, _MIN_FIT)
         for start in range(0, len(spans) if harmonics > 0 else 0, _BATCH):
             found = turns_of(spans[start : start + _BATCH], harmonics)
             for frame, turn in enumerate(found, start):
@@ -280,7 +280,7 @@ def turns_of(spans: Signal, harmonics: int) -> Signal:
     bins = np.rint(each[:, None] * numbers * padded).astype(np.intp)
     weights = np.where(bins < lines.shape[1], _SUBHARMONIC_WEIGHT ** (numbers - 1), 0)
     scores = np.sum(lines[:, np.minimum(bins, lines.shape[1] - 1)] * weights, axis=2)
-    scores[:, (each < _LOWEST_TURN) | (each > _HIGHEST_TURN)] = 0
+    scores[:, (each < _MIN_TURN) | (each > _MAX_TURN)] = 0
     best = np.argmax(scores, axis=1)
     found = [_refined(row, each[pitch], numbers) for row, pitch in zip(lines, best, strict=True)]
     return np.where(np.max(scores, axis=1) > 0, found, 0)
@@ -321,10 +321,10 @@ def make_encoder(
     signal_format: SignalFormat,
     framing: Framing,
     model: Model | None,
-    steering: Steering | None = None,
+    rate_control: RateControl | None = None,
 ) -> ParametricEncoder:
     """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError."""
-    refuse_steering(NAME, steering)
+    reject_rate_control(NAME, rate_control)
     shape = Shape(
         hop=int(word(setting, "hop")),
         bands=word(setting, "bands"),
@@ -338,10 +338,10 @@ def make_encoder(
     return ParametricEncoder(shape, signal_format.channels, framing)
 
 
-_POWERS = tuple(str(1 << exponent) for exponent in range(LARGEST_FRAME.bit_length()))
+_POWERS = tuple(str(1 << exponent) for exponent in range(MAX_FRAME.bit_length()))
 
 
-def _rung(bands: str, step_db: str, frame: int, interval: int, harmonics: int) -> Setting:
+def _rate_point(bands: str, step_db: str, frame: int, interval: int, harmonics: int) -> Setting:
     return {
         "bands": bands,
         "step_db": step_db,
@@ -364,13 +364,13 @@ CODEC = Codec(
         "harmonics": Parameter("of ridges, 0 = none", MAX_HARMONICS, low=0, high=MAX_HARMONICS, whole=True),
     },
     # From some 35 to some 400 bit/s at 2800 Hz.
-    ladders={
+    rate_point_sets={
         NAME: (
-            _rung("octave", "6", 32, 32, 0),
-            _rung("half octave", "6", 16, 8, 4),
-            _rung("half octave", "3", 16, 4, 8),
-            _rung("half octave", "3", 8, 2, 8),
-            _rung("third octave", "3", 8, 1, 8),
+            _rate_point("octave", "6", 32, 32, 0),
+            _rate_point("half octave", "6", 16, 8, 4),
+            _rate_point("half octave", "3", 16, 4, 8),
+            _rate_point("half octave", "3", 8, 2, 8),
+            _rate_point("third octave", "3", 8, 1, 8),
         )
     },
     make_encoder=make_encoder,

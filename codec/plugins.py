@@ -14,13 +14,13 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Parameter,
+    RateControl,
     Setting,
     Signal,
     SignalFormat,
-    Steering,
     check_channels,
     number,
-    refuse_steering,
+    reject_rate_control,
     varint,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
@@ -114,9 +114,9 @@ def adapted(plugin: BlockCodec) -> Codec:
         signal_format: SignalFormat,
         framing: Framing,
         model: Model | None,
-        steering: Steering | None = None,
+        rate_control: RateControl | None = None,
     ) -> "PluginEncoder":
-        refuse_steering(name, steering)
+        reject_rate_control(name, rate_control)
         return PluginEncoder(plugin, number(setting, "quality"), signal_format.channels, framing)
 
     def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> "PluginDecoder":
@@ -129,7 +129,7 @@ def adapted(plugin: BlockCodec) -> Codec:
         identifier=IDENTIFIER,
         summary=plugin.summary,
         parameters={"quality": quality},
-        ladders={name: tuple({"quality": quality} for quality in qualities)},
+        rate_point_sets={name: tuple({"quality": quality} for quality in qualities)},
         make_encoder=make_encoder,
         make_decoder=make_decoder,
     )

@@ -14,8 +14,8 @@ from vibrocast.codec.threshold import DETECTION_THRESHOLD, band_parts, read_thre
 # "Vibrotactile masking: effects of stimulus onset asynchrony and stimulus frequency", JASA 85, 1989).
 _MEMORY_S = 0.25
 _QUIET_DB = 20.0
-_LEAST_BIT = 2.0**-15
-_LOWEST_BAND = -20  # 10 Hz
+_MIN_BIT = 2.0**-15
+_MIN_BAND = -20  # 10 Hz
 _NOTHING = 1e-20
 
 
@@ -44,10 +44,10 @@ class SnrJudge:
 
     def quality_db(self, samples: Signal, decoded: Signal) -> float:
         """Return the ratio; see Judge."""
-        floor = np.maximum(self._recent_power(samples) * 10 ** (-_QUIET_DB / 10), _LEAST_BIT**2)
+        floor = np.maximum(self._recent_power(samples) * 10 ** (-_QUIET_DB / 10), _MIN_BIT**2)
         power = np.maximum(np.mean(np.square(samples), axis=0), floor)
         # Rounding to int16 has an error of that power, uniform over one least bit.
-        error = np.maximum(np.mean(np.square(samples - decoded), axis=0), _LEAST_BIT**2 / 12)
+        error = np.maximum(np.mean(np.square(samples - decoded), axis=0), _MIN_BIT**2 / 12)
         return float(np.mean(10 * np.log10(power / error)))
 
     def hear(self, samples: Signal, decoded: Signal) -> None:
@@ -76,10 +76,10 @@ class ThresholdJudge:
     def __init__(self, signal_format: SignalFormat, threshold: Path = DETECTION_THRESHOLD) -> None:
         """Make a judge of streams in a physical unit. Raises CodecError for others, and a threshold not readable."""
         highest = math.floor(3 * math.log2(signal_format.rate_hz / 2 / 1000) - 0.5)
-        middle_hz = 1000 * 2 ** (np.arange(_LOWEST_BAND, max(highest, _LOWEST_BAND) + 1) / 3)
+        middle_hz = 1000 * 2 ** (np.arange(_MIN_BAND, max(highest, _MIN_BAND) + 1) / 3)
         amplitude = threshold_amplitude(read_threshold(threshold), middle_hz, signal_format.unit)
         self._edges_hz = middle_hz * 2 ** -(1 / 6), middle_hz * 2 ** (1 / 6)
-        self._least_power = np.square(amplitude)[:, None] / 2
+        self._min_power = np.square(amplitude)[:, None] / 2
         self._gains = np.array(signal_format.gains)
         self._rate_hz = signal_format.rate_hz
 
@@ -88,8 +88,8 @@ class ThresholdJudge:
         spectrum = np.abs(np.fft.rfft((samples - decoded) * self._gains, axis=0)) / len(samples)
         spectrum[1:] *= math.sqrt(2)
         parts = band_parts(len(spectrum), self._rate_hz / len(samples), *self._edges_hz)
-        power = np.maximum(parts.T @ np.square(spectrum), _NOTHING * self._least_power)
-        return float(np.min(10 * np.log10(self._least_power / power)))
+        power = np.maximum(parts.T @ np.square(spectrum), _NOTHING * self._min_power)
+        return float(np.min(10 * np.log10(self._min_power / power)))
 
     def hear(self, samples: Signal, decoded: Signal) -> None:
         """Each packet is judged by itself; see Judge."""

@@ -1,7 +1,8 @@
-"""Policies that steer an encoder: a constant rate over a leaky bucket, a constant quality, or a quality up to a rate.
+"""Policies of rate control: a constant rate over a leaky bucket, a constant quality, or a quality up to a rate.
 
-A policy is a codec.interface.Steering: it is asked for the coarseness of each packet when all of that packet's input is
-there, and nothing beyond it. `steered_encoder` joins a codec with a policy; docs/rate_control.md shows what they do.
+A policy is a codec.interface.RateControl: it is asked for the quantiser offset of each packet when all of that
+packet's input is there, and nothing beyond it. `rate_controlled_encoder` joins a codec with a policy;
+docs/rate_control.md shows what they do.
 """
 
 import math
@@ -19,31 +20,32 @@ from vibrocast.codec.interface import (
     Encoder,
     Framing,
     Model,
-    OutOfReach,
     Setting,
     Signal,
     SignalFormat,
+    TargetUnreachable,
     Trial,
 )
 from vibrocast.codec.quality_meters import Judge
 
-DEFAULT_BUCKET_S = 0.018
-"""The bucket's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
+DEFAULT_RATE_BUFFER_S = 0.018
+"""The rate buffer's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
 FRAMES_ADD = 0.135
 """What frames may add to the packets in them, relative to these: with what begins and ends a stream of 5 s at 4 kbit/s,
 the wire then adds at most 15 %."""
-LONGEST_PACKET_S = 2.0
+MAX_PACKET_S = 2.0
 """A rate is held over any 2 s, so a packet must not last longer."""
 REFRESH_S = 2.0
-"""From one refresh to the next, where the rate is steered."""
+"""From one refresh to the next, where the rate is rate-controlled."""
 
 FrameBytes: TypeAlias = Callable[[bytes], int]
 """Bytes that the frame of a packet adds to it on the way. Raises CodecError for a packet that no frame carries."""
 
 _FIRST_STRIDE = 2
-# A constant rate aims at the mean quality of the last _MEMORY_BUCKETS times of the bucket, and up to half _SWING_DB
-# more as the bucket is empty, less as it is full; the swing is less where it holds few packets, or it overshoots.
-_MEMORY_BUCKETS = 4.0
+# A constant rate aims at the mean quality of the last _MEMORY_RATE_BUFFERS times of the rate buffer, and up to half
+# _SWING_DB more as the rate buffer is empty, less as it is full; the swing is less where it holds few packets, or it
+# overshoots.
+_MEMORY_RATE_BUFFERS = 4.0
 _SWING_DB = 4.0
 _PACKETS_FOR_FULL_SWING = 4.0
 _PROBE_PACKETS = 4
@@ -60,25 +62,25 @@ class CopyableDecoder(Decoder, Protocol):
         """Return an independent decoder in the same state."""
 
 
-class LeakyBucket:
+class RateBuffer:
     """What was sent and not yet drained at a constant rate, as in ITU-T H.264, C.1: its fullness stays in 0 ... size.
 
     With fullness F, a packet of s bytes that lasts T seconds leaves F + s - R T / 8 at R bit/s. So over any run of
-    packets the bytes differ from R T / 8 by no more than the bucket's size, R * bucket_s / 8 and at least one byte; and
-    on a link of R bit/s nothing waits longer than bucket_s.
+    packets the bytes differ from R T / 8 by no more than the rate buffer's size, R * rate_buffer_s / 8 and at least one
+    byte; and on a link of R bit/s nothing waits longer than rate_buffer_s.
     """
 
-    def __init__(self, bits_per_second: float, bucket_s: float, full: float) -> None:
-        """Make a bucket that begins as full as `full`, a part of its size. Raises CodecError for what is no rate."""
-        if not (math.isfinite(bucket_s) and bucket_s > 0):
-            raise CodecError(f"a bucket of {bucket_s} s; it must hold a positive time")
+    def __init__(self, bits_per_second: float, rate_buffer_s: float, full: float) -> None:
+        """Make a rate buffer that begins as full as `full`, a part of its size. Raises CodecError for a wrong rate."""
+        if not (math.isfinite(rate_buffer_s) and rate_buffer_s > 0):
+            raise CodecError(f"a rate buffer of {rate_buffer_s} s; it must hold a positive time")
         self.bits_per_second = bits_per_second
-        self.bucket_s = bucket_s
+        self.rate_buffer_s = rate_buffer_s
         self.fullness_bytes = full * self.size_bytes
 
     @property
     def bits_per_second(self) -> float:
-        """The rate; it may be set at any time, and what is in the bucket stays there."""
+        """The rate; it may be set at any time, and what is in the rate buffer stays there."""
         return self._bits_per_second
 
     @bits_per_second.setter
@@ -89,19 +91,19 @@ class LeakyBucket:
 
     @property
     def size_bytes(self) -> float:
-        """What the bucket holds."""
-        return max(1.0, self.bits_per_second * self.bucket_s / 8)
+        """What the rate buffer holds."""
+        return max(1.0, self.bits_per_second * self.rate_buffer_s / 8)
 
     @property
     def full(self) -> float:
-        """How full the bucket is, relative to its size; above 1 only after the rate was lowered."""
+        """How full the rate buffer is, relative to its size; above 1 only after the rate was lowered."""
         return self.fullness_bytes / self.size_bytes
 
-    def least_bytes(self, seconds: float) -> int:
-        """Return with how many bytes a packet of that duration does not let the bucket run dry."""
+    def min_bytes(self, seconds: float) -> int:
+        """Return with how many bytes a packet of that duration does not let the rate buffer run dry."""
         return max(0, math.ceil(self._drained_bytes(seconds) - self.fullness_bytes))
 
-    def most_bytes(self, seconds: float) -> int:
+    def max_bytes(self, seconds: float) -> int:
         """Return with how many bytes a packet of that duration does not let it run over; negative if none would."""
         return math.floor(self._drained_bytes(seconds) - self.fullness_bytes + self.size_bytes)
 
@@ -114,68 +116,68 @@ class LeakyBucket:
 
 
 class _Attempts:
-    """The packets of trials that are due together, each coded once at a coarseness that is common to all."""
+    """The packets of trials that are due together, each coded once at a quantiser offset that is common to all."""
 
     def __init__(self, trials: Sequence[Trial], sent_bytes: Callable[[bytes], int]) -> None:
         self.trials = trials
-        finest, coarsest = min(t.coarsenesses[0] for t in trials), max(t.coarsenesses[-1] for t in trials)
-        self.coarsenesses = range(finest, coarsest + 1)
+        finest, coarsest = min(t.quantiser_offsets[0] for t in trials), max(t.quantiser_offsets[-1] for t in trials)
+        self.quantiser_offsets = range(finest, coarsest + 1)
         self.previous = max(trial.previous for trial in trials)
         self._sent_bytes = sent_bytes
         self._packets: dict[int, list[bytes] | None] = {}
 
-    def packets(self, coarseness: int) -> list[bytes] | None:
-        """Return each trial's packet at the coarseness, or the nearest it has; None where one would be too long."""
-        if coarseness not in self._packets:
+    def packets(self, quantiser_offset: int) -> list[bytes] | None:
+        """Return each trial's packet at the quantiser offset, or the nearest; None where one would be too long."""
+        if quantiser_offset not in self._packets:
             try:
-                packets = [trial.packet(_within(trial.coarsenesses, coarseness)) for trial in self.trials]
+                packets = [trial.packet(_within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials]
             except CodecError:
                 packets = None
-            self._packets[coarseness] = packets
-        return self._packets[coarseness]
+            self._packets[quantiser_offset] = packets
+        return self._packets[quantiser_offset]
 
-    def coded(self, coarseness: int) -> list[bytes]:
-        """Return the packets at a coarseness. Raises CodecError where one would be too long."""
-        return self.packets(coarseness) or [
-            trial.packet(_within(trial.coarsenesses, coarseness)) for trial in self.trials
+    def coded(self, quantiser_offset: int) -> list[bytes]:
+        """Return the packets at a quantiser offset. Raises CodecError where one would be too long."""
+        return self.packets(quantiser_offset) or [
+            trial.packet(_within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials
         ]
 
-    def size_bytes(self, coarseness: int) -> float:
+    def size_bytes(self, quantiser_offset: int) -> float:
         """Return what all packets take on the way, infinity where one would be too long."""
-        packets = self.packets(coarseness)
+        packets = self.packets(quantiser_offset)
         try:
             return math.inf if packets is None else sum(map(self._sent_bytes, packets))
         except CodecError:
             return math.inf  # no frame carries one of them
 
     def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
-        """Return a coarseness at which `holds`, and not at the next finer one; None where it holds at none.
+        """Return a quantiser offset at which `holds`, and not at the next finer one; None where it holds at none.
 
         `holds`: on the whole, of coarse ones and not of fine ones. Steps away from `start` double until the change
         lies between two that were tried; then what is between them is halved.
         """
-        first, last = self.coarsenesses[0], self.coarsenesses[-1]
+        first, last = self.quantiser_offsets[0], self.quantiser_offsets[-1]
         fails, succeeds = first - 1, last + 1
-        coarseness, stride = _within(self.coarsenesses, start), _FIRST_STRIDE
+        quantiser_offset, stride = _within(self.quantiser_offsets, start), _FIRST_STRIDE
         while succeeds - fails > 1:
-            if holds(coarseness):
-                succeeds = coarseness
+            if holds(quantiser_offset):
+                succeeds = quantiser_offset
             else:
-                fails = coarseness
+                fails = quantiser_offset
             if fails < first:
-                coarseness = max(first, succeeds - stride)
+                quantiser_offset = max(first, succeeds - stride)
             elif succeeds > last:
-                coarseness = min(last, fails + stride)
+                quantiser_offset = min(last, fails + stride)
             else:
-                coarseness = (fails + succeeds) // 2
+                quantiser_offset = (fails + succeeds) // 2
             stride *= 2
         if succeeds <= last:
             return succeeds
-        return next(filter(holds, reversed(self.coarsenesses)), None)
+        return next(filter(holds, reversed(self.quantiser_offsets)), None)
 
 
-def _within(coarsenesses: range, coarseness: int) -> int:
-    return min(max(coarseness, coarsenesses[0]), coarsenesses[-1])
+def _within(quantiser_offsets: range, quantiser_offset: int) -> int:
+    return min(max(quantiser_offset, quantiser_offsets[0]), quantiser_offsets[-1])
 
 
 class _Ear:
@@ -191,9 +193,9 @@ class _Ear:
             raise CodecError("this codec cannot be held to a quality; ask for a constant rate, or choose another codec")
         self._decoder = cast(CopyableDecoder, decoder)
 
-    def quality_db(self, attempts: _Attempts, coarseness: int) -> float:
+    def quality_db(self, attempts: _Attempts, quantiser_offset: int) -> float:
         """Return the quality of the first trial's packet; infinity where it is too long to be coded."""
-        packets = attempts.packets(coarseness)
+        packets = attempts.packets(quantiser_offset)
         if packets is None:
             return math.inf
         assert self._decoder is not None, "it has begun"
@@ -202,20 +204,24 @@ class _Ear:
     def coarsest_with(self, attempts: _Attempts, quality_db: float) -> int:
         """Return the coarsest that has the quality; the finest that can be coded where none has."""
         worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.previous)
-        coarseness = attempts.coarsenesses[-1] if worse is None else _within(attempts.coarsenesses, worse - 1)
-        if attempts.packets(coarseness) is not None:
-            return coarseness
-        codable = attempts.finest(lambda each: attempts.packets(each) is not None, coarseness)
-        return attempts.coarsenesses[-1] if codable is None else codable
+        quantiser_offset = (
+            attempts.quantiser_offsets[-1] if worse is None else _within(attempts.quantiser_offsets, worse - 1)
+        )
+        if attempts.packets(quantiser_offset) is not None:
+            return quantiser_offset
+        codable = attempts.finest(lambda each: attempts.packets(each) is not None, quantiser_offset)
+        return attempts.quantiser_offsets[-1] if codable is None else codable
 
-    def hear(self, attempts: _Attempts, coarseness: int) -> None:
+    def hear(self, attempts: _Attempts, quantiser_offset: int) -> None:
         """Take in the packet that was chosen."""
         assert self._decoder is not None, "it has begun"
-        self._judge.hear(attempts.trials[0].samples, self._decoder.decode(attempts.coded(coarseness)[0]) / 32768)
+        self._judge.hear(attempts.trials[0].samples, self._decoder.decode(attempts.coded(quantiser_offset)[0]) / 32768)
 
 
 class Policy(ABC):
-    """A steering with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its place."""
+    """A rate control with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its
+    place.
+    """
 
     _ear: _Ear | None = None
 
@@ -223,19 +229,19 @@ class Policy(ABC):
         """`frame_bytes`: what the frame of a packet adds to it on the way."""
         self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
         self._seconds = math.nan
-        self.least_bytes = 0
+        self.min_bytes = 0
         """What a packet of the stream takes at the coarsest, as `begin` was told."""
 
-    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+    def begin(self, decoder: Decoder, min_bytes: int, seconds: float) -> None:
         """Begin a stream of packets of so many seconds, which `decoder` decodes from its first one on.
 
-        `least_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
-        where the codec's packets cannot be judged, OutOfReach where they do not fit the rate.
+        `min_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
+        where the codec's packets cannot be judged, TargetUnreachable where they do not fit the rate.
         """
         if self._ear is not None:
             self._ear.begin(decoder)
         self._seconds = seconds
-        self.least_bytes = least_bytes
+        self.min_bytes = min_bytes
 
     def sent_bytes(self, packet: bytes) -> int:
         """Return what a packet and its frame take on the way."""
@@ -243,65 +249,65 @@ class Policy(ABC):
 
     @abstractmethod
     def __call__(self, trial: Trial) -> Choice:
-        """Choose how the next packet is coded. Raises OutOfReach where nothing will do."""
+        """Choose how the next packet is coded. Raises TargetUnreachable where nothing will do."""
 
 
 class RatePolicy(Policy):
     """A policy whose packets, frames included, a leaky bucket holds."""
 
-    def __init__(self, bucket: LeakyBucket, frame_bytes: FrameBytes | int) -> None:
+    def __init__(self, rate_buffer: RateBuffer, frame_bytes: FrameBytes | int) -> None:
         super().__init__(frame_bytes)
-        self.bucket = bucket
-        self.least_bits_per_second = 0.0
+        self.rate_buffer = rate_buffer
+        self.min_bits_per_second = 0.0
         """The least rate that holds whatever signal comes; known when a stream has begun."""
         self.padding_bytes = 0
         """Bytes so far that only keep the rate."""
 
     @property
     def bits_per_second(self) -> float:
-        """The rate, which may be set at any time. Raises OutOfReach, and CodecError for what is none."""
-        return self.bucket.bits_per_second
+        """The rate, which may be set at any time. Raises TargetUnreachable, and CodecError for what is none."""
+        return self.rate_buffer.bits_per_second
 
     @bits_per_second.setter
     def bits_per_second(self, bits_per_second: float) -> None:
         self._check_reach(bits_per_second)
-        self.bucket.bits_per_second = bits_per_second
+        self.rate_buffer.bits_per_second = bits_per_second
 
-    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+    def begin(self, decoder: Decoder, min_bytes: int, seconds: float) -> None:
         """Begin a stream; see Policy."""
-        super().begin(decoder, least_bytes, seconds)
-        self.least_bits_per_second = 8 * least_bytes / seconds
+        super().begin(decoder, min_bytes, seconds)
+        self.min_bits_per_second = 8 * min_bytes / seconds
         self._check_reach(self.bits_per_second)
 
     def _check_reach(self, bits_per_second: float) -> None:
-        if bits_per_second < self.least_bits_per_second:
-            raise self._out_of_reach(bits_per_second, self.least_bits_per_second)
+        if bits_per_second < self.min_bits_per_second:
+            raise self._target_unreachable(bits_per_second, self.min_bits_per_second)
 
-    def _out_of_reach(self, bits_per_second: float, least: float) -> OutOfReach:
-        return OutOfReach(
+    def _target_unreachable(self, bits_per_second: float, least: float) -> TargetUnreachable:
+        return TargetUnreachable(
             f"{bits_per_second:g} bit/s cannot be held: packets of {1000 * self._seconds:.1f} ms take "
             f"{math.ceil(least)} bit/s however coarse, with their frames; ask for that, or for longer packets"
         )
 
     def _finest_that_fits(self, attempts: _Attempts, start: int) -> int:
-        """Return the finest that the bucket holds; the coarsest where a lower rate has left too much in it."""
-        most_bytes = self.bucket.most_bytes(self._seconds)
-        found = attempts.finest(lambda each: attempts.size_bytes(each) <= most_bytes, start)
+        """Return the finest that the rate buffer holds; the coarsest where a lower rate has left too much in it."""
+        max_bytes = self.rate_buffer.max_bytes(self._seconds)
+        found = attempts.finest(lambda each: attempts.size_bytes(each) <= max_bytes, start)
         if found is not None:
             return found
-        coarsest = attempts.coarsenesses[-1]
-        if self.bucket.full > 1:
+        coarsest = attempts.quantiser_offsets[-1]
+        if self.rate_buffer.full > 1:
             return coarsest
-        least_bytes = sum(map(self.sent_bytes, attempts.coded(coarsest)))
-        raise self._out_of_reach(self.bits_per_second, 8 * least_bytes / self._seconds)
+        min_bytes = sum(map(self.sent_bytes, attempts.coded(coarsest)))
+        raise self._target_unreachable(self.bits_per_second, 8 * min_bytes / self._seconds)
 
     def _send(self, packets: Sequence[bytes]) -> None:
-        """Take packets into the bucket, padded as they are."""
-        self.bucket.fill(sum(map(self.sent_bytes, packets)), self._seconds)
+        """Take packets into the rate buffer, padded as they are."""
+        self.rate_buffer.fill(sum(map(self.sent_bytes, packets)), self._seconds)
 
 
 class CappedRate(RatePolicy):
-    """A constant quality as far as the bucket holds it, and else the finest that it holds."""
+    """A constant quality as far as the rate buffer holds it, and else the finest that it holds."""
 
     _ear: _Ear
 
@@ -311,22 +317,22 @@ class CappedRate(RatePolicy):
         judge: Judge,
         bits_per_second: float,
         frame_bytes: FrameBytes | int = 0,
-        bucket_s: float = DEFAULT_BUCKET_S,
+        rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
     ) -> None:
-        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.0), frame_bytes)
+        super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.0), frame_bytes)
         self.quality_db = quality_db
         self._ear = _Ear(judge)
 
     def __call__(self, trial: Trial) -> Choice:
-        """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises OutOfReach."""
+        """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises TargetUnreachable."""
         attempts = _Attempts([trial], self.sent_bytes)
-        coarseness = self._ear.coarsest_with(attempts, self.quality_db)
-        if attempts.size_bytes(coarseness) > self.bucket.most_bytes(self._seconds):
-            coarseness = self._finest_that_fits(attempts, coarseness)
-        self._ear.hear(attempts, coarseness)
-        self._send(attempts.coded(coarseness))
-        self.bucket.fullness_bytes = max(0.0, self.bucket.fullness_bytes)
-        return Choice(coarseness)
+        quantiser_offset = self._ear.coarsest_with(attempts, self.quality_db)
+        if attempts.size_bytes(quantiser_offset) > self.rate_buffer.max_bytes(self._seconds):
+            quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
+        self._ear.hear(attempts, quantiser_offset)
+        self._send(attempts.coded(quantiser_offset))
+        self.rate_buffer.fullness_bytes = max(0.0, self.rate_buffer.fullness_bytes)
+        return Choice(quantiser_offset)
 
 
 class ConstantQuality(CappedRate):
@@ -342,81 +348,83 @@ class ConstantQuality(CappedRate):
 
 
 class ConstantRate(RatePolicy):
-    """A constant rate: no packet lets the bucket run over, and padding never lets it run dry.
+    """A constant rate: no packet lets the rate buffer run over, and padding never lets it run dry.
 
-    In between, a judge makes the quality as even as the bucket allows: each packet aims at the mean of those before it,
-    and at up to 2 dB more or less as the bucket is emptier or fuller than half. Without a judge each packet aims at its
-    share of the rate, which is all that the default bucket leaves to choose.
+    In between, a judge makes the quality as even as the rate buffer allows: each packet aims at the mean of those
+    before it, and at up to 2 dB more or less as the rate buffer is emptier or fuller than half. Without a judge each
+    packet aims at its share of the rate, which is all that the default rate buffer leaves to choose.
     """
 
     def __init__(
         self,
         bits_per_second: float,
         frame_bytes: FrameBytes | int = 0,
-        bucket_s: float = DEFAULT_BUCKET_S,
+        rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
         judge: Judge | None = None,
     ) -> None:
-        super().__init__(LeakyBucket(bits_per_second, bucket_s, full=0.5), frame_bytes)
+        super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.5), frame_bytes)
         self._ear = None if judge is None else _Ear(judge)
         self._mean_db, self._heard = 0.0, 0  # the mean quality, and of how many packets
 
     def __call__(self, trial: Trial) -> Choice:
-        """Choose the packet's coarseness and padding. Raises OutOfReach where none fits."""
+        """Choose the packet's quantiser offset and padding. Raises TargetUnreachable where none fits."""
         return self.choose([trial])[0]
 
     def choose(self, trials: Sequence[Trial]) -> list[Choice]:
-        """Choose for packets of several streams that are due together: one coarseness, and their sum fits."""
+        """Choose for packets of several streams that are due together: one quantiser offset, and their sum fits."""
         attempts = _Attempts(trials, self.sent_bytes)
-        least_bytes, most_bytes = self.bucket.least_bytes(self._seconds), self.bucket.most_bytes(self._seconds)
-        coarseness = self._aim(attempts)
-        if attempts.size_bytes(coarseness) > most_bytes:
-            coarseness = self._finest_that_fits(attempts, coarseness)
-        elif attempts.size_bytes(coarseness) < least_bytes:
-            coarseness = self._coarsest_that_fills(attempts, coarseness, least_bytes, most_bytes)
-        packets = attempts.coded(coarseness)
+        min_bytes, max_bytes = self.rate_buffer.min_bytes(self._seconds), self.rate_buffer.max_bytes(self._seconds)
+        quantiser_offset = self._aim(attempts)
+        if attempts.size_bytes(quantiser_offset) > max_bytes:
+            quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
+        elif attempts.size_bytes(quantiser_offset) < min_bytes:
+            quantiser_offset = self._coarsest_that_fills(attempts, quantiser_offset, min_bytes, max_bytes)
+        packets = attempts.coded(quantiser_offset)
         # What had more bytes than it could use tells nothing of the quality that the rate has.
         if self._ear is not None:
-            if attempts.size_bytes(coarseness) >= least_bytes:
-                self._remember(self._ear.quality_db(attempts, coarseness))
-            self._ear.hear(attempts, coarseness)
-        padded = self._padded(packets, least_bytes, most_bytes)
+            if attempts.size_bytes(quantiser_offset) >= min_bytes:
+                self._remember(self._ear.quality_db(attempts, quantiser_offset))
+            self._ear.hear(attempts, quantiser_offset)
+        padded = self._padded(packets, min_bytes, max_bytes)
         self.padding_bytes += len(padded) - len(packets[-1])
         packets = [*packets[:-1], padded]
         self._send(packets)
         return [
-            Choice(_within(trial.coarsenesses, coarseness), len(packet))
+            Choice(_within(trial.quantiser_offsets, quantiser_offset), len(packet))
             for trial, packet in zip(trials, packets, strict=True)
         ]
 
     def _aim(self, attempts: _Attempts) -> int:
-        """Return the coarseness of the quality aimed at; that of the packet's share of the rate where none is known."""
+        """Return the quantiser offset of the quality aimed at; that of the packet's share of the rate where none is
+        known.
+        """
         if self._ear is None or self._heard == 0:
             share_bytes = self.bits_per_second * self._seconds / 8
             aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.previous)
-            return attempts.coarsenesses[-1] if aim is None else aim
-        swing_db = _SWING_DB * min(1.0, self.bucket.bucket_s / self._seconds / _PACKETS_FOR_FULL_SWING)
-        return self._ear.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.bucket.full))
+            return attempts.quantiser_offsets[-1] if aim is None else aim
+        swing_db = _SWING_DB * min(1.0, self.rate_buffer.rate_buffer_s / self._seconds / _PACKETS_FOR_FULL_SWING)
+        return self._ear.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
 
-    def _coarsest_that_fills(self, attempts: _Attempts, start: int, least_bytes: int, most_bytes: int) -> int:
+    def _coarsest_that_fills(self, attempts: _Attempts, start: int, min_bytes: int, max_bytes: int) -> int:
         """Return the coarsest that needs no padding, or the finest that fits where the least padding is needed."""
-        short = attempts.finest(lambda each: attempts.size_bytes(each) < least_bytes, start)
+        short = attempts.finest(lambda each: attempts.size_bytes(each) < min_bytes, start)
         assert short is not None, "the one that is aimed at is too short"
-        finer = _within(attempts.coarsenesses, short - 1)
-        return finer if attempts.size_bytes(finer) <= most_bytes else short
+        finer = _within(attempts.quantiser_offsets, short - 1)
+        return finer if attempts.size_bytes(finer) <= max_bytes else short
 
     def _remember(self, quality_db: float) -> None:
         """Take a quality into the mean."""
         self._heard += 1
-        kept = math.exp(-self._seconds / (_MEMORY_BUCKETS * self.bucket.bucket_s))
+        kept = math.exp(-self._seconds / (_MEMORY_RATE_BUFFERS * self.rate_buffer.rate_buffer_s))
         self._mean_db += max(1 / self._heard, 1 - kept) * (quality_db - self._mean_db)
 
-    def _padded(self, packets: Sequence[bytes], least_bytes: int, most_bytes: int) -> bytes:
+    def _padded(self, packets: Sequence[bytes], min_bytes: int, max_bytes: int) -> bytes:
         """Return the last of the packets, padded with zero bytes to bring all of them to the least."""
         *others, last = packets
         others_bytes = sum(map(self.sent_bytes, others))
-        padded = last.ljust(len(last) + least_bytes - others_bytes - self.sent_bytes(last), b"\0")
+        padded = last.ljust(len(last) + min_bytes - others_bytes - self.sent_bytes(last), b"\0")
         # A longer packet may have a longer frame.
-        while len(padded) > len(last) and others_bytes + self.sent_bytes(padded) > most_bytes:
+        while len(padded) > len(last) and others_bytes + self.sent_bytes(padded) > max_bytes:
             padded = padded[:-1]
         return padded
 
@@ -424,9 +432,9 @@ class ConstantRate(RatePolicy):
 class Group:
     """Several streams whose packets are due together, under one constant rate for the sum of their bytes.
 
-    All have one coarseness. Where a coarseness means the same step in a physical unit in all of them, the bits go
-    where the power is: reverse water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3).
-    `members`: the policies of the streams' encoders, one each.
+    All have one quantiser offset. Where a quantiser offset means the same step in a physical unit in all of them, the
+    bits go where the power is: reverse water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed.,
+    10.3.3). `members`: the policies of the streams' encoders, one each.
     """
 
     def __init__(self, policy: ConstantRate, streams: int) -> None:
@@ -435,7 +443,7 @@ class Group:
         self._trials: dict[int, Trial] = {}
         self._choices: dict[int, Choice] = {}
         self._seconds = math.nan
-        self._least_bytes: dict[int, int] = {}
+        self._min_bytes: dict[int, int] = {}
         self._code_next: Callable[[int], None] | None = None
 
     def code(self, coders: Sequence[Callable[[Signal], list[bytes]]], blocks: Sequence[Signal]) -> list[list[bytes]]:
@@ -463,13 +471,13 @@ class Group:
             self._code_next = None
         return packets
 
-    def begin(self, index: int, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+    def begin(self, index: int, decoder: Decoder, min_bytes: int, seconds: float) -> None:
         """Begin the stream of one member; see Policy. Raises CodecError where its packets last longer or less."""
-        if self._least_bytes and not math.isclose(seconds, self._seconds):
+        if self._min_bytes and not math.isclose(seconds, self._seconds):
             raise CodecError("streams that share a rate need packets of one duration; give all the same")
         self._seconds = seconds
-        self._least_bytes[index] = least_bytes
-        self.policy.begin(decoder, sum(self._least_bytes.values()), seconds)
+        self._min_bytes[index] = min_bytes
+        self.policy.begin(decoder, sum(self._min_bytes.values()), seconds)
 
     def choose(self, index: int, trial: Trial) -> Choice:
         """Choose for one member when all have made their trials. Raises CodecError outside `code`."""
@@ -487,10 +495,10 @@ class _Member(Policy):
         super().__init__()
         self._group, self._index = group, index
 
-    def begin(self, decoder: Decoder, least_bytes: int, seconds: float) -> None:
+    def begin(self, decoder: Decoder, min_bytes: int, seconds: float) -> None:
         """Begin a stream; see Policy."""
-        super().begin(decoder, least_bytes, seconds)
-        self._group.begin(self._index, decoder, least_bytes, seconds)
+        super().begin(decoder, min_bytes, seconds)
+        self._group.begin(self._index, decoder, min_bytes, seconds)
 
     def sent_bytes(self, packet: bytes) -> int:
         """Return what a packet and its frame take on the way."""
@@ -501,31 +509,33 @@ class _Member(Policy):
         return self._group.choose(self._index, trial)
 
 
-def steered_encoder(
+def rate_controlled_encoder(
     codec: Codec, setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None, policy: Policy
 ) -> Encoder:
-    """Make an encoder as `codec.make_encoder` does, steered by a policy, which begins with it.
+    """Make an encoder as `codec.make_encoder` does, rate-controlled by a policy, which begins with it.
 
     What the coarsest packets take at most is found by coding full-scale noise, silence and a click first. Raises
-    CodecError as `make_encoder`, also for a codec that does not steer, and as `policy.begin`.
+    CodecError as `make_encoder`, also for a codec that does not control the rate, and as `policy.begin`.
     """
     encoder = codec.make_encoder(setting, signal_format, framing, model, policy)
-    probe = codec.make_encoder(setting, signal_format, framing, model, lambda trial: Choice(trial.coarsenesses[-1]))
+    probe = codec.make_encoder(
+        setting, signal_format, framing, model, lambda trial: Choice(trial.quantiser_offsets[-1])
+    )
     shape = (_PROBE_PACKETS * encoder.packet_samples, signal_format.channels)
     noise, silence, click = np.random.default_rng(0).uniform(-1, 1, shape), np.zeros(shape), np.zeros(shape)
     click[encoder.packet_samples // 2] = 1.0
     packets = probe.encode(np.concatenate([noise, silence, click])) + probe.finish()
     longest = max(packets, key=policy.sent_bytes)
-    least_bytes = policy.sent_bytes(longest + bytes(_SEQUENCE_GROWTH_BYTES))
+    min_bytes = policy.sent_bytes(longest + bytes(_SEQUENCE_GROWTH_BYTES))
     decoder = codec.make_decoder(encoder.configuration, signal_format.channels, model.tables if model else None)
-    policy.begin(decoder, least_bytes, encoder.packet_samples / signal_format.rate_hz)
+    policy.begin(decoder, min_bytes, encoder.packet_samples / signal_format.rate_hz)
     return encoder
 
 
 def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
     """Return what of a setting gives all channels the same steps in their physical unit, and so the same error.
 
-    At one coarseness the bits then go to the channels by need, and one below the error gets none: reverse
+    At one quantiser offset the bits then go to the channels by need, and one below the error gets none: reverse
     water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3). It is the least error in all for
     the rate; by default all channels have the same SNR. Raises CodecError for a codec whose steps are not of a channel.
     """
@@ -538,24 +548,24 @@ def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
     return {name: tuple(map(float, steps))}
 
 
-def steered_framing(
-    bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, longest_s: float = math.inf
+def rate_controlled_framing(
+    bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, max_s: float = math.inf
 ) -> Framing:
     """Return the framing for a rate: the shortest packets to which the wire adds at most 15 %, but none too long.
 
-    `bits_per_second`: of all channels, frames included. `longest_s`: what the asked delay leaves for a packet. Encoders
-    round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the tactor for half of that on
-    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/rate_control.md). Raises OutOfReach for a rate
-    whose packets would last longer than the time over which it is held.
+    `bits_per_second`: of all channels, frames included. `max_s`: what the asked delay leaves for a packet. Encoders
+    round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the actuator for half of that on
+    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/rate_control.md). Raises TargetUnreachable for
+    a rate whose packets would last longer than the time over which it is held.
     """
     packet = b"\xff"
     while frame_bytes(packet) > FRAMES_ADD * len(packet):
         packet += b"\xff"
     sent_bits = 8 * (len(packet) + frame_bytes(packet))
-    seconds = min(sent_bits / bits_per_second, longest_s)
-    if seconds > LONGEST_PACKET_S:
-        raise OutOfReach(
-            f"{bits_per_second:g} bit/s cannot be held over {LONGEST_PACKET_S:g} s: one packet, with its frame, takes "
-            f"{seconds:.1f} s; ask for {math.ceil(sent_bits / LONGEST_PACKET_S)} bit/s or more, or for shorter packets"
+    seconds = min(sent_bits / bits_per_second, max_s)
+    if seconds > MAX_PACKET_S:
+        raise TargetUnreachable(
+            f"{bits_per_second:g} bit/s cannot be held over {MAX_PACKET_S:g} s: one packet, with its frame, takes "
+            f"{seconds:.1f} s; ask for {math.ceil(sent_bits / MAX_PACKET_S)} bit/s or more, or for shorter packets"
         )
     return Framing(max(1, math.ceil(seconds * rate_hz)), max(1, round(REFRESH_S / seconds)))

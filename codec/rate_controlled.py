@@ -10,7 +10,7 @@ from vibrocast import codec, models, textures
 from vibrocast.codec import Signal, SignalFormat
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, encoder_model, first_reachable
 from vibrocast.codec.live_format import recording_format
-from vibrocast.codec.rate_control import DEFAULT_BUCKET_S, REFRESH_S, RatePolicy
+from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, REFRESH_S, RatePolicy
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameError, write_frame
 from vibrocast.device_protocol.messages import StreamData, pack
@@ -19,38 +19,39 @@ WINDOW_S = 2.0
 """A rate is held over any run of whole packets that lasts so long."""
 _QUIET_DB = 20.0
 # Twice what it has before it is coded: beyond that no quality is finer.
-_MOST_BITS_A_SAMPLE = 32.0
+_MAX_BITS_A_SAMPLE = 32.0
 
 
 def added_bytes(packet: bytes) -> int:
     """Return how many bytes a packet's frame, of its own, adds to it: 8 for up to 127 bytes, as policies count them.
 
-    Raises OutOfReach for a packet that no frame carries.
+    Raises TargetUnreachable for a packet that no frame carries.
     """
     try:
         return len(write_frame(pack(StreamData(0, 0, (packet,))))) - len(packet)
     except FrameError as error:
-        raise codec.OutOfReach(
+        raise codec.TargetUnreachable(
             f"a packet of {len(packet)} bytes cannot be sent, a frame carries {MAXIMUM_PAYLOAD_BYTES}: "
             "ask for a lower rate or quality, or for shorter packets"
         ) from error
 
 
 @dataclass(frozen=True)
-class Wish:
+class RateTarget:
     """What is to be held: a constant rate; or a quality of every packet, up to a capped rate if there is one.
 
     `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`, `error_db`: the quality; the
-    latter is the error's level relative to the detection threshold. `bucket_s`: size of the bucket, None = that which
-    holds a rate within 1 % over any 2 s; with a larger one SNR is more even. `packet_s`: length of packets, None = the
-    shortest to which the wire adds at most 15 %, or 4 blocks without a rate. `equal_error`: in place of an equal SNR.
+    latter is the error's level relative to the detection threshold. `rate_buffer_s`: size of the rate buffer, None =
+    that which holds a rate within 1 % over any 2 s; with a larger one SNR is more even. `packet_s`: length of packets,
+    None = the shortest to which the wire adds at most 15 %, or 4 blocks without a rate. `equal_error`: in place of an
+    equal SNR.
     """
 
     constant_rate_bps: float | None = None
     capped_rate_bps: float | None = None
     snr_db: float | None = None
     error_db: float | None = None
-    bucket_s: float | None = None
+    rate_buffer_s: float | None = None
     packet_s: float | None = None
     equal_error: bool = False
 
@@ -61,23 +62,23 @@ class Wish:
 
     def policy(self, signal_format: SignalFormat) -> codec.Policy:
         """Return the policy, for one stream. Raises CodecError for what cannot be held."""
-        bucket_s = DEFAULT_BUCKET_S if self.bucket_s is None else self.bucket_s
+        rate_buffer_s = DEFAULT_RATE_BUFFER_S if self.rate_buffer_s is None else self.rate_buffer_s
         if self.constant_rate_bps is not None:
-            # The default bucket leaves a quality nothing to choose.
-            judge = None if self.bucket_s is None else codec.SnrJudge(signal_format.rate_hz)
-            return codec.ConstantRate(self.constant_rate_bps, added_bytes, bucket_s, judge)
+            # The default rate buffer leaves a quality nothing to choose.
+            judge = None if self.rate_buffer_s is None else codec.SnrJudge(signal_format.rate_hz)
+            return codec.ConstantRate(self.constant_rate_bps, added_bytes, rate_buffer_s, judge)
         quality_db, quality_judge = self._quality(signal_format)
         if self.capped_rate_bps is None:
-            most_bps = _MOST_BITS_A_SAMPLE * signal_format.rate_hz * signal_format.channels
-            return codec.ConstantQuality(quality_db, quality_judge, most_bps, added_bytes)
-        return codec.CappedRate(quality_db, quality_judge, self.capped_rate_bps, added_bytes, bucket_s)
+            max_bps = _MAX_BITS_A_SAMPLE * signal_format.rate_hz * signal_format.channels
+            return codec.ConstantQuality(quality_db, quality_judge, max_bps, added_bytes)
+        return codec.CappedRate(quality_db, quality_judge, self.capped_rate_bps, added_bytes, rate_buffer_s)
 
     def framing(self, rate_hz: int) -> codec.Framing:
         """Return how a stream of that sample rate is cut into packets."""
         if self.packet_s is not None:
             return codec.Framing(max(1, round(self.packet_s * rate_hz)), max(1, round(REFRESH_S / self.packet_s)))
         if self.rate_bps is not None:
-            return codec.steered_framing(self.rate_bps, rate_hz, added_bytes)
+            return codec.rate_controlled_framing(self.rate_bps, rate_hz, added_bytes)
         return codec.live_framing(rate_hz)
 
     def _quality(self, signal_format: SignalFormat) -> tuple[float, codec.Judge]:
@@ -90,7 +91,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a wish was met.
+    """How a target was met.
 
     `sent_bps`: packets and their frames; `packets_bps`: packets alone. `furthest`: by how much, relative to the rate,
     the run of packets of 2 s that is furthest from it differs; None without a rate, or where all lasts less.
@@ -131,7 +132,7 @@ class Outcome:
 
 def encode(
     recording: textures.Recording,
-    wish: Wish,
+    target: RateTarget,
     *,
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     codec_name: str | None = None,
@@ -140,27 +141,27 @@ def encode(
     progress: Callable[[float], None] | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
 ) -> tuple[Stream, Outcome]:
-    """Resample a recording to the stream's rate and code it as a live stream, steered as wished.
+    """Resample a recording to the stream's rate and code it as a live stream, rate-controlled as wished.
 
     `highpass_hz` as in `coding.encode`.
 
     `codec_name`: None = that of the model, or DEFAULT_CODEC. `model`: None = the tables built in or, for a codec
-    without such, the smallest model that ships and holds the wish. Raises CodecError, also where the wish is out of
+    without such, the smallest model that ships and holds the target. Raises CodecError, also where the target is out of
     reach, and as `host.coding.encode`.
     """
     resampled = textures.resample(textures.highpass(recording, highpass_hz).recording, stream_rate_hz)
     samples = resampled.samples
     signal_format = recording_format(resampled)
     chosen = chosen_codec(codec_name, model)
-    given = {**(codec.equal_error(chosen, signal_format) if wish.equal_error else {}), **(setting or {})}
+    given = {**(codec.equal_error(chosen, signal_format) if target.equal_error else {}), **(setting or {})}
 
     def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, codec.Policy]:
-        policy = wish.policy(signal_format)
-        coded = codec.encode_steered(
+        policy = target.policy(signal_format)
+        coded = codec.encode_rate_controlled(
             samples,
             stream_rate_hz,
             policy,
-            wish.framing(stream_rate_hz),
+            target.framing(stream_rate_hz),
             codec=chosen.name,
             setting=given,
             unit=resampled.unit,
@@ -170,11 +171,14 @@ def encode(
         return as_stream(coded, resampled.unit, None if candidate is None else candidate.image), policy
 
     stream, policy = first_reachable(chosen, model, code, progress)
-    return stream, outcome(stream, samples, wish.rate_bps, policy)
+    return stream, outcome(stream, samples, target.rate_bps, policy)
 
 
 def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: codec.Policy) -> Outcome:
-    """Return how a policy steered a stream of samples (n, channels); without a rate, None. Raises CodecError."""
+    """Return how a policy held its target on a stream of samples (n, channels). Raises CodecError.
+
+    `rate_bps`: None = without a rate.
+    """
     decoder = stream.decoder()
     packet_s = decoder.packet_samples / stream.header.rate_hz
     sizes = [len(packet) + added_bytes(packet) for packet in stream.packets]

@@ -22,13 +22,13 @@ from vibrocast.codec.interface import (
     Signal,
     SignalFormat,
 )
-from vibrocast.codec.rate_control import Policy, steered_encoder
+from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
 
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
 _FILE_PACKET_BLOCKS = 128
 # Every packet fits into one frame of the wire protocol, so that a file can be played as it is.
-_LARGEST_PACKET_BYTES = 4000
+_MAX_PACKET_BYTES = 4000
 _PART_SAMPLES = 1 << 20
 _MAX_GAIN = 2.0**127
 _MIN_GAIN = 2.0**-120
@@ -178,7 +178,7 @@ def encode(
     return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
 
 
-def encode_steered(
+def encode_rate_controlled(
     samples: Signal,
     rate_hz: int,
     policy: Policy,
@@ -190,11 +190,15 @@ def encode_steered(
     model: Model | None = None,
     progress: Progress | None = None,
 ) -> CodedSignal:
-    """Code samples (n, channels) in a physical unit in one pass, as a live stream would be, steered by a policy.
+    """Code samples (n, channels) in a physical unit in one pass, as a live stream would be, rate-controlled by a
+    policy.
 
-    Raises CodecError as `encode`, and for packets longer than 4000 bytes; OutOfReach as `steered_encoder`.
+    Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as
+    `rate_controlled_encoder`.
     """
-    return Source(samples, rate_hz, codec, unit, True, model, progress).encode_steered(setting or {}, policy, framing)
+    return Source(samples, rate_hz, codec, unit, True, model, progress).encode_rate_controlled(
+        setting or {}, policy, framing
+    )
 
 
 def settled(
@@ -301,19 +305,19 @@ class Source:
             encoder = self.codec.make_encoder(setting, self.format, framing, self._model, None)
             packets = self._packets(encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
-            if max(map(len, packets)) <= _LARGEST_PACKET_BYTES or as_short_as_can_be:
+            if max(map(len, packets)) <= _MAX_PACKET_BYTES or as_short_as_can_be:
                 return self._coded(encoder, packets)
             tried_samples = encoder.packet_samples
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
 
-    def encode_steered(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
-        """Code with a policy, in packets as they are asked. Raises CodecError as `codec.encode_steered`."""
-        encoder = steered_encoder(self.codec, self.settled(setting), self.format, framing, self._model, policy)
+    def encode_rate_controlled(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
+        """Code with a policy, in packets as they are asked. Raises CodecError as `codec.encode_rate_controlled`."""
+        encoder = rate_controlled_encoder(self.codec, self.settled(setting), self.format, framing, self._model, policy)
         packets = self._packets(encoder)
-        if max(map(len, packets)) > _LARGEST_PACKET_BYTES:
+        if max(map(len, packets)) > _MAX_PACKET_BYTES:
             raise CodecError(
                 f"a packet of {max(map(len, packets))} bytes, and no controller need take more than "
-                f"{_LARGEST_PACKET_BYTES}: ask for shorter packets, or for less"
+                f"{_MAX_PACKET_BYTES}: ask for shorter packets, or for less"
             )
         return self._coded(encoder, packets)
 

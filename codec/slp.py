@@ -24,16 +24,16 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Parameter,
+    RateControl,
     Setting,
     Signal,
     SignalFormat,
-    Steering,
     number,
 )
 from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
-from vibrocast.codec.mdct import STEERED
+from vibrocast.codec.mdct import RATE_CONTROLLED
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.codec.trial import PacketTrial, steered_packet
+from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "slp"
@@ -42,8 +42,8 @@ FRAMES = (32, 64, 128)
 MAX_ORDER = 16
 MAX_PACKET_FRAMES = 4095
 STEP_CODES = 21 * 8
-COARSENESSES_OF_STEP_CODE = 2
-"""By how much the coarseness of a packet is more where its steps are larger by one code."""
+QUANTISER_OFFSETS_OF_STEP_CODE = 2
+"""By how much the quantiser offset of a packet is more where its steps are larger by one code."""
 LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
 _ANALYSIS_SAMPLES = 512
@@ -72,23 +72,23 @@ class SlpEncoder(PacketwiseEncoder):
         shaping: float,
         signal_format: SignalFormat,
         framing: Framing,
-        steering: Steering | None = None,
+        rate_control: RateControl | None = None,
     ) -> None:
         """Make an encoder with a quantiser step relative to each channel's RMS value.
 
         `frame`: samples per frame. `order`: of the predictor. `shaping`: weight of the detection threshold in the
-        steps, 0 to 1. `steering`: chooses the coarseness of each packet, in 1/16 octave of the steps; None = all have
-        the steps as they are. Raises CodecError on what the codec does not have.
+        steps, 0 to 1. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave of the steps; None =
+        all have the steps as they are. Raises CodecError on what the codec does not have.
         """
         if frame not in FRAMES:
             raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
         super().__init__(signal_format.channels, framing, frame, MAX_PACKET_FRAMES)
         self._frame, self._order = frame, order
         step_codes = [step_code(step * rms) for rms in signal_format.rms]
-        self._steering, self._coarseness = steering, 0
+        self._rate_control, self._quantiser_offset = rate_control, 0
         # What is loud has levels at the largest steps too; one more is silence, which fits any rate.
-        self._silent = COARSENESSES_OF_STEP_CODE * (STEP_CODES - 1 - min(step_codes)) + 1
-        self._coarsenesses = range(-COARSENESSES_OF_STEP_CODE * max(step_codes), self._silent + 1)
+        self._silent = QUANTISER_OFFSETS_OF_STEP_CODE * (STEP_CODES - 1 - min(step_codes)) + 1
+        self._quantiser_offsets = range(-QUANTISER_OFFSETS_OF_STEP_CODE * max(step_codes), self._silent + 1)
         self.configuration = bytes(
             (
                 FRAMES.index(frame) << 5 | order,
@@ -97,7 +97,7 @@ class SlpEncoder(PacketwiseEncoder):
                 min(round(256 * shaping), 255),
                 round(8 * math.log2(signal_format.rate_hz)),
                 *step_codes,
-                *(STEERED if steering else b""),
+                *(RATE_CONTROLLED if rate_control else b""),
             )
         )
         core = library()
@@ -138,12 +138,12 @@ class SlpEncoder(PacketwiseEncoder):
         """Return the packet of samples: in the core's unit by frame and channel, their predictors, and as given."""
         units, codes = np.ascontiguousarray(units), np.ascontiguousarray(codes)
 
-        def code(state: Structure, coarseness: int) -> bytes:
+        def code(state: Structure, quantiser_offset: int) -> bytes:
             length = library().vc_slp_encode(
                 state.pointer,
                 ffi.cast("const int32_t *", units.ctypes.data),
                 ffi.cast("const int8_t *", codes.ctypes.data),
-                library().VC_SLP_SILENT if coarseness == self._silent else coarseness,
+                library().VC_SLP_SILENT if quantiser_offset == self._silent else quantiser_offset,
                 self._packet,
                 MAX_PACKET_BYTES,
             )
@@ -151,12 +151,15 @@ class SlpEncoder(PacketwiseEncoder):
                 raise does_not_fit(self.packet_samples)
             return bytes(ffi.buffer(self._packet, length))
 
-        if self._steering is None:
+        if self._rate_control is None:
             return code(self._state, 0)
         trial = PacketTrial(
-            samples, self._coarsenesses, self._coarseness, lambda coarseness: code(self._state.copy(), coarseness)
+            samples,
+            self._quantiser_offsets,
+            self._quantiser_offset,
+            lambda quantiser_offset: code(self._state.copy(), quantiser_offset),
         )
-        self._coarseness, packet = steered_packet(trial, self._steering, partial(code, self._state))
+        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, partial(code, self._state))
         return packet
 
 
@@ -165,7 +168,7 @@ def make_encoder(
     signal_format: SignalFormat,
     framing: Framing,
     model: Model | None,
-    steering: Steering | None = None,
+    rate_control: RateControl | None = None,
 ) -> SlpEncoder:
     """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError as `SlpEncoder`."""
     return SlpEncoder(
@@ -175,7 +178,7 @@ def make_encoder(
         number(setting, "shaping"),
         signal_format,
         framing,
-        steering,
+        rate_control,
     )
 
 
@@ -194,8 +197,8 @@ CODEC = Codec(
         "order": Parameter("of the predictor, 0 = none", 8, low=0, high=MAX_ORDER, whole=True),
         "shaping": Parameter("weight of the detection threshold in the steps, 0 = white noise", 0.1, low=0, high=1),
     },
-    ladders={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
+    rate_point_sets={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
     make_encoder=make_encoder,
     make_decoder=make_decoder,
-    steers=True,
+    controls_rate=True,
 )

@@ -12,7 +12,7 @@ from vibrocast import codec, models, textures
 from vibrocast.device_protocol import coded_stream
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.model_image import ModelImage, sha256
-from vibrocast.files import read_input, whole_file
+from vibrocast.files import atomic_write, read_input
 from vibrocast.textures import arguments
 from vibrocast.textures.memory import shortage
 
@@ -90,7 +90,7 @@ class Stream:
 
     def save(self, path: str | Path) -> None:
         """Write a .vct file, whole or not at all. Raises OSError."""
-        with whole_file(arguments.file_path("path", path)) as partial:
+        with atomic_write(arguments.file_path("path", path)) as partial:
             partial.write_bytes(bytes(self))
 
     @property
@@ -284,7 +284,7 @@ def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] 
     `progress` as in `Stream.decode`. Raises StreamError for any other stream or several channels, CodecError, OSError.
     """
     profile = stream.profile(path.stem, progress)
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         textures.save_profile(partial, profile)
     return profile
 
@@ -297,7 +297,7 @@ def write_recording(
     `progress` as in `Stream.decode`. Raises StreamError for a height profile, CodecError, TextureError or OSError.
     """
     recording = stream.recording(path.stem, progress)
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         try:
             return textures.save(partial, recording, sixteen_bit)
         except textures.TextureError as error:

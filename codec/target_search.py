@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vibrocast.codec import mdct
-from vibrocast.codec.interface import CodecError, CodedSignal, Model, OutOfReach, Setting, Signal, number
+from vibrocast.codec.interface import CodecError, CodedSignal, Model, Setting, Signal, TargetUnreachable, number
 from vibrocast.codec.registry import (
     Progress,
     Source,
@@ -24,13 +24,15 @@ SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
 _STEPS_PER_OCTAVE = 64
 _DB_PER_OCTAVE = 20 * math.log10(2)
-_THRIFTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
+_RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 _BALANCING_TRIALS = 20
 _STEP_BACK = 0.9
 _NEIGHBOURS = 3
-"""Settings tried on each side of where the excess changes its sign, as quality may fall on the way up a ladder."""
+"""Settings tried on each side of where the excess changes its sign, as quality may fall on the way up a set of rate
+points.
+"""
 _STEPS_BETWEEN = 8
-"""Steps from one rung of a ladder to the next, where the setting is a fraction."""
+"""Steps from one rate point of a set of rate points to the next, where the setting is a fraction."""
 
 
 def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
@@ -89,19 +91,19 @@ def encode_to_snr(
 ) -> CodedSignal:
     """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
 
-    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as `encode`, OutOfReach with
-    the best that there is. A silent signal meets every target.
+    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as `encode`,
+    TargetUnreachable with the best that there is. A silent signal meets every target.
     """
     if not math.isfinite(target_db):
         raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
     if not codec_by_name(codec).keeps_waveform:
-        raise OutOfReach(
+        raise TargetUnreachable(
             f"an SNR of {target_db:g} dB cannot be met: {codec} keeps no waveform; ask for a rate, or "
             "choose another codec"
         )
     source = Source(samples, rate_hz, codec, unit, live, model, progress)
     if source.silent:
-        return source.encode(_rungs(source, setting)[0])
+        return source.encode(_rate_points(source, setting)[0])
     tables = model.tables if model is not None else None
 
     def excesses_db(coded: CodedSignal) -> list[float]:
@@ -123,7 +125,7 @@ def encode_to_snr(
         best = _choose(source, setting, lambda coded: min(excesses_db(coded)), SNR_TOLERANCE_DB, side=1)
         least = excesses_db(best)
     if min(least) < -SNR_TOLERANCE_DB:
-        raise OutOfReach(
+        raise TargetUnreachable(
             f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
             f"with {source.codec.name}: ask for less, or give another setting"
         )
@@ -145,7 +147,7 @@ def _balance(
                 channel.move(excess)
             elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
                 channel.step *= _STEP_BACK
-        coded = source.encode({"step": tuple(channel.step for channel in balanced), "thrift": found.thrift})
+        coded = source.encode({"step": tuple(channel.step for channel in balanced), "rd_weight": found.rd_weight})
         excesses = excesses_db(coded)
         if _imbalance(excesses) < _imbalance(least):
             best, least = coded, excesses
@@ -198,7 +200,7 @@ def encode_to_rate(
     """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
 
     `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: what of it is given and
-    not searched for. Raises CodecError as `encode`, OutOfReach with the least rate that the signal takes.
+    not searched for. Raises CodecError as `encode`, TargetUnreachable with the least rate that the signal takes.
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
@@ -216,7 +218,7 @@ def encode_to_rate(
     else:
         best = _choose(source, setting, excess, tolerance, side=-1)
     if excess(best) > tolerance:
-        raise OutOfReach(
+        raise TargetUnreachable(
             f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
             f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
         )
@@ -229,48 +231,49 @@ def _searches_steps(source: Source, setting: Setting | None) -> bool:
 
 def _differs_by_channel(source: Source, setting: Setting | None) -> bool:
     """Return whether every parameter that is left to search may differ between channels, of which there are several."""
-    ladder = next(iter(source.codec.ladders.values()))
-    varied = {name for rung in ladder for name in rung} - set(setting or {})
+    rate_point_set = next(iter(source.codec.rate_point_sets.values()))
+    varied = {name for rate_point in rate_point_set for name in rate_point} - set(setting or {})
     return source.format.channels > 1 and all(source.codec.parameters[name].per_channel for name in varied)
 
 
 def settings(source: Source, setting: Setting | None = None) -> list[Setting]:
-    """Return what a search for a quality tries: the rungs of the codec's first ladder and between, the coarsest first.
+    """Return what a search for a quality tries: the rate points of the codec's first set of rate points and between,
+    the coarsest first.
 
     `setting`: what is given of the codec's setting and not searched for. Raises CodecError.
     """
-    return _steps_between(source, _rungs(source, setting))[0]
+    return _steps_between(source, _rate_points(source, setting))[0]
 
 
-def _rungs(source: Source, setting: Setting | None) -> list[Setting]:
-    """Return the settings of the codec's first ladder, what is given of a setting put in place of theirs.
+def _rate_points(source: Source, setting: Setting | None) -> list[Setting]:
+    """Return the settings of the codec's first set of rate points, what is given of a setting put in place of theirs.
 
     Those that the model does not have are left out, unless it has none: then the first says why.
     """
-    ladder = next(iter(source.codec.ladders.values()))
-    rungs: list[Setting] = []
-    for rung in ({**rung, **source.codec.checked(setting or {})} for rung in ladder):
-        if rung not in rungs:
-            rungs.append(rung)
-    return [rung for rung in rungs if source.takes(rung)] or rungs
+    rate_point_set = next(iter(source.codec.rate_point_sets.values()))
+    rate_points: list[Setting] = []
+    for rate_point in ({**rate_point, **source.codec.checked(setting or {})} for rate_point in rate_point_set):
+        if rate_point not in rate_points:
+            rate_points.append(rate_point)
+    return [rate_point for rate_point in rate_points if source.takes(rate_point)] or rate_points
 
 
-def _steps_between(source: Source, rungs: list[Setting]) -> tuple[list[Setting], int]:
-    """Return the rungs with settings between them, and how many steps lead from one rung to the next.
+def _steps_between(source: Source, rate_points: list[Setting]) -> tuple[list[Setting], int]:
+    """Return the rate points with settings between them, and how many steps lead from one rate point to the next.
 
-    There are none between where what differs from rung to rung is no fraction.
+    There are none between where what differs from rate point to rate point is no fraction.
     """
     parameters = source.codec.parameters
-    varied = {name for low, high in itertools.pairwise(rungs) for name in low if low[name] != high[name]}
+    varied = {name for low, high in itertools.pairwise(rate_points) for name in low if low[name] != high[name]}
     if not varied or not all(parameters[name].fractional for name in varied):
-        return rungs, 1
+        return rate_points, 1
     finer: list[Setting] = []
-    for low, high in itertools.pairwise(rungs):
+    for low, high in itertools.pairwise(rate_points):
         for step in range(_STEPS_BETWEEN):
             part = step / _STEPS_BETWEEN
             between = {name: (1 - part) * number(low, name) + part * number(high, name) for name in varied}
             finer.append({**low, **between})
-    return [*finer, rungs[-1]], _STEPS_BETWEEN
+    return [*finer, rate_points[-1]], _STEPS_BETWEEN
 
 
 def _choose(
@@ -280,12 +283,12 @@ def _choose(
     tolerance: float,
     side: int,
 ) -> CodedSignal:
-    """Code where the excess, rising on the whole from rung to rung, changes its sign; at every rung if nothing there
-    will do.
+    """Code where the excess, rising on the whole from rate point to rate point, changes its sign; at every rate point
+    if nothing there will do.
 
     Return the one preferred as in `_search`.
     """
-    settings, steps = _steps_between(source, _rungs(source, setting))
+    settings, steps = _steps_between(source, _rate_points(source, setting))
     tried: dict[int, tuple[CodedSignal, float]] = {}
 
     def excess_at(index: int) -> float:
@@ -311,7 +314,7 @@ def _choose_for_each(
     """Code each channel at the coarsest setting that brings it to the target: found with all channels at that setting,
     then made finer where it is not enough beside the others'.
     """
-    settings, _ = _steps_between(source, _rungs(source, setting))
+    settings, _ = _steps_between(source, _rate_points(source, setting))
     varied = {name for name in settings[0] if settings[0][name] != settings[-1][name]}
     tried: dict[tuple[int, ...], tuple[CodedSignal, list[float]]] = {}
 
@@ -349,12 +352,12 @@ def _preference(excess: float, tolerance: float, side: int) -> tuple[bool, float
 
 @dataclass(frozen=True)
 class _Found:
-    """What a search found: the coded signal, its excess, and the step and thrift that made it."""
+    """What a search found: the coded signal, its excess, and the step and rd_weight that made it."""
 
     coded: CodedSignal
     excess: float
     step: float
-    thrift: float
+    rd_weight: float
 
 
 def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: float, side: int) -> _Found:
@@ -366,9 +369,9 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
 
     # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
     # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
-    for thrift in _THRIFTS:
-        finest = round(_STEPS_PER_OCTAVE * math.log2(mdct.SMALLEST_STEP))
-        coarsest = round(_STEPS_PER_OCTAVE * math.log2(mdct.LARGEST_STEP / min(source.format.rms)))
+    for rd_weight in _RD_WEIGHTS:
+        finest = round(_STEPS_PER_OCTAVE * math.log2(mdct.MIN_STEP))
+        coarsest = round(_STEPS_PER_OCTAVE * math.log2(mdct.MAX_STEP / min(source.format.rms)))
         above = below = math.nan  # excess beside the finest and the coarsest step that are left
         interpolates = False
         while finest <= coarsest:
@@ -377,8 +380,8 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
             if interpolates:
                 exponent = finest + round(width * min(max(above / (above - below), 0.0), 1.0))
             step = 2 ** (exponent / _STEPS_PER_OCTAVE)
-            coded = source.encode({"step": step, "thrift": thrift})
-            found = _Found(coded, excess(coded), step, thrift)
+            coded = source.encode({"step": step, "rd_weight": rd_weight})
+            found = _Found(coded, excess(coded), step, rd_weight)
             if best is None or _preference(found.excess, tolerance, side) < _preference(best.excess, tolerance, side):
                 best = found
             if abs(best.excess) <= tolerance / 2:
@@ -389,7 +392,7 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
                 coarsest, below = exponent - 1, found.excess
             # Straight lines lead there soon, unless one end stays where it is, or the excess jumps: then halve.
             halved = 2 * (coarsest - finest) <= width
-            interpolates = thrift == _THRIFTS[0] and halved and math.isfinite(above - below)
+            interpolates = rd_weight == _RD_WEIGHTS[0] and halved and math.isfinite(above - below)
         if best is not None and (abs(best.excess) <= tolerance or side * best.excess < -tolerance):
             break
     assert best is not None, "there is a step to try"

@@ -14,7 +14,7 @@ TACTILE_BAND_HZ = (40.0, 800.0)
 BLOCK_S = 0.2
 """Components are 1 / BLOCK_S = 5 Hz apart, as in the DCT paper, and the skin sums vibration over about that time
 (Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965)."""
-LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
+MIN_HZ, MAX_HZ = 10.0, 1000.0
 """Where textures are felt; below, the hand moves as a whole, above, no channel of touch answers."""
 BANDS_PER_OCTAVE = 12
 _BLOCKS_AT_ONCE = 256
@@ -96,11 +96,11 @@ def over_threshold_db(
     window = np.hanning(block + 1)[:-1]
     blocks = np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
     spacing_hz = rate_hz / block
-    highest_hz = min(HIGHEST_HZ, rate_hz / 2 / 2 ** (1 / 6))
-    lowest_hz = max(LOWEST_HZ, spacing_hz)
+    highest_hz = min(MAX_HZ, rate_hz / 2 / 2 ** (1 / 6))
+    lowest_hz = max(MIN_HZ, spacing_hz)
     # The same middles at every rate, so that what has one can be compared with what has another.
-    steps = np.arange(1 + math.floor(BANDS_PER_OCTAVE * math.log2(HIGHEST_HZ / LOWEST_HZ)))
-    middle_hz = LOWEST_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
+    steps = np.arange(1 + math.floor(BANDS_PER_OCTAVE * math.log2(MAX_HZ / MIN_HZ)))
+    middle_hz = MIN_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
     middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
     parts = band_parts(block // 2 + 1, spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
     nearest = np.rint(middle_hz / spacing_hz).astype(int)

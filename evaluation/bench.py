@@ -13,7 +13,7 @@ from vibrocast import textures
 from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import TABLES, Measurements
 from vibrocast.evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.textures.dataset import Trace
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
@@ -134,7 +134,7 @@ def _cells(trace: Trace, recording: textures.Recording, chosen: Sequence[Method]
         Cell(trace.name, recording, method, setting, repeats, model)
         for method in chosen
         if not method.physical or recording.unit != "full scale"
-        for setting, model in method.rungs
+        for setting, model in method.rate_points
     ]
 
 
@@ -163,9 +163,9 @@ def _is_ours(points: Path) -> bool:
 def write(results: Path, measurements: Measurements) -> None:
     """Write all figures into a folder as CSV, the points as JSON too, each file whole or not at all. Raises OSError."""
     for name, kind in TABLES.items():
-        with whole_file(results / f"{name}.csv") as partial:
+        with atomic_write(results / f"{name}.csv") as partial:
             write_rows(partial, getattr(measurements, name), kind)
-    with whole_file(results / _POINTS_JSON) as partial:
+    with atomic_write(results / _POINTS_JSON) as partial:
         points = measurements.points
         records = [{**asdict(point), "bits_per_sample": point.bits_per_sample} for point in points]
         # JSON has no infinity, the SNR of an exact copy.

@@ -58,7 +58,7 @@ class Method:
     models: tuple[Model, ...] = ()
 
     @property
-    def rungs(self) -> Iterator[tuple[Setting | str, Model | None]]:
+    def rate_points(self) -> Iterator[tuple[Setting | str, Model | None]]:
         """Each setting with its model, if any."""
         return zip_longest(self.settings, self.models)
 
@@ -88,7 +88,7 @@ class Cell:
     @property
     def names(self) -> tuple[str, str, str]:
         """Trace, method and setting as they stand in tables; with the model, where the method has several."""
-        return self.trace, self.method.name, rung_text(self.method, self.setting, self.model)
+        return self.trace, self.method.name, rate_point_text(self.method, self.setting, self.model)
 
     @property
     def key(self) -> str:
@@ -156,7 +156,7 @@ def decode_file(file: bytes, model: Model | None, runtime: str | None = None) ->
     return Stream(header, tuple(packets), model.image if model else None, runtime).decode()
 
 
-def rung_text(method: Method, setting: Setting | str, model: Model | None) -> str:
+def rate_point_text(method: Method, setting: Setting | str, model: Model | None) -> str:
     """Return a setting of a method as text; with the model, where the method has several."""
     text = setting if isinstance(setting, str) else setting_text(setting)
     return f"{text} model={model.name}" if model and len({each.name for each in method.models}) > 1 else text
@@ -174,25 +174,33 @@ def setting_text(setting: Setting) -> str:
 def methods(
     names: Collection[str], programs: Sequence[external.Program] = (), models: Sequence[Model] = ()
 ) -> list[Method]:
-    """Return the methods of these names, in a fixed order: ladders of codecs, families of models, then the programs.
+    """Return the methods of these names, in a fixed order: sets of rate points of codecs, families of models, then the
+    programs.
 
-    A name is that of a codec, which stands for all its ladders and families, or of one of these; no name at all stands
-    for all codecs. A ladder that needs a physical unit is left out of traces without one, unless it is named. Raises
-    BenchError for unknown names, for those of codecs that need a model where there is none, and for programs or
-    families that are called like a codec or ladder.
+    A name is that of a codec, which stands for all its sets of rate points and families, or of one of these; no name at
+    all stands for all codecs. A set of rate points that needs a physical unit is left out of traces without one, unless
+    it is named. Raises BenchError for unknown names, for those of codecs that need a model where there is none, and for
+    programs or families that are called like a codec or set of rate points.
     """
     of_codecs = [
-        Method(ladder, settings, known.name, ladder in known.physical_ladders and ladder not in names)
+        Method(
+            rate_point_set,
+            settings,
+            known.name,
+            rate_point_set in known.physical_rate_point_sets and rate_point_set not in names,
+        )
         for known in codec.CODECS.values()
         if not known.needs_model
-        for ladder, settings in known.ladders.items()
+        for rate_point_set, settings in known.rate_point_sets.items()
     ]
     taken = {*codec.CODECS, *(method.name for method in of_codecs)}
     every = [*of_codecs, *families(models)]
     for kind, own in (("family of models", every[len(of_codecs) :]), ("program", programs)):
         for each in own:
             if each.name in taken:
-                raise BenchError(f"a codec, ladder or family is called {each.name!r}; give the {kind} another name")
+                raise BenchError(
+                    f"a codec, set of rate points or family is called {each.name!r}; give the {kind} another name"
+                )
             taken.add(each.name)
     coders = {method.coder for method in every}
     for name in sorted(names):
@@ -200,22 +208,26 @@ def methods(
             raise BenchError(f"the codec {name} needs a model, and there is none; give a folder of models: --models")
         if name not in {*coders, *(method.name for method in every)}:
             known_names = sorted({*codec.CODECS, *(method.name for method in every)})
-            raise BenchError(f"there is no codec or ladder {name!r}; choose from {', '.join(known_names)}")
+            raise BenchError(f"there is no codec or set of rate points {name!r}; choose from {', '.join(known_names)}")
     chosen = [method for method in every if not names or method.name in names or method.coder in names]
     return [*chosen, *(Method(program.name, program.settings, program) for program in programs)]
 
 
 def families(models: Sequence[Model]) -> list[Method]:
-    """Return a method for each family of models, in their order: its models by name, of each all rungs that differ."""
+    """Return a method for each family of models, in their order: its models by name, of each all rate points that
+    differ.
+    """
     grouped: dict[tuple[str, str], list[tuple[Setting, Model]]] = {
         (model.family, trained.codec_name(model)): [] for model in models
     }
     for model in sorted(models, key=lambda model: model.name):
         own = grouped[model.family, trained.codec_name(model)]
-        own += [(setting, model) for setting in trained.ladder(model)]
+        own += [(setting, model) for setting in trained.rate_point_set(model)]
     return [
-        Method(family, tuple(setting for setting, _ in rungs), coder, models=tuple(model for _, model in rungs))
-        for (family, coder), rungs in grouped.items()
+        Method(
+            family, tuple(setting for setting, _ in rate_points), coder, models=tuple(model for _, model in rate_points)
+        )
+        for (family, coder), rate_points in grouped.items()
     ]
 
 

@@ -35,9 +35,9 @@ LABEL_IN, CHARACTER_IN = 0.16, 0.07
 MIN_PANEL_IN = 3.6
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.8, 0.4, 0.3, 0.5
 LEADER_IN = 0.25
-LONGEST_NAME = 32
+MAX_NAME = 32
 
-LOWEST_RATE, HIGHEST_RATE = 0.25, 4.0
+MIN_RATE, MAX_RATE = 0.25, 4.0
 TIME_FLOOR_S = 1e-6  # a time axis is logarithmic and has no zero
 LOG_MARGIN = 2.0
 LONG_AXIS = 300.0  # from its end to its beginning, where ticks at 2 and 5 would touch
@@ -52,7 +52,7 @@ DASHES: Sequence[Any] = ("-", (0, (5, 2)), (0, (1, 1.3)), (0, (6, 2, 1, 2)), (0,
 MARKERS = ("o", "x", "^")
 GREYS = ("black", "0.4", "0.6")
 MARK_AREAS = (12.0, 400.0)
-LARGEST_EXCESS_PERCENT = 300.0
+MAX_EXCESS_PERCENT = 300.0
 FAR_PERCENT = 150.0
 MAX_NUMBERED_ROWS = 80
 LOGARITHMIC = (*TIMES, "flash_bytes")
@@ -101,7 +101,7 @@ def plot_quality_against_rate(path: Path, rows: Sequence[MeanPoint], scale: Scal
     figure = _figure([max(MIN_PANEL_IN, LABEL_IN * len(group)) for group in groups], texts.values())
     panels = figure.subplots(len(groups), squeeze=False, sharex=True).ravel()
     _set_rate_axis(panels[-1], "bits per sample, all bytes counted")
-    panels[-1].set_xlim(LOWEST_RATE, HIGHEST_RATE)
+    panels[-1].set_xlim(MIN_RATE, MAX_RATE)
     for axes, group in zip(panels, groups, strict=True):
         _set_quality_axis(axes, scale)
         labels = []
@@ -158,7 +158,7 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
     rates, costs = sorted({row.bits_per_sample for row in rows}), list(dict.fromkeys(row.cost for row in rows))
     of_rates = [[row for row in rows if row.bits_per_sample == rate] for rate in rates]
     heights = [max(MIN_PANEL_IN / 2, LABEL_IN * len(by_codec(of_rate))) for of_rate in of_rates]
-    largest_bytes = max((row.flash_bytes or 0 for row in rows), default=0) or 1
+    max_bytes = max((row.flash_bytes or 0 for row in rows), default=0) or 1
     figure = _figure(heights, [_name_and_bytes(row) for row in rows])
     panels = figure.subplots(len(rates), len(costs), squeeze=False, sharex="col", sharey="row", height_ratios=heights)
     for of_rate, panels_of_rate in zip(of_rates, panels, strict=True):
@@ -171,7 +171,7 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
             shown = sorted((row for row in of_rate if row.cost == cost), key=lambda row: -(row.flash_bytes or 0))
             for row in shown:
                 axes.axhline(_within(axes, row.quality), color="0.85", linewidth=0.6, zorder=0)
-                axes.scatter(_cost(row), _within(axes, row.quality), zorder=2, **_mark_style(row, largest_bytes))
+                axes.scatter(_cost(row), _within(axes, row.quality), zorder=2, **_mark_style(row, max_bytes))
             front = sorted((_cost(row), row.quality) for row in shown if row.on_front)
             axes.plot(*np.transpose(front or [(math.nan, math.nan)]), color="black", linewidth=1, zorder=1)
     for cost, axes in zip(costs, panels[-1], strict=True):
@@ -245,7 +245,7 @@ def plot_excesses(path: Path, rows: Sequence[Excess]) -> None:
     height_in = LABEL_IN * min(len(traces), MAX_NUMBERED_ROWS) * 1.25
     figure = _figure([height_in], left=traces_named, top=codecs_named, bottom_in=0.1)
     axes = figure.subplots()
-    axes.imshow(np.sqrt(cells), cmap="Greys", vmin=0, vmax=math.sqrt(LARGEST_EXCESS_PERCENT), aspect="auto")
+    axes.imshow(np.sqrt(cells), cmap="Greys", vmin=0, vmax=math.sqrt(MAX_EXCESS_PERCENT), aspect="auto")
     axes.patch.set(facecolor="white", edgecolor="0.7", hatch="////")
     axes.set_xticks(range(len(codecs)), codecs_named, rotation=90)
     axes.xaxis.tick_top()
@@ -254,7 +254,7 @@ def plot_excesses(path: Path, rows: Sequence[Excess]) -> None:
     if every == 1:
         for (row_number, column), excess in np.ndenumerate(cells):
             if math.isfinite(excess):
-                color = "white" if excess > LARGEST_EXCESS_PERCENT / 4 else "black"
+                color = "white" if excess > MAX_EXCESS_PERCENT / 4 else "black"
                 text = f"{excess:.0f}"
                 axes.text(column, row_number, text, ha="center", va="center", color=color, fontsize=FONT_POINTS)
     figure.savefig(path)
@@ -274,7 +274,7 @@ def name(row: OfCodec) -> str:
 
 
 def _name_and_rate(row: MeanPoint) -> str:
-    return name(row) if row.bits_per_sample <= HIGHEST_RATE else f"{name(row)}: {row.bits_per_sample:.1f} bit/sample"
+    return name(row) if row.bits_per_sample <= MAX_RATE else f"{name(row)}: {row.bits_per_sample:.1f} bit/sample"
 
 
 def _name_and_bytes(row: Mark) -> str:
@@ -292,11 +292,11 @@ def _cost(row: Mark) -> float:
     return max(row.value, TIME_FLOOR_S) if row.cost in TIMES else row.value
 
 
-def _mark_style(row: Mark, largest_bytes: int) -> dict[str, Any]:
+def _mark_style(row: Mark, max_bytes: int) -> dict[str, Any]:
     imported = row.source == IMPORTED
     least, largest = MARK_AREAS
     return {
-        "s": max(least, largest * (row.flash_bytes or 0) / largest_bytes),
+        "s": max(least, largest * (row.flash_bytes or 0) / max_bytes),
         "marker": "D" if imported else "o",
         "facecolor": "white" if row.flash_bytes is None else "0.7",
         "edgecolor": "0.5" if imported else "black",
@@ -306,11 +306,11 @@ def _mark_style(row: Mark, largest_bytes: int) -> dict[str, Any]:
 
 
 def _short(text: str) -> str:
-    """Return a name of at most LONGEST_NAME characters, that matplotlib takes for nothing but text.
+    """Return a name of at most MAX_NAME characters, that matplotlib takes for nothing but text.
 
     Its middle is left out: of a trace of IEEE P1918.1.1 the end tells the material and speed.
     """
-    short = text if len(text) <= LONGEST_NAME else f"{text[:10]}...{text[13 - LONGEST_NAME :]}"
+    short = text if len(text) <= MAX_NAME else f"{text[:10]}...{text[13 - MAX_NAME :]}"
     return short.replace("$", r"\$")
 
 

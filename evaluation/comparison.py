@@ -283,14 +283,18 @@ class Measurements:
         return {scale: {trace for codec in self.curves for trace in self.of(codec, scale)} for scale in SCALES}
 
     def cost(self, codec: str) -> CodecCost | None:
-        """Return the cost of the codec that a curve belongs to: the one of that name, or the one with that ladder."""
+        """Return the cost of the codec that a curve belongs to: the one of that name, or the one with that set of rate
+        points.
+        """
         by_name = {cost.codec: cost for cost in self.costs}
         return by_name.get(codec) or by_name.get(self.owner(codec))
 
     def owner(self, codec: str) -> str:
-        """Return the name of the codec whose ladder or family of models a curve is; "" for others' curves."""
+        """Return the codec whose set of rate points or family of models a curve is; "" for others' curves."""
         owners = [cost.coder for cost in self.costs if cost.codec == codec and cost.coder]
-        return next(iter([*owners, *(name for name, known in codecs.CODECS.items() if codec in known.ladders)]), "")
+        return next(
+            iter([*owners, *(name for name, known in codecs.CODECS.items() if codec in known.rate_point_sets)]), ""
+        )
 
     def delay_ms(self, codec: str) -> float | None:
         """Return the median delay of a codec's points; None where none says."""

@@ -26,12 +26,12 @@ import numpy as np
 from vibrocast import codec
 from vibrocast.codec import Framing, Setting, SignalFormat
 from vibrocast.evaluation import trained
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.models import Model
 
 T = TypeVar("T")
 
-SHORTEST_S = 0.01
+MIN_S = 0.01
 """Shorter work is timed in so many runs at a time that together they take about so long, far above a clock's step."""
 MEMORY_SECONDS, MEMORY_RATE_HZ = 100, 2800
 DECODER_SIZES = Path(__file__).parent / "data" / "decoder_sizes.json"
@@ -101,9 +101,9 @@ def time_coding(
 def _processor_seconds(work: Callable[[], object], repeats: int) -> float:
     timer = Timer(work, timer=time.process_time)
     once = timer.timeit(1)
-    if once >= SHORTEST_S:
+    if once >= MIN_S:
         return median([once, *timer.repeat(repeats - 1, 1)])
-    runs = math.ceil(SHORTEST_S / max(once, 1e-6))
+    runs = math.ceil(MIN_S / max(once, 1e-6))
     return median(timer.repeat(repeats, runs)) / runs
 
 
@@ -255,7 +255,7 @@ def main(out: Path) -> None:
         raise click.ClickException("the core is compiled to count it: run in a checkout, after `pip install ziglang`")
     sizes = {name: asdict(count_decoder_size(name)) for name in codec.CODECS}
     try:
-        with whole_file(out) as path:
+        with atomic_write(out) as path:
             path.write_text(json.dumps(sizes, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise click.ClickException(f"{out}: cannot be written: {error.strerror}") from error

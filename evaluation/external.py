@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 PEAK = 0.8
 """Peak of the WAV file that a program is given: many codecs clip or saturate nearer to full scale."""
-LARGEST_LAG_SAMPLES = 4096
+MAX_LAG_SAMPLES = 4096
 """Delays up to here are found by cross-correlation."""
 
-_LARGEST_EXCESS_SAMPLES = 2 * LARGEST_LAG_SAMPLES
-_LARGEST_SHORTFALL = 0.1
+_MAX_EXCESS_SAMPLES = 2 * MAX_LAG_SAMPLES
+_MAX_SHORTFALL = 0.1
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("input", "output", "input_folder", "output_folder", "scratch_folder", "setting", "rate_hz")
 
@@ -41,8 +41,8 @@ class Program:
 
     `name`: of the curve. `file`: where it was listed. `encoder`, `decoder`: commands, run one after another, their
     arguments with {input}, {output}, {input_folder}, {output_folder}, {scratch_folder} (empty at first), {setting} and
-    {rate_hz} to be filled in. `settings`: the ladder, coarsest first. `label_rate_hz`: what the WAV file is labelled
-    with, None = the signal's own rate. `delay_samples`: what the decoder's output lags by, None = found by
+    {rate_hz} to be filled in. `settings`: the set of rate points, coarsest first. `label_rate_hz`: what the WAV file is
+    labelled with, None = the signal's own rate. `delay_samples`: what the decoder's output lags by, None = found by
     cross-correlation. `coded_suffix`: of the coded file's name. `timeout_s`: for each command.
     """
 
@@ -110,7 +110,7 @@ def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: i
 def _program(path: Path, name: str, table: Any) -> Program:
     """Return a program from its table. Raises ProgramError."""
 
-    def refuse(what: str) -> ProgramError:
+    def reject(what: str) -> ProgramError:
         return ProgramError(f"{path}, [{name}]: {what}")
 
     kinds: dict[str, tuple[Any, str]] = {
@@ -123,22 +123,22 @@ def _program(path: Path, name: str, table: Any) -> Program:
         "timeout_s": (lambda value: float(_whole(value, 1)), "a whole number from 1 up"),
     }
     if not isinstance(table, dict):
-        raise refuse("it must be a table of its own")
+        raise reject("it must be a table of its own")
     fields: dict[str, Any] = {}
     for key, value in table.items():
         if key not in kinds:
-            raise refuse(f"there is no key {key}; choose from {', '.join(kinds)}")
+            raise reject(f"there is no key {key}; choose from {', '.join(kinds)}")
         read, expected = kinds[key]
         try:
             fields[key] = read(value)
         except (TypeError, ValueError) as error:
-            raise refuse(f"{key} must be {expected}") from error
+            raise reject(f"{key} must be {expected}") from error
     for key in ("encoder", "decoder"):
         if key not in fields:
-            raise refuse(f"{key} is missing; it must be {kinds[key][1]}")
+            raise reject(f"{key} is missing; it must be {kinds[key][1]}")
         named = {found for command in fields[key] for part in command for found in _PLACEHOLDER.findall(part)}
         if unknown := sorted(named - set(_PLACEHOLDERS)):
-            raise refuse(f"{key} has {{{unknown[0]}}}; choose from {', '.join(_PLACEHOLDERS)}")
+            raise reject(f"{key} has {{{unknown[0]}}}; choose from {', '.join(_PLACEHOLDERS)}")
     return Program(name, path, **fields)
 
 
@@ -254,7 +254,7 @@ def _read_output(program: Program, folder: Path, samples: int, rate_hz: int) -> 
                     f"{program.name}: decoded to {file.channels} channels at {file.samplerate} Hz "
                     f"instead of one at {rate_hz} Hz; correct its arguments in {program.file}"
                 )
-            if not samples * (1 - _LARGEST_SHORTFALL) <= file.frames <= samples + _LARGEST_EXCESS_SAMPLES:
+            if not samples * (1 - _MAX_SHORTFALL) <= file.frames <= samples + _MAX_EXCESS_SAMPLES:
                 raise ProgramError(f"{program.name}: decoded to {file.frames} samples instead of {samples}")
             output: NDArray[np.float64] = file.read(dtype="float64")
     except soundfile.LibsndfileError as error:
@@ -275,8 +275,8 @@ def _aligned(
 
 def _lag(reference: NDArray[np.float64], output: NDArray[np.float64]) -> int:
     """Return by how much the output lags: the nearest peak of the cross-correlation, 0 for silence."""
-    size = len(reference) + len(output) + LARGEST_LAG_SAMPLES
+    size = len(reference) + len(output) + MAX_LAG_SAMPLES
     spectrum = np.fft.rfft(output, size) * np.conj(np.fft.rfft(reference, size))
     correlation = np.fft.irfft(spectrum, size)
-    lags = sorted(range(-LARGEST_LAG_SAMPLES, LARGEST_LAG_SAMPLES + 1), key=abs)
+    lags = sorted(range(-MAX_LAG_SAMPLES, MAX_LAG_SAMPLES + 1), key=abs)
     return lags[int(np.argmax(correlation[lags]))]

@@ -22,7 +22,7 @@ FLOOR = 1e-6
 """Floor of power spectra relative to the reference's mean power in the tactile band, -60 dB."""
 THIRD_OCTAVES = np.arange(-14, 0)
 """Bands by their number x: 1000 * 10^(x / 10) Hz in the middle, 40 to 800 Hz. IEC 61260-1:2014, 5.2 to 5.5."""
-LARGEST_MAGNITUDE, SMALLEST_PEAK = 2.0**127, 2.0**-120
+MAX_MAGNITUDE, MIN_PEAK = 2.0**127, 2.0**-120
 """What the codecs take: between them, no square of a ratio overflows."""
 
 
@@ -79,10 +79,10 @@ def _check(reference: Signal, decoded: Signal, rate_hz: float) -> None:
     if not (math.isfinite(rate_hz) and rate_hz > 0):
         raise ValueError(f"a rate of {rate_hz} Hz; give the samples' rate, a positive number")
     for name, signal in (("reference", reference), ("decoded signal", decoded)):
-        if not np.all(np.abs(signal) <= LARGEST_MAGNITUDE):
+        if not np.all(np.abs(signal) <= MAX_MAGNITUDE):
             raise ValueError(f"the {name} holds NaN, infinity or values above 2^127; repair it first")
     peaks = np.max(np.abs(reference), axis=0, initial=0.0)
-    if np.any((peaks > 0) & (peaks < SMALLEST_PEAK)):
+    if np.any((peaks > 0) & (peaks < MIN_PEAK)):
         raise ValueError("the reference's peak is below 2^-120; use another unit")
 
 

@@ -27,8 +27,8 @@ class PointsError(ValueError):
 class Point:
     """One trace, coded at one setting of a codec: its samples, all channels together, all bytes, and the quality.
 
-    `codec`: the name of the curve: a ladder of settings. Qualities as in evaluation.metrics; None where one has no
-    value, or was not measured. `delay_ms`: algorithmic. `source`: MEASURED, PROGRAM or IMPORTED.
+    `codec`: the name of the curve: a set of rate points of settings. Qualities as in evaluation.metrics; None where one
+    has no value, or was not measured. `delay_ms`: algorithmic. `source`: MEASURED, PROGRAM or IMPORTED.
     """
 
     trace: str

@@ -159,7 +159,7 @@ def _head(measurements: Measurements, description: Description) -> str:
 
 
 def _codec_list(measurements: Measurements) -> str:
-    """Say what each measured codec is, all its ladders and families of models in one line."""
+    """Say what each measured codec is, all its sets of rate points and families of models in one line."""
     measured = [codec for codec in measurements.curves if measurements.source(codec) == MEASURED]
     lines = []
     for known in codecs.CODECS.values():

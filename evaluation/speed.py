@@ -13,7 +13,7 @@ import numpy as np
 from vibrocast import codec, textures
 from vibrocast.codec import Setting
 from vibrocast.evaluation import trained
-from vibrocast.evaluation.cells import Method, decode_file, encode_file, rung_text
+from vibrocast.evaluation.cells import Method, decode_file, encode_file, rate_point_text
 from vibrocast.evaluation.cost import time_coding
 from vibrocast.evaluation.points import Failure, Point
 from vibrocast.models import Model
@@ -76,13 +76,15 @@ def measure(
             if point.codec == method.name:
                 bits.setdefault(point.setting, []).append(point.bits_per_sample)
         means = {text: fmean(of_setting) for text, of_setting in bits.items()}
-        rungs = [rung for rung in method.rungs if rung_text(method, *rung) in means]
-        for rate in RATES if rungs and isinstance(method.coder, str) else ():
-            nearest = min(rungs, key=lambda rung: abs(math.log2(means[rung_text(method, *rung)] / rate)))
+        rate_points = [rate_point for rate_point in method.rate_points if rate_point_text(method, *rate_point) in means]
+        for rate in RATES if rate_points and isinstance(method.coder, str) else ():
+            nearest = min(
+                rate_points, key=lambda rate_point: abs(math.log2(means[rate_point_text(method, *rate_point)] / rate))
+            )
             try:
                 found += _speeds(method, *nearest, rate, recording, repeats)
             except Exception as error:  # whatever one codec raises, the others' speeds are wanted
-                found.append(Failure.of(error, recording.name, method.name, rung_text(method, *nearest)))
+                found.append(Failure.of(error, recording.name, method.name, rate_point_text(method, *nearest)))
         progress(place / len(methods), method.name)
     return found
 
@@ -127,7 +129,7 @@ def _speeds(
                 method.name,
                 rate,
                 runtime,
-                rung_text(method, setting, model),
+                rate_point_text(method, setting, model),
                 recording.samples.size,
                 8 * len(file) / recording.samples.size,
                 codec.snr_db(recording.samples, decode(file)),

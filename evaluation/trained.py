@@ -42,13 +42,14 @@ def digest(model: Model) -> str:
     return hashlib.sha256(model.image + model.analysis).hexdigest()
 
 
-def ladder(model: Model) -> list[Setting]:
-    """Return the rungs of its codec's first ladder that differ with a model: one of a single rate has few of them.
+def rate_point_set(model: Model) -> list[Setting]:
+    """Return the rate points of its codec's first set of rate points that differ with a model: one of a single rate has
+    few of them.
 
     Of a model that no encoder takes the first, so that the reason stands among the failures.
     """
     known = codec.CODECS[codec_name(model)]
-    every = next(iter(known.ladders.values()))
+    every = next(iter(known.rate_point_sets.values()))
     different: dict[bytes, Setting] = {}
     for setting in every:
         with suppress(CodecError):

@@ -15,8 +15,8 @@ from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.priors import PRIORS, Prior
 
 FORMAT, VERSION = "vibrocast-eva", 1
-LARGEST_BYTES = 256 * 2**20
-LARGEST_SHAPE = EvaShape(width=128, latents=128, rates=16)
+MAX_BYTES = 256 * 2**20
+MAX_SHAPE = EvaShape(width=128, latents=128, rates=16)
 _REACHED = ("step", "seconds", "best_loss", "best_step")
 _MEASURED = ("step", "seconds", "training_loss", "loss")
 
@@ -77,8 +77,8 @@ def load(path: Path) -> Checkpoint:
     """
     if not path.is_file():
         raise ModelError(f"{path}: no such file; give a checkpoint that `vibrocast train` wrote, such as OUT/best.pt")
-    if path.stat().st_size > LARGEST_BYTES:
-        raise ModelError(f"{path}: longer than any checkpoint, {LARGEST_BYTES} bytes; give another file")
+    if path.stat().st_size > MAX_BYTES:
+        raise ModelError(f"{path}: longer than any checkpoint, {MAX_BYTES} bytes; give another file")
     stored = io.BytesIO(path.read_bytes())
     try:
         with warnings.catch_warnings():
@@ -122,7 +122,7 @@ def _parsed(content: Any) -> Checkpoint:
 
 
 def _shape(stored: Any) -> EvaShape:
-    limits = LARGEST_SHAPE.as_dict()
+    limits = MAX_SHAPE.as_dict()
     if not isinstance(stored, dict) or stored.keys() != limits.keys():
         raise ModelError("it does not state the shape of the model; train the model again")
     for name, limit in limits.items():

@@ -11,8 +11,8 @@ from typing import Any, Literal, TypeAlias, TypeVar, cast, get_args, get_origin,
 from vibrocast import textures
 
 Table = TypeVar("Table")
-LARGEST_FILE_BYTES = 2**20
-LARGEST_RATES = 16
+MAX_FILE_BYTES = 2**20
+MAX_RATES = 16
 _HOP_SAMPLES = 16  # as export.eva, which needs torch
 _KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 
@@ -180,7 +180,7 @@ def read(path: Path) -> Configuration:
     """Read a configuration file. Raises ConfigurationError for what cannot be used, OSError where it cannot be read."""
     if not path.is_file():
         raise ConfigurationError(f"{path}: no such file; examples/eva-16.toml is one to begin with")
-    if path.stat().st_size > LARGEST_FILE_BYTES:
+    if path.stat().st_size > MAX_FILE_BYTES:
         raise ConfigurationError(f"{path}: longer than any configuration; give another file")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -204,8 +204,8 @@ def parsed(values: Mapping[str, Any]) -> Configuration:
     if len(set(names)) < len(names):
         raise ConfigurationError(f"two sources are called {max(names, key=names.count)!r}; rename one")
     lambdas = configuration.model.lambdas
-    if not 1 <= len(lambdas) <= LARGEST_RATES or list(lambdas) != sorted(set(lambdas)):
-        raise ConfigurationError(f"[model] lambdas: 1 to {LARGEST_RATES} numbers that rise")
+    if not 1 <= len(lambdas) <= MAX_RATES or list(lambdas) != sorted(set(lambdas)):
+        raise ConfigurationError(f"[model] lambdas: 1 to {MAX_RATES} numbers that rise")
     if configuration.training.excerpt_samples % _HOP_SAMPLES:
         raise ConfigurationError(f"[training] excerpt_samples: a multiple of {_HOP_SAMPLES} is needed")
     if unknown := set(configuration.generator.kinds if configuration.generator else ()) - set(textures.GENERATORS):

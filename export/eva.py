@@ -9,7 +9,7 @@ HOP_SAMPLES = 16
 """Samples for each column of latents: the product of the down-samplings 4, 2 and 2."""
 REACH_SAMPLES = 28
 """Samples on each side that one column of latents depends on, and acts on: 4 + 4 * 2 + 8 * 2."""
-_SMALLEST_BETA = 1e-6
+_MIN_BETA = 1e-6
 _PEDESTAL = 2.0**-36
 
 
@@ -42,7 +42,7 @@ class Gdn(nn.Module):
     @property
     def beta(self) -> Tensor:
         """The constant part of each channel's norm, (channels,)."""
-        return torch.clamp(self.root_beta**2 - _PEDESTAL, min=_SMALLEST_BETA)
+        return torch.clamp(self.root_beta**2 - _PEDESTAL, min=_MIN_BETA)
 
     @property
     def gamma(self) -> Tensor:

@@ -7,13 +7,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-_LEAST_PROBABILITY = 2.0**-16
+_MIN_PROBABILITY = 2.0**-16
 _NEIGHBOURS = 2
 _COLUMNS = 3
 _AVERAGED_COLUMNS = 24
 _AVERAGE_FORGETS = 1 / 8
 _ESTIMATES = 4
-_LEAST_SCALE = 0.02
+_MIN_SCALE = 0.02
 
 
 class Prior(nn.Module):
@@ -69,7 +69,7 @@ class FactorisedPrior(Prior):
         # Of two values near one the difference is lost: mirrored, they are near zero.
         mirror = -torch.sign(lower + upper).detach()
         probability = torch.abs(torch.sigmoid(mirror * upper) - torch.sigmoid(mirror * lower))
-        return -torch.log2(probability.clamp(min=_LEAST_PROBABILITY)).reshape(channels_first).transpose(0, 1)
+        return -torch.log2(probability.clamp(min=_MIN_PROBABILITY)).reshape(channels_first).transpose(0, 1)
 
 
 class ContextPrior(Prior):
@@ -113,7 +113,7 @@ class ContextPrior(Prior):
         sums = torch.log(nn.functional.conv2d(both, weight, self.root_constant**2 + 1e-3))
         exponent = torch.einsum("bekt,ek->bkt", sums, self.power)
         exponent = exponent + (self.offset + self.step_power * torch.log(steps[:, :, 0]))[:, :, None]
-        return torch.exp(exponent.clamp(max=20.0)) + _LEAST_SCALE
+        return torch.exp(exponent.clamp(max=20.0)) + _MIN_SCALE
 
     def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
         scale = self.scales(contexts, steps)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vibrocast.codec.core import UNIT
 from vibrocast.codec.eva import LatentEncoder, configuration
 from vibrocast.codec.eva_image import (
-    LARGEST_SHIFT,
+    MAX_SHIFT,
     STEPS_PER_UNIT,
     UNARY_LIMIT,
     Convolution,
@@ -36,7 +36,7 @@ DEPENDENT_STEP = 0.5
 second of the points."""
 
 _LARGEST = 32767.0
-_LARGEST_WORD = 2**32 - 1
+_MAX_WORD = 2**32 - 1
 # As firmware/core/eva_kernels.h and eva_synthesis.c have them.
 _ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
 
@@ -188,7 +188,7 @@ def _normalisation(gdn: Gdn, inputs: Values, norms: Values, normalised: Values) 
     rows = np.max(weights, axis=1) / 127
     # Finer roots than these have a multiplier that does not fit, which would bend the norm.
     per_square = np.maximum(rows, np.finfo(np.float64).tiny) * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)
-    finest = np.minimum(_LARGEST / norms, np.sqrt(_LARGEST_WORD / per_square))
+    finest = np.minimum(_LARGEST / norms, np.sqrt(_MAX_WORD / per_square))
 
     def roots_at(shift: int) -> Values:
         return np.asarray(np.minimum(finest, _LARGEST * 2.0**shift / (inputs * normalised)))
@@ -198,7 +198,7 @@ def _normalisation(gdn: Gdn, inputs: Values, norms: Values, normalised: Values) 
         return float(min(np.min(roots * norms), np.min(roots * inputs * normalised) / 2.0**shift))
 
     # A shift for all channels: what it takes from the roots of some, it gives to the results of others.
-    shift = max(range(LARGEST_SHIFT + 1), key=fewest_integers)
+    shift = max(range(MAX_SHIFT + 1), key=fewest_integers)
     roots = roots_at(shift)
     part = Normalisation(
         np.rint(weights / np.where(rows > 0, rows, 1.0)[:, None]).astype(np.int8),
@@ -214,13 +214,13 @@ def _convolution(weights: Values, inputs: Values, wanted: Values) -> tuple[Convo
     per_integer = weights / inputs
     rows = np.max(np.abs(per_integer), axis=(0, 2)) / 127
     rows = np.where(rows > 0, rows, 1.0 / np.max(inputs))
-    outputs = np.minimum(wanted, _LARGEST_WORD / 2.0**_SCALE_SHIFT / rows)
+    outputs = np.minimum(wanted, _MAX_WORD / 2.0**_SCALE_SHIFT / rows)
     quantised = np.rint(per_integer / rows[None, :, None]).astype(np.int8)
     return Convolution(quantised, _words(rows * outputs * 2.0**_SCALE_SHIFT)), outputs
 
 
 def _words(values: Values) -> NDArray[np.uint32]:
-    return np.minimum(np.rint(values), _LARGEST_WORD).astype(np.uint32)
+    return np.minimum(np.rint(values), _MAX_WORD).astype(np.uint32)
 
 
 def _tables(prior: Prior, steps: Values) -> NDArray[np.uint16]:

@@ -65,13 +65,13 @@ class _Average:
 class Perception:
     """The perceptual transform g_p: none, or a weight of each frequency by how little of it can be felt."""
 
-    LOWEST_HZ = 20.0
+    MIN_HZ = 20.0
     """Below, the threshold is taken as here: recordings hold little but drift."""
 
     def __init__(self, kind: str, rate_hz: float, samples: int, device: torch.device) -> None:
         self._gain: Tensor | None = None
         if kind != "plain":
-            frequency_hz = np.maximum(np.fft.rfftfreq(samples, 1 / rate_hz), self.LOWEST_HZ)
+            frequency_hz = np.maximum(np.fft.rfftfreq(samples, 1 / rate_hz), self.MIN_HZ)
             unit = {"acceleration": "m/s^2", "displacement": "um"}[kind]
             gain = 1 / threshold_amplitude(read_threshold(), frequency_hz, unit)
             self._gain = torch.from_numpy(gain / np.sqrt(np.mean(gain**2))).float().to(device)

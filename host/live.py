@@ -10,7 +10,7 @@ import numpy as np
 from vibrocast import codec, models
 from vibrocast.codec import Signal, SignalFormat
 from vibrocast.codec.encoding import chosen_codec, encoder_model
-from vibrocast.codec.rate_control import REFRESH_S as STEERED_REFRESH_S
+from vibrocast.codec.rate_control import REFRESH_S as RATE_CONTROLLED_REFRESH_S
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
@@ -39,7 +39,7 @@ _END_ASK_S = 0.1
 _ASK_S = 0.5
 # A link of so many times what is needed bears whatever happens to it without a longer margin.
 _AMPLE = 8
-# How much earlier than it is needed a steered packet has to come.
+# How much earlier than it is needed a rate-controlled packet has to come.
 _GUARD_S = 0.005
 
 
@@ -85,23 +85,23 @@ class LiveResult:
 def limit_rate(policy: codec.RatePolicy, asked_bps: float, carried_bps: float) -> None:
     """Set a policy to what is asked or, if that is less, to what a link carries, as far as the policy reaches."""
     # A little above its least, which rounding would put out of reach.
-    policy.bits_per_second = min(asked_bps, max(1.001 * policy.least_bits_per_second, carried_bps))
+    policy.bits_per_second = min(asked_bps, max(1.001 * policy.min_bits_per_second, carried_bps))
 
 
 class LiveStream:
     """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
 
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
-    `policy`: steers the quality, None = all packets are of the setting's. One with a rate is held to what the link
-    carries: quality falls before a packet is late, and rises again. What would come too late is never sent.
+    `policy`: controls the quality, None = all packets are of the setting's. One with a rate is held to what
+    the link carries: quality falls before a packet is late, and rises again. What would come too late is never sent.
     `margin_s`: how long packets lie on the controller before they are needed; None = MARGIN_S, a quarter of a packet if
     that is more or, with a policy on a link not much faster than needed, what bears the link's fall to half.
     `packet_samples`: samples per channel in a packet, at least those asked for and the codec's shortest block; None =
     for a rate the shortest to which the wire adds at most 15 %, within `longest_packet_s`, or else one block.
-    `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of STEERED_REFRESH_S. `needed_bps`:
-    the most that the stream can use of the link; None = the policy's rate. `header`, `stream`, `packets_sent` (dropped
-    ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link carries packets in
-    time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
+    `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of RATE_CONTROLLED_REFRESH_S.
+    `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
+    `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
+    carries packets in time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
     Raises CodecError, LiveError, StreamError for what the controller does not take, ControllerError, TransportError.
     """
 
@@ -139,14 +139,14 @@ class LiveStream:
         encoder = self._make_encoder(codec.Framing(self._packet_samples(packet_samples, longest_packet_s), 1))
         self.packet_samples = encoder.packet_samples
         self.packet_s = self.packet_samples / signal_format.rate_hz
-        refresh_s = REFRESH_S if policy is None else STEERED_REFRESH_S
+        refresh_s = REFRESH_S if policy is None else RATE_CONTROLLED_REFRESH_S
         check_packet(controller, self.packet_samples)
         if refresh_packets is None:
             refresh_packets = max(1, math.floor(refresh_s / self.packet_s))
         self._framing = codec.Framing(self.packet_samples, refresh_packets)
         if policy is None:
             # The first block that is ever coded takes longer than others, and would make all of the stream later by
-            # that; what steers has coded some already.
+            # that; what controls its rate has coded some already.
             encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
         self._gain, self._compensation = gain, compensation
         self._floods = 0  # streams in a row
@@ -167,7 +167,7 @@ class LiveStream:
         """Return the samples in a packet, to be rounded up to whole blocks: asked for, for the rate, or the fewest."""
         if asked is None and self._asked_bps is not None:
             rate_hz = self.format.rate_hz
-            return codec.steered_framing(self._asked_bps, rate_hz, added_bytes, longest_packet_s).packet_samples
+            return codec.rate_controlled_framing(self._asked_bps, rate_hz, added_bytes, longest_packet_s).packet_samples
         return asked or 1
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
@@ -175,7 +175,7 @@ class LiveStream:
         model = encoder_model(self._model)
         if self.policy is None:
             return self._codec.make_encoder(self.setting, self.format, framing, model, None)
-        return codec.steered_encoder(self._codec, self.setting, self.format, framing, model, self.policy)
+        return codec.rate_controlled_encoder(self._codec, self.setting, self.format, framing, model, self.policy)
 
     def _begin_encoder(self, first: int) -> None:
         """Make an encoder that begins with packet `first`, a refresh."""
@@ -184,7 +184,7 @@ class LiveStream:
         if self.policy is not None:
             tables = None if model is None else model.tables
             decoder = codec.decoder(self._codec.identifier, self._encoder.configuration, self.format.channels, tables)
-            self.policy.begin(decoder, self.policy.least_bytes, self.packet_s)
+            self.policy.begin(decoder, self.policy.min_bytes, self.packet_s)
         self._gathered = 0
         self._refreshed_at = first
         self._refresh_is_due = False
@@ -300,7 +300,7 @@ class LiveStream:
         if self.policy is None:
             return left_s > 0
         left_s -= min(_GUARD_S, self.margin_s / 2)
-        least_s = self._link.seconds(self.policy.least_bytes)
+        least_s = self._link.seconds(self.policy.min_bytes)
         if left_s <= least_s:
             return False
         seconds = min(left_s, max(least_s, LINK_SHARE * self.packet_s - drained * queue_s))

@@ -21,11 +21,12 @@ _DRAINED = 0.5
 
 
 class LiveGroup:
-    """Streams with packets of one length, each on a controller of its own, each steered by a member of a codec.Group.
+    """Streams with packets of one length, each on a controller of its own, each rate-controlled by a member of a
+    codec.Group.
 
-    Packets that are due together have one coarseness, so the bits go where they are needed. Where the link carries less
-    than is sent to any of them, the rate of all falls. `failed`: what ended a stream, by its number: an error, or that
-    its controller was silent for a second; its share goes to the others.
+    Packets that are due together have one quantiser offset, so the bits go where they are needed. Where the link
+    carries less than is sent to any of them, the rate of all falls. `failed`: what ended a stream, by its number: an
+    error, or that its controller was silent for a second; its share goes to the others.
     """
 
     def __init__(self, streams: Sequence[LiveStream], group: codec.Group) -> None:

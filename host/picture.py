@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.threshold import read_threshold
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ CHANNELS_SHOWN = 4
 ZOOM_S = 0.06
 # Pixels across one time axis: a longer trace is drawn as the band between its extremes in each pixel.
 COLUMNS = 1200
-LOWEST_HZ = 10.0
+MIN_HZ = 10.0
 # Levels below this are silence for the skin at every frequency.
 FLOOR_DB = -60.0
 # Told apart in grey print: by lightness from the first to the last, and by dashes.
@@ -69,7 +69,7 @@ def draw(path: Path, title: str, caption: str, traces: Sequence[Trace]) -> None:
         if channels > 1:
             block.suptitle(f"channel {channel + 1}", x=0.02, horizontalalignment="left")
         _draw_channel(block, traces, channel, threshold)
-    with whole_file(path) as partial, warnings.catch_warnings():
+    with atomic_write(path) as partial, warnings.catch_warnings():
         # Boxes stand for the letters of a file's name that the font lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing")
         figure.savefig(partial)
@@ -86,7 +86,7 @@ def third_octave_levels(values: NDArray[np.float64], rate_hz: float) -> tuple[ND
     cumulative = np.concatenate([[0.0], np.cumsum(power[1:])])
     # Bin k holds the power between (k - 1/2) and (k + 1/2) bins; bin 0, the mean, is not felt.
     edges_hz = (np.arange(len(cumulative)) + 0.5) * rate_hz / samples
-    lowest_hz = max(LOWEST_HZ, 4.5 * rate_hz / samples)
+    lowest_hz = max(MIN_HZ, 4.5 * rate_hz / samples)
     highest_hz = rate_hz / 2 / 2 ** (1 / 6)
     if lowest_hz >= highest_hz:
         return np.empty(0), np.empty(0)
@@ -163,7 +163,7 @@ def _draw_spectra(axes: "Axes", traces: Sequence[Trace], channel: int, threshold
             continue
         axes.plot(frequencies, np.where(felt, levels, np.nan), **style)  # type: ignore[arg-type]
         # Labels stand in a row above the curves, each with a line down to its own, where no two can collide.
-        label_hz = LOWEST_HZ * (highest_hz / LOWEST_HZ) ** (0.88 - 0.26 * index)
+        label_hz = MIN_HZ * (highest_hz / MIN_HZ) ** (0.88 - 0.26 * index)
         nearest = int(np.argmin(np.where(felt, np.abs(np.log(frequencies / label_hz)), np.inf)))
         axes.annotate(
             name.replace(" ", "\n", 1),
@@ -176,7 +176,7 @@ def _draw_spectra(axes: "Axes", traces: Sequence[Trace], channel: int, threshold
             arrowprops={"arrowstyle": "-", "color": style["color"], "linewidth": 0.7},
         )
     axes.set_xscale("log")
-    axes.set_xlim(LOWEST_HZ, highest_hz)
+    axes.set_xlim(MIN_HZ, highest_hz)
     axes.set_ylim(FLOOR_DB, top_db)
     ticks = [tick for tick in (10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if tick <= highest_hz]
     axes.set_xticks(ticks, [str(tick) for tick in ticks])

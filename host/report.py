@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 
 
 @dataclass(frozen=True)
@@ -91,5 +91,5 @@ class Report:
 
     def write(self, path: Path) -> None:
         """Write the report as JSON. Raises OSError."""
-        with whole_file(path) as partial:
+        with atomic_write(path) as partial:
             partial.write_text(self.as_json(), encoding="utf-8")

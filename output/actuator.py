@@ -156,7 +156,7 @@ class Actuator:
 def resonant(
     name: str, corner_hz: float, quality: float, stroke_um: float, volts: float, dac_rate_hz: int = 8000
 ) -> Actuator:
-    """Return a resonant tactor, an LRA or a voice coil, by its resonance, Q, stroke and voltage range (peak to peak).
+    """Return a resonant actuator, an LRA or a voice coil, by its resonance, Q, stroke and voltage range (peak to peak).
 
     The mean power limit is a fifth of full drive, as the heat of a coil asks for. The slew limit lets a sine of full
     scale pass up to 1 kHz.

@@ -60,5 +60,5 @@ def of_table(table: Table) -> Actuator:
     try:
         constants(actuator)
     except (ValueError, OverflowError) as error:
-        raise table.refuse(f"no controller can drive this actuator: {error}; correct its numbers") from error
+        raise table.reject(f"no controller can drive this actuator: {error}; correct its numbers") from error
     return actuator

@@ -17,14 +17,14 @@ HAND_DELAY_US = 20_000
 HAND_SMOOTHING_US = 4_000
 
 
-def least_samples(samples_per_metre: int, dac_rate_hz: int) -> int:
+def min_samples(samples_per_metre: int, dac_rate_hz: int) -> int:
     """Return the least samples that a profile must have to be rendered by such a DAC; 0 where none can be."""
     return int(library().vc_profile_least_samples(samples_per_metre, dac_rate_hz))
 
 
 def octaves_step(samples_per_metre: int, dac_rate_hz: int) -> int:
     """Return how many samples of a profile a sample of its coarsest octave stands for: its period is a multiple."""
-    return 1 << (least_samples(samples_per_metre, dac_rate_hz).bit_length() - 1)
+    return 1 << (min_samples(samples_per_metre, dac_rate_hz).bit_length() - 1)
 
 
 def rendered(header: StreamHeader, actuator: Actuator) -> StreamHeader:
@@ -35,7 +35,7 @@ def rendered(header: StreamHeader, actuator: Actuator) -> StreamHeader:
 class Profile:
     """What is under the hand at every DAC sample.
 
-    A profile of `samples` (at least `least_samples`) per channel is loaded once, positions of the hand come with their
+    A profile of `samples` (at least `min_samples`) per channel is loaded once, positions of the hand come with their
     times, heights go out, in the profile's own integers.
     """
 

@@ -10,7 +10,7 @@ from vibrocast.codec import CodecError, Decoded, Decoder
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
 from vibrocast.device_protocol.messages import Configure, ErrorCode, State, Status, Tap
 from vibrocast.output.actuator import Actuator, Codes
-from vibrocast.output.profile import Profile, least_samples, rendered
+from vibrocast.output.profile import Profile, min_samples, rendered
 from vibrocast.output.rendering import Dac, Drive, recording_end
 from vibrocast.simulated_device.refusal import Refusal
 
@@ -286,7 +286,7 @@ class Playback:
                 ErrorCode.BEYOND_LIMITS,
                 f"a profile of {samples} samples; there is room for {profile_samples} in all channels together",
             )
-        least = least_samples(self._header.rate_hz, self._dac_rate_hz)
+        least = min_samples(self._header.rate_hz, self._dac_rate_hz)
         if not least or samples < least:
             raise Refusal(
                 ErrorCode.BEYOND_LIMITS,

@@ -21,7 +21,7 @@ from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.evaluation import trained
 from vibrocast.evaluation.page_parts import code, number, paragraphs, table
 from vibrocast.evaluation.points import write_rows
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.firmware.build import BuildError
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import live
@@ -165,7 +165,7 @@ def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
 def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
     """Return a texture as it is streamed, near TARGET_DB or the next better quality there is, and its SNR in dB.
 
-    By a codec that keeps no waveform, as finely as its ladder goes.
+    By a codec that keeps no waveform, as finely as its set of rate points goes.
     """
     model = _model(decoder)
     signal = texture(kind, seconds)
@@ -174,7 +174,7 @@ def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
     if codec.CODECS[name].keeps_waveform:
         stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, codec=name, live=True, model=for_encoder)
     else:
-        finest = next(iter(codec.CODECS[name].ladders.values()))[-1]
+        finest = next(iter(codec.CODECS[name].rate_point_sets.values()))[-1]
         stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True)
     snr_db = codec.snr_db(signal, codec.decode(stream, _tables(decoder)))
     assert snr_db is not None, "textures are not silent"
@@ -231,7 +231,7 @@ def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]
 def _qualities(
     name: str, model: Model | None, given: codec.Setting, kinds: Sequence[str], seconds: float
 ) -> Iterator[tuple[str, CodedSignal]]:
-    """Yield textures as they are streamed at QUALITIES_DB, or at each rung of a codec that keeps no waveform."""
+    """Yield textures as they are streamed at QUALITIES_DB, or at each rate point of a codec that keeps no waveform."""
     how: dict[str, Any] = {"codec": name, "live": True, "model": trained.for_encoder(model) if model else None}
     for kind in kinds:
         signal = texture(kind, seconds)
@@ -239,8 +239,8 @@ def _qualities(
             for snr_db in QUALITIES_DB:
                 yield kind, codec.encode_to_snr(signal, RATE_HZ, snr_db, setting=given, **how)
         else:
-            for rung in next(iter(codec.CODECS[name].ladders.values())):
-                yield kind, codec.encode(signal, RATE_HZ, {**rung, **given}, **how)
+            for rate_point in next(iter(codec.CODECS[name].rate_point_sets.values())):
+                yield kind, codec.encode(signal, RATE_HZ, {**rate_point, **given}, **how)
 
 
 def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
@@ -347,13 +347,13 @@ def write_page(
         ("firmware_sizes", sizes, Size),
         ("firmware_controller", controller, ControllerLoad),
     ):
-        with whole_file(tables / f"{stem}.csv") as path:
+        with atomic_write(tables / f"{stem}.csv") as path:
             write_rows(path, rows, kind)
     figures: dict[str, Sequence[Any]] = {"loads": loads, "sizes": sizes, "controller": controller}
-    with whole_file(results / "firmware.json") as path:
+    with atomic_write(results / "firmware.json") as path:
         listed = {name: [asdict(row) for row in rows] for name, rows in figures.items()}
         path.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
-    with whole_file(out / "firmware.md") as path:
+    with atomic_write(out / "firmware.md") as path:
         path.write_text(_page(loads, sizes, controller) + "\n", encoding="utf-8")
 
 
@@ -383,8 +383,8 @@ def _method(loads: Sequence[Load]) -> str:
         f"The signals are {len(kinds)} generated textures ({', '.join(kinds)}) of one channel at {RATE_HZ} Hz, "
         f"coded as they are streamed (packets of 128 samples, a refresh every 0.25 s) at {TARGET_DB:g} dB of SNR "
         "or, where no setting comes near, the next better (`parametric`, which keeps no waveform, as finely as its "
-        "ladder goes). Each stream is decoded by the core as compiled for the processor (`firmware/core` by ziglang, "
-        "`-O2`), executed in Unicorn; the samples are those of the decoder "
+        "set of rate points goes). Each stream is decoded by the core as compiled for the processor "
+        "(`firmware/core` by ziglang, `-O2`), executed in Unicorn; the samples are those of the decoder "
         "on the host, to the last bit, with DSP kernels and without, or the command fails. Given are means over "
         "the textures, refreshes included.",
         "A *load* is the part of the processor that one channel takes: instructions (or cycles) a sample times "
@@ -580,7 +580,7 @@ def main(out: Path) -> None:
             controller = list(measure_controllers(folder, 2.0))
             decoding = list(measure_decoding(folder, DECODERS, list(GENERATORS), SECONDS))
         write_page(out, loads, sizes, controller)
-        with whole_file(TABLES / "firmware_decoding.csv") as path:
+        with atomic_write(TABLES / "firmware_decoding.csv") as path:
             write_rows(path, decoding, Decoding)
     except (BuildError, extras.MissingExtraError) as error:
         raise click.ClickException(str(error)) from error

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vibrocast.evaluation.page_parts import paragraphs, table
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host import live
 from vibrocast.host.harness import bench_file, measurements
 from vibrocast.host.harness.bench_file import Bench, BenchController
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             searches[address] = smallest(controller, subject.actuator, texture)
         print(f"{address}: {statistics.median(map(_total_ms, runs)):.1f} ms", file=sys.stderr)
     command = shlex.join(["python", "-m", "studies.latency", *(sys.argv[1:] if arguments is None else arguments)])
-    with whole_file(chosen.page) as partial:
+    with atomic_write(chosen.page) as partial:
         partial.write_text(page(budgets, searches, measurements.machine(), command), encoding="utf-8")
 
 

@@ -17,7 +17,7 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.evaluation.page_parts import paragraphs, table
 from vibrocast.evaluation.points import write_rows
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -60,7 +60,7 @@ class Outcome:
     late_packets: int
     dropped_packets: int
     underruns: int
-    least_early_ms: float
+    min_early_ms: float
     before_bps: float
     during_bps: float
     recovered_s: float | None
@@ -90,7 +90,7 @@ def section(recordings: Sequence[textures.Recording], out: Path) -> str:
             outcomes.append(outcome)
             update(len(outcomes) / len(cells), f"{recording.name}, {rate_bps} bit/s")
     write_rows(folder / TABLE, outcomes, Outcome)
-    with whole_file(folder / CHART) as partial:
+    with atomic_write(folder / CHART) as partial:
         draw(partial, packets)
     rows = []
     for rate_bps in RATES_BPS:
@@ -103,7 +103,7 @@ def section(recordings: Sequence[textures.Recording], out: Path) -> str:
                 f"{of_rate[0].margin_ms:.0f}",
                 f"{sum(each.late_packets for each in of_rate)}",
                 f"{sum(each.dropped_packets for each in of_rate)}",
-                f"{min(each.least_early_ms for each in of_rate):.0f}",
+                f"{min(each.min_early_ms for each in of_rate):.0f}",
                 f"{np.mean([each.during_bps / each.before_bps for each in of_rate]):.2f}",
                 f"{max(recovered_s):.1f}",
             ]
@@ -165,7 +165,7 @@ def stream(recording: textures.Recording, rate_bps: int) -> tuple[list[Packet], 
         late_packets=result.lost_packets - result.dropped_packets,
         dropped_packets=result.dropped_packets,
         underruns=result.underruns,
-        least_early_ms=min(settled),
+        min_early_ms=min(settled),
         before_bps=_mean(times_s, rates_bps, 2.0, FALLS_S),
         during_bps=_mean(times_s, rates_bps, FALLS_S + 1, RECOVERS_S),
         recovered_s=back[0] - RECOVERS_S if back else None,

@@ -16,7 +16,7 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.evaluation.metrics import Quality, measure
 from vibrocast.evaluation.page_parts import code, count, number, paragraphs, table
 from vibrocast.evaluation.points import write_rows
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.textures import Recording, TextureError
 from vibrocast.textures.dataset import DatasetError, load, printable, traces
 
@@ -33,14 +33,15 @@ MEASURES = {
 
 @dataclass(frozen=True)
 class Row:
-    """One trace coded once. `rung`: of the description's ladder. `bits_per_second`: of all packets, one channel.
+    """One trace coded once. `rate_point`: of the description's set of rate points. `bits_per_second`: of all packets,
+    one channel.
 
-    Qualities as in evaluation.metrics. A waveform is coded near the rate of the description of its rung, or near ten
-    times that, as `codec` says.
+    Qualities as in evaluation.metrics. A waveform is coded near the rate of the description of its rate point, or near
+    ten times that, as `codec` says.
     """
 
     trace: str
-    rung: str
+    rate_point: str
     codec: str
     bits_per_second: float
     third_octave_distance_db: float | None
@@ -64,25 +65,25 @@ def rows_of(trace: str, recording: Recording) -> Iterator[Row]:
     """
     samples, rate_hz = recording.samples, round(recording.rate_hz)
 
-    def row(rung: str, name: str, coded: CodedSignal) -> Row:
+    def row(rate_point: str, name: str, coded: CodedSignal) -> Row:
         quality = measure(samples, codec.decode(coded), rate_hz, recording.unit)
         values = {each: getattr(quality, each) for each in MEASURES}
         rounded = {each: None if value is None else round(value, 4) for each, value in values.items()}
-        return Row(trace, rung, name, round(_bits_per_second(coded), 1), **rounded)
+        return Row(trace, rate_point, name, round(_bits_per_second(coded), 1), **rounded)
 
-    for setting in codec.CODECS[DESCRIPTION].ladders[DESCRIPTION]:
-        rung = _setting_text(setting)
+    for setting in codec.CODECS[DESCRIPTION].rate_point_sets[DESCRIPTION]:
+        rate_point = _setting_text(setting)
         described = codec.encode(samples, rate_hz, setting, codec=DESCRIPTION, unit=recording.unit)
-        yield row(rung, DESCRIPTION, described)
+        yield row(rate_point, DESCRIPTION, described)
         for times in RATES:
             asked = times * _bits_per_second(described)
             try:
                 coded = codec.encode_to_rate(
                     samples, rate_hz, asked, _packet_bytes, codec=WAVEFORM, unit=recording.unit
                 )
-            except codec.OutOfReach:
+            except codec.TargetUnreachable:
                 continue
-            yield row(rung, curve_name(times), coded)
+            yield row(rate_point, curve_name(times), coded)
 
 
 def _setting_text(setting: Setting) -> str:
@@ -98,15 +99,15 @@ def _bits_per_second(coded: CodedSignal) -> float:
 
 
 def means(rows: Sequence[Row]) -> list[Row]:
-    """Return the mean over the traces of each rung and curve that all have; None where a trace has no value."""
+    """Return the mean over the traces of each rate point and curve that all have; None where a trace has no value."""
     found = []
     traces = len({row.trace for row in rows})
-    for rung in dict.fromkeys(row.rung for row in rows):
+    for rate_point in dict.fromkeys(row.rate_point for row in rows):
         for name in CURVES:
-            some = [row for row in rows if (row.rung, row.codec) == (rung, name)]
+            some = [row for row in rows if (row.rate_point, row.codec) == (rate_point, name)]
             if len(some) == traces:
                 values = {each: _mean([getattr(row, each) for row in some]) for each in MEASURES}
-                found.append(Row("mean", rung, name, fmean(row.bits_per_second for row in some), **values))
+                found.append(Row("mean", rate_point, name, fmean(row.bits_per_second for row in some), **values))
     return found
 
 
@@ -119,11 +120,11 @@ def write(out: Path, rows: Sequence[Row], data: str) -> None:
     """Write OUT/parametric.md, and its figures and chart in OUT/results. `data`: the folder's name. Raises OSError."""
     results = out / "results"
     results.mkdir(parents=True, exist_ok=True)
-    with whole_file(results / "parametric.csv") as path:
+    with atomic_write(results / "parametric.csv") as path:
         write_rows(path, rows, Row)
-    with whole_file(results / "parametric.png") as path:
+    with atomic_write(results / "parametric.png") as path:
         draw(path, means(rows))
-    with whole_file(out / "parametric.md") as path:
+    with atomic_write(out / "parametric.md") as path:
         path.write_text(_page(rows, data) + "\n", encoding="utf-8")
 
 
@@ -155,7 +156,10 @@ def _page(rows: Sequence[Row], data: str) -> str:
         f"with a folder of recordings, resampled to {DEFAULT_STREAM_RATE_HZ} Hz. Rates are of all packets, without the "
         "file's header and the framing of its packets, which are alike. Means over the recordings, where all have a "
         "value; each by itself is in [parametric.csv](results/parametric.csv). Measures: [metrics.md](metrics.md).",
-        *(_rung_section(place, rung, rows) for place, rung in enumerate(dict.fromkeys(row.rung for row in rows), 1)),
+        *(
+            _rate_point_section(place, rate_point, rows)
+            for place, rate_point in enumerate(dict.fromkeys(row.rate_point for row in rows), 1)
+        ),
         "![third-octave distance, SPQI and SNR over the rate](results/parametric.png)",
         "How to read it:",
         f"- Two takes of one steady noise are {number(another_take.third_octave_distance_db)} dB apart in third "
@@ -167,14 +171,14 @@ def _page(rows: Sequence[Row], data: str) -> str:
     )
 
 
-def _rung_section(place: int, rung: str, rows: Sequence[Row]) -> str:
+def _rate_point_section(place: int, rate_point: str, rows: Sequence[Row]) -> str:
     header = ("", "bit/s", *MEASURES.values())
     cells = [
         (code(row.codec), f"{row.bits_per_second:.0f}", *(number(getattr(row, each)) for each in MEASURES))
         for row in means(rows)
-        if row.rung == rung
+        if row.rate_point == rate_point
     ]
-    return paragraphs(f"## Setting {place}", code(rung), table(header, cells))
+    return paragraphs(f"## Setting {place}", code(rate_point), table(header, cells))
 
 
 def _of_noise() -> tuple[Quality, Quality]:

@@ -16,12 +16,12 @@ from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.evaluation.page_parts import code, paragraphs, table
 from vibrocast.evaluation.points import write_rows
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host.harness.bench_file import BenchActuator
 from vibrocast.host.planner import costs
 from vibrocast.host.planner.band import BandError, band_of, rendering_s
 from vibrocast.host.planner.candidates import BUFFERS_MS, Workbench
-from vibrocast.host.planner.choose import Refusal, choose
+from vibrocast.host.planner.choose import Rejection, choose
 from vibrocast.host.planner.plan_file import prepared
 from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.output.actuator import PIEZO_STACK
@@ -81,7 +81,7 @@ class Saving:
 
 
 def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
-    """Yield what planning a trace saves. Raises TextureError, CodecError, BandError, Refusal."""
+    """Yield what planning a trace saves. Raises TextureError, CodecError, BandError, Rejection."""
     recording = _loaded(trace, unit)
     default = encode_recording(recording, live=True)
     threshold = read_threshold()
@@ -281,14 +281,14 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
             update(place / len(found), trace.name)
             try:
                 rows += savings(group, trace, unit)
-            except (TextureError, codec.CodecError, BandError, Refusal) as error:
+            except (TextureError, codec.CodecError, BandError, Rejection) as error:
                 left_out.append(str(error))
     if not rows:
         raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))
     (out / "results").mkdir(parents=True, exist_ok=True)
-    with whole_file(out / "results" / ROWS) as path:
+    with atomic_write(out / "results" / ROWS) as path:
         write_rows(path, rows, Saving)
-    with whole_file(out / PAGE) as path:
+    with atomic_write(out / PAGE) as path:
         path.write_text(page(rows, left_out) + "\n", encoding="utf-8")
     click.echo(str(out / PAGE))
 

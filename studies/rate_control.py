@@ -17,38 +17,38 @@ from studies.rate_control_charts import Held, RefreshCost
 from vibrocast import codec, progress, textures
 from vibrocast.codec import rate_controlled
 from vibrocast.codec.encoding import DEFAULT_CODEC, DEFAULT_STREAM_RATE_HZ
-from vibrocast.codec.rate_controlled import Wish, added_bytes
+from vibrocast.codec.rate_controlled import RateTarget, added_bytes
 from vibrocast.evaluation.page_parts import code, count, paragraphs, table
 from vibrocast.evaluation.points import write_rows
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.textures import dataset
 
 RATES_BPS = (500, 1000, 2000, 4000, 8000, 20_000)
 MAIN_RATES_BPS = (1000, 2000, 4000, 8000)
-BUCKETS_S = (codec.rate_control.DEFAULT_BUCKET_S, 0.25, 1.0)
+RATE_BUFFERS_S = (codec.rate_control.DEFAULT_RATE_BUFFER_S, 0.25, 1.0)
 REFRESHES_S = (0.25, 0.5, 1.0, 2.0, math.inf)
-LEAST_SECONDS = 6.0
+MIN_SECONDS = 6.0
 """Recordings are repeated up to so long, so that there are many runs of 2 s in each."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure all codecs that steer on a folder of recordings, and write page, charts and tables."""
+    """Measure all codecs that control the rate on a folder of recordings, and write page, charts and tables."""
     parser = argparse.ArgumentParser(description=__doc__, prog="python -m studies.rate_control")
     parser.add_argument("recordings", type=Path, help="folder of recordings")
     parser.add_argument("--out", type=Path, required=True, help="folder for rate_control.md and results/")
     chosen = parser.parse_args(arguments)
     recordings = {trace.name: _repeated(dataset.load(trace)) for trace in dataset.traces(chosen.recordings)}
-    names = [name for name, known in codec.CODECS.items() if known.steers]
+    names = [name for name, known in codec.CODECS.items() if known.controls_rate]
     cells: list[tuple[str, str, int, float | None]] = [
         *product(recordings, names, RATES_BPS, (None,)),
-        *product(recordings, (DEFAULT_CODEC,), MAIN_RATES_BPS, BUCKETS_S[1:]),
+        *product(recordings, (DEFAULT_CODEC,), MAIN_RATES_BPS, RATE_BUFFERS_S[1:]),
     ]
     refresh_cells = list(product(RATES_BPS, REFRESHES_S))
     held: list[Held] = []
     refreshes: list[RefreshCost] = []
     with progress.shown("measuring") as update:
-        for recording, name, rate_bps, bucket_s in cells:
-            held.append(measure(recordings[recording], recording, name, rate_bps, bucket_s))
+        for recording, name, rate_bps, rate_buffer_s in cells:
+            held.append(measure(recordings[recording], recording, name, rate_bps, rate_buffer_s))
             update(len(held) / (len(cells) + len(refresh_cells)), f"{recording}, {name}, {rate_bps} bit/s")
         for rate_bps, refresh_s in refresh_cells:
             refreshes.append(measure_refreshes(list(recordings.values()), rate_bps, refresh_s))
@@ -60,19 +60,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _repeated(recording: textures.Recording) -> textures.Recording:
     resampled = textures.resample(recording, DEFAULT_STREAM_RATE_HZ)
-    times = math.ceil(LEAST_SECONDS / resampled.seconds)
+    times = math.ceil(MIN_SECONDS / resampled.seconds)
     samples = np.tile(resampled.samples, (times, 1))
     return textures.Recording(samples, resampled.rate_hz, resampled.unit, resampled.name)
 
 
-def measure(recording: textures.Recording, name: str, codec_name: str, rate_bps: int, bucket_s: float | None) -> Held:
-    """Code a recording at a constant rate for each channel, frames included; `bucket_s`: None = the default one."""
-    wish = Wish(constant_rate_bps=rate_bps * recording.channels, bucket_s=bucket_s)
-    size_s = BUCKETS_S[0] if bucket_s is None else bucket_s
+def measure(
+    recording: textures.Recording, name: str, codec_name: str, rate_bps: int, rate_buffer_s: float | None
+) -> Held:
+    """Code a recording at a constant rate for each channel, frames included; `rate_buffer_s`: None = the default."""
+    target = RateTarget(constant_rate_bps=rate_bps * recording.channels, rate_buffer_s=rate_buffer_s)
+    size_s = RATE_BUFFERS_S[0] if rate_buffer_s is None else rate_buffer_s
     try:
-        _, outcome = rate_controlled.encode(recording, wish, codec_name=codec_name, highpass_hz=None)
+        _, outcome = rate_controlled.encode(recording, target, codec_name=codec_name, highpass_hz=None)
     except codec.CodecError as error:
-        return Held(name, codec_name, rate_bps, size_s, refused=str(error))
+        return Held(name, codec_name, rate_bps, size_s, rejected=str(error))
     low_db, high_db = outcome.snr_range_db
     return Held(
         name,
@@ -97,9 +99,9 @@ def measure_refreshes(recordings: Sequence[textures.Recording], rate_bps: int, r
     for recording in recordings:
         total_bps = rate_bps * recording.channels
         rate_hz = round(recording.rate_hz)
-        framing = codec.steered_framing(total_bps, rate_hz, added_bytes)
+        framing = codec.rate_controlled_framing(total_bps, rate_hz, added_bytes)
         packets = 0 if math.isinf(refresh_s) else max(1, round(refresh_s * rate_hz / framing.packet_samples))
-        coded = codec.encode_steered(
+        coded = codec.encode_rate_controlled(
             recording.samples,
             rate_hz,
             codec.ConstantRate(total_bps, added_bytes),
@@ -124,16 +126,16 @@ def write(
     folder.mkdir(parents=True, exist_ok=True)
     write_rows(folder / "rate_control.csv", held, Held)
     write_rows(folder / "rate_control_refreshes.csv", refreshes, RefreshCost)
-    done = [row for row in held if not row.refused]
-    default = [row for row in done if row.bucket_s == BUCKETS_S[0]]
+    done = [row for row in held if not row.rejected]
+    default = [row for row in done if row.rate_buffer_s == RATE_BUFFERS_S[0]]
     charts.plot_recordings(
         folder / "rate_control_recordings.png",
         [row for row in default if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS],
     )
     charts.plot_codecs(folder / "rate_control_codecs.png", default)
-    by_bucket = [row for row in done if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS]
-    charts.plot_buckets(folder / "rate_control_buckets.png", by_bucket)
-    with whole_file(out / "rate_control.md") as partial:
+    by_rate_buffer = [row for row in done if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS]
+    charts.plot_rate_buffers(folder / "rate_control_buffers.png", by_rate_buffer)
+    with atomic_write(out / "rate_control.md") as partial:
         partial.write_text(page(held, refreshes, data, command, link_drop_section), encoding="utf-8")
 
 
@@ -141,15 +143,15 @@ def page(
     held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, command: str, link_drop_section: str
 ) -> str:
     """Return the page; `link_drop_section`: as `studies.link_drop.section` has it."""
-    done = [row for row in held if not row.refused]
-    default = [row for row in done if row.bucket_s == BUCKETS_S[0]]
+    done = [row for row in held if not row.rejected]
+    default = [row for row in done if row.rate_buffer_s == RATE_BUFFERS_S[0]]
     recordings = len({row.recording for row in held})
     furthest = max((row for row in default if row.furthest_percent is not None), key=_deviation)
     return (
         paragraphs(
             "# Rate control",
             f"Data: {code(data)}, {count(recordings, 'recording')} at {DEFAULT_STREAM_RATE_HZ} Hz, repeated up to "
-            f"{LEAST_SECONDS:g} s. Written by",
+            f"{MIN_SECONDS:g} s. Written by",
             f"    {command}",
             "What the policies are, and how they are asked for, is in [codecs.md](codecs.md#rate-control).",
             "## A constant rate",
@@ -158,26 +160,26 @@ def page(
             f"{abs(furthest.furthest_percent or 0):.2f} % ({furthest.codec}, {furthest.bits_per_second} bit/s, "
             f"{furthest.recording}).",
             "![Rate and quality of each recording](results/rate_control_recordings.png)",
-            f"*Each recording by {code(DEFAULT_CODEC)} with the default bucket: mean SNR of the packets (mark), from "
-            "the 5th to the 95th percentile (line), and the worst deviation over 2 s (number). Data: "
-            "[rate_control.csv](results/rate_control.csv).*",
+            f"*Each recording by {code(DEFAULT_CODEC)} with the default rate buffer: mean SNR of the packets (mark), "
+            "from the 5th to the 95th percentile (line), and the worst deviation over 2 s (number). "
+            "Data: [rate_control.csv](results/rate_control.csv).*",
             "![Rate and quality of each codec](results/rate_control_codecs.png)",
             "*Worst deviation over 2 s of any recording, mean SNR and mean standard deviation of the packets' SNR over "
-            "the recordings, for each codec that steers and the rates that it holds on all recordings.*",
+            "the recordings, for each codec that controls its rate and the rates that it holds on all recordings.*",
             table(
                 ["codec", *(f"{rate} bit/s" for rate in RATES_BPS)],
                 [[code(name), *(_cell(held, name, rate) for rate in RATES_BPS)] for name in _codecs(held)],
             ),
-            "Packet length, what frames add to the packets' bytes, padding: means over the recordings. *Refused*: on "
+            "Packet length, what frames add to the packets' bytes, padding: means over the recordings. *Rejected*: on "
             "how many recordings the packets of full-scale noise, which is tried first, are too long at the coarsest:",
-            _refusals(held),
+            _rejections(held),
             _silences(default),
-            "## What a larger bucket buys",
-            "![Evenness against the bucket's size](results/rate_control_buckets.png)",
+            "## What a larger rate buffer buys",
+            "![Evenness against the rate buffer's size](results/rate_control_buffers.png)",
             f"*Standard deviation of the packets' SNR, and worst deviation over 2 s, by {code(DEFAULT_CODEC)}: means "
-            "over the recordings. The smallest bucket is the default; the larger ones aim at an even SNR.*",
-            "A bucket of b seconds lets the rate wander by b seconds' bits: on a link of just that rate data may wait "
-            "so long, and is late by as much unless the stream is begun so much earlier.",
+            "over the recordings. The smallest rate buffer is the default; the larger ones aim at an even SNR.*",
+            "A rate buffer of b seconds lets the rate wander by b seconds' bits: on a link of just that rate data may "
+            "wait so long, and is late by as much unless the stream is begun so much earlier.",
             "## Refreshes",
             table(
                 ["rate", *("first only" if math.isinf(every) else f"every {every:g} s" for every in REFRESHES_S)],
@@ -186,8 +188,8 @@ def page(
                     for rate in RATES_BPS
                 ],
             ),
-            f"SNR in dB by {code(DEFAULT_CODEC)} with the default bucket, mean over the recordings. A refresh is a "
-            "packet at least: where packets are longer, each is one. Streams at a rate have one every "
+            f"SNR in dB by {code(DEFAULT_CODEC)} with the default rate buffer, mean over the recordings. A refresh is "
+            "a packet at least: where packets are longer, each is one. Streams at a rate have one every "
             f"{codec.rate_control.REFRESH_S:g} s.",
             link_drop_section,
         )
@@ -205,16 +207,18 @@ def _codecs(held: Sequence[Held]) -> list[str]:
 
 def _cell(held: Sequence[Held], name: str, rate_bps: int) -> str:
     rows = [
-        row for row in held if row.codec == name and row.bits_per_second == rate_bps and row.bucket_s == BUCKETS_S[0]
+        row
+        for row in held
+        if row.codec == name and row.bits_per_second == rate_bps and row.rate_buffer_s == RATE_BUFFERS_S[0]
     ]
-    done = [row for row in rows if not row.refused]
-    refused = f"{len(rows) - len(done)} refused" if len(done) < len(rows) else ""
+    done = [row for row in rows if not row.rejected]
+    rejected = f"{len(rows) - len(done)} rejected" if len(done) < len(rows) else ""
     if not done:
-        return "refused"
+        return "rejected"
     added = fmean(100 * (row.sent_bps / row.packets_bps - 1) for row in done)
     padding = fmean(row.padding_percent for row in done)
     text = f"{fmean(row.packet_ms for row in done):.0f} ms, +{added:.0f} %, padding {padding:.1f} %"
-    return ", ".join(filter(None, (text, refused)))
+    return ", ".join(filter(None, (text, rejected)))
 
 
 def _silences(rows: Sequence[Held]) -> str:
@@ -230,9 +234,9 @@ def _silences(rows: Sequence[Held]) -> str:
     return "\n".join(told)
 
 
-def _refusals(held: Sequence[Held]) -> str:
-    examples = {row.codec: row for row in held if row.refused}
-    return "\n".join(f"- {code(name)}, {row.recording}: {row.refused}." for name, row in examples.items())
+def _rejections(held: Sequence[Held]) -> str:
+    examples = {row.codec: row for row in held if row.rejected}
+    return "\n".join(f"- {code(name)}, {row.recording}: {row.rejected}." for name, row in examples.items())
 
 
 if __name__ == "__main__":

@@ -21,14 +21,15 @@ _LIMIT_PERCENT = 1.0
 class Held:
     """One recording coded at a constant rate, of each channel and with frames.
 
-    `bucket_s`: the bucket's size. `refused`: why the codec cannot, and then nothing else. `furthest_percent`: by how
-    much the run of packets of 2 s that is furthest from the rate differs. `snr_...`: of packets.
+    `rate_buffer_s`: the rate buffer's size. `rejected`: why the codec cannot, and then nothing else.
+    `furthest_percent`: by how much the run of packets of 2 s that is furthest from the rate differs. `snr_...`: of
+    packets.
     """
 
     recording: str
     codec: str
     bits_per_second: int
-    bucket_s: float
+    rate_buffer_s: float
     packet_ms: float = 0.0
     sent_bps: float = 0.0
     packets_bps: float = 0.0
@@ -38,7 +39,7 @@ class Held:
     snr_deviation_db: float = 0.0
     snr_low_db: float = 0.0
     snr_high_db: float = 0.0
-    refused: str = ""
+    rejected: str = ""
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,8 @@ def plot_codecs(path: Path, rows: Sequence[Held]) -> None:
     figure.savefig(path, bbox_inches="tight")
 
 
-def plot_buckets(path: Path, rows: Sequence[Held]) -> None:
-    """Draw mean deviations of SNR and from the rate over the bucket's size, a line for each rate. Raises OSError."""
+def plot_rate_buffers(path: Path, rows: Sequence[Held]) -> None:
+    """Draw mean deviations of SNR and rate over the rate buffer's size, a line for each rate. Raises OSError."""
     panels: Sequence[tuple[str, Callable[[Held], float]]] = (
         ("deviation of SNR, dB", lambda row: row.snr_deviation_db),
         ("worst over 2 s, %", lambda row: abs(row.furthest_percent or 0.0)),
@@ -117,15 +118,20 @@ def plot_buckets(path: Path, rows: Sequence[Held]) -> None:
     for axes, (label, value) in zip(all_axes, panels, strict=True):
         lines = {
             f"{rate} bit/s": [
-                (bucket_s, fmean(value(row) for row in rows if (row.bits_per_second, row.bucket_s) == (rate, bucket_s)))
-                for bucket_s in sorted({row.bucket_s for row in rows})
+                (
+                    rate_buffer_s,
+                    fmean(
+                        value(row) for row in rows if (row.bits_per_second, row.rate_buffer_s) == (rate, rate_buffer_s)
+                    ),
+                )
+                for rate_buffer_s in sorted({row.rate_buffer_s for row in rows})
             ]
             for rate in sorted({row.bits_per_second for row in rows})
         }
         _draw(axes, lines)
         axes.set_ylabel(label, fontsize=FONT_POINTS)
         axes.set_ylim(bottom=0)
-    all_axes[-1].set_xlabel("bucket, s", fontsize=FONT_POINTS)
+    all_axes[-1].set_xlabel("rate buffer, s", fontsize=FONT_POINTS)
     figure.savefig(path, bbox_inches="tight")
 
 

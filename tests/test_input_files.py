@@ -23,14 +23,14 @@ def test_reads_the_whole_file(content: bytes, tmp_path: Path) -> None:
     ("content", "reason"),
     [(b"", "does not begin"), (b"TES", "does not begin"), (b"WAVE12", "does not begin"), (b"TEST1234567", "longer")],
 )
-def test_refuses_other_files(content: bytes, reason: str, tmp_path: Path) -> None:
+def test_rejects_other_files(content: bytes, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
     with pytest.raises(InputFileError, match=reason):
         read(path)
 
 
-def test_refuses_what_is_no_file_without_waiting_for_it(tmp_path: Path) -> None:
+def test_rejects_what_is_no_file_without_waiting_for_it(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for path in (pipe, tmp_path, Path("/dev/zero")):

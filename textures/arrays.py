@@ -18,10 +18,10 @@ SAMPLES_KEY, RATE_KEY, UNIT_KEY = "samples", "rate_hz", "unit"
 # Names of what states the rate and the unit, in any case.
 RATE_NAMES = (RATE_KEY, "fs", "sample_rate", "sample_rate_hz", "sampling_rate")
 UNIT_NAMES = (UNIT_KEY, "units")
-MOST_CHARACTERS = 100  # of a unit
+MAX_CHARACTERS = 100  # of a unit
 
 _ZIP_MAGIC = b"PK"
-_MOST_LISTED = 10
+_MAX_LISTED = 10
 
 
 def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
@@ -55,7 +55,7 @@ def parsing(path: Path, kind: str) -> Iterator[None]:
         raise TextureError(f"{path}: not {kind} that can be read; save it again ({reason})") from error
 
 
-def refuse_too_large(shape: Sequence[int], dtype: np.dtype[Any], path: Path, besides_bytes: int = 0) -> None:
+def reject_too_large(shape: Sequence[int], dtype: np.dtype[Any], path: Path, besides_bytes: int = 0) -> None:
     """Raise TextureError where an array does not fit into memory as it is in the file, `besides_bytes`, and float64."""
     each_bytes = 8 if dtype == np.float64 else 8 + dtype.itemsize
     if lack := shortage(prod(shape) * each_bytes + besides_bytes):
@@ -117,15 +117,15 @@ def _read_array(file: IO[bytes], path: Path) -> NDArray[Any]:
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
     shape, _, dtype = header(file)
-    refuse_too_large(shape, dtype, path)
+    reject_too_large(shape, dtype, path)
     file.seek(0)
     array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     return array
 
 
 def _listed(texts: Sequence[str]) -> str:
-    more = f" and {len(texts) - _MOST_LISTED} more" if len(texts) > _MOST_LISTED else ""
-    return (", ".join(texts[:_MOST_LISTED]) or "none") + more
+    more = f" and {len(texts) - _MAX_LISTED} more" if len(texts) > _MAX_LISTED else ""
+    return (", ".join(texts[:_MAX_LISTED]) or "none") + more
 
 
 def _only_rate(rates: Mapping[str, float], rate_hz: float | None, path: Path) -> float | None:

@@ -21,7 +21,7 @@ SAVED_SUFFIXES = (".wav", ".csv", ".npy", ".mat")
 POSITION_NAME = "position"
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a Recording refuses what overflows
+@np.errstate(over="ignore", invalid="ignore")  # a Recording rejects what overflows
 def load(
     path: str | Path,
     rate_hz: float | None = None,

@@ -45,7 +45,7 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         if dataset.external or dataset.is_virtual:
             raise TextureError(f"{path}: {chosen} keeps its numbers in other files; save them in this one")
         chunk_bytes = prod(dataset.chunks) * dataset.dtype.itemsize if dataset.chunks else 0
-        arrays.refuse_too_large(dataset.shape, dataset.dtype, path, chunk_bytes)
+        arrays.reject_too_large(dataset.shape, dataset.dtype, path, chunk_bytes)
         group = chosen.rpartition("/")[0]
         places = [
             dataset.attrs,
@@ -78,7 +78,7 @@ def _values_in(group: str, datasets: Mapping[str, Any]) -> dict[str, Any]:
         place, _, name = path.rpartition("/")
         if place != group or not arrays.states_something(name):
             continue
-        if _kind(dataset) == "char" and dataset.size <= arrays.MOST_CHARACTERS:
+        if _kind(dataset) == "char" and dataset.size <= arrays.MAX_CHARACTERS:
             values[name] = "".join(map(chr, dataset[()].ravel()))
         elif dataset.size == 1:
             values[name] = dataset[()]

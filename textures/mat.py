@@ -10,7 +10,7 @@ from vibrocast.textures.recording import Contents, Recording, TextureError
 
 NUMBERS = ("single", "double", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 """MATLAB's classes of numbers, which NumPy calls the same."""
-LARGEST_BYTES = 2**31 - 2**10  # of a variable in version 5, its tags included
+MAX_BYTES = 2**31 - 2**10  # of a variable in version 5, its tags included
 
 
 def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
@@ -30,13 +30,13 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
             name
             for name, (_, kind) in variables.items()
             if arrays.states_something(name)
-            and sizes[name] <= (arrays.MOST_CHARACTERS if kind == "char" else 1 if kind in NUMBERS else 0)
+            and sizes[name] <= (arrays.MAX_CHARACTERS if kind == "char" else 1 if kind in NUMBERS else 0)
         ]
         signals = [name for name, (_, kind) in variables.items() if kind in NUMBERS and sizes[name] > 1]
         others = {name: kind for name, (_, kind) in variables.items() if name not in signals + stated}
         chosen = arrays.chosen_key(signals, key, path, others)
         shape, kind = variables[chosen]
-        arrays.refuse_too_large(shape, np.dtype(kind), path)
+        arrays.reject_too_large(shape, np.dtype(kind), path)
         loaded = loadmat(str(path), appendmat=False, variable_names=[chosen, *stated])
         array = loaded[chosen]
         if array.dtype.kind in "iuf":  # MATLAB stores doubles that are whole numbers as integers
@@ -49,7 +49,7 @@ def write(path: Path, recording: Recording) -> None:
     """Write samples, rate_hz and unit as a .mat file of version 5. Raises TextureError, OSError."""
     from scipy.io import savemat
 
-    if recording.samples.nbytes > LARGEST_BYTES:
+    if recording.samples.nbytes > MAX_BYTES:
         raise TextureError(f"{path}: more than the 2 GiB that a .mat file holds; save it as .npy, or cut it into parts")
     values = {
         arrays.SAMPLES_KEY: recording.samples,

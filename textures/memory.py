@@ -1,4 +1,4 @@
-"""Tells how much memory is free, so that what cannot fit is refused before it is read."""
+"""Tells how much memory is free, so that what cannot fit is rejected before it is read."""
 
 from collections.abc import Iterator
 from pathlib import Path

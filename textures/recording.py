@@ -48,7 +48,7 @@ class Contents:
 class Recording:
     """A recorded or generated texture.
 
-    `samples`: float64 (n, channels), n >= 1, up to MAX_MAGNITUDE; one channel is one tactor. `rate_hz`: samples a
+    `samples`: float64 (n, channels), n >= 1, up to MAX_MAGNITUDE; one channel is one actuator. `rate_hz`: samples a
     second, MIN_RATE_HZ to MAX_RATE_HZ. `unit`: "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is
     the full stroke of whatever plays it. `name`: what a person calls it. `axes`: the axis of each channel, where the
     channels are the axes of one texture; empty where each channel is a texture of its own. Raises TextureError on
@@ -87,7 +87,7 @@ class Recording:
 
     @property
     def channels(self) -> int:
-        """Channels, one for each tactor."""
+        """Channels, one for each actuator."""
         return int(self.samples.shape[1])
 
     @property

@@ -23,7 +23,7 @@ def read(path: Path) -> Contents:
         with soundfile.SoundFile(path) as file:
             if file.format not in ("WAV", "WAVEX", "RF64"):
                 raise TextureError(f"{path}: {file.format} in a .wav file; convert it to WAV")
-            _refuse_cut_off(file.extra_info, path)
+            _reject_cut_off(file.extra_info, path)
             if lack := shortage(8 * file.frames * file.channels):
                 raise TextureError(f"{path}: {lack}")
             samples = file.read(dtype="float64", always_2d=True)
@@ -66,7 +66,7 @@ def write(path: Path, recording: Recording, sixteen_bit: bool) -> float:
     return full_scale
 
 
-def _refuse_cut_off(notes: str, path: Path) -> None:
+def _reject_cut_off(notes: str, path: Path) -> None:
     """Raise TextureError where libsndfile's notes on a WAV file say that its end is missing."""
     for stated, held in re.findall(_CUT_OFF, notes):
         missing = int(stated) - int(held)

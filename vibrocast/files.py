@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, with the same suffix; it takes the place of `path` when the block succeeds.
 
     What is no regular file (a terminal, /dev/stdout) is written directly. Raises OSError, which names `path`, when it
@@ -31,7 +31,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
+def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield a new folder beside `path`; it takes the place of `path`, and of all in it, when the block succeeds.
 
     Raises OSError, which names `path`, when it cannot be written.
@@ -57,8 +57,8 @@ class InputFileError(ValueError):
     """A file that is not of the wanted kind; the message says why and what to do."""
 
 
-def read_input(path: Path, kind: str, magic: bytes, largest_bytes: int) -> bytes:
-    """Return the bytes of a regular file that begins with `magic` and is at most `largest_bytes` long.
+def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
+    """Return the bytes of a regular file that begins with `magic` and is at most `max_bytes` long.
 
     `kind`: what a person calls such a file. Raises InputFileError for any other file, OSError when it cannot be read.
     """
@@ -68,6 +68,6 @@ def read_input(path: Path, kind: str, magic: bytes, largest_bytes: int) -> bytes
     with path.open("rb") as file:
         if file.read(len(magic)) != magic:
             raise InputFileError(f"{path}: not a {kind}: it does not begin with {magic.decode()!r}; give another file")
-        if path.stat().st_size > largest_bytes:
-            raise InputFileError(f"{path}: longer than any {kind} of {largest_bytes} bytes at most; give another file")
+        if path.stat().st_size > max_bytes:
+            raise InputFileError(f"{path}: longer than any {kind} of {max_bytes} bytes at most; give another file")
         return magic + file.read()

@@ -10,7 +10,7 @@ from typing import Any
 from vibrocast.files import InputFileError
 
 MAX_BYTES = 1 << 20
-_MOST_SHOWN = 80
+_MAX_SHOWN = 80
 
 
 def read_toml(path: Path, kind: str, error: type[InputFileError]) -> dict[str, Any]:
@@ -41,7 +41,7 @@ class Table:
         self._error = error
         self._known: list[str] = []
 
-    def refuse(self, what: str) -> InputFileError:
+    def reject(self, what: str) -> InputFileError:
         """Return the error that names the file and the table."""
         return self._error(f"{self.path}: {self._where}: {what}")
 
@@ -50,13 +50,13 @@ class Table:
         self._known.append(key)
         if key not in self._left:
             if default is MISSING:
-                raise self.refuse(f"{key} is missing; it must be {expected}")
+                raise self.reject(f"{key} is missing; it must be {expected}")
             return default
         value = self._left.pop(key)
         try:
             return read(value)
         except (TypeError, ValueError) as reason:
-            raise self.refuse(f"{key} must be {expected}, not {_shown(value)}") from reason
+            raise self.reject(f"{key} must be {expected}, not {_shown(value)}") from reason
 
     def text(self, key: str, default: Any = MISSING) -> Any:
         """Return a text that is not empty."""
@@ -85,7 +85,7 @@ class Table:
             return
         meant = next((value * factor for factor in (1e3, 1e-3, 1e6, 1e-6) if low <= value * factor <= high), None)
         slip = "" if meant is None else f"; are the units mixed up? {meant:.9g} would be possible"
-        raise self.refuse(f"{key} = {value:.9g} is out of range: {meaning}, from {low:g} to {high:g}{slip}")
+        raise self.reject(f"{key} = {value:.9g} is out of range: {meaning}, from {low:g} to {high:g}{slip}")
 
     def whole(self, key: str, low: int, high: int, default: Any = MISSING) -> Any:
         """Return a whole number in a range."""
@@ -102,13 +102,13 @@ class Table:
     def end(self) -> None:
         """Raise `error` for a key that was not taken."""
         for key in self._left:
-            raise self.refuse(f"there is no key {key}; choose from {', '.join(self._known)}")
+            raise self.reject(f"there is no key {key}; choose from {', '.join(self._known)}")
 
 
 def _shown(value: Any) -> str:
     """Return what a file says in a form short enough for an error."""
     shown = repr(value)
-    return shown if len(shown) <= _MOST_SHOWN else f"{shown[:_MOST_SHOWN]}..."
+    return shown if len(shown) <= _MAX_SHOWN else f"{shown[:_MAX_SHOWN]}..."
 
 
 def text(value: Any) -> str:

@@ -10,7 +10,7 @@ from scipy.fft import idct
 
 from vibrocast.codec.interface import Setting
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal, decoded
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 
@@ -63,14 +63,14 @@ def measure(coder: str, case: str) -> Measured:
     coefficients = make()
     samples = idct(coefficients, axis=1, norm="ortho").reshape(-1, 1) / math.sqrt(BLOCK)
     setting: Setting = {"levels": levels, "entropy": coder, "block": str(BLOCK), "dc": "keep"}
-    _, stream = decoded(np.asarray(samples), RATE_HZ, Rung(DCT, setting))
+    _, stream = decoded(np.asarray(samples), RATE_HZ, RatePoint(DCT, setting))
     return judge(8 * stream.size_bytes / samples.size, needed_bits(coefficients, levels))
 
 
-def measure_silence(rung: Rung) -> Measured:
+def measure_silence(rate_point: RatePoint) -> Measured:
     """Code silence, which needs nothing."""
     samples = np.zeros((BLOCKS * BLOCK, 1))
-    _, stream = decoded(samples, RATE_HZ, rung)
+    _, stream = decoded(samples, RATE_HZ, rate_point)
     return judge(8 * stream.size_bytes / samples.size, 0.0)
 
 
@@ -86,9 +86,9 @@ def judge(bits: float, needed: float) -> Measured:
 def _trials(scope: Scope) -> list[Trial]:
     trials = []
     for method in scope.methods:
-        rung = middle_rung(method)
-        silence = partial(measure_silence, rung)
-        trials.append(Trial(ENTROPY.name, method.name, "silence", f"middle: {rung.text}", None, silence))
+        rate_point = middle_rate_point(method)
+        silence = partial(measure_silence, rate_point)
+        trials.append(Trial(ENTROPY.name, method.name, "silence", f"middle: {rate_point.text}", None, silence))
     if scope.has(DCT):
         cases = list(COEFFICIENTS)[:: 3 if scope.quick else 1]
         trials += [

@@ -36,11 +36,11 @@ def predictors(order: int) -> Signal:
 def measure(form: str, order: int, bits: int) -> Measured:
     """Quantise every predictor; judge by the share whose synthesis filter has a pole on or outside the unit circle."""
     radii = linear_prediction.quantised_pole_radii(predictors(order), form, bits)
-    share, largest_radius = float(np.mean(radii > 1 - 1e-9)), float(np.max(radii))
-    figures = {"unstable_share": share, "largest_pole_radius": largest_radius, "predictors": len(radii)}
+    share, max_radius = float(np.mean(radii > 1 - 1e-9)), float(np.max(radii))
+    figures = {"unstable_share": share, "max_pole_radius": max_radius, "predictors": len(radii)}
     if share == 0:
         return Measured(Outcome.HOLDS, figures)
-    effect = f"{100 * share:.1f} % of the filters unstable, largest pole {largest_radius:.3f}"
+    effect = f"{100 * share:.1f} % of the filters unstable, largest pole {max_radius:.3f}"
     return Measured(Outcome.DEGRADED if share <= FEW else Outcome.FAILS, figures, effect)
 
 

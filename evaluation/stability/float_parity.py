@@ -16,7 +16,7 @@ from vibrocast.codec.eva_image import QUALITY_PARTS, EvaImage
 from vibrocast.codec.graphs import LATENTS, SIGNAL
 from vibrocast.codec.interface import number
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.evaluation.trained import runtimes
@@ -61,33 +61,33 @@ def _in_pieces(transform: Callable[[Values], Values], values: Values, hop_in: in
     return np.concatenate(parts, axis=2)
 
 
-def _latents(rung: Rung) -> tuple[Values, Values, NDArray[np.float64]]:
+def _latents(rate_point: RatePoint) -> tuple[Values, Values, NDArray[np.float64]]:
     """Return a texture (1, 1, time) as the network gets it, its latents (1, latents, columns), and the steps."""
-    assert rung.model is not None, "a learned method has models"
+    assert rate_point.model is not None, "a learned method has models"
     samples = texture()
     samples = samples[: len(samples) // HOP * HOP] / np.sqrt(np.mean(samples**2))
     signal = samples.T[None].astype(np.float32)
-    image = EvaImage.unpack(rung.model.tables)
-    code = round(number(rung.setting, "quality") * QUALITY_PARTS)
-    return signal, run(rung.model.analysis, SIGNAL, LATENTS, signal), image.relative_steps(code)[:, None]
+    image = EvaImage.unpack(rate_point.model.tables)
+    code = round(number(rate_point.setting, "quality") * QUALITY_PARTS)
+    return signal, run(rate_point.model.analysis, SIGNAL, LATENTS, signal), image.relative_steps(code)[:, None]
 
 
-def measure_analysis(rung: Rung, way: str) -> Measured:
+def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
     """Run the analysis otherwise; count the latents that are rounded to other integers."""
-    signal, latents, steps = _latents(rung)
-    assert rung.model is not None, "a learned method has models"
+    signal, latents, steps = _latents(rate_point)
+    assert rate_point.model is not None, "a learned method has models"
     level, threads, pieces = _WAYS[way]
-    transform = partial(run, rung.model.analysis, SIGNAL, LATENTS, level=level, threads=threads)
+    transform = partial(run, rate_point.model.analysis, SIGNAL, LATENTS, level=level, threads=threads)
     other = _in_pieces(transform, signal, HOP, 1) if pieces else transform(signal)
     rounded = float(np.mean(np.rint(latents / steps) != np.rint(other / steps)))
     return _judged(latents, other, {"rounded_otherwise_per_million": 1e6 * rounded})
 
 
-def measure_synthesis(rung: Rung, way: str) -> Measured:
+def measure_synthesis(rate_point: RatePoint, way: str) -> Measured:
     """Run the synthesis otherwise on the same integers."""
-    _, latents, steps = _latents(rung)
-    assert rung.model is not None, "a learned method has models"
-    graph = EvaImage.unpack(rung.model.tables).graph
+    _, latents, steps = _latents(rate_point)
+    assert rate_point.model is not None, "a learned method has models"
+    graph = EvaImage.unpack(rate_point.model.tables).graph
     values = (np.rint(latents / steps) * steps).astype(np.float32)
     level, threads, pieces = _WAYS[way]
     transform = partial(run, graph, LATENTS, SIGNAL, level=level, threads=threads)
@@ -104,12 +104,12 @@ def _judged(values: Values, other: Values, figures: dict[str, float | None]) -> 
     return Measured(outcome, {"difference_millionths": 1e6 * difference, **figures}, effect)
 
 
-def measure_core(rung: Rung) -> Measured:
+def measure_core(rate_point: RatePoint) -> Measured:
     """Decode by the integer core where ONNX Runtime cannot even be imported; the samples must not differ.
 
     Raises CodecError.
     """
-    stream = replace(encoded(texture(), RATE_HZ, rung), runtime="core")
+    stream = replace(encoded(texture(), RATE_HZ, rate_point), runtime="core")
     wanted = stream.decode_integers()
     with patch.dict(sys.modules, {"onnxruntime": None}):
         decoded = stream.decode_integers()
@@ -120,21 +120,23 @@ def measure_core(rung: Rung) -> Measured:
 def _trials(scope: Scope) -> list[Trial]:
     trials = []
     for method in scope.learned:
-        rung = middle_rung(method)
-        if rung.model is None or not rung.model.analysis:
+        rate_point = middle_rate_point(method)
+        if rate_point.model is None or not rate_point.model.analysis:
             continue
         ways = list(_WAYS)[:: 4 if scope.quick else 1]
-        parts: dict[str, Callable[[Rung, str], Measured]] = {"analysis": measure_analysis}
-        if "onnx" in runtimes(rung.model):
+        parts: dict[str, Callable[[RatePoint, str], Measured]] = {"analysis": measure_analysis}
+        if "onnx" in runtimes(rate_point.model):
             parts["synthesis"] = measure_synthesis
         trials += [
-            Trial(PARITY.name, method.name, f"{part}, {way}", rung.text, None, partial(measure, rung, way))
+            Trial(PARITY.name, method.name, f"{part}, {way}", rate_point.text, None, partial(measure, rate_point, way))
             for part, measure in parts.items()
             for way in ways
         ]
-        if "core" in runtimes(rung.model):
-            core = partial(measure_core, rung)
-            trials.append(Trial(PARITY.name, method.name, "integer core, without ONNX Runtime", rung.text, None, core))
+        if "core" in runtimes(rate_point.model):
+            core = partial(measure_core, rate_point)
+            trials.append(
+                Trial(PARITY.name, method.name, "integer core, without ONNX Runtime", rate_point.text, None, core)
+            )
     return trials
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, three_rungs
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, three_rate_points
 from vibrocast.evaluation.stability.signals import ENOUGH_SNR_DB, FAILED_SNR_DB, RATE_HZ, Signal, decoded
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.textures.generate import rough, wood_surface
@@ -28,7 +28,7 @@ def band(spatial: Signal, speed_mm_s: float) -> NDArray[np.bool_]:
     return (spatial * speed_mm_s >= BAND_HZ[0]) & (spatial * speed_mm_s <= BAND_HZ[1])
 
 
-def measure(rung: Rung, surface: str, speed_mm_s: float) -> Measured:
+def measure(rate_point: RatePoint, surface: str, speed_mm_s: float) -> Measured:
     """Code a surface as swept over at CODED_MM_S, play it faster or slower; judge the band at that speed.
 
     A height z(x) at the place x is played at the time x / speed: its spatial frequency k becomes speed * k. So SNR
@@ -36,7 +36,7 @@ def measure(rung: Rung, surface: str, speed_mm_s: float) -> Measured:
     """
     samples = GENERATED[surface](0, SECONDS, CODED_MM_S, RATE_HZ).samples
     samples = samples - samples.mean()
-    heard, _ = decoded(samples, RATE_HZ, rung, "um")
+    heard, _ = decoded(samples, RATE_HZ, rate_point, "um")
     spatial = np.asarray(np.fft.rfftfreq(len(samples), CODED_MM_S / RATE_HZ), np.float64)
     wanted, error, played = (
         np.abs(np.fft.rfft(each[:, 0] * np.hanning(len(samples)))) ** 2 for each in (samples, heard - samples, heard)
@@ -68,15 +68,15 @@ def _trials(scope: Scope) -> list[Trial]:
     speeds = SPEEDS_MM_S[::4] if scope.quick else SPEEDS_MM_S
     trials = []
     for method in scope.methods:
-        rung = three_rungs(method)["high"]
+        rate_point = three_rate_points(method)["high"]
         trials += [
             Trial(
                 HAND_SPEED.name,
                 method.name,
                 surface,
-                rung.text,
+                rate_point.text,
                 speed_mm_s,
-                partial(measure, rung, surface, speed_mm_s),
+                partial(measure, rate_point, surface, speed_mm_s),
             )
             for surface in GENERATED
             for speed_mm_s in speeds
@@ -100,7 +100,7 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
                     )
                 )
             panels.append(
-                pictures.Panel(f"{surface}: {title}", "speed of the hand, mm/s", "", curves, log_x=True, least_span=10)
+                pictures.Panel(f"{surface}: {title}", "speed of the hand, mm/s", "", curves, log_x=True, min_span=10)
             )
     pictures.curves(path, panels)
 

@@ -11,7 +11,7 @@ from vibrocast.evaluation.stability.trials import Outcome, Verdict
 TABLE = Path(__file__).parent / "known_causes.csv"
 
 _UNKNOWN = {
-    Outcome.REFUSED: ("it does not take this", "as the error says"),
+    Outcome.REJECTED: ("it does not take this", "as the error says"),
     Outcome.DEGRADED: ("it is made for other conditions than this", "a finer setting, or another method"),
     Outcome.FAILS: ("it is not made for this", "another method"),
 }

@@ -14,11 +14,11 @@ from vibrocast.codec import CODECS, Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.bd_rate import bits_per_sample_at
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, methods, middle_rung, rungs
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods, middle_rate_point, rate_points
 from vibrocast.evaluation.stability.signals import (
     FAILED_SNR_DB,
     FAR_LOUDER_DB,
-    LEAST_SNR_DB,
+    MIN_SNR_DB,
     RATE_HZ,
     decoded,
     encoded,
@@ -87,11 +87,13 @@ SIGNALS: dict[str, Callable[[], Signal]] = {
 }
 
 
-def bits_to_reach(ladder: Sequence[Rung], samples: Signal, snr_db: float) -> float:
-    """Return the bits per sample at which a ladder reaches an SNR, infinity where it does not. Raises CodecError."""
+def bits_to_reach(rate_point_set: Sequence[RatePoint], samples: Signal, snr_db: float) -> float:
+    """Return the bits per sample at which a set of rate points reaches an SNR, infinity where it does not. Raises
+    CodecError.
+    """
     curve = []
-    for rung in ladder:
-        heard, stream = decoded(samples, RATE_HZ, rung)
+    for rate_point in rate_point_set:
+        heard, stream = decoded(samples, RATE_HZ, rate_point)
         reached_db = codec.snr_db(samples, heard)
         curve.append((8 * stream.size_bytes / samples.size, math.inf if reached_db is None else reached_db))
     bits = float(bits_per_sample_at(curve, snr_db))
@@ -109,12 +111,14 @@ def signal(name: str) -> Signal:
 
 @lru_cache
 def _own_bits(name: str) -> float:
-    return bits_to_reach(rungs(*methods([OWN], ())), signal(name), WANTED_SNR_DB)
+    return bits_to_reach(rate_points(*methods([OWN], ())), signal(name), WANTED_SNR_DB)
 
 
-def measure_kind(ladder: Sequence[Rung], name: str) -> Measured:
-    """Compare the bits that a ladder needs for a signal at WANTED_SNR_DB with those of OWN. Raises CodecError."""
-    bits, own = bits_to_reach(ladder, signal(name), WANTED_SNR_DB), _own_bits(name)
+def measure_kind(rate_point_set: Sequence[RatePoint], name: str) -> Measured:
+    """Compare the bits that a set of rate points needs for a signal at WANTED_SNR_DB with those of OWN. Raises
+    CodecError.
+    """
+    bits, own = bits_to_reach(rate_point_set, signal(name), WANTED_SNR_DB), _own_bits(name)
     if math.isinf(bits):
         return Measured(Outcome.FAILS, {"ratio": None, "own_bits": own}, f"{WANTED_SNR_DB:g} dB are not reached")
     ratio = bits / own
@@ -125,23 +129,26 @@ def measure_kind(ladder: Sequence[Rung], name: str) -> Measured:
     return Measured(Outcome.HOLDS if ratio <= HELD_RATIO else Outcome.DEGRADED, figures, effect)
 
 
-def measure_quiet(rung: Rung, quieter_db: float) -> Measured:
+def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
     """Code a texture whose second half is quieter; judge that half as a signal. Raises CodecError."""
     samples = texture(seconds=2 * _SECONDS)
     second = slice(len(samples) // 2, len(samples))
     samples[second] *= 10 ** (-quieter_db / 20)
-    heard, stream = decoded(samples, RATE_HZ, rung)
-    measured = judge(samples[second], heard[second], texture_snr_db(rung))
+    heard, stream = decoded(samples, RATE_HZ, rate_point)
+    measured = judge(samples[second], heard[second], texture_snr_db(rate_point))
     bits = 8 * stream.size_bytes / samples.size
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
 
-def measure_level(rung: Rung, runtime: str, name: str) -> Measured:
+def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:
     """Code a texture at a level that is not its own; judge by what it is worth at its own. Raises CodecError."""
     samples = _clicks(texture()) if name == "texture with clicks" else texture()
-    stream = encoded(samples, RATE_HZ, rung)
+    stream = encoded(samples, RATE_HZ, rate_point)
     heard = {each: _by_runtime(stream, each) for each in {runtime, "core"}}
-    own = _by_runtime(encoded(samples, RATE_HZ, Rung(rung.codec, {**rung.setting, "level": 1.0}, rung.model)), runtime)
+    own = _by_runtime(
+        encoded(samples, RATE_HZ, RatePoint(rate_point.codec, {**rate_point.setting, "level": 1.0}, rate_point.model)),
+        runtime,
+    )
     snr_db, own_db = codec.snr_db(samples, heard[runtime]), codec.snr_db(samples, own)
     assert snr_db is not None and own_db is not None, "a texture is not silent"
     louder = louder_db(samples, heard[runtime])
@@ -156,7 +163,7 @@ def measure_level(rung: Rung, runtime: str, name: str) -> Measured:
     effect = f"SNR {snr_db:z.1f} dB instead of {own_db:.1f}, {figures['bits_per_sample']:.2f} bits per sample"
     if snr_db < FAILED_SNR_DB or louder > FAR_LOUDER_DB:
         return Measured(Outcome.FAILS, figures, effect)
-    holds = snr_db >= max(LEAST_SNR_DB, own_db - LOST_DB)
+    holds = snr_db >= max(MIN_SNR_DB, own_db - LOST_DB)
     return Measured(Outcome.HOLDS if holds else Outcome.DEGRADED, figures, effect)
 
 
@@ -167,7 +174,7 @@ def _by_runtime(stream: Stream, runtime: str) -> Signal:
 def _kind_trials(scope: Scope) -> list[Trial]:
     names = list(SIGNALS)[:: 5 if scope.quick else 1]
     return [
-        Trial(KINDS.name, method.name, name, "", None, partial(measure_kind, rungs(method), name))
+        Trial(KINDS.name, method.name, name, "", None, partial(measure_kind, rate_points(method), name))
         for method in scope.learned
         for name in names
     ]
@@ -180,9 +187,9 @@ def _quiet_trials(scope: Scope) -> list[Trial]:
             QUIET.name,
             method.name,
             "texture",
-            middle_rung(method).text,
+            middle_rate_point(method).text,
             quieter_db,
-            partial(measure_quiet, middle_rung(method), quieter_db),
+            partial(measure_quiet, middle_rate_point(method), quieter_db),
         )
         for method in (*scope.learned, *compared)
         for quieter_db in QUIETER_DB[:: 3 if scope.quick else 1]
@@ -192,20 +199,20 @@ def _quiet_trials(scope: Scope) -> list[Trial]:
 def _level_trials(scope: Scope) -> list[Trial]:
     trials = []
     for method in scope.learned:
-        middle = middle_rung(method)
+        middle = middle_rate_point(method)
         if "level" not in CODECS[middle.codec].parameters:
             continue
         assert middle.model is not None, "a learned method has models"
         for off_db in OFF_LEVEL_DB[:: 5 if scope.quick else 1]:
-            rung = Rung(middle.codec, {**middle.setting, "level": 10 ** (off_db / 20)}, middle.model)
+            rate_point = RatePoint(middle.codec, {**middle.setting, "level": 10 ** (off_db / 20)}, middle.model)
             trials += [
                 Trial(
                     LEVEL.name,
                     f"{method.name}, {runtime}",
                     name,
-                    rung.text,
+                    rate_point.text,
                     off_db,
-                    partial(measure_level, rung, runtime, name),
+                    partial(measure_level, rate_point, runtime, name),
                 )
                 for runtime in runtimes(middle.model)
                 for name in ("texture", "texture with clicks")
@@ -234,7 +241,7 @@ def _draw_panels(figures: Mapping[str, str], x_label: str, path: Path, cells: Se
                 x, y = [cell.value or 0.0 for cell in own], [cell.figure(figure) for cell in own]
                 curves.append(pictures.Curve(method, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
             if any(math.isfinite(y) for curve in curves for y in curve.y):
-                panels.append(pictures.Panel(f"{case}: {words}", x_label, "", curves, least_span=10.0))
+                panels.append(pictures.Panel(f"{case}: {words}", x_label, "", curves, min_span=10.0))
     pictures.curves(path, panels)
 
 

@@ -14,7 +14,7 @@ from vibrocast.textures import Recording
 
 
 @dataclass(frozen=True, eq=False)
-class Rung:
+class RatePoint:
     """A codec at a setting, perhaps with a trained model: alike and hashed by what they are."""
 
     codec: str
@@ -35,7 +35,7 @@ class Rung:
         return self.codec, self.text, trained.digest(self.model) if self.model else ""
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Rung) and self._key() == other._key()
+        return isinstance(other, RatePoint) and self._key() == other._key()
 
     def __hash__(self) -> int:
         return hash(self._key())
@@ -81,13 +81,13 @@ class Map:
 
 
 def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Method, ...]:
-    """Return the codecs of these names, each with its first ladder, and the families of models.
+    """Return the codecs of these names, each with its first set of rate points, and the families of models.
 
     A name is that of a codec, which stands for its families too, or of a family; None = all. Raises BenchError for
     other names, and where nothing is left to try.
     """
     of_codecs = [
-        Method(name, next(iter(codec.ladders.values())), name)
+        Method(name, next(iter(codec.rate_point_sets.values())), name)
         for name, codec in CODECS.items()
         if not codec.needs_model
     ]
@@ -98,18 +98,24 @@ def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Met
     return tuple(method for method in every if names is None or {method.name, method.coder} & set(names))
 
 
-def rungs(method: Method) -> list[Rung]:
-    """Return all rungs of a codec's method, the coarsest first."""
+def rate_points(method: Method) -> list[RatePoint]:
+    """Return all rate points of a codec's method, the coarsest first."""
     assert isinstance(method.coder, str), "programs are not tried"
-    return [Rung(method.coder, setting, model) for setting, model in method.rungs if not isinstance(setting, str)]
+    return [
+        RatePoint(method.coder, setting, model) for setting, model in method.rate_points if not isinstance(setting, str)
+    ]
 
 
-def three_rungs(method: Method) -> dict[str, Rung]:
-    """Return rungs of a method: a quarter of the way up, half of it, and the finest."""
-    ladder = rungs(method)
-    return {"low": ladder[len(ladder) // 4], "middle": ladder[len(ladder) // 2], "high": ladder[-1]}
+def three_rate_points(method: Method) -> dict[str, RatePoint]:
+    """Return rate points of a method: a quarter of the way up, half of it, and the finest."""
+    rate_point_set = rate_points(method)
+    return {
+        "low": rate_point_set[len(rate_point_set) // 4],
+        "middle": rate_point_set[len(rate_point_set) // 2],
+        "high": rate_point_set[-1],
+    }
 
 
-def middle_rung(method: Method) -> Rung:
-    """Return the middle rung of a method."""
-    return three_rungs(method)["middle"]
+def middle_rate_point(method: Method) -> RatePoint:
+    """Return the middle rate point of a method."""
+    return three_rate_points(method)["middle"]

@@ -9,16 +9,16 @@ from typing import TypeVar
 from vibrocast.evaluation.stability.known_causes import explanation
 from vibrocast.evaluation.stability.maps import Map
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 
 PAGE, FOLDER = "stability.md", "stability"
 _TITLE = "# Where methods hold and where they fail"
 _WORST_HEADER = ("tried", "holds for", "the worst", "what a person gets", "remedy")
 _MAP_HEADER = ("method", "outcome", "where", "what a person gets", "cause", "remedy")
-_MOST_CASES = 6
+_MAX_CASES = 6
 """Cases that a row names; the CSV has all."""
 _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
-_LONGEST_EFFECT = 160
+_MAX_EFFECT = 160
 
 Item = TypeVar("Item")
 
@@ -50,14 +50,14 @@ def write(out: Path, maps: Sequence[Map], cells: Sequence[Verdict], methods: Seq
     for each, own in drawn:
         write_csv(folder / f"{each.name}.csv", own)
         each.draw(folder / f"{each.name}.png", own)
-    with whole_file(out / PAGE) as partial:
+    with atomic_write(out / PAGE) as partial:
         partial.write_text(markdown(drawn, methods, command), "utf-8")
 
 
 def write_csv(path: Path, cells: Sequence[Verdict]) -> None:
     """Write cells, a row each, their figures in columns of their own. Raises OSError."""
     names = list(dict.fromkeys(name for cell in cells for name in cell.figures))
-    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["method", "case", "setting", "value", "outcome", *names, "effect"])
         for cell in cells:
@@ -92,7 +92,7 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], methods: Sequence[st
     return "\n".join(lines)
 
 
-def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict], most: int = _MOST_CASES) -> str:
+def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict], most: int = _MAX_CASES) -> str:
     """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings.
 
     No more than `most` cases are named, the others counted.
@@ -196,7 +196,7 @@ def _map_rows(each: Map, cells: Sequence[Verdict]) -> list[list[str]]:
         worst = min(of_methods, key=_worst_first)
         names = [cell.method for cell in of_methods]
         together = "all" if len(names) == len(methods) > 1 else ", ".join(names)
-        effect = _short(worst.effect) + (f" ({worst.method})" if len(names) > 1 and not worst.to_be_refused else "")
+        effect = _short(worst.effect) + (f" ({worst.method})" if len(names) > 1 and not worst.to_be_rejected else "")
         table.append([together, outcome, boundary, effect, cause, explanation(worst)[1]])
     return table
 
@@ -210,4 +210,4 @@ def _worst_first(cell: Verdict) -> tuple[int, float]:
 
 def _short(effect: str) -> str:
     text = effect.replace("|", "/")
-    return text if len(text) <= _LONGEST_EFFECT else text[: _LONGEST_EFFECT - 1] + "…"
+    return text if len(text) <= _MAX_EFFECT else text[: _MAX_EFFECT - 1] + "…"

@@ -65,7 +65,7 @@ def _measured(row: dict[str, str], coarser_db: float) -> Measured:
         died = _EXIT_CODE.search(row["status"])
         if died and int(died[1]) < 0:
             return Measured(Outcome.FAILS, {}, f"CRASH: the program died of signal {-int(died[1])}")
-        return Measured(Outcome.REFUSED, {}, " ".join(_PATH.sub("", row["status"]).split()))
+        return Measured(Outcome.REJECTED, {}, " ".join(_PATH.sub("", row["status"]).split()))
     largest = float(row["maxabs_out"] or "nan")
     snr_db = float(row["SNR_dB"] or "nan")
     figures = {"snr_db": None if math.isnan(snr_db) else snr_db, "peak": None if math.isnan(largest) else largest}

@@ -17,12 +17,12 @@ from matplotlib.ticker import MaxNLocator
 
 from vibrocast.evaluation.labels import spread
 from vibrocast.evaluation.stability.trials import Outcome
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 
 SHADES = {
     Outcome.HOLDS: ("white", "0.55"),
     Outcome.NOT_TRIED: ("white", "0.55"),
-    Outcome.REFUSED: ("0.87", "0.2"),
+    Outcome.REJECTED: ("0.87", "0.2"),
     Outcome.DEGRADED: ("0.65", "black"),
     Outcome.FAILS: ("0.1", "white"),
 }
@@ -39,7 +39,7 @@ _LABEL_DISTANCE = 0.07  # of an axis' height, for each line
 _LABEL_CHARACTERS = {1: 40, 2: 20, 3: 13}
 """By how many panels are beside each other."""
 _SAME_HEIGHT = 0.004
-_LEAST_TICK_DISTANCE = 0.13  # of its width
+_MIN_TICK_DISTANCE = 0.13  # of its width
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes with curves. `lines`: levels drawn across. `least_span`: of the vertical axis."""
+    """Axes with curves. `lines`: levels drawn across. `min_span`: of the vertical axis."""
 
     title: str
     x_label: str
@@ -62,7 +62,7 @@ class Panel:
     curves: Sequence[Curve]
     log_x: bool = False
     lines: Sequence[float] = ()
-    least_span: float = 0.0
+    min_span: float = 0.0
 
 
 def outcome_map(
@@ -98,7 +98,7 @@ def outcome_map(
         axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, rotation=90 if upright else 0)
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
-        axes.set_title("H holds   D degraded   F fails   R refused   - not tried", loc="left")
+        axes.set_title("H holds   D degraded   F fails   R rejected   - not tried", loc="left")
         axes.set_xlabel(caption)
 
 
@@ -138,7 +138,7 @@ def _figure(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
         figure = Figure((width_in, height_in), dpi=_DPI, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
-        with whole_file(path) as partial:
+        with atomic_write(path) as partial:
             figure.savefig(partial)
 
 
@@ -164,9 +164,9 @@ def _draw_panel(axes: Axes, panel: Panel, label_characters: int) -> None:
     axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
     axes.grid(color="0.92")
     low, high = axes.get_ylim()
-    missing = max(0.0, panel.least_span - (high - low))
+    missing = max(0.0, panel.min_span - (high - low))
     never_negative = all(not y < 0 for curve in panel.curves for y in curve.y)
-    low = max(low - missing / 2, -0.04 * panel.least_span) if never_negative else low - missing / 2
+    low = max(low - missing / 2, -0.04 * panel.min_span) if never_negative else low - missing / 2
     axes.set_ylim(low, high + missing / 2)
     if panel.log_x:
         ticks = _apart(sorted({x for curve in panel.curves for x in curve.x}))
@@ -181,7 +181,7 @@ def _apart(ticks: Sequence[float]) -> list[float]:
     """Return those of rising positive numbers that have room for their names on a logarithmic axis."""
     chosen: list[float] = []
     for tick in ticks:
-        if not chosen or math.log(tick / chosen[-1]) >= _LEAST_TICK_DISTANCE * math.log(ticks[-1] / ticks[0]):
+        if not chosen or math.log(tick / chosen[-1]) >= _MIN_TICK_DISTANCE * math.log(ticks[-1] / ticks[0]):
             chosen.append(tick)
     return chosen
 

@@ -5,21 +5,21 @@ from functools import partial
 from pathlib import Path
 
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, three_rungs
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, three_rate_points
 from vibrocast.evaluation.stability.signals import ENOUGH_SNR_DB, SNR_MARGIN_DB, decoded, judge, texture_snr_db
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.textures import Recording
 
-LONGEST_S = 60.0
+MAX_S = 60.0
 LEVELS = ("low", "middle", "high")
 
 
-def measure(rung: Rung, recording: Recording) -> Measured:
-    """Code a recording, at most its first LONGEST_S, and judge what comes back. Raises CodecError."""
+def measure(rate_point: RatePoint, recording: Recording) -> Measured:
+    """Code a recording, at most its first MAX_S, and judge what comes back. Raises CodecError."""
     rate_hz = round(recording.rate_hz)
-    samples = recording.samples[: round(LONGEST_S * rate_hz)]
-    heard, stream = decoded(samples, rate_hz, rung, recording.unit)
-    measured = judge(samples, heard, texture_snr_db(rung))
+    samples = recording.samples[: round(MAX_S * rate_hz)]
+    heard, stream = decoded(samples, rate_hz, rate_point, recording.unit)
+    measured = judge(samples, heard, texture_snr_db(rate_point))
     bits = 8 * stream.size_bytes / samples.size
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
@@ -30,12 +30,12 @@ def _trials(scope: Scope) -> list[Trial]:
             RECORDINGS.name,
             method.name,
             recording.name,
-            f"{level}: {rung.text}",
+            f"{level}: {rate_point.text}",
             None,
-            partial(measure, rung, recording),
+            partial(measure, rate_point, recording),
         )
         for method in scope.methods
-        for level, rung in three_rungs(method).items()
+        for level, rate_point in three_rate_points(method).items()
         for recording in scope.recordings
     ]
 
@@ -49,14 +49,18 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
         for row in rows
     ]
     pictures.outcome_map(
-        path, rows, methods, table, "each codec a quarter and half of the way up its ladder of settings, and at its end"
+        path,
+        rows,
+        methods,
+        table,
+        "each codec a quarter and half of the way up its set of rate points of settings, and at its end",
     )
 
 
 RECORDINGS = Map(
     "recordings",
     "Your recordings",
-    f"At most the first {LONGEST_S:g} s of each, at its own rate, coded into a whole stream and decoded. The rules are "
+    f"At most the first {MAX_S:g} s of each, at its own rate, coded into a whole stream and decoded. The rules are "
     f"those of the signals: H where the SNR is at most {SNR_MARGIN_DB:g} dB below that of a generated texture at the "
     f"same setting, or above {ENOUGH_SNR_DB:g} dB.",
     "",

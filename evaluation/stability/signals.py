@@ -13,7 +13,7 @@ from vibrocast import codec
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.evaluation import trained
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung, three_rungs
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point, three_rate_points
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.textures import HIGHPASS_HZ, Recording, highpass
 from vibrocast.textures.generate import wood
@@ -25,7 +25,7 @@ SECONDS = 2.0
 PEAK = 0.8
 
 SNR_MARGIN_DB = 6.0
-FAILED_SNR_DB, LEAST_SNR_DB, ENOUGH_SNR_DB = -0.5, 1.0, 40.0
+FAILED_SNR_DB, MIN_SNR_DB, ENOUGH_SNR_DB = -0.5, 1.0, 40.0
 """SNR below which silence would be clearly nearer, nothing of a signal is left, and above which it is always enough."""
 LOUDER_DB, FAR_LOUDER_DB = 3.0, 6.0
 SILENT, NEARLY_SILENT = 1e-4, 1e-2  # of full scale: -80 and -40 dB
@@ -43,7 +43,7 @@ _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls an
 
 @dataclass(frozen=True)
 class Condition:
-    """A hard signal. `judged_from`: the first of its samples that counts. `refused`: that it must be refused.
+    """A hard signal. `judged_from`: the first of its samples that counts. `rejected`: that it must be rejected.
 
     `tactile`: that it counts above HIGHPASS_HZ only, in what is coded and in what is decoded.
     """
@@ -51,7 +51,7 @@ class Condition:
     make: Callable[[], Signal]
     rate_hz: int = RATE_HZ
     judged_from: int = 0
-    refused: bool = False
+    rejected: bool = False
     unit: str = "full scale"
     tactile: bool = False
 
@@ -158,34 +158,38 @@ CONDITIONS: dict[str, Condition] = {
     "2 samples": Condition(lambda: texture()[100:102]),
     "31 samples": Condition(lambda: texture()[100:131]),
     "513 samples": Condition(lambda: texture()[100:613]),
-    "no sample": Condition(lambda: texture()[:0], refused=True),
-    "a NaN": Condition(partial(_with, math.nan), refused=True),
-    "an infinity": Condition(partial(_with, math.inf), refused=True),
-    "17 channels": Condition(partial(texture, channels=17), refused=True),
-    "peak of 1e-40": Condition(lambda: 1e-40 * texture(), refused=True),
+    "no sample": Condition(lambda: texture()[:0], rejected=True),
+    "a NaN": Condition(partial(_with, math.nan), rejected=True),
+    "an infinity": Condition(partial(_with, math.inf), rejected=True),
+    "17 channels": Condition(partial(texture, channels=17), rejected=True),
+    "peak of 1e-40": Condition(lambda: 1e-40 * texture(), rejected=True),
 }
 LONG_CASE = "texture of 1 hour"
 QUICK_CONDITIONS = ("texture", "silence", "one impulse", "1 sample", "a NaN")
 
 
-def decoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale") -> tuple[Signal, Stream]:
+def decoded(samples: Signal, rate_hz: int, rate_point: RatePoint, unit: str = "full scale") -> tuple[Signal, Stream]:
     """Code a signal into a whole stream; return what that decodes to and the stream. Raises as codec.encode."""
-    stream = encoded(samples, rate_hz, rung, unit)
+    stream = encoded(samples, rate_hz, rate_point, unit)
     return stream.decode(), stream
 
 
-def encoded(samples: Signal, rate_hz: int, rung: Rung, unit: str = "full scale", live: bool = False) -> Stream:
+def encoded(
+    samples: Signal, rate_hz: int, rate_point: RatePoint, unit: str = "full scale", live: bool = False
+) -> Stream:
     """Code a signal into a whole stream. Raises as codec.encode."""
-    model = trained.for_encoder(rung.model) if rung.model else None
-    coded = codec.encode(samples, rate_hz, rung.setting, codec=rung.codec, unit=unit, live=live, model=model)
-    return as_stream(coded, unit, rung.image)
+    model = trained.for_encoder(rate_point.model) if rate_point.model else None
+    coded = codec.encode(
+        samples, rate_hz, rate_point.setting, codec=rate_point.codec, unit=unit, live=live, model=model
+    )
+    return as_stream(coded, unit, rate_point.image)
 
 
 @lru_cache
-def texture_snr_db(rung: Rung) -> float:
+def texture_snr_db(rate_point: RatePoint) -> float:
     """Return the SNR of the texture at a setting: what other signals are measured by."""
     samples = texture()
-    return codec.snr_db(samples, decoded(samples, RATE_HZ, rung)[0]) or 0.0
+    return codec.snr_db(samples, decoded(samples, RATE_HZ, rate_point)[0]) or 0.0
 
 
 def louder_db(reference: Signal, heard: Signal) -> float:
@@ -205,12 +209,12 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
         return Measured(outcome, {"peak": peak}, "" if outcome is Outcome.HOLDS else f"noise of peak {peak:.2g}")
     snr_db, louder = codec.snr_db(reference, heard), louder_db(reference, heard)
     assert snr_db is not None, "a signal that is not silent has an SNR"
-    wanted_db = max(LEAST_SNR_DB, min(texture_snr_db - SNR_MARGIN_DB, ENOUGH_SNR_DB))
+    wanted_db = max(MIN_SNR_DB, min(texture_snr_db - SNR_MARGIN_DB, ENOUGH_SNR_DB))
     figures = {"snr_db": snr_db, "texture_snr_db": texture_snr_db, "louder_db": louder}
     if snr_db < FAILED_SNR_DB or louder > FAR_LOUDER_DB:
         effect = f"{louder:+.1f} dB louder" if louder > FAR_LOUDER_DB else f"SNR {snr_db:z.1f} dB"
         return Measured(Outcome.FAILS, figures, effect)
-    if snr_db < LEAST_SNR_DB:
+    if snr_db < MIN_SNR_DB:
         return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:z.1f} dB: nothing of the signal is left")
     if snr_db < wanted_db:
         return Measured(Outcome.DEGRADED, figures, f"SNR {snr_db:.1f} dB instead of {texture_snr_db:.1f}")
@@ -219,36 +223,36 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
     return Measured(Outcome.HOLDS, figures)
 
 
-def measure(rung: Rung, name: str) -> Measured:
-    """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec refuses."""
+def measure(rate_point: RatePoint, name: str) -> Measured:
+    """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec rejects."""
     condition = CONDITIONS[name]
     samples = condition.make()
-    heard, stream = decoded(samples, condition.rate_hz, rung, condition.unit)
+    heard, stream = decoded(samples, condition.rate_hz, rate_point, condition.unit)
     wanted = samples
     if condition.tactile:
         wanted, heard = (tactile_part(each, condition.rate_hz) for each in (samples, heard))
-    measured = judge(wanted[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rung))
+    measured = judge(wanted[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rate_point))
     bits = 8 * stream.size_bytes / samples.size
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
 
-def measure_hour(rung: Rung) -> Measured:
+def measure_hour(rate_point: RatePoint) -> Measured:
     """Code and decode an hour; judge its last minute. Raises CodecError."""
     minute = texture(seconds=60)
-    heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, rung)
-    measured = judge(minute, heard[-len(minute) :], texture_snr_db(rung))
+    heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, rate_point)
+    measured = judge(minute, heard[-len(minute) :], texture_snr_db(rate_point))
     bits = 8 * stream.size_bytes / len(heard)
     return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
 
 
-def measure_onset(rung: Rung) -> Measured:
+def measure_onset(rate_point: RatePoint) -> Measured:
     """Code a sine that sets in after silence; judge by the worst of several places within a block."""
     figures: dict[str, float] = {}
     for shift in _ONSET_SHIFTS:
         onset = RATE_HZ // 2 + shift
         samples = np.zeros((RATE_HZ + shift, 1))
         samples[onset:, 0] = PEAK * np.cos(2 * np.pi * _ONSET_HZ * np.arange(RATE_HZ // 2 + RATE_HZ % 2) / RATE_HZ)
-        heard, _ = decoded(samples, RATE_HZ, rung)
+        heard, _ = decoded(samples, RATE_HZ, rate_point)
         error = heard - samples
         first = slice(onset, onset + RATE_HZ // 50)
         level = np.mean(samples[first] ** 2)
@@ -260,7 +264,7 @@ def measure_onset(rung: Rung) -> Measured:
             ratio_db = 10 * math.log10(max(float(np.mean(error[part] ** 2) / level), 1e-12))
             figures[name] = max(figures.get(name, -math.inf), ratio_db)
     before_db = figures["pre_echo_5ms_db"]
-    if figures["noise_after_db"] > -LEAST_SNR_DB:
+    if figures["noise_after_db"] > -MIN_SNR_DB:
         return Measured(Outcome.DEGRADED, figures, "nothing of the onset is left")
     effect = f"{before_db:.0f} dB in the 5 ms before the onset"
     if before_db <= PRE_ECHO_HELD_DB:
@@ -273,19 +277,19 @@ def _trials(scope: Scope) -> list[Trial]:
     trials = []
     for method in scope.methods:
         if not scope.quick:
-            rung = middle_rung(method)
-            hour = partial(measure_hour, rung)
-            trials.append(Trial(SIGNALS.name, method.name, LONG_CASE, f"middle: {rung.text}", None, hour))
-        for level, rung in three_rungs(method).items():
+            rate_point = middle_rate_point(method)
+            hour = partial(measure_hour, rate_point)
+            trials.append(Trial(SIGNALS.name, method.name, LONG_CASE, f"middle: {rate_point.text}", None, hour))
+        for level, rate_point in three_rate_points(method).items():
             trials += [
                 Trial(
                     SIGNALS.name,
                     method.name,
                     name,
-                    f"{level}: {rung.text}",
+                    f"{level}: {rate_point.text}",
                     None,
-                    partial(measure, rung, name),
-                    CONDITIONS[name].refused,
+                    partial(measure, rate_point, name),
+                    CONDITIONS[name].rejected,
                 )
                 for name in names
             ]
@@ -298,12 +302,12 @@ def _onset_trials(scope: Scope) -> list[Trial]:
             ONSETS.name,
             method.name,
             "onset after silence",
-            f"{level}: {rung.text}",
+            f"{level}: {rate_point.text}",
             None,
-            partial(measure_onset, rung),
+            partial(measure_onset, rate_point),
         )
         for method in scope.methods
-        for level, rung in three_rungs(method).items()
+        for level, rate_point in three_rate_points(method).items()
     ]
 
 
@@ -316,7 +320,11 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     outcomes = {(cell.case, cell.method, cell.setting.partition(":")[0]): cell.outcome for cell in cells}
     table = [[outcomes.get((row, *column), Outcome.NOT_TRIED) for column in columns] for row in rows]
     pictures.outcome_map(
-        path, rows, methods, table, "each codec a quarter and half of the way up its ladder of settings, and at its end"
+        path,
+        rows,
+        methods,
+        table,
+        "each codec a quarter and half of the way up its set of rate points of settings, and at its end",
     )
 
 
@@ -344,10 +352,10 @@ SIGNALS = Map(
     "Signals",
     f"{SECONDS:g} s at {RATE_HZ} Hz unless said otherwise, coded into a whole stream and decoded. H: the SNR is at "
     f"most {SNR_MARGIN_DB:g} dB below that of a generated texture at the same setting, or above {ENOUGH_SNR_DB:g} "
-    f"dB, but not below {LEAST_SNR_DB:g} dB, and the result at most {LOUDER_DB:g} dB louder than the signal (peak "
+    f"dB, but not below {MIN_SNR_DB:g} dB, and the result at most {LOUDER_DB:g} dB louder than the signal (peak "
     f"or RMS value). D: degraded, less than that. F: fails, the SNR is below {FAILED_SNR_DB:g} dB (silence would be "
     f"nearer), the result more than {FAR_LOUDER_DB:g} dB louder or not finite, or the program crashes or "
-    f"hangs. R: refused with an error that says what to do. Silence holds where the result stays below {SILENT:g} "
+    f"hangs. R: rejected with an error that says what to do. Silence holds where the result stays below {SILENT:g} "
     f"of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting. "
     f"Gravity adds {GRAVITY_M_S2:g} m/s^2 to a texture with a peak of {PEAK:g} m/s^2; a ramp and a swing of "
     f"{SWING_HZ:g} Hz go {DRIFT_RMS:g} times its RMS value to either side. These "

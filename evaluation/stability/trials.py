@@ -33,7 +33,7 @@ class Outcome(StrEnum):
 
     HOLDS = "holds"
     NOT_TRIED = "not tried"
-    REFUSED = "refused"
+    REJECTED = "rejected"
     DEGRADED = "degraded"
     FAILS = "fails"
 
@@ -56,7 +56,7 @@ class Measured:
 class Trial:
     """One condition to try: of which map, method and case, at which value of what the map varies, and the measurement.
 
-    `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_refused`:
+    `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_rejected`:
     that it must end with an error that a person can act on, one of `clear_errors`.
     """
 
@@ -66,7 +66,7 @@ class Trial:
     setting: str
     value: float | None
     measure: Callable[[], Measured]
-    to_be_refused: bool = False
+    to_be_rejected: bool = False
     clear_errors: tuple[type[Exception], ...] = CLEAR_ERRORS
 
 
@@ -82,12 +82,12 @@ class Verdict:
     outcome: Outcome
     figures: Mapping[str, float | None]
     effect: str
-    to_be_refused: bool = False
+    to_be_rejected: bool = False
 
     @property
     def sound(self) -> bool:
-        """Whether it is as it should be: it holds, or is refused where it must be."""
-        return self.outcome is (Outcome.REFUSED if self.to_be_refused else Outcome.HOLDS)
+        """Whether it is as it should be: it holds, or is rejected where it must be."""
+        return self.outcome is (Outcome.REJECTED if self.to_be_rejected else Outcome.HOLDS)
 
     def figure(self, name: str) -> float:
         """Return a figure, NaN where it has no value."""
@@ -96,13 +96,13 @@ class Verdict:
 
 
 def attempt(trial: Trial) -> Verdict:
-    """Run a trial in this process. An error that a person can act on is a refusal, any other a crash."""
+    """Run a trial in this process. An error that a person can act on is a rejection, any other a crash."""
     try:
         measured = trial.measure()
-        if trial.to_be_refused:
-            measured = Measured(Outcome.FAILS, {}, "accepted, though it must be refused")
+        if trial.to_be_rejected:
+            measured = Measured(Outcome.FAILS, {}, "accepted, though it must be rejected")
     except trial.clear_errors as error:
-        measured = Measured(Outcome.REFUSED, {}, " ".join(str(error).split()))
+        measured = Measured(Outcome.REJECTED, {}, " ".join(str(error).split()))
     except Exception as error:
         measured = Measured(Outcome.FAILS, {}, f"CRASH: {type(error).__name__}: {' '.join(str(error).split())}")
     return _cell(trial, measured)
@@ -155,5 +155,5 @@ def _cell(trial: Trial, measured: Measured) -> Verdict:
         measured.outcome,
         figures,
         measured.effect,
-        trial.to_be_refused,
+        trial.to_be_rejected,
     )

@@ -19,7 +19,7 @@ struct vc_mdct_decoder {
     vc_mdct_configuration configuration;
     const uint8_t *tables;
     vc_model model;
-    vc_coarseness coarseness;
+    vc_quantiser_offset quantiser_offset;
     uint32_t next_sequence;
     int in_sequence; /* packets since the last refresh all came */
     uint32_t random; /* state of the generator that gives signs to fill and concealment */
@@ -37,7 +37,7 @@ struct vc_dct_decoder {
 struct vc_slp_decoder {
     vc_slp_configuration configuration;
     vc_slp_model model;
-    vc_coarseness coarseness;
+    vc_quantiser_offset quantiser_offset;
     uint32_t next_sequence;
     int in_sequence;    /* packets since the last refresh all came */
     uint32_t concealed; /* samples of the gap so far, as long as it sounds */
@@ -72,7 +72,7 @@ struct vc_eva_decoder {
     vc_eva_model model;
     vc_eva_configuration configuration;
     vc_model prior;
-    vc_coarseness coarseness;
+    vc_quantiser_offset quantiser_offset;
     uint32_t next_sequence;
     int in_sequence; /* packets since the last refresh all came */
     uint32_t random; /* state of the generator that gives concealment its signs */

@@ -52,10 +52,10 @@ int vc_eva_encoder_init(vc_eva_encoder *encoder, const uint8_t *configuration, s
                         uint32_t lambda);
 
 /* Codes one packet. `latents`: channels x columns x latents, in 1/256 of the quantiser step of each, limited to +-2^30;
- * those of the packet's quality. `coarseness`: of a steered stream, in 1/16 of a rate of the model by which the
- * qualities are lower: told in fours, the nearest one, and the rest moves lambda; other streams ignore it. Returns the
- * bytes written to `packet`, or VC_PACKET_TOO_LARGE; then the encoder must be initialised again. */
-int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t coarseness, uint8_t *packet,
+ * those of the packet's quality. `quantiser_offset`: of a rate-controlled stream, in 1/16 of a rate of the model by
+ * which the qualities are lower: told in fours, the nearest one, and the rest moves lambda; other streams ignore it.
+ * Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE; then the encoder must be initialised again. */
+int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t quantiser_offset, uint8_t *packet,
                       size_t capacity);
 
 /* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes), for a model whose prior adapts.

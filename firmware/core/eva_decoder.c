@@ -103,7 +103,7 @@ static void put_out(vc_eva_decoder *decoder, vc_range_coder *coder, output to)
     for (channel = 0; channel < configuration->channels; channel++) {
         vc_eva_channel *state = &decoder->channels[channel];
         const uint32_t quality =
-            vc_eva_packet_quality(&decoder->model, configuration, channel, decoder->coarseness.value);
+            vc_eva_packet_quality(&decoder->model, configuration, channel, decoder->quantiser_offset.value);
         uint32_t column, gathered = 0;
         vc_eva_steps(&decoder->model, quality, steps);
         for (column = 0; column < columns; column++) {
@@ -146,12 +146,12 @@ static int decode_packet(vc_eva_decoder *decoder, const uint8_t *packet, size_t 
     for (channel = 0; channel < decoder->configuration.channels && refresh; channel++)
         vc_block_reset(&decoder->channels[channel].block);
     if (refresh)
-        vc_coarseness_reset(&decoder->coarseness);
+        vc_quantiser_offset_reset(&decoder->quantiser_offset);
     decoder->in_sequence = 1;
     decoder->next_sequence = sequence + 1;
     vc_range_decoder_init(&coder, packet + head, length - head);
-    if (decoder->configuration.steered)
-        vc_coarseness_decode(&coder, &decoder->coarseness);
+    if (decoder->configuration.rate_controlled)
+        vc_quantiser_offset_decode(&coder, &decoder->quantiser_offset);
     put_out(decoder, &coder, to);
     return VC_OK;
 }

@@ -8,7 +8,7 @@ struct vc_eva_encoder {
     vc_eva_configuration configuration;
     uint32_t refresh_packets, lambda, sequence;
     vc_model prior;
-    vc_coarseness coarseness;
+    vc_quantiser_offset quantiser_offset;
     vc_block_state channels[VC_MAX_CHANNELS];
     vc_block_search search;
 };
@@ -54,7 +54,8 @@ static void encode_column(vc_eva_encoder *encoder, vc_range_coder *coder, unsign
                           uint32_t lambda)
 {
     const vc_eva_model *model = &encoder->model;
-    const uint32_t quality = vc_eva_packet_quality(model, &encoder->configuration, channel, encoder->coarseness.value);
+    const uint32_t quality =
+        vc_eva_packet_quality(model, &encoder->configuration, channel, encoder->quantiser_offset.value);
     uint32_t magnitudes[VC_EVA_MAX_WIDTH], k;
     for (k = 0; k < model->latents; k++) {
         int64_t magnitude = latents[k] < 0 ? -(int64_t)latents[k] : latents[k];
@@ -67,7 +68,7 @@ static void encode_column(vc_eva_encoder *encoder, vc_range_coder *coder, unsign
                         magnitudes, latents, lambda);
 }
 
-int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t coarseness, uint8_t *packet,
+int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t quantiser_offset, uint8_t *packet,
                       size_t capacity)
 {
     const vc_eva_configuration *configuration = &encoder->configuration;
@@ -85,10 +86,10 @@ int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t c
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_block_reset(&encoder->channels[channel]);
     if (refresh)
-        vc_coarseness_reset(&encoder->coarseness);
+        vc_quantiser_offset_reset(&encoder->quantiser_offset);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
-    if (configuration->steered)
-        lambda = vc_coarseness_encode_fours(&coder, &encoder->coarseness, coarseness, lambda);
+    if (configuration->rate_controlled)
+        lambda = vc_quantiser_offset_encode_fours(&coder, &encoder->quantiser_offset, quantiser_offset, lambda);
     for (channel = 0; channel < configuration->channels; channel++)
         for (column = 0; column < configuration->packet_columns; column++, latents += encoder->model.latents)
             encode_column(encoder, &coder, channel, latents, lambda);

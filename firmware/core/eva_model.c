@@ -104,7 +104,7 @@ int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_
     if (channels < 1 || channels > VC_MAX_CHANNELS || length < head_bytes || (bytes[head_bytes - 1] & 0x80u))
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
-    if (!vc_steering_read(bytes, length, head_bytes + 3 * channels, &read.steered))
+    if (!vc_rate_control_read(bytes, length, head_bytes + 3 * channels, &read.rate_controlled))
         return VC_BAD_CONFIGURATION;
     read.packet_columns = head_bytes == 1 ? bytes[0] : (bytes[0] & 0x7Fu) | (uint32_t)bytes[1] << 7;
     read.channels = channels;
@@ -122,10 +122,10 @@ int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_
 }
 
 uint32_t vc_eva_packet_quality(const vc_eva_model *model, const vc_eva_configuration *configuration, unsigned channel,
-                               int32_t coarseness)
+                               int32_t quantiser_offset)
 {
     const int32_t finest = (int32_t)(QUALITY_PARTS * (model->rates - 1));
-    const int32_t quality = (int32_t)configuration->quality[channel] - 4 * coarseness;
+    const int32_t quality = (int32_t)configuration->quality[channel] - 4 * quantiser_offset;
     return (uint32_t)(quality < 0 ? 0 : quality < finest ? quality : finest);
 }
 

@@ -40,7 +40,7 @@ typedef struct {
 typedef struct {
     uint32_t packet_columns;
     unsigned channels;
-    int steered;                       /* packets carry their coarseness */
+    int rate_controlled;               /* packets carry their quantiser offset */
     int32_t level[VC_MAX_CHANNELS];    /* of a signal of RMS value 1, in 1/256 of a sample's least significant bit */
     uint32_t quality[VC_MAX_CHANNELS]; /* in 1/16 of the way from one rate to the next */
 } vc_eva_configuration;
@@ -49,10 +49,10 @@ int vc_eva_model_read(vc_eva_model *model, const uint8_t *bytes, size_t length);
 int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_model *model, const uint8_t *bytes,
                               size_t length, unsigned channels);
 
-/* The quality of a channel in a packet of this coarseness, in 1/4 of the way from one rate to the next; within those
- * that the model has. */
+/* The quality of a channel in a packet of this quantiser offset, in 1/4 of the way from one rate to the next; within
+ * those that the model has. */
 uint32_t vc_eva_packet_quality(const vc_eva_model *model, const vc_eva_configuration *configuration, unsigned channel,
-                               int32_t coarseness);
+                               int32_t quantiser_offset);
 
 /* Quantiser steps of all latents at a quality, in 1/4096 of the latents' unit. */
 void vc_eva_steps(const vc_eva_model *model, uint32_t quality, int32_t *steps);

@@ -2,7 +2,7 @@
 #ifndef VIBROCAST_MDCT_H
 #define VIBROCAST_MDCT_H
 
-#include "coarseness.h"
+#include "quantiser_offset.h"
 
 #define VC_MAX_BINS 128 /* of a block that is coded by this model: a spectrum, or a column of EVA's latents */
 #define VC_MAX_PACKET_BLOCKS 4095
@@ -23,7 +23,7 @@
 typedef struct {
     uint32_t hop, packet_blocks;
     unsigned channels;
-    int steered; /* packets carry their coarseness */
+    int rate_controlled; /* packets carry their quantiser offset */
     uint16_t step_code[VC_MAX_CHANNELS];
     uint8_t fill[VC_MAX_CHANNELS]; /* magnitude that stands in for a level of 0, in 1/128 step */
 } vc_mdct_configuration;
@@ -76,11 +76,12 @@ static inline int32_t vc_step_of(uint32_t code)
     return (int32_t)((64 + (code & 63)) << (code >> 6));
 }
 
-/* The step of a channel, in 1/256 of a sample's least significant bit, in a packet of this coarseness, in 1/4 octave;
- * within the steps that there are. */
-static inline int32_t vc_packet_step(const vc_mdct_configuration *configuration, unsigned channel, int32_t coarseness)
+/* The step of a channel, in 1/256 of a sample's least significant bit, in a packet of this quantiser offset, in 1/4
+ * octave; within the steps that there are. */
+static inline int32_t vc_packet_step(const vc_mdct_configuration *configuration, unsigned channel,
+                                     int32_t quantiser_offset)
 {
-    const int32_t code = configuration->step_code[channel] + 16 * coarseness;
+    const int32_t code = configuration->step_code[channel] + 16 * quantiser_offset;
     return vc_step_of(code < 0 ? 0 : code < VC_STEP_CODES ? (uint32_t)code : VC_STEP_CODES - 1);
 }
 

@@ -28,7 +28,7 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
     if (head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS)
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
-    if (!vc_steering_read(bytes, length, used + 2 * channels, &read.steered))
+    if (!vc_rate_control_read(bytes, length, used + 2 * channels, &read.rate_controlled))
         return VC_BAD_CONFIGURATION;
     read.hop = 16u << (head & 3u);
     read.packet_blocks = head >> 2;
@@ -71,7 +71,7 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsigned number)
 {
     const uint32_t hop = decoder->configuration.hop;
-    const int32_t step = vc_packet_step(&decoder->configuration, number, decoder->coarseness.value);
+    const int32_t step = vc_packet_step(&decoder->configuration, number, decoder->quantiser_offset.value);
     vc_mdct_channel *channel = &decoder->channels[number];
     int32_t fill;
     uint32_t k;
@@ -100,7 +100,7 @@ int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t lengt
     }
     if (refresh) {
         vc_model_reset(&decoder->model, decoder->tables);
-        vc_coarseness_reset(&decoder->coarseness);
+        vc_quantiser_offset_reset(&decoder->quantiser_offset);
     }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_block_reset(&decoder->channels[channel].block);
@@ -108,8 +108,8 @@ int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t lengt
     decoder->next_sequence = sequence + 1;
     decoder->random = sequence; /* so that a decoder that begins here fills alike */
     vc_range_decoder_init(&coder, packet + head, length - head);
-    if (configuration->steered)
-        vc_coarseness_decode(&coder, &decoder->coarseness);
+    if (configuration->rate_controlled)
+        vc_quantiser_offset_decode(&coder, &decoder->quantiser_offset);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++) {
             decode_block(decoder, &coder, channel);

@@ -7,7 +7,7 @@ struct vc_mdct_encoder {
     const uint8_t *tables;
     uint32_t refresh_packets, lambda, sequence;
     vc_model model;
-    vc_coarseness coarseness;
+    vc_quantiser_offset quantiser_offset;
     vc_block_state channels[VC_MAX_CHANNELS];
     vc_block_search search;
 };
@@ -71,7 +71,7 @@ static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, vc_blo
     vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, lambda);
 }
 
-int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t coarseness, uint8_t *packet,
+int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t quantiser_offset, uint8_t *packet,
                        size_t capacity)
 {
     const vc_mdct_configuration *configuration = &encoder->configuration;
@@ -86,17 +86,17 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, in
     payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
     if (refresh) {
         vc_model_reset(&encoder->model, encoder->tables);
-        vc_coarseness_reset(&encoder->coarseness);
+        vc_quantiser_offset_reset(&encoder->quantiser_offset);
     }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_block_reset(&encoder->channels[channel]);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
-    if (configuration->steered)
-        lambda = vc_coarseness_encode_fours(&coder, &encoder->coarseness, coarseness, lambda);
+    if (configuration->rate_controlled)
+        lambda = vc_quantiser_offset_encode_fours(&coder, &encoder->quantiser_offset, quantiser_offset, lambda);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, coefficients += configuration->hop)
             encode_block(encoder, &coder, &encoder->channels[channel], coefficients,
-                         vc_packet_step(configuration, channel, encoder->coarseness.value), lambda);
+                         vc_packet_step(configuration, channel, encoder->quantiser_offset.value), lambda);
     encoder->sequence++;
     payload += vc_range_encoder_finish(&coder, payload);
     return coder.overflow ? VC_PACKET_TOO_LARGE : (int32_t)(payload - packet);

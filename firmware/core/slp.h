@@ -40,11 +40,11 @@ int vc_slp_encoder_init(vc_slp_encoder *encoder, const uint8_t *configuration, s
 
 /* Codes one packet. `samples`: frames x channels x frame length, in 1/256 of a 16-bit sample's least significant bit,
  * within full scale. `reflections`: frames x channels x order, codes, -15 to 15, of the predictor that suits each
- * frame; the encoder keeps the one before where that is cheaper. `coarseness`: of a steered stream, in 1/16 octave of
- * the steps, or VC_SLP_SILENT: nothing but silence, whatever the samples; others ignore it. Returns the bytes written
- * to `packet`, or VC_PACKET_TOO_LARGE. */
-int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections, int32_t coarseness,
-                      uint8_t *packet, size_t capacity);
+ * frame; the encoder keeps the one before where that is cheaper. `quantiser_offset`: of a rate-controlled stream, in
+ * 1/16 octave of the steps, or VC_SLP_SILENT: nothing but silence, whatever the samples; others ignore it. Returns the
+ * bytes written to `packet`, or VC_PACKET_TOO_LARGE. */
+int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections,
+                      int32_t quantiser_offset, uint8_t *packet, size_t capacity);
 /* cffi: end */
 
 #endif

@@ -55,7 +55,7 @@ int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length,
     rising = decoder->concealed > 0 || sequence != decoder->next_sequence;
     if (refresh) {
         vc_slp_model_reset(&decoder->model);
-        vc_coarseness_reset(&decoder->coarseness);
+        vc_quantiser_offset_reset(&decoder->quantiser_offset);
     }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_slp_channel_reset(&decoder->channels[channel], configuration, channel);
@@ -63,18 +63,18 @@ int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length,
     decoder->next_sequence = sequence + 1;
     decoder->concealed = 0;
     vc_range_decoder_init(&coder, packet + head, length - head);
-    if (configuration->steered)
-        vc_coarseness_decode(&coder, &decoder->coarseness);
+    if (configuration->rate_controlled)
+        vc_quantiser_offset_decode(&coder, &decoder->quantiser_offset);
     for (index = 0; index < configuration->packet_frames; index++)
         for (channel = 0; channel < configuration->channels; channel++) {
             vc_slp_channel *state = &decoder->channels[channel];
             memset(&frame, 0, sizeof frame);
             vc_slp_code_frame(&coder, 0, &decoder->model, state, configuration, channel, &frame);
             for (k = 0; k < configuration->frame; k++)
-                spectrum[k] =
-                    frame.levels[k] == 0
-                        ? 0
-                        : vc_slp_reconstruct(frame.levels[k], vc_slp_step(state->log_steps[k], &decoder->coarseness));
+                spectrum[k] = frame.levels[k] == 0
+                                  ? 0
+                                  : vc_slp_reconstruct(frame.levels[k],
+                                                       vc_slp_step(state->log_steps[k], &decoder->quantiser_offset));
             play(decoder, channel, spectrum, rising && index == 0, samples + channel);
             if (channel + 1 == configuration->channels)
                 samples += (size_t)configuration->frame * configuration->channels;

@@ -11,7 +11,7 @@ struct vc_slp_encoder {
     vc_slp_configuration configuration;
     uint32_t refresh_packets, sequence;
     vc_slp_model model;
-    vc_coarseness coarseness;
+    vc_quantiser_offset quantiser_offset;
     vc_slp_channel channels[VC_MAX_CHANNELS];
 };
 
@@ -54,7 +54,7 @@ static void measure(candidate *tried, const vc_slp_encoder *encoder, const vc_sl
     vc_slp_dct(residual, configuration->frame, tried->spectrum);
     tried->cost = 0;
     for (n = 0; n < configuration->frame; n++) {
-        tried->steps[n] = vc_slp_step(tried->log_steps[n], &encoder->coarseness);
+        tried->steps[n] = vc_slp_step(tried->log_steps[n], &encoder->quantiser_offset);
         tried->cost +=
             vc_slp_log2(256 + ((uint64_t)magnitude_of(tried->spectrum[n]) << 8) / (uint32_t)tried->steps[n]) - 8 * 256;
     }
@@ -106,13 +106,13 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     vc_slp_code_frame(coder, 1, &encoder->model, channel, configuration, number, &frame);
     for (k = 0; k < configuration->frame; k++)
         chosen->spectrum[k] =
-            vc_slp_reconstruct(frame.levels[k], vc_slp_step(channel->log_steps[k], &encoder->coarseness));
+            vc_slp_reconstruct(frame.levels[k], vc_slp_step(channel->log_steps[k], &encoder->quantiser_offset));
     vc_slp_inverse_dct(chosen->spectrum, configuration->frame, residual);
     vc_slp_synthesise(configuration, channel->reflections, channel->backward, residual, output);
 }
 
-int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections, int32_t coarseness,
-                      uint8_t *packet, size_t capacity)
+int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int8_t *reflections,
+                      int32_t quantiser_offset, uint8_t *packet, size_t capacity)
 {
     const vc_slp_configuration *configuration = &encoder->configuration;
     const int refresh =
@@ -121,19 +121,20 @@ int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int
     uint8_t *payload;
     uint32_t index;
     unsigned channel;
-    const int silent = configuration->steered && coarseness == VC_SLP_SILENT;
+    const int silent = configuration->rate_controlled && quantiser_offset == VC_SLP_SILENT;
     if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
     payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
     if (refresh) {
         vc_slp_model_reset(&encoder->model);
-        vc_coarseness_reset(&encoder->coarseness);
+        vc_quantiser_offset_reset(&encoder->quantiser_offset);
     }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_slp_channel_reset(&encoder->channels[channel], configuration, channel);
     vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
-    if (configuration->steered)
-        vc_coarseness_encode(&coder, &encoder->coarseness, silent ? encoder->coarseness.value : coarseness);
+    if (configuration->rate_controlled)
+        vc_quantiser_offset_encode(&coder, &encoder->quantiser_offset,
+                                   silent ? encoder->quantiser_offset.value : quantiser_offset);
     for (index = 0; index < configuration->packet_frames; index++)
         for (channel = 0; channel < configuration->channels; channel++) {
             encode_frame(encoder, &coder, channel, samples, reflections, silent);

@@ -11,7 +11,7 @@ int vc_slp_configuration_read(vc_slp_configuration *configuration, const uint8_t
     unsigned channel;
     memset(&read, 0, sizeof read);
     if (channels < 1 || channels > VC_MAX_CHANNELS ||
-        !vc_steering_read(bytes, length, 5 + (size_t)channels, &read.steered))
+        !vc_rate_control_read(bytes, length, 5 + (size_t)channels, &read.rate_controlled))
         return VC_BAD_CONFIGURATION;
     read.frame = 32u << (bytes[0] >> 5);
     read.order = bytes[0] & 31u;
@@ -222,9 +222,9 @@ static int32_t threshold(const vc_slp_configuration *configuration, uint32_t k)
     return vc_slp_threshold[index < 0 ? 0 : index > 56 ? 56 : index];
 }
 
-int32_t vc_slp_step(int32_t log_step, const vc_coarseness *coarseness)
+int32_t vc_slp_step(int32_t log_step, const vc_quantiser_offset *quantiser_offset)
 {
-    return power_of_two(log_step + 16 * coarseness->value);
+    return power_of_two(log_step + 16 * quantiser_offset->value);
 }
 
 void vc_slp_log_steps(const vc_slp_configuration *configuration, unsigned number, const int8_t *reflections,

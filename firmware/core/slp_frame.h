@@ -2,7 +2,7 @@
 #ifndef VIBROCAST_SLP_FRAME_H
 #define VIBROCAST_SLP_FRAME_H
 
-#include "coarseness.h"
+#include "quantiser_offset.h"
 #include "slp.h"
 
 #define VC_SLP_MAX_FRAME 128
@@ -24,7 +24,7 @@
 typedef struct {
     uint32_t frame, packet_frames;
     unsigned order, channels;
-    int steered;                       /* packets carry their coarseness */
+    int rate_controlled;               /* packets carry their quantiser offset */
     uint32_t shaping;                  /* weight of the detection threshold in the steps, in 1/256 */
     uint32_t rate_code;                /* 8 log2 of the sampling rate in Hz */
     int32_t log_step[VC_MAX_CHANNELS]; /* log2, in 1/256, of the signal's step in 1/256 of a least significant bit */
@@ -47,7 +47,7 @@ typedef struct {
     uint8_t silent_history;                 /* of the last two frames, one bit each */
     uint8_t changed;                        /* the predictor, in the last frame */
     int8_t reflections[VC_SLP_MAX_ORDER];
-    int32_t log_steps[VC_SLP_MAX_FRAME];    /* of each bin under this predictor, at a coarseness of 0 */
+    int32_t log_steps[VC_SLP_MAX_FRAME];    /* of each bin under this predictor, at a quantiser offset of 0 */
     int32_t backward[VC_SLP_MAX_ORDER + 1]; /* the filter's state: backward prediction errors of the last sample */
 } vc_slp_channel;
 
@@ -67,10 +67,10 @@ void vc_slp_channel_reset(vc_slp_channel *channel, const vc_slp_configuration *c
 void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model, vc_slp_channel *channel,
                        const vc_slp_configuration *configuration, unsigned number, vc_slp_frame *frame);
 
-/* Steps of the bins of a channel under a predictor, log2 in 1/256; and such a step at a coarseness. */
+/* Steps of the bins of a channel under a predictor, log2 in 1/256; and such a step at a quantiser offset. */
 void vc_slp_log_steps(const vc_slp_configuration *configuration, unsigned number, const int8_t *reflections,
                       int32_t *log_steps);
-int32_t vc_slp_step(int32_t log_step, const vc_coarseness *coarseness);
+int32_t vc_slp_step(int32_t log_step, const vc_quantiser_offset *quantiser_offset);
 
 /* The residual's coefficient that a level stands for. */
 int32_t vc_slp_reconstruct(int32_t level, int32_t step);

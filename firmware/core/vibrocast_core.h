@@ -58,10 +58,10 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
                          uint32_t lambda);
 
 /* Codes one packet. `coefficients`: MDCT coefficients, blocks x channels x hop, in 1/256 of a sample's least
- * significant bit, limited to +-2^28. `coarseness`: of a steered stream, in 1/16 octave of the step:
+ * significant bit, limited to +-2^28. `quantiser_offset`: of a rate-controlled stream, in 1/16 octave of the step:
  * told in fours, the nearest one, and the rest moves lambda; other streams ignore it. Returns the bytes written to
  * `packet`, or VC_PACKET_TOO_LARGE. */
-int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t coarseness, uint8_t *packet,
+int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t quantiser_offset, uint8_t *packet,
                        size_t capacity);
 
 /* The built-in tables. */

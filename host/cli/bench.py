@@ -53,7 +53,7 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     "names",
     callback=separate_names,
     metavar="NAME,NAME,...",
-    help="Codecs, or single ladders of their settings; all if not given.",
+    help="Codecs, or single sets of rate points of their settings; all if not given.",
 )
 @click.option(
     "--models",

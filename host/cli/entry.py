@@ -1,4 +1,4 @@
-"""Where the `vibrocast` command begins: whenever and however it is stopped, it ends in one line, the tactor at rest."""
+"""Where the `vibrocast` command begins: however it is stopped, it ends in one line with the actuator at rest."""
 
 import io
 import os

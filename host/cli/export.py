@@ -8,7 +8,7 @@ import click
 import numpy as np
 
 from vibrocast import extras, models, progress
-from vibrocast.files import whole_folder
+from vibrocast.files import atomic_folder
 from vibrocast.host.cli.options import INPUT, BadInput, command_run
 
 FILES = {models.CARD, "card.md", models.ANALYSIS, "synthesis.onnx"}
@@ -22,7 +22,7 @@ def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) 
     return value
 
 
-def refuse_replacing_others(folder: Path) -> None:
+def reject_replacing_others(folder: Path) -> None:
     """Raise BadInput for a folder that holds anything but a model. Raises OSError where it cannot be looked into."""
     held = {path.name for path in folder.iterdir() if path.suffix != models.IMAGE_SUFFIX} if folder.exists() else set()
     if held and (models.CARD not in held or held - FILES):
@@ -78,7 +78,7 @@ def export(
             raise ModelError(f"{checkpoint}: how it was trained is damaged: {error}; train the model again") from error
         name = name or trained_as.name
         out = out or Path(name)
-        refuse_replacing_others(out)
+        reject_replacing_others(out)
         # Before the work, so that a place that cannot be written to is not found out after it.
         out.parent.mkdir(parents=True, exist_ok=True)
         with progress.shown("exporting") as update:
@@ -93,7 +93,7 @@ def export(
             card = model_card.made(loaded, made, trained, held_back, commands, update)
     except (ModelError, GraphError) as error:
         raise BadInput(str(error)) from error
-    with whole_folder(out) as partial:
+    with atomic_folder(out) as partial:
         for file, data in made.files.items():
             (partial / file).write_bytes(data)
         (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")

@@ -12,7 +12,7 @@ from vibrocast.codec import rate_controlled
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, Encoding
 from vibrocast.codec.stream import read_stream, write_profile, write_recording
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host import profiles
 from vibrocast.host.cli import planned
 from vibrocast.host.cli.options import (
@@ -27,12 +27,12 @@ from vibrocast.host.cli.options import (
     recording_options,
     runtime_option,
 )
-from vibrocast.host.cli.rate_options import steered_options, wish_of
+from vibrocast.host.cli.rate_options import rate_controlled_options, rate_target_of
 from vibrocast.host.cli.steps import (
     encoded,
     encoded_profile,
     files_of,
-    refuse_overwriting,
+    reject_overwriting,
     show,
     told_quality,
 )
@@ -52,7 +52,7 @@ from vibrocast.host.plain import plain
 )
 @plan_option
 @quality_options
-@steered_options
+@rate_controlled_options
 @recording_options
 def encode(
     file: Path, out: Path, spatial: bool, slowest_hand_speed_mm_s: float, plan_path: Path | None, **choices: Any
@@ -61,11 +61,11 @@ def encode(
     if plan_path is not None:
         tell_encoded(out, planned.read(plan_path, ("file", "out")).texture(str(file)).encode())
         return
-    refuse_overwriting([out], [file, *files_of(choices["model"])])
-    wish = wish_of(choices)
+    reject_overwriting([out], [file, *files_of(choices["model"])])
+    target = rate_target_of(choices)
     quality = quality_of(choices)
     if spatial:
-        if wish is not None:
+        if target is not None:
             raise click.UsageError("a profile has no time: no rate or quality over time can be kept in it.")
         encoding = encoded_profile(profiles.recording_of(file, **choices), quality, slowest_hand_speed_mm_s)
         facts = encoding.stream.facts()
@@ -75,8 +75,8 @@ def encode(
         )
         encoding.stream.save(out)
         return
-    if wish is not None:
-        encode_steered(textures.load(file, **choices), out, wish, quality)
+    if target is not None:
+        encode_rate_controlled(textures.load(file, **choices), out, target, quality)
         return
     tell_encoded(out, encoded(textures.load(file, **choices), quality, live=False))
 
@@ -89,16 +89,16 @@ def tell_encoded(out: Path, encoding: Encoding) -> None:
     click.echo(f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}, {told_quality(encoding)}")
 
 
-def encode_steered(
-    recording: textures.Recording, out: Path, wish: rate_controlled.Wish, quality: dict[str, Any]
+def encode_rate_controlled(
+    recording: textures.Recording, out: Path, target: rate_controlled.RateTarget, quality: dict[str, Any]
 ) -> None:
     """Code a recording as a live stream into a .vct file, and print how rate and quality came out."""
-    del quality["rate_bps"], quality["snr_db"]  # they are in the wish
+    del quality["rate_bps"], quality["snr_db"]  # they are in the target
     with progress.shown("encoding") as update:
-        stream, outcome = rate_controlled.encode(recording, wish, progress=update, **quality)
+        stream, outcome = rate_controlled.encode(recording, target, progress=update, **quality)
     stream.save(out)
     window = "" if outcome.furthest is None else f", furthest from it over 2 s: {100 * outcome.furthest:+.2f} %"
-    asked = "" if wish.rate_bps is None else f" of {wish.rate_bps:g}{window}"
+    asked = "" if target.rate_bps is None else f" of {target.rate_bps:g}{window}"
     low_db, high_db = outcome.snr_range_db
     snr = (
         "silent"
@@ -123,7 +123,7 @@ def codecs(as_json: bool) -> None:
     facts = {
         known.name: {
             "summary": known.summary,
-            "steers": "yes" if known.steers else "no, all packets are of one quality",
+            "rate control": "yes" if known.controls_rate else "no, all packets are of one quality",
             **{
                 name: f"{parameter.meaning}: {parameter.range}; {parameter.default} if not given"
                 for name, parameter in known.parameters.items()
@@ -162,7 +162,7 @@ def decode(file: Path, out: Path, sample_format: str, model: models.Model | None
     sixteen_bit = sample_format == "16-bit"
     if sixteen_bit and out.suffix.lower() != ".wav":
         raise click.UsageError("--format is for a WAV file; drop it.")
-    refuse_overwriting([out], [file, *files_of(model)])
+    reject_overwriting([out], [file, *files_of(model)])
     stream = replace(read_stream(file, model.image if model else None), runtime=runtime)
     if stream.header.spatial and out.suffix.lower() == ".csv":
         with progress.shown("decoding") as update:
@@ -205,7 +205,7 @@ def generate(kind: str, out: Path, speed_variation: float, **choices: Any) -> No
         if speed_variation:
             raise click.UsageError("a height profile is the same at any speed: drop --speed-variation.")
         profile = textures.surface_profile(kind, **choices)
-        with whole_file(out) as partial:
+        with atomic_write(out) as partial:
             textures.save_profile(partial, profile)
         click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
         return
@@ -215,6 +215,6 @@ def generate(kind: str, out: Path, speed_variation: float, **choices: Any) -> No
             choices["seconds"], choices["rate_hz"], mean_mm_s, speed_variation
         )
     recording = textures.GENERATORS[kind](**choices)
-    with whole_file(out) as partial:
+    with atomic_write(out) as partial:
         full_scale = textures.save(partial, recording, sixteen_bit=True)
     click.echo(f"{out}: {recording.seconds:.3f} s at {recording.rate_hz:g} Hz, 1.0 is {full_scale:g} {recording.unit}")

@@ -17,7 +17,7 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, small
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host import devices, uploader
 from vibrocast.host import live as streaming
 from vibrocast.host.cli.options import (
@@ -31,13 +31,13 @@ from vibrocast.host.cli.options import (
     model_option,
     setting_option,
 )
-from vibrocast.host.cli.rate_options import steered_options, wish_of
+from vibrocast.host.cli.rate_options import rate_controlled_options, rate_target_of
 from vibrocast.textures.recording import MAX_CHANNELS
 
 # What 1.0 of full scale is in each.
 FORMATS = {"int16": ("<i2", 32768.0), "float32": ("<f4", 1.0)}
 STANDARD_INPUT = "-"
-LONGEST_BLOCK_S = 0.01
+MAX_BLOCK_S = 0.01
 
 
 @click.command()
@@ -61,7 +61,7 @@ LONGEST_BLOCK_S = 0.01
 @setting_option
 @model_option
 @click.option("--snr-db", type=Finite(), help="Signal-to-noise ratio of every packet, for the two that follow.")
-@steered_options
+@rate_controlled_options
 def live(
     source: str,
     address: str,
@@ -83,7 +83,7 @@ def live(
     Raw samples are little-endian, channels interleaved; 32767 in int16 and 1.0 in float32 stand for --full-scale.
     A rate counts all that goes over the link, and falls with what the link carries.
     """
-    wish = wish_of({**choices, "rate_bps": None})
+    target = rate_target_of({**choices, "rate_bps": None})
     if source != STANDARD_INPUT:
         texture = textures.GENERATORS[source](seconds=seconds, rate_hz=rate_hz)
         peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
@@ -104,19 +104,19 @@ def live(
         if model is not None:
             uploader.provide(controller, address, model.image)
         how: dict[str, Any] = {"setting": setting}
-        if wish is not None:
-            equal = codec.equal_error(chosen, signal_format) if wish.equal_error else {}
+        if target is not None:
+            equal = codec.equal_error(chosen, signal_format) if target.equal_error else {}
             how = {
                 "setting": {**equal, **setting},
-                "policy": wish.policy(signal_format),
-                "packet_samples": wish.framing(rate_hz).packet_samples,
+                "policy": target.policy(signal_format),
+                "packet_samples": target.framing(rate_hz).packet_samples,
             }
         margin_s = None if margin_ms is None else margin_ms / 1e3
         stream = streaming.LiveStream(
             controller, signal_format, codec_name=chosen.name, model=model, margin_s=margin_s, **how
         )
         # Shorter than long packets, so that what the controller tells meanwhile is heard.
-        block_samples = min(stream.packet_samples, math.ceil(LONGEST_BLOCK_S * rate_hz))
+        block_samples = min(stream.packet_samples, math.ceil(MAX_BLOCK_S * rate_hz))
         blocks: Iterator[NDArray[np.float64]]
         if source != STANDARD_INPUT:
             blocks = (block for _, block in streaming.paced(stream, texture.samples, block_samples))
@@ -133,9 +133,9 @@ def live(
         except streaming.LiveError as error:
             raise BadInput(str(error)) from error
     if report_path:
-        with whole_file(report_path) as partial:
+        with atomic_write(report_path) as partial:
             partial.write_text(json.dumps(figures(result, stream), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    if wish is not None:
+    if target is not None:
         click.echo(
             f"packets {result.payload_bps:.0f} bit/s, on the wire {result.wire_bps:.0f} bit/s "
             f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, due "

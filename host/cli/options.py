@@ -32,7 +32,7 @@ class BadInput(click.ClickException):
 
 
 class OutputFile(click.Path):
-    """A file to write: refused before any work is done when it cannot be written."""
+    """A file to write: rejected before any work is done when it cannot be written."""
 
     def __init__(self, *suffixes: str) -> None:
         super().__init__(dir_okay=False, writable=True, path_type=Path)
@@ -49,7 +49,7 @@ class OutputFile(click.Path):
 
 
 class Finite(click.FloatRange):
-    """A number in a range, infinity and NaN refused."""
+    """A number in a range, infinity and NaN rejected."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number, or raise click.BadParameter."""

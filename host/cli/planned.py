@@ -10,7 +10,7 @@ import click
 from click.core import ParameterSource
 
 from vibrocast import models, progress
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host.plain import plain
 
 if TYPE_CHECKING:  # what plans and measures takes a second to load, which other commands need not wait for
@@ -53,7 +53,7 @@ def play(
     compared = comparison.rows(played)
     document = json.dumps([comparison.document(each) for each in played], indent=2, allow_nan=False)
     if report is not None:
-        with whole_file(report) as partial:
+        with atomic_write(report) as partial:
             partial.write_text(document + "\n", encoding="utf-8")
     if table is not None:
         comparison.write_csv(table, compared)

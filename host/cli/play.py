@@ -31,7 +31,7 @@ from vibrocast.host.cli.steps import (
     encoded_profile,
     files_of,
     needed,
-    refuse_overwriting,
+    reject_overwriting,
     show,
     told_quality,
 )
@@ -104,7 +104,7 @@ def play(
         planned.play(plan, [str(file)] if file else [], report_path)
         return
     file = needed(file, "FILE")
-    refuse_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
+    reject_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
     runtime = devices.decoding_runtime(address, runtime)
     actuator = None if actuator_name is None else actuator_files.find(actuator_name)
     if positions_path or stroke_mm:

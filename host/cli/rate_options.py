@@ -1,4 +1,4 @@
-"""The options of steered streams, of files coded as such and of live ones: what is to be held."""
+"""The options of rate-controlled streams, of files coded as such and of live ones: what is to be held."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import click
 from vibrocast.codec import rate_controlled
 from vibrocast.host.cli.options import POSITIVE, Finite, options
 
-steered_options = options(
+rate_controlled_options = options(
     click.option(
         "--constant-rate-bps",
         type=POSITIVE,
@@ -23,18 +23,20 @@ steered_options = options(
         "--error-db", type=Finite(), help="Level of the error relative to the detection threshold, third octaves."
     ),
     click.option(
-        "--bucket-s", type=POSITIVE, help="Let a rate wander by so many seconds' bits, for a more even quality."
+        "--rate-buffer-s", type=POSITIVE, help="Let a rate wander by so many seconds' bits, for a more even quality."
     ),
     click.option("--packet-ms", type=POSITIVE, help="Length of packets; if not given, the wire adds at most 15 %."),
     click.option("--equal-error", is_flag=True, help="The same error in all channels, rather than the same SNR."),
 )
 
 
-def wish_of(choices: dict[str, Any]) -> rate_controlled.Wish | None:
-    """Take the options of a steered stream out of all choices, None where none is asked. Raises click.UsageError."""
+def rate_target_of(choices: dict[str, Any]) -> rate_controlled.RateTarget | None:
+    """Take the options of a rate-controlled stream out of all choices, None where none is asked. Raises
+    click.UsageError.
+    """
     rates = {name: choices.pop(name) for name in ("constant_rate_bps", "capped_rate_bps")}
     constant_quality = choices.pop("constant_quality")
-    details = {name: choices.pop(name) for name in ("error_db", "bucket_s", "packet_ms", "equal_error")}
+    details = {name: choices.pop(name) for name in ("error_db", "rate_buffer_s", "packet_ms", "equal_error")}
     kinds = {**rates, "constant_quality": constant_quality or None}
     given = [option_of(name) for name, value in kinds.items() if value is not None]
     if not given:
@@ -49,11 +51,11 @@ def wish_of(choices: dict[str, Any]) -> rate_controlled.Wish | None:
         raise click.UsageError("a constant rate leaves no quality to ask for: drop it, or give --capped-rate-bps.")
     if rates["constant_rate_bps"] is None and qualities != 1:
         raise click.UsageError(f"{given[0]} needs either --snr-db or --error-db.")
-    if constant_quality and details["bucket_s"] is not None:
-        raise click.UsageError("--bucket-s belongs to a rate: drop it.")
+    if constant_quality and details["rate_buffer_s"] is not None:
+        raise click.UsageError("--rate-buffer-s belongs to a rate: drop it.")
     packet_ms = details.pop("packet_ms")
     packet_s = None if packet_ms is None else packet_ms / 1000
-    return rate_controlled.Wish(snr_db=choices["snr_db"], packet_s=packet_s, **rates, **details)
+    return rate_controlled.RateTarget(snr_db=choices["snr_db"], packet_s=packet_s, **rates, **details)
 
 
 def option_of(name: str) -> str:

@@ -26,7 +26,7 @@ def needed(argument: _Argument | None, name: str) -> _Argument:
     return argument
 
 
-def refuse_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
+def reject_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
     """Raise click.UsageError where a file to write is also one to read, or two to write are the same."""
     used = [path for path in inputs if path]
     for output in filter(None, outputs):

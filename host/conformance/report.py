@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.conformance.fixtures import SECTIONS
 from vibrocast.host.conformance.judge import Finding, Outcome
@@ -96,7 +96,7 @@ class Report:
         """Write page and JSON into a folder, which is made where it is not there. Raises OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in ((PAGE, self.page()), (JSON, json.dumps(self.facts(), indent=2) + "\n")):
-            with whole_file(folder / name) as partial:
+            with atomic_write(folder / name) as partial:
                 partial.write_text(text, encoding="utf-8")
 
 

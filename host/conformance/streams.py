@@ -93,8 +93,8 @@ def coded(
 ) -> Stream | None:
     """Return a signal coded by a middle setting, or the next coarser one whose packets are small enough, if any is."""
     chosen = codec.codec_by_name(codec_name)
-    ladder = next(iter(chosen.ladders.values()))
-    for setting in reversed(ladder[: len(ladder) // 2 + 1]):
+    rate_point_set = next(iter(chosen.rate_point_sets.values()))
+    for setting in reversed(rate_point_set[: len(rate_point_set) // 2 + 1]):
         encoding = encode_recording(
             made_by(rate_hz, channels, unit, peak, seconds),
             rate_hz,

@@ -28,7 +28,7 @@ def profile(hello: HelloResponse) -> Stream:
         pytest.skip("the controller takes no profiles")
     coded = stream_for(hello)
     profile = replace(coded, header=replace(coded.header, unit=PROFILE_UNIT, rate_hz=_SAMPLES_PER_METRE))
-    least = rendering.least_samples(_SAMPLES_PER_METRE, dac_rate_hz)
+    least = rendering.min_samples(_SAMPLES_PER_METRE, dac_rate_hz)
     if not least <= profile.samples <= limits.profile_samples:
         pytest.skip(f"no profile of {least} to {limits.profile_samples} samples is there to be tried")
     return profile
@@ -128,7 +128,7 @@ def test_late_positions_are_counted(probe: Probe, profile: Stream) -> None:
 def test_profiles_that_are_refused(probe: Probe, profile: Stream) -> None:
     """A profile that is live, cut or looped is answered BAD_VALUE; one that is too long or too short BEYOND_LIMITS."""
     packets, header = len(profile.packets), profile.header
-    least = rendering.least_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)
+    least = rendering.min_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)
     too_short = replace(header, rate_hz=_FINEST_PER_METRE, samples=least - 1)
     too_long = probe.description.limits.profile_samples + 1
     packets_of_too_long = -(-(too_long + profile.decoder().delay_samples) // profile.decoder().packet_samples)

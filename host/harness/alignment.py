@@ -10,7 +10,7 @@ Samples = NDArray[np.float64]
 # The recording is interpolated by cubic splines between so many points a sample.
 _OVERSAMPLING = 8
 _ITERATIONS = 12
-_SMALLEST_CORRELATION = 0.1
+_MIN_CORRELATION = 0.1
 
 
 class AlignmentError(ValueError):
@@ -48,7 +48,7 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
     first = max(0, round(sample))
     part = recorded[first : first + len(reference)]
     power = float(np.sqrt(np.sum(np.square(reference)) * np.sum(np.square(part))))
-    if not power or abs(correlation[peak]) < _SMALLEST_CORRELATION * power:
+    if not power or abs(correlation[peak]) < _MIN_CORRELATION * power:
         raise AlignmentError("the recording holds nothing of what was played: check the sensor and its sensitivity")
     fine = signal.resample(recorded, _OVERSAMPLING * len(recorded))
     spline = interpolate.CubicSpline(np.arange(len(fine)) / _OVERSAMPLING, fine)

@@ -221,7 +221,7 @@ def _sensor(table: Table, controllers: list[str]) -> Sensor:
         reduce=table.word("reduce", textures.REDUCTIONS, None),
     )
     if entry.sensitivity is not None and entry.unit is None:
-        raise table.refuse("sensitivity needs its unit: add unit, such as 'm/s^2'")
+        raise table.reject("sensitivity needs its unit: add unit, such as 'm/s^2'")
     table.end()
     return entry
 
@@ -242,7 +242,7 @@ def _texture(table: Table) -> Callable[[], Recording]:
         )
     path = table.path.parent / file
     if not path.exists():
-        raise table.refuse(f"file {path} does not exist")
+        raise table.reject(f"file {path} does not exist")
     options = {
         "rate_hz": table.number("rate_hz", None),
         "unit": table.word("unit", textures.INPUT_UNITS, None),
@@ -260,7 +260,7 @@ def _loaded(table: Table, load: Callable[[], Recording]) -> Recording:
     try:
         return load()
     except textures.TextureError as error:
-        raise table.refuse(str(error)) from error
+        raise table.reject(str(error)) from error
 
 
 def read_address(value: Any) -> str:

@@ -12,7 +12,7 @@ _KEPT_PART = 0.25
 _FEWEST_KEPT = 8
 # A read is given up so long before its time, for it may take longer than asked: USB counts in whole milliseconds.
 _READ_EARLY_S = 0.001
-_SHORTEST_READ_S = 1e-6
+_MIN_READ_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class DeviceClock:
         """Let time pass and take in what is answered. Raises as `Controller.poll`."""
         until_s = self._controller.clock() + seconds
         read_until_s = until_s - _READ_EARLY_S
-        while self._asked is not None and (left_s := read_until_s - self._controller.clock()) >= _SHORTEST_READ_S:
+        while self._asked is not None and (left_s := read_until_s - self._controller.clock()) >= _MIN_READ_S:
             answer = self._controller.poll(left_s)
             if isinstance(answer, Status):
                 number, asked_s = self._asked

@@ -24,7 +24,7 @@ _FRAMES_AT_ONCE = 8
 _LENGTH_BYTES = 5
 _READ_S = 0.01
 _START_S = 0.05  # from the first packet to its playing: time to send the others that fill the buffer
-_SHORTEST_WAIT_S = 1e-6
+_MIN_WAIT_S = 1e-6
 _GAP_STEPS = 5
 _AFTER_GAP_S = 0.3
 
@@ -132,15 +132,15 @@ def longest_gap(
     """
     limits = controller.description.limits
     buffer_s = min(buffer_s, limits.watchdog_ms / 1000 + _AFTER_GAP_S, 0.9 * limits.buffer_samples / rate_hz)
-    survived_s, longest_s = 0.0, min(buffer_s, limits.watchdog_ms / 1000) * (1 + 2.0**-_GAP_STEPS)
-    step_s, ended_by = longest_s, None
+    survived_s, max_s = 0.0, min(buffer_s, limits.watchdog_ms / 1000) * (1 + 2.0**-_GAP_STEPS)
+    step_s, ended_by = max_s, None
     for number in range(_GAP_STEPS + 1):
         ended = _silence(controller, texture, buffer_s, survived_s + step_s, rate_hz)
         if ended is None:
             survived_s += step_s
         else:
             ended_by = ended
-        if survived_s == longest_s:
+        if survived_s == max_s:
             break
         step_s /= 2
         if progress is not None:
@@ -168,7 +168,7 @@ def _silence(controller: Controller, texture: Recording, buffer_s: float, gap_s:
 def _listen(controller: Controller, seconds: float) -> None:
     """Say nothing for so long, and take in what the controller sends."""
     until_s = controller.clock() + seconds
-    while (left_s := until_s - controller.clock()) >= _SHORTEST_WAIT_S:
+    while (left_s := until_s - controller.clock()) >= _MIN_WAIT_S:
         controller.poll(min(left_s, _READ_S))
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host.harness import response
 from vibrocast.host.harness.latency import PARTS
 from vibrocast.host.harness.results import Change
@@ -63,7 +63,7 @@ def write(path: Path, document: dict[str, Any], changes: Sequence[Change], actua
         f"<!doctype html><html lang=en><head><meta charset=utf-8><title>{_text(title)}</title>"
         f"<style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n"
     )
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text(page, encoding="utf-8")
 
 

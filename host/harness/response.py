@@ -19,21 +19,21 @@ from vibrocast.textures import Recording
 Samples = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
-LOWEST_HZ, HIGHEST_HZ = 10.0, 1000.0
+MIN_HZ, MAX_HZ = 10.0, 1000.0
 # Of full drive: below every limit of the actuators that ship, and below clipping where a resonance is compensated.
 AMPLITUDE = 0.1
 SWEEP_S = 8.0
 
 _AROUND_S = 1.0
 _FADE_S = 0.02
-_LARGEST_RATE_HZ = 8000
+_MAX_RATE_HZ = 8000
 # Steps relative to the RMS value: so fine that the codec's noise is 40 dB below the sweep. The DAC's codes, from which
 # the response is computed, hold that noise too.
 _STEP = 0.02
 _CURVE_POINTS_PER_OCTAVE = 12
 # Of the model's displacement, so that the images above the DAC's rate do not fold into the band.
 _OVERSAMPLING = 16
-_LEAST_EXPLAINED = 0.05  # of the recorded power in the sweep's band
+_MIN_EXPLAINED = 0.05  # of the recorded power in the sweep's band
 _CONFIDENCE = 1.96  # standard errors of a 95 % interval
 
 
@@ -129,13 +129,13 @@ def play_sweep(
     seconds: float = SWEEP_S,
     progress: Callable[[float], None] | None = None,
 ) -> Sweep:
-    """Play an exponential sweep (Farina 2000) from LOWEST_HZ up, and record it. Raises as `measure`."""
+    """Play an exponential sweep (Farina 2000) from MIN_HZ up, and record it. Raises as `measure`."""
     limits = controller.description.limits
-    rate_hz = min(actuator.dac_rate_hz, limits.maximum_rate_hz, _LARGEST_RATE_HZ)
-    highest_hz = min(HIGHEST_HZ, 0.4 * rate_hz)
+    rate_hz = min(actuator.dac_rate_hz, limits.maximum_rate_hz, _MAX_RATE_HZ)
+    highest_hz = min(MAX_HZ, 0.4 * rate_hz)
     time_s = np.arange(round(seconds * rate_hz)) / rate_hz
-    phase = 2 * np.pi * LOWEST_HZ * seconds / np.log(highest_hz / LOWEST_HZ)
-    chirp = AMPLITUDE * np.sin(phase * (np.exp(time_s / seconds * np.log(highest_hz / LOWEST_HZ)) - 1))
+    phase = 2 * np.pi * MIN_HZ * seconds / np.log(highest_hz / MIN_HZ)
+    chirp = AMPLITUDE * np.sin(phase * (np.exp(time_s / seconds * np.log(highest_hz / MIN_HZ)) - 1))
     chirp *= np.clip(np.minimum(time_s, seconds - time_s) / _FADE_S, 0.0, 1.0)
     stream = as_stream(codec.encode(chirp[:, None], rate_hz, {"step": _STEP}, live=True), "full scale")
     with contextlib.nullcontext() if recorder is None else recorder(seconds + 2 * _AROUND_S) as finish:
@@ -222,7 +222,7 @@ class _Spectra:
         self.samples = max(len(output), len(sweep.given))
         frequencies_hz = np.fft.rfftfreq(self.samples, 1 / self.rate_hz)
         # A little inside the sweep, whose spectrum falls off at both ends.
-        band = (frequencies_hz >= 1.2 * LOWEST_HZ) & (frequencies_hz <= sweep.highest_hz / 1.05)
+        band = (frequencies_hz >= 1.2 * MIN_HZ) & (frequencies_hz <= sweep.highest_hz / 1.05)
         self._first = int(np.argmax(band))
         f = self.frequencies_hz = np.asarray(frequencies_hz[band], np.float64)
         period = f / self.rate_hz
@@ -231,7 +231,7 @@ class _Spectra:
         self.recorded = np.fft.rfft(output, self.samples)[band]
         if recording.unit == "m/s^2":
             self.given = self.given * (-np.square(2 * np.pi * f) * 1e-6)
-        self._sweep_s = sweep.seconds * np.log(f / LOWEST_HZ) / np.log(sweep.highest_hz / LOWEST_HZ)
+        self._sweep_s = sweep.seconds * np.log(f / MIN_HZ) / np.log(sweep.highest_hz / MIN_HZ)
 
     def late(self, delay_s: float, drift: float) -> Spectrum:
         """Return the factor of a delay that grows with the time at which the sweep passes each frequency."""
@@ -254,7 +254,7 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
     from scipy.optimize import least_squares
 
     best = (0.0, 0.0, 1.0, 1.0, 0.0)
-    for corner_hz in np.geomspace(2 * LOWEST_HZ, spectra.frequencies_hz[-1], 24):
+    for corner_hz in np.geomspace(2 * MIN_HZ, spectra.frequencies_hz[-1], 24):
         for quality in (0.7, 3.0, 10.0, 30.0) if resonant else (None,):
             expected = spectra.given * transfer(spectra.frequencies_hz, corner_hz, quality)
             correlation = spectra.correlation(expected)
@@ -264,7 +264,7 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
             best = max(best, (gain**2 * power, gain, float(corner_hz), quality or 1.0, delay_s))
     explained, gain, corner_hz, start_quality, delay_s = best
     recorded_power = float(np.sum(np.square(np.abs(spectra.recorded))))
-    if explained < _LEAST_EXPLAINED * recorded_power:
+    if explained < _MIN_EXPLAINED * recorded_power:
         raise AlignmentError("the recording holds nothing of the sweep: check the sensor and its sensitivity")
     scale = np.sqrt(recorded_power)
 

@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vibrocast.files import InputFileError, whole_file
+from vibrocast.files import InputFileError, atomic_write
 
 FORMAT = "vibrocast measurements 1"
-_LARGEST_BYTES = 1 << 26
+_MAX_BYTES = 1 << 26
 
 
 @dataclass
@@ -27,7 +27,7 @@ class Results:
 
     def write(self, path: Path) -> None:
         """Write the run as JSON, whole or not at all. Raises OSError."""
-        with whole_file(path) as partial:
+        with atomic_write(path) as partial:
             partial.write_text(json.dumps(self.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -85,7 +85,7 @@ def read(path: Path) -> dict[str, Any]:
     """Read the JSON of an earlier run. Raises InputFileError for anything else, OSError where it cannot be read."""
     if path.exists() and not path.is_file():
         raise InputFileError(f"{path}: no file; give the JSON of an earlier `vibrocast measure`")
-    if path.stat().st_size > _LARGEST_BYTES:
+    if path.stat().st_size > _MAX_BYTES:
         raise InputFileError(f"{path}: longer than any run's JSON; give that of an earlier `vibrocast measure`")
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

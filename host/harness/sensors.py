@@ -21,7 +21,7 @@ Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Reco
 # A program may take so long to start, and to end after its time.
 _STARTS_WITHIN_S = 1.0
 _ENDS_WITHIN_S = 15.0
-_LONGEST_COMPLAINT_BYTES = 500
+_MAX_COMPLAINT_BYTES = 500
 
 
 class SensorError(RuntimeError):
@@ -76,7 +76,7 @@ def _finish(
         raise SensorError(f"sensor {sensor.name}: {sensor.command[0]} does not end by itself") from error
     if process.returncode or not file.exists():
         with complaints.open("rb") as said:
-            said.seek(max(0, complaints.stat().st_size - _LONGEST_COMPLAINT_BYTES))
+            said.seek(max(0, complaints.stat().st_size - _MAX_COMPLAINT_BYTES))
             lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
         raise SensorError(f"sensor {sensor.name}: {sensor.command[0]} has recorded nothing: {lines[-1]}")
     return read_recording(sensor, file)

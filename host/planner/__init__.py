@@ -1,1 +1,1 @@
-"""The planner: from a scene - textures, hand, actuators, controllers, wishes - to how each texture is best coded."""
+"""The planner: from a scene - textures, hand, actuators, controllers, targets - to how each texture is best coded."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vibrocast import textures
 from vibrocast.codec.stream import Stream
-from vibrocast.codec.threshold import HIGHEST_HZ, over_threshold_db, threshold_amplitude
+from vibrocast.codec.threshold import MAX_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.host.end_to_end import displacement_um
 from vibrocast.output.actuator import Actuator, Codes
@@ -25,7 +25,7 @@ PASS_BAND = 0.91
 """Of half the stream's rate: as far as textures.resample leaves the band alone."""
 PROFILE_PASS_BAND = 0.68
 """Of half the rate of a profile over position: what is rendered of it (firmware/core/profile.h)."""
-RATE_STEP = LOWEST_RATE_HZ = 100
+RATE_STEP = MIN_RATE_HZ = 100
 """Rates of streams; no controller plays slower ones."""
 SPEEDS = 5
 """Hand speeds that a profile over position is looked at with, from the least to the greatest."""
@@ -104,7 +104,7 @@ def slowest_mm_s(hand_speed_mm_s: tuple[float, float]) -> float:
 def levels_of(recording: Recording, actuator: Actuator, threshold: Samples) -> tuple[Level, ...]:
     """Return a recording's third octaves at the skin, of the channel that is loudest in each."""
     frequencies_hz, felt_db = over_threshold_db(at_the_skin(recording, actuator), recording.rate_hz, threshold)
-    reach_um = largest_um(actuator, frequencies_hz)
+    reach_um = max_um(actuator, frequencies_hz)
     reach_db = 20 * np.log10(reach_um / threshold_amplitude(threshold, frequencies_hz, "um"))
     return tuple(
         Level(float(f), float(level), float(reach))
@@ -136,7 +136,7 @@ def rendering_gain(actuator: Actuator, frequencies_hz: Samples) -> Samples:
     return gain
 
 
-def largest_um(actuator: Actuator, frequencies_hz: Samples) -> Samples:
+def max_um(actuator: Actuator, frequencies_hz: Samples) -> Samples:
     """Return the amplitude of the largest sine that the actuator makes within its stroke, voltage, slew and power."""
     full_volts = actuator.volts / 2
     with np.errstate(divide="ignore"):
@@ -221,8 +221,8 @@ def _nothing(levels: tuple[Level, ...], name: str) -> BandError:
 
 
 def _check_recorded(recorded: float, name: str) -> None:
-    if recorded < LOWEST_RATE_HZ:
-        raise BandError(f"{name}: recorded at {recorded:g} Hz; controllers play {LOWEST_RATE_HZ} Hz at least")
+    if recorded < MIN_RATE_HZ:
+        raise BandError(f"{name}: recorded at {recorded:g} Hz; controllers play {MIN_RATE_HZ} Hz at least")
 
 
 def _rate(highest: float, recorded: float, pass_band: float = PASS_BAND) -> int:
@@ -232,6 +232,6 @@ def _rate(highest: float, recorded: float, pass_band: float = PASS_BAND) -> int:
 
 
 def _within_reach(recording: Recording) -> Recording:
-    """Return a recording at a rate that holds HIGHEST_HZ, so that what takes up a whole surface stays short."""
-    rate_hz = 2 * HIGHEST_HZ / PASS_BAND
+    """Return a recording at a rate that holds MAX_HZ, so that what takes up a whole surface stays short."""
+    rate_hz = 2 * MAX_HZ / PASS_BAND
     return textures.resample(recording, rate_hz) if recording.rate_hz > rate_hz else recording

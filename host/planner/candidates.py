@@ -10,8 +10,8 @@ from vibrocast import codec, models, textures
 from vibrocast.codec import CodecError, Framing, Setting, Signal
 from vibrocast.codec.encoding import Encoding, smallest_first
 from vibrocast.codec.interface import AUTO
-from vibrocast.codec.rate_control import DEFAULT_BUCKET_S
-from vibrocast.codec.rate_controlled import Wish, added_bytes
+from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
+from vibrocast.codec.rate_controlled import RateTarget, added_bytes
 from vibrocast.codec.registry import LIVE_REFRESH_S, Source
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
@@ -28,10 +28,10 @@ from vibrocast.host.planner.band import (
     played_error_over_threshold_db,
     slowest_mm_s,
 )
-from vibrocast.host.planner.costs import MOST_LOAD_PERCENT
+from vibrocast.host.planner.costs import MAX_LOAD_PERCENT
 from vibrocast.host.planner.plan_file import Forecast, encode, prepared
 from vibrocast.host.planner.scene import Asked, Scene, SceneTexture, Weights
-from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, least_samples
+from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, min_samples
 from vibrocast.output.rendering import Drive
 from vibrocast.textures import Profile, Recording
 
@@ -42,7 +42,7 @@ GIVEN: Mapping[str, Setting] = {"dct": {"entropy": "range"}}
 PACKET_BLOCKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 DEFAULT_BLOCK_SAMPLES = 32
 """Where the codec has one length only; its packets are rounded up to whole blocks of its own."""
-LONGEST_PACKET_S = LIVE_REFRESH_S
+MAX_PACKET_S = LIVE_REFRESH_S
 MEASURED_SAMPLES = 1 << 14
 """Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
 PACKET_SNRS_DB = tuple(step / 2 for step in range(1, 121))
@@ -52,9 +52,9 @@ SPQI_RATE_HZ = 2800
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
 """Margins of packets, the usual one first; docs/latency.md has the least that is stable on each controller."""
 
-# A capped rate goes beyond the cap by what its bucket holds, in whole packets that last a second but for half of one. A
-# larger bucket would need a lower cap, and so lose more than it brings.
-_CAP = 1 / (1 + DEFAULT_BUCKET_S / (1 - LONGEST_PACKET_S / 2))
+# A capped rate goes beyond the cap by what its rate buffer holds, in whole packets that last a second but for half of
+# one. A larger rate buffer would need a lower cap, and so lose more than it brings.
+_CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
 
 
 @dataclass(frozen=True)
@@ -86,20 +86,20 @@ class Way:
 class Measured:
     """One coding of a texture, measured; what the asked quality does not need may be None.
 
-    `peak_bps`: of the frames on the wire, the most in any second. `longest_frame_bytes`: of all frames.
+    `peak_bps`: of the frames on the wire, the most in any second. `max_frame_bytes`: of all frames.
     `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the detection threshold.
-    `quiet`: as costs.quiet_part. `wish`: what it was steered to hold, None = every packet is by the setting.
+    `quiet`: as costs.quiet_part. `target`: what it was rate-controlled to hold, None = every packet is by the setting.
     """
 
     way: Way
     setting: Setting
-    wish: Wish | None
+    target: RateTarget | None
     packet_samples: int
     refresh_packets: int
     payload_bps: float
     wire_bps: float
     peak_bps: float
-    longest_frame_bytes: int
+    max_frame_bytes: int
     delay_samples: int
     size_bytes: int
     snr_db: float | None
@@ -109,9 +109,9 @@ class Measured:
     quiet: float
 
     @property
-    def bucket_bytes(self) -> float:
+    def rate_buffer_bytes(self) -> float:
         """What a capped rate lets wait on a link that carries no more; 0 for others, which have no such bound."""
-        return 0.0 if self.wish is None else (self.wish.rate_bps or 0.0) * DEFAULT_BUCKET_S / 8
+        return 0.0 if self.target is None else (self.target.rate_bps or 0.0) * DEFAULT_RATE_BUFFER_S / 8
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Workbench:
             texture.loaded, self.hand_speed_mm_s, self.over_position, self.band.rate, self.band.lowest
         )
         if self.over_position:
-            least = least_samples(self.band.rate, self.actuator.dac_rate_hz)
+            least = min_samples(self.band.rate, self.actuator.dac_rate_hz)
             if not 0 < least <= len(self.whole.samples):
                 raise BandError(
                     f"{texture.name}: {1e3 * len(self.whole.samples) / self.band.rate:.3g} mm are too short to be "
@@ -237,7 +237,7 @@ class Workbench:
                 else [choice for choice in each.parameters[parameter].choices if choice != AUTO]
             )
             found += [Way(name, model, block) for model in names for block in blocks]
-        longest = LONGEST_PACKET_S * self.samples_per_second
+        longest = MAX_PACKET_S * self.samples_per_second
         found = [way for way in found if way.block is None or int(way.block) <= longest]
         return [way for way in found if core is None or costs.decoder_cost(way.decoder, core) is not None]
 
@@ -263,11 +263,11 @@ class Workbench:
 
     def packet_blocks(self, way: Way) -> list[int]:
         """Return the packet lengths of a way, in blocks."""
-        longest = LONGEST_PACKET_S * self.samples_per_second / _block_samples(way)
+        longest = MAX_PACKET_S * self.samples_per_second / _block_samples(way)
         return [blocks for blocks in PACKET_BLOCKS if blocks <= longest] or [1]
 
     def code(self, way: Way, index: int, packet_blocks: int, whole: bool = False) -> Measured | None:
-        """Code by a setting of a way, in packets of so many blocks; None where the codec refuses.
+        """Code by a setting of a way, in packets of so many blocks; None where the codec rejects.
 
         `whole`: all of the texture, and every quality measured.
         """
@@ -282,15 +282,15 @@ class Workbench:
 
     def _coded(self, way: Way, index: int, packet_blocks: int, recording: Recording, every: bool) -> Measured:
         setting, packet_snr_db = self.qualities(way)[index]
-        wish = None
+        target = None
         if way.rate_limit_bps is not None:
-            wish = Wish(capped_rate_bps=math.floor(_CAP * way.rate_limit_bps), snr_db=packet_snr_db)
+            target = RateTarget(capped_rate_bps=math.floor(_CAP * way.rate_limit_bps), snr_db=packet_snr_db)
         rate_hz = self.samples_per_second
         packet_samples = packet_blocks * _block_samples(way)
         refresh_packets = max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples))
         model = None if way.model is None else models.find(way.model)
         encoding = encode(
-            recording, way.codec, setting, model, Framing(packet_samples, refresh_packets), self.over_position, wish
+            recording, way.codec, setting, model, Framing(packet_samples, refresh_packets), self.over_position, target
         )
         decoder = encoding.stream.decoder()
         decoded = encoding.stream.decode()
@@ -308,13 +308,13 @@ class Workbench:
         return Measured(
             way=way,
             setting=setting,
-            wish=wish,
+            target=target,
             packet_samples=decoder.packet_samples,
             refresh_packets=refresh_packets,
             payload_bps=8 * sum(map(len, packets)) / seconds,
             wire_bps=8 * sum(frames) / seconds,
             peak_bps=_peak_bps(frames, packet_s),
-            longest_frame_bytes=max(frames),
+            max_frame_bytes=max(frames),
             delay_samples=decoder.delay_samples,
             size_bytes=encoding.stream.size_bytes,
             snr_db=encoding.snr_db,
@@ -340,7 +340,7 @@ class Workbench:
         )
 
     def judged(self, measured: Measured, scene: Scene) -> Candidate:
-        """Return a coding as a scene sees it, which may have other limits and wishes than that of the workbench."""
+        """Return a coding as a scene sees it, which may have other limits and targets than that of the workbench."""
         controller, asked = scene.controller(self.texture.controller), scene.asked
         channels, rate_hz = self.texture.channels, self.samples_per_second
         decoding = (
@@ -367,11 +367,11 @@ class Workbench:
         if not self.over_position:  # then no packet is under way: the hand's position alone
             samples = measured.packet_samples + measured.delay_samples
             carried = scene.link.bytes_per_second or math.inf
-            fixed_ms += 1e3 * (samples / rate_hz + measured.longest_frame_bytes / carried)
-            most_ms = asked.delay_limit_ms or math.inf
-            wait_ms = 1e3 * measured.bucket_bytes / carried
+            fixed_ms += 1e3 * (samples / rate_hz + measured.max_frame_bytes / carried)
+            max_ms = asked.delay_limit_ms or math.inf
+            wait_ms = 1e3 * measured.rate_buffer_bytes / carried
             buffer_ms = wait_ms + next(
-                (margin for margin in BUFFERS_MS if fixed_ms + wait_ms + margin <= most_ms), BUFFERS_MS[-1]
+                (margin for margin in BUFFERS_MS if fixed_ms + wait_ms + margin <= max_ms), BUFFERS_MS[-1]
             )
         forecast = Forecast(
             payload_bps=measured.payload_bps,
@@ -393,7 +393,7 @@ class Workbench:
             Limit("asked", "rate_limit_bps", peak_bps, asked.rate_limit_bps),
             Limit("link", "bytes_per_second", senders * peak_bps / 8, scene.link.bytes_per_second),
             Limit("asked", "delay_limit_ms", forecast.delay_ms, asked.delay_limit_ms),
-            Limit("controllers", "clock_hz", 100 / MOST_LOAD_PERCENT * (instructions or 0.0), controller.clock_hz),
+            Limit("controllers", "clock_hz", 100 / MAX_LOAD_PERCENT * (instructions or 0.0), controller.clock_hz),
             Limit("controllers", "flash_bytes", flash_bytes or 0, controller.flash_bytes),
             Limit("controllers", "ram_bytes", ram_bytes or 0, controller.ram_bytes),
         )

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from vibrocast.codec.rate_controlled import Wish
+from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.files import InputFileError
 from vibrocast.host.planner.band import MARGIN_DB, BandError
 from vibrocast.host.planner.candidates import BUFFERS_MS, Candidate, Limit, Measured, Way, Workbench
@@ -26,7 +26,7 @@ _DB_PER_OCTAVE = 6.02
 """Of an error's amplitude."""
 
 
-class Refusal(InputFileError):
+class Rejection(InputFileError):
     """What a scene asks cannot be met; the message names the limit in the way, and the nearest scene that can."""
 
 
@@ -55,7 +55,7 @@ class Choice:
 
 
 def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[Choice, ...]]:
-    """Plan every texture of a scene. Raises Refusal, and SceneError for a texture of which nothing can be felt."""
+    """Plan every texture of a scene. Raises Rejection, and SceneError for a texture of which nothing can be felt."""
     choices = []
     for place, texture in enumerate(scene.textures):
 
@@ -65,7 +65,7 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
         try:
             bench = Workbench(scene, texture)
         except BandError as error:
-            raise Refusal(f"{scene.path}: {error}") from error
+            raise Rejection(f"{scene.path}: {error}") from error
         choices.append(choose(bench, scene, tell))
     planned = tuple(_planned(choice) for choice in choices)
     controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
@@ -73,10 +73,10 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
 
 
 def choose(bench: Workbench, scene: Scene, progress: Progress = lambda part, details: None) -> Choice:
-    """Choose for one texture. Raises Refusal."""
+    """Choose for one texture. Raises Rejection."""
     found = _search(bench, scene, progress)
     if found is None:
-        raise _refusal(bench, scene, progress)
+        raise _rejection(bench, scene, progress)
     chosen, bests = found
     candidates = tuple(bench.judged(measured, scene) for measured in bench.measured)
     reasons = tuple(
@@ -267,7 +267,7 @@ def _told(limit: Limit) -> str:
     return f"needs {limit.key} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
 
 
-def _refusal(bench: Workbench, scene: Scene, progress: Progress) -> Refusal:
+def _rejection(bench: Workbench, scene: Scene, progress: Progress) -> Rejection:
     """Return the error that names the limit in the way, and what change of the scene would do, the least one first.
 
     Each change is tried by the same search before it is told.
@@ -275,7 +275,7 @@ def _refusal(bench: Workbench, scene: Scene, progress: Progress) -> Refusal:
     candidates = [bench.judged(measured, scene) for measured in bench.measured]
     name = bench.texture.name
     if not candidates:
-        return Refusal(
+        return Rejection(
             f"{scene.path}: {name}: no codec that {bench.texture.controller} decodes takes this signal; give another "
             "controller"
         )
@@ -285,13 +285,13 @@ def _refusal(bench: Workbench, scene: Scene, progress: Progress) -> Refusal:
         works = [change for change in _joint_changes(bench, scene, candidates) if _search(bench, change.scene)][:1]
     if not works:
         nearest = min(candidates, key=_preference)
-        return Refusal(
+        return Rejection(
             f"{scene.path}: {name} cannot be planned: with {nearest.measured.way.name}, which comes nearest, "
             f"{'; '.join(_short_of(nearest, scene))}; nothing that was tried is enough: ask for less"
         )
     first, *others = sorted(works, key=lambda change: change.distance)
     more = "".join(f"; or {other.text}" for other in others)
-    return Refusal(
+    return Rejection(
         f"{scene.path}: {name} cannot be planned: {first.limit} is in the way; the nearest scene that can: "
         f"{first.text}{more}"
     )
@@ -329,10 +329,10 @@ def _joint_changes(bench: Workbench, scene: Scene, candidates: list[Candidate]) 
 
     Of the candidates with the asked quality; where there is none, of those that come nearest to it.
     """
-    least_lack = max(0.0, min(candidate.lack for candidate in candidates))
+    min_lack = max(0.0, min(candidate.lack for candidate in candidates))
     changes = []
     for candidate in candidates:
-        if candidate.lack <= least_lack and candidate.broken:
+        if candidate.lack <= min_lack and candidate.broken:
             change = _raised(bench, scene, candidate.broken)
             if candidate.lack > 0:
                 lower = _with_quality(bench, change.scene, candidate)
@@ -382,7 +382,7 @@ def _quality_changes(bench: Workbench, scene: Scene, progress: Progress) -> Iter
             if found is not None:
                 allowed.append(found)
     measured = (each for each in bench.measured if each.way.rate_limit_bps == scene.asked.rate_limit_bps)
-    capped = (bench.judged(each, scene) for each in measured if each.wish is not None)
+    capped = (bench.judged(each, scene) for each in measured if each.target is not None)
     allowed += [candidate for candidate in capped if not candidate.broken]
     if allowed:
         yield _with_quality(bench, scene, min(allowed, key=lambda candidate: candidate.lack))
@@ -458,7 +458,7 @@ def _rounded(value: float, up: bool) -> float:
 def _planned(choice: Choice) -> PlannedTexture:
     bench, chosen = choice.workbench, choice.chosen
     measured: Measured = chosen.measured
-    wish = measured.wish or Wish()
+    target = measured.target or RateTarget()
     return PlannedTexture(
         name=bench.texture.name,
         source=bench.texture.source,
@@ -473,10 +473,10 @@ def _planned(choice: Choice) -> PlannedTexture:
         highest=bench.band.highest,
         packet_samples=measured.packet_samples,
         refresh_packets=measured.refresh_packets,
-        rate_mode=SETTING_MODE if measured.wish is None else CAPPED_MODE,
+        rate_mode=SETTING_MODE if measured.target is None else CAPPED_MODE,
         buffer_ms=chosen.buffer_ms,
         forecast=chosen.forecast,
         sha256=bench.texture.source.sha256(),
-        capped_rate_bps=wish.capped_rate_bps,
-        packet_snr_db=wish.snr_db,
+        capped_rate_bps=target.capped_rate_bps,
+        packet_snr_db=target.snr_db,
     )

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host.planner.playing import Played
 
 TOLERANCE = 0.1
@@ -120,7 +120,7 @@ def lines(compared: Sequence[Row]) -> list[str]:
 
 def write_csv(path: Path, compared: Sequence[Row]) -> None:
     """Write the figures as CSV, one a line. Raises OSError."""
-    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("texture", "quantity", "forecast", "measured", "deviation", "within"))
         for row in compared:

@@ -17,7 +17,7 @@ _MEASURED_CORE = "M4F"
 BOARD_CORES = {"cortex-m4": "M4F", "cortex-m7": "M7", "cortex-m33": "M33", "stm32f405": "M4F"}
 """Controllers of which the whole load was measured, by their address, and their processors; the first of a kind stands
 for others."""
-MOST_LOAD_PERCENT = 60.0
+MAX_LOAD_PERCENT = 60.0
 """Of a processor, by instructions: on a Cortex-M4 an instruction of these decoders takes some 1.3 cycles, flash memory
 adds wait states, and frames come when they come."""
 

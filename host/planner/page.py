@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vibrocast.codec.rate_controlled import Wish
+from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.evaluation.points import write_rows
-from vibrocast.files import whole_file
+from vibrocast.files import atomic_write
 from vibrocast.host.planner.band import MARGIN_DB
 from vibrocast.host.planner.candidates import Candidate
 from vibrocast.host.planner.choose import Choice
@@ -15,7 +15,7 @@ from vibrocast.host.planner.plan_file import PlannedTexture
 from vibrocast.host.planner.scene import Scene
 
 CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "plan.toml"
-MOST_PANELS = 6
+MAX_PANELS = 6
 FAR_DB = 30.0
 LABELS = {
     "snr_db": "SNR, dB",
@@ -74,9 +74,9 @@ class BandRow:
 
 def write_tables(folder: Path, choices: Sequence[Choice]) -> None:
     """Write candidates.csv and bands.csv. Raises OSError."""
-    with whole_file(folder / CANDIDATES) as path:
+    with atomic_write(folder / CANDIDATES) as path:
         write_rows(path, [row for choice in choices for row in _candidate_rows(choice)], CandidateRow)
-    with whole_file(folder / BANDS) as path:
+    with atomic_write(folder / BANDS) as path:
         rows = [
             BandRow(
                 choice.name, round(each.frequency_hz, 2), round(each.level_db, 2), round(each.reach_db, 2), each.worth
@@ -90,14 +90,14 @@ def write_tables(folder: Path, choices: Sequence[Choice]) -> None:
 def _candidate_rows(choice: Choice) -> Iterator[CandidateRow]:
     for candidate in choice.candidates:
         measured = candidate.measured
-        wish = measured.wish or Wish()
+        target = measured.target or RateTarget()
         yield CandidateRow(
             choice.name,
             measured.way.codec,
             measured.way.model,
             json.dumps(measured.setting),
-            wish.snr_db,
-            wish.capped_rate_bps,
+            target.snr_db,
+            target.capped_rate_bps,
             measured.packet_samples,
             measured.refresh_packets,
             candidate.buffer_ms,
@@ -115,7 +115,7 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    shown = choices[:MOST_PANELS]
+    shown = choices[:MAX_PANELS]
     columns = 1 if len(shown) == 1 else 2
     rows = -(-len(shown) // columns)
     figure = Figure(figsize=(6.6 * columns, 4.2 * rows + 0.8), dpi=110, layout="constrained")
@@ -172,7 +172,7 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
     panels[0].legend(
         fontsize="x-small", ncols=2, title="filled: meets all that is asked; ringed: chosen", title_fontsize="x-small"
     )
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial)
 
 

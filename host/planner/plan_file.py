@@ -14,11 +14,11 @@ from vibrocast import codec, models, textures
 from vibrocast.codec import Framing, Setting
 from vibrocast.codec.encoding import Encoding, measure_encoding
 from vibrocast.codec.live_format import recording_format
-from vibrocast.codec.rate_controlled import Wish
+from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import DETECTION_THRESHOLD
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
-from vibrocast.files import InputFileError, whole_file
+from vibrocast.files import InputFileError, atomic_write
 from vibrocast.host.harness.bench_file import (
     Bench,
     BenchActuator,
@@ -103,11 +103,11 @@ class PlannedTexture:
     packet_snr_db: float | None = None
 
     @property
-    def wish(self) -> Wish | None:
-        """What the stream is steered to hold; None where every packet is by the setting."""
+    def target(self) -> RateTarget | None:
+        """What the stream is rate-controlled to hold; None where every packet is by the setting."""
         if self.rate_mode == SETTING_MODE:
             return None
-        return Wish(capped_rate_bps=self.capped_rate_bps, snr_db=self.packet_snr_db)
+        return RateTarget(capped_rate_bps=self.capped_rate_bps, snr_db=self.packet_snr_db)
 
     def recording(self) -> Recording:
         """Load the texture and bring it to the stream's rate and band. Raises TextureError, PlanError."""
@@ -133,7 +133,7 @@ class PlannedTexture:
         prepared_recording = recording or self.recording()
         model = None if self.model is None else models.find(self.model)
         framing = Framing(self.packet_samples, self.refresh_packets)
-        return encode(prepared_recording, self.codec, self.setting, model, framing, self.over_position, self.wish)
+        return encode(prepared_recording, self.codec, self.setting, model, framing, self.over_position, self.target)
 
 
 @dataclass(frozen=True)
@@ -204,22 +204,22 @@ def encode(
     model: models.Model | None,
     framing: Framing,
     over_position: bool,
-    wish: Wish | None = None,
+    target: RateTarget | None = None,
 ) -> Encoding:
     """Code a recording by a setting, cut into packets for a live stream, or for a profile. Raises CodecError.
 
-    `wish`: what a live stream is steered to hold; None = every packet is by the setting.
+    `target`: what a live stream is rate-controlled to hold; None = every packet is by the setting.
     """
     unit = PROFILE_UNIT if over_position else recording.unit
     samples, rate = recording.samples, round(recording.rate_hz)
     tables = None if model is None else codec.Model(model.tables, model.analysis)
-    if wish is None:
+    if target is None:
         coded = codec.encode(
             samples, rate, setting, codec=codec_name, unit=unit, live=True, model=tables, framing=framing
         )
     else:
-        policy = wish.policy(recording_format(recording))
-        coded = codec.encode_steered(
+        policy = target.policy(recording_format(recording))
+        coded = codec.encode_rate_controlled(
             samples, rate, policy, framing, codec=codec_name, setting=setting, unit=unit, model=tables
         )
     return measure_encoding(recording, as_stream(coded, unit, None if model is None else model.image))
@@ -259,7 +259,7 @@ def write_plan(path: Path, plan: Plan) -> None:
             for name, value in asdict(texture.forecast).items()
         }
         parts.append("[textures.forecast]\n" + _lines(forecast))
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text("\n".join(parts), encoding="utf-8")
 
 
@@ -312,7 +312,7 @@ def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
     files = table.take("file", _paths, "a list of files", ())
     kind = table.word("generate", sorted(textures.GENERATORS), None)
     if (not files) == (kind is None):
-        raise table.refuse("give either file or generate")
+        raise table.reject("give either file or generate")
     options = table.take("options", dict, "a table of what the file or generator does not say", {})
     codec_name = table.word("codec", sorted(codec.CODECS))
     read = PlannedTexture(
@@ -342,12 +342,12 @@ def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
     )
     table.end()
     if read.lowest >= read.rate / 2:
-        raise table.refuse(f"lowest = {read.lowest:g} must be below half of rate = {read.rate}")
+        raise table.reject(f"lowest = {read.lowest:g} must be below half of rate = {read.rate}")
     capped = read.rate_mode == CAPPED_MODE
     if {read.capped_rate_bps is not None, read.packet_snr_db is not None} != {capped}:
-        raise table.refuse(f"capped_rate_bps and packet_snr_db are of rate_mode = {CAPPED_MODE!r}, which needs both")
+        raise table.reject(f"capped_rate_bps and packet_snr_db are of rate_mode = {CAPPED_MODE!r}, which needs both")
     if capped and read.over_position:
-        raise table.refuse(f"a profile over position has no rate to cap: rate_mode = {SETTING_MODE!r}")
+        raise table.reject(f"a profile over position has no rate to cap: rate_mode = {SETTING_MODE!r}")
     return read
 
 

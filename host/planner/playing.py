@@ -316,7 +316,7 @@ class _Player:
             codec_name=texture.codec,
             setting=texture.setting,
             model=model,
-            policy=None if texture.wish is None else texture.wish.policy(signal_format),
+            policy=None if texture.target is None else texture.target.policy(signal_format),
             packet_samples=texture.packet_samples,
             refresh_packets=texture.refresh_packets,
             margin_s=texture.buffer_ms / 1e3,

@@ -1,4 +1,4 @@
-"""The scene file: textures, hand speeds, actuators, controllers, link and wishes, in TOML (docs/planning.md)."""
+"""The scene file: textures, hand speeds, actuators, controllers, link and targets, in TOML (docs/planning.md)."""
 
 import hashlib
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ _BITS_PER_SERIAL_BYTE = 10  # a start bit, eight bits of data, a stop bit
 HAND_SPEEDS_MM_S = (1.0, 2000.0)
 """Hands explore surfaces at some 10 to 300 mm/s; faster and slower ones are taken, metres for millimetres are not."""
 
-MOST_TRACKED_MM_S = 300.0
+MAX_TRACKED_MM_S = 300.0
 """To which hand speed profiles are rendered by position (firmware/core/profile.h)."""
 
 # What a value of the file means, and the range that it can have: beyond it lies a slip of units.
@@ -305,9 +305,9 @@ def _controller(table: Table) -> SceneController:
     )
     table.end()
     if core is not None and controller.clock_hz is None:
-        raise table.refuse(f"core {core} needs its clock_hz, such as clock_hz = 168_000_000")
+        raise table.reject(f"core {core} needs its clock_hz, such as clock_hz = 168_000_000")
     if core is None and controller.clock_hz is not None:
-        raise table.refuse(f"clock_hz needs the core that it drives: add core, one of {', '.join(CORES)}")
+        raise table.reject(f"clock_hz needs the core that it drives: add core, one of {', '.join(CORES)}")
     return controller
 
 
@@ -320,9 +320,9 @@ def _link(table: Table, controllers: tuple[SceneController, ...]) -> Link:
     given = table.within("bytes_per_second", 10, 1e10, "bytes per second that the link carries", None)
     table.end()
     if baud is not None and kind != "serial":
-        raise table.refuse(f"baud is of a serial line, and this link is {kind}; leave one of them out")
+        raise table.reject(f"baud is of a serial line, and this link is {kind}; leave one of them out")
     if baud is not None and given is not None:
-        raise table.refuse("baud and bytes_per_second both say what the link carries; leave one out")
+        raise table.reject("baud and bytes_per_second both say what the link carries; leave one out")
     if given is None and kind == "serial":
         given = (baud or BAUD) / _BITS_PER_SERIAL_BYTE
     return Link(kind, given if given is not None else USB_BYTES_PER_SECOND.get(kind), delay_ms)
@@ -337,7 +337,7 @@ def _hand_speeds(table: Table) -> tuple[float, float]:
     if low != 0:  # a hand may rest
         table.check("speed_mm_s", low, *HAND_SPEEDS_MM_S, meaning)
     if low > high:
-        raise table.refuse(f"speed_mm_s: the least speed, {low:g}, is above the greatest, {high:g}; swap them")
+        raise table.reject(f"speed_mm_s: the least speed, {low:g}, is above the greatest, {high:g}; swap them")
     return low, high
 
 
@@ -357,11 +357,11 @@ def _actuators(tables: list[Table], controllers: tuple[SceneController, ...]) ->
         entry = read_actuator(table, [controller.name for controller in controllers])
         place = (entry.controller, entry.channel)
         if place in places:
-            raise table.refuse("there is another one on that channel; leave one out")
+            raise table.reject("there is another one on that channel; leave one out")
         places.add(place)
         controller = next(each for each in controllers if each.name == entry.controller)
         if entry.channel is not None and entry.channel > controller.channels:
-            raise table.refuse(f"channel {entry.channel}, but {controller.name} has {controller.channels} channels")
+            raise table.reject(f"channel {entry.channel}, but {controller.name} has {controller.channels} channels")
         actuators.append(entry)
     return tuple(actuators)
 
@@ -373,29 +373,29 @@ def _asked(table: Table, link: Link) -> Asked:
     blind = given["third_octave_distance_db"] is not None
     waveform = table.switch("waveform", not blind)
     table.end()
-    wishes = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if given[key] is not None]
-    wishes += ["imperceptible"] * imperceptible
-    if len(wishes) != 1:
-        said = f"{' and '.join(wishes)} are" if wishes else "none is"
-        raise table.refuse(
+    targets = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if given[key] is not None]
+    targets += ["imperceptible"] * imperceptible
+    if len(targets) != 1:
+        said = f"{' and '.join(targets)} are" if targets else "none is"
+        raise table.reject(
             f"one quality must be asked, and {said} given: keep one of snr_db, spqi, third_octave_distance_db and "
             "imperceptible = true (as little as nobody can feel)"
         )
     if not waveform and not blind:
-        raise table.refuse(
-            f"waveform = false contradicts {wishes[0]}, which no description meets: ask for third_octave_distance_db, "
+        raise table.reject(
+            f"waveform = false contradicts {targets[0]}, which no description meets: ask for third_octave_distance_db, "
             "or leave waveform out"
         )
     asked = Asked(**given, imperceptible=imperceptible, waveform=waveform)
     if asked.delay_limit_ms is not None and asked.delay_limit_ms <= link.delay_ms:
-        raise table.refuse(
+        raise table.reject(
             f"delay_limit_ms = {asked.delay_limit_ms:g} cannot be kept on a link of {link.delay_ms:g} ms: ask for "
             "more, or give another link"
         )
     if asked.rate_limit_bps is not None and link.bytes_per_second is not None:
         carried_bps = 8 * link.bytes_per_second
         if asked.rate_limit_bps > carried_bps:
-            raise table.refuse(
+            raise table.reject(
                 f"rate_limit_bps = {asked.rate_limit_bps:.9g} is above the {carried_bps:.9g} bit/s that the link "
                 "carries: ask for less, or give another link"
             )
@@ -411,7 +411,7 @@ def _weights(table: Table) -> Weights:
     }
     table.end()
     if not any(given.values()):
-        raise table.refuse("all weights are 0, so that nothing costs anything: give one above 0")
+        raise table.reject("all weights are 0, so that nothing costs anything: give one above 0")
     return Weights(**given)
 
 
@@ -422,7 +422,7 @@ def _threshold(table: Table) -> Path:
     try:
         read_threshold(path)
     except CodecError as error:
-        raise table.refuse(str(error)) from error
+        raise table.reject(str(error)) from error
     return path
 
 
@@ -451,7 +451,7 @@ def _textures(table: Table, scene: Scene) -> list[SceneTexture]:
     files = table.take("file", _files, "a file, a folder, or a list of files that are played together", None)
     kind = table.word("generate", sorted(textures.GENERATORS), None)
     if (files is None) == (kind is None):
-        raise table.refuse("give either file or generate")
+        raise table.reject("give either file or generate")
     names = [controller.name for controller in scene.controllers]
     controller = table.word("controller", names, names[0] if len(names) == 1 else MISSING)
     options = read_options(table, generated=files is None)
@@ -463,12 +463,12 @@ def _textures(table: Table, scene: Scene) -> list[SceneTexture]:
         try:
             found = traces(paths[0])
         except (DatasetError, OSError) as error:
-            raise table.refuse(str(error)) from error
+            raise table.reject(str(error)) from error
         prefix = f"{name}/" if name else ""
         return [make(prefix + trace.name, Source((trace.path,), None, options)) for trace in found]
     for path in paths:
         if not path.exists():
-            raise table.refuse(f"file {path} does not exist; correct its name, which is found from the scene's folder")
+            raise table.reject(f"file {path} does not exist; correct its name, which is found from the scene's folder")
     return [make(name or "+".join(path.stem for path in paths), Source(tuple(paths), None, options))]
 
 
@@ -478,31 +478,31 @@ def _texture(table: Table, scene: Scene, controller: str, name: str, source: Sou
     try:
         texture = SceneTexture(name, source, controller, source.load(high))
     except (TextureError, TypeError) as error:
-        raise table.refuse(str(error)) from error
+        raise table.reject(str(error)) from error
     plays = scene.controller(controller)
     if texture.channels > plays.channels:
-        raise table.refuse(
+        raise table.reject(
             f"{name} has {texture.channels} channels, {controller} drives {plays.channels}: leave some out, or give "
             "another controller"
         )
     models = {each.channel for each in scene.actuators if each.controller == controller}
     if missing := [channel for channel in range(1, texture.channels + 1) if not {channel, None} & models]:
-        raise table.refuse(
+        raise table.reject(
             f"{name} moves the actuator on channel {missing[0]} of {controller}, which the scene does not have: add it "
             "to [[actuators]]"
         )
     if isinstance(texture.loaded, Profile) and low != high and not plays.reads_position:
-        raise table.refuse(
+        raise table.reject(
             f"{name} is a height profile, and the hand moves at {low:g} to {high:g} mm/s: only a controller that knows "
             f"where the hand is can play it (reads_position = true of {controller}); or give one speed"
         )
-    if isinstance(texture.loaded, Profile) and plays.reads_position and high > MOST_TRACKED_MM_S:
-        raise table.refuse(
-            f"{name} is rendered by the hand's position up to {MOST_TRACKED_MM_S:g} mm/s, and the hand moves at up to "
+    if isinstance(texture.loaded, Profile) and plays.reads_position and high > MAX_TRACKED_MM_S:
+        raise table.reject(
+            f"{name} is rendered by the hand's position up to {MAX_TRACKED_MM_S:g} mm/s, and the hand moves at up to "
             f"{high:g}: give a slower one"
         )
     if isinstance(texture.loaded, Profile) and not plays.reads_position and high == 0:
-        raise table.refuse(f"{name} is a height profile under a hand that rests: give a speed above 0")
+        raise table.reject(f"{name} is a height profile under a hand that rests: give a speed above 0")
     return texture
 
 

@@ -1,4 +1,4 @@
-"""Model images that are wrong, damaged or missing: what is refused, and what plays."""
+"""Model images that are wrong, damaged or missing: what is rejected, and what plays."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation.cells import Method
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.evaluation.trained import runtimes
@@ -30,27 +30,27 @@ CUTS_PERCENT = (0.0, 1.0, 10.0, 50.0, 90.0, 99.0)
 
 
 @lru_cache(maxsize=1)
-def _stream(rung: Rung) -> Stream:
-    return encoded(texture(), RATE_HZ, rung, live=True)
+def _stream(rate_point: RatePoint) -> Stream:
+    return encoded(texture(), RATE_HZ, rate_point, live=True)
 
 
-def _with_payload(rung: Rung, payload: bytes) -> bytes:
+def _with_payload(rate_point: RatePoint, payload: bytes) -> bytes:
     """Return a model's image, packed anew with another payload: its CRC is right."""
-    assert rung.image is not None, "a learned method has models"
-    return replace(ModelImage.unpack(rung.image), payload=payload).pack()
+    assert rate_point.image is not None, "a learned method has models"
+    return replace(ModelImage.unpack(rate_point.image), payload=payload).pack()
 
 
-def _changed(rung: Rung, place_percent: float) -> bytes:
+def _changed(rate_point: RatePoint, place_percent: float) -> bytes:
     """Return a model's payload with one byte changed at a place."""
-    payload = bytearray(ModelImage.unpack(rung.image or b"").payload)
+    payload = bytearray(ModelImage.unpack(rate_point.image or b"").payload)
     payload[round(place_percent / 100 * (len(payload) - 1))] ^= 0x55
     return bytes(payload)
 
 
-def measure_changed(rung: Rung, runtime: str, place_percent: float) -> Measured:
+def measure_changed(rate_point: RatePoint, runtime: str, place_percent: float) -> Measured:
     """Decode with a changed payload that nothing vouches against; judge by what comes out. Raises CodecError."""
-    stream = _stream(rung)
-    payloads = ModelImage.unpack(rung.image or b"").payload, _changed(rung, place_percent)
+    stream = _stream(rate_point)
+    payloads = ModelImage.unpack(rate_point.image or b"").payload, _changed(rate_point, place_percent)
     wanted, heard = (_decoded(stream, payload, runtime) for payload in payloads)
     snr_db = codec.snr_db(wanted, heard)
     assert snr_db is not None, "a texture is not silent"
@@ -66,40 +66,40 @@ def _decoded(stream: Stream, payload: bytes, runtime: str) -> Signal:
     return np.concatenate([decoder.decode(packet) for packet in stream.packets]).astype(np.float64)
 
 
-def measure_cut(rung: Rung, percent: float) -> Measured:
+def measure_cut(rate_point: RatePoint, percent: float) -> Measured:
     """Decode with a part of a payload, in an image whose CRC is right. Raises CodecError."""
-    payload = ModelImage.unpack(rung.image or b"").payload
+    payload = ModelImage.unpack(rate_point.image or b"").payload
     cut = payload[: round(percent / 100 * len(payload))]
-    header = _stream(rung).header
+    header = _stream(rate_point).header
     codec.decoder(header.codec_identifier, header.configuration, header.channels, cut)
     return Measured(Outcome.HOLDS, {})
 
 
-def measure_hash(rung: Rung) -> Measured:
+def measure_hash(rate_point: RatePoint) -> Measured:
     """Give a changed image, whose CRC is right, for a stream of the right one. Raises CodecError."""
-    stream = _stream(rung)
-    Stream(stream.header, stream.packets, _with_payload(rung, _changed(rung, 50.0))).decode()
+    stream = _stream(rate_point)
+    Stream(stream.header, stream.packets, _with_payload(rate_point, _changed(rate_point, 50.0))).decode()
     return Measured(Outcome.HOLDS, {})
 
 
-def measure_crc(rung: Rung) -> Measured:
+def measure_crc(rate_point: RatePoint) -> Measured:
     """Read an image with one byte changed. Raises ModelImageError."""
-    image = bytearray(rung.image or b"")
+    image = bytearray(rate_point.image or b"")
     image[len(image) // 2] ^= 0x55
     ModelImage.unpack(bytes(image))
     return Measured(Outcome.HOLDS, {})
 
 
-def measure_missing(rung: Rung) -> Measured:
+def measure_missing(rate_point: RatePoint) -> Measured:
     """Decode without the image. Raises CodecError."""
-    stream = _stream(rung)
+    stream = _stream(rate_point)
     Stream(stream.header, stream.packets).decode()
     return Measured(Outcome.HOLDS, {})
 
 
-def measure_on_controller(rung: Rung, image: bytes | None) -> Measured:
+def measure_on_controller(rate_point: RatePoint, image: bytes | None) -> Measured:
     """Play on a controller that has another image, or none. Raises ControllerError."""
-    stream = _stream(rung)
+    stream = _stream(rate_point)
     link = MemoryLink(Controller(flash=flash_with(image)))
     play(Host(link, link.clock, link.sleep), stream.header, stream.packets, stream.decoder().packet_samples)
     return Measured(Outcome.HOLDS, {})
@@ -108,19 +108,19 @@ def measure_on_controller(rung: Rung, image: bytes | None) -> Measured:
 def _image_trials(scope: Scope) -> list[Trial]:
     trials = []
     for method in scope.learned:
-        rung = middle_rung(method)
-        assert rung.model is not None, "a learned method has models"
-        another = next(model.image for model in models.shipped() if model.image != rung.image)
-        refused: dict[str, Callable[[Rung], Measured]] = {
+        rate_point = middle_rate_point(method)
+        assert rate_point.model is not None, "a learned method has models"
+        another = next(model.image for model in models.shipped() if model.image != rate_point.image)
+        rejected: dict[str, Callable[[RatePoint], Measured]] = {
             "a byte changed": measure_crc,
             "a byte changed, CRC right, for the stream of the right one": measure_hash,
             "no image here": measure_missing,
             "no image on the controller": partial(measure_on_controller, image=None),
             "another image on the controller": partial(measure_on_controller, image=another),
         }
-        trials += [_trial(method, case, None, partial(measure, rung), True) for case, measure in refused.items()]
+        trials += [_trial(method, case, None, partial(measure, rate_point), True) for case, measure in rejected.items()]
         trials += [
-            _trial(method, "cut, CRC and hash right", percent, partial(measure_cut, rung, percent), True)
+            _trial(method, "cut, CRC and hash right", percent, partial(measure_cut, rate_point, percent), True)
             for percent in CUTS_PERCENT
         ]
         trials += [
@@ -128,17 +128,19 @@ def _image_trials(scope: Scope) -> list[Trial]:
                 method,
                 ", ".join(filter(None, ("a byte changed, CRC and hash right", runtime))),
                 percent,
-                partial(measure_changed, rung, runtime, percent),
+                partial(measure_changed, rate_point, runtime, percent),
                 False,
             )
-            for runtime in runtimes(rung.model)
+            for runtime in runtimes(rate_point.model)
             for percent in PLACES_PERCENT[:: 4 if scope.quick else 1]
         ]
     return trials
 
 
-def _trial(method: Method, case: str, percent: float | None, measure: Callable[[], Measured], refused: bool) -> Trial:
-    return Trial(IMAGES.name, method.name, case, middle_rung(method).text, percent, measure, refused, CLEAR_ERRORS)
+def _trial(method: Method, case: str, percent: float | None, measure: Callable[[], Measured], rejected: bool) -> Trial:
+    return Trial(
+        IMAGES.name, method.name, case, middle_rate_point(method).text, percent, measure, rejected, CLEAR_ERRORS
+    )
 
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:
@@ -154,11 +156,11 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 IMAGES = Map(
     "model_images",
     "Wrong and damaged model images",
-    "A stream, with an image that is not the one it was coded for. Where something vouches for the image (its CRC, the "
-    "hash in the stream's header, what the controller says that it runs) it must be refused. Beneath that, one byte of "
-    "the payload at a time is changed, at places from its beginning to its end, and packed with a right CRC, as if the "
-    "stream had been coded for it: H: not heard; R: refused with an error; D: another signal comes out; F: the decoder "
-    "crashes or hangs. A payload that is cut must be refused.",
+    "A stream, with an image that is not the one it was coded for. Where something vouches for the image (its "
+    "CRC, the hash in the stream's header, what the controller says that it runs) it must be rejected. Beneath "
+    "that, one byte of the payload at a time is changed, at places from its beginning to its end, and packed with "
+    "a right CRC, as if the stream had been coded for it: H: not heard; R: rejected with an error; D: another "
+    "signal comes out; F: the decoder crashes or hangs. A payload that is cut must be rejected.",
     "at {} %",
     _image_trials,
     _draw,

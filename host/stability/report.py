@@ -9,10 +9,10 @@ from vibrocast.evaluation.stability.entropy import ENTROPY
 from vibrocast.evaluation.stability.filters import FILTERS
 from vibrocast.evaluation.stability.float_parity import PARITY
 from vibrocast.evaluation.stability.hand_speed import HAND_SPEED
-from vibrocast.evaluation.stability.ladders import DCT_LEVELS, DCT_SMALLEST, DCT_THRESHOLD, LADDERS
 from vibrocast.evaluation.stability.learned_signals import KINDS, LEVEL, QUIET
 from vibrocast.evaluation.stability.maps import Scope
 from vibrocast.evaluation.stability.peers import PEERS
+from vibrocast.evaluation.stability.rate_point_sets import DCT_LEVELS, DCT_SMALLEST, DCT_THRESHOLD, RATE_POINTS
 from vibrocast.evaluation.stability.recordings import RECORDINGS
 from vibrocast.evaluation.stability.signals import ONSETS, SIGNALS
 from vibrocast.evaluation.stability.trials import Verdict, run
@@ -28,7 +28,7 @@ MAPS = (
     RECORDINGS,
     SIGNALS,
     ONSETS,
-    LADDERS,
+    RATE_POINTS,
     DCT_LEVELS,
     DCT_THRESHOLD,
     DCT_SMALLEST,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Configure, Start, Status, StreamData
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, middle_rung
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.host import uploader
@@ -31,7 +31,7 @@ LOOPS = 4
 OFF_PART = 0.01
 """A sample is off where it differs from the faultless one by more than this part of the peak."""
 HELD_SHARE, FAILED_SHARE = 0.05, 0.5
-LARGEST_STEP_RATIO = 1.5
+MAX_STEP_RATIO = 1.5
 STALLS_EVERY_S = 0.7
 
 LOSSES_PERCENT = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 20.0)
@@ -74,9 +74,9 @@ class StallingLink(MemoryLink):
 
 
 @lru_cache(maxsize=1)
-def _stream(rung: Rung) -> tuple[Stream, NDArray[np.int16]]:
+def _stream(rate_point: RatePoint) -> tuple[Stream, NDArray[np.int16]]:
     """Return a live stream of the texture, and all DAC codes of its faultless playback."""
-    stream = encoded(0.5 * texture(seconds=SECONDS), RATE_HZ, rung, live=True)
+    stream = encoded(0.5 * texture(seconds=SECONDS), RATE_HZ, rate_point, live=True)
     delay_samples = stream.decoder().delay_samples
     codes, _ = render(stream.header, stream.decode_integers(), delay_samples, PIEZO_STACK, loops=LOOPS)
     return stream, codes
@@ -92,11 +92,11 @@ def flash_with(image: bytes | None) -> FlashMemory:
     return flash
 
 
-def measure(rung: Rung, line: Line, buffer_s: float = BUFFER_S) -> Measured:
+def measure(rate_point: RatePoint, line: Line, buffer_s: float = BUFFER_S) -> Measured:
     """Play the texture LOOPS times over a line; judge what came to the DAC. Raises ControllerError and the like."""
-    stream, wanted = _stream(rung)
+    stream, wanted = _stream(rate_point)
     played: list[NDArray[np.int16]] = []
-    controller = Controller(Settings(drift_ppm=line.drift_ppm), flash_with(rung.image), on_dac=played.append)
+    controller = Controller(Settings(drift_ppm=line.drift_ppm), flash_with(rate_point.image), on_dac=played.append)
     link: MemoryLink
     if line.stall_s:
         link = StallingLink(controller, line.stall_s)
@@ -126,25 +126,25 @@ def judge(
         "underruns": underruns,
         "lost_packets": lost_packets,
         "reconnects": reconnects,
-        "largest_step_ratio": float(steps[0] / steps[1]),
+        "max_step_ratio": float(steps[0] / steps[1]),
     }
     counted = "1 underrun" if underruns == 1 else f"{underruns} underruns"
     effect = f"{100 * share:.1f} % of the signal off, {counted}" if share else ""
-    if figures["largest_step_ratio"] > LARGEST_STEP_RATIO:
-        effect += f", a click of {figures['largest_step_ratio']:.1f} times the signal's largest step"
+    if figures["max_step_ratio"] > MAX_STEP_RATIO:
+        effect += f", a click of {figures['max_step_ratio']:.1f} times the signal's largest step"
         return Measured(Outcome.FAILS, figures, effect)
     if share > FAILED_SHARE:
         return Measured(Outcome.FAILS, figures, effect)
     return Measured(Outcome.HOLDS if share <= HELD_SHARE else Outcome.DEGRADED, figures, effect)
 
 
-def measure_paced(rung: Rung, drift_ppm: int) -> Measured:
+def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
     """Play from a source that sends each packet when its own clock says so; judge by the packets that came too late.
 
     Raises ControllerError and the like.
     """
-    stream, _ = _stream(rung)
-    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm), flash_with(rung.image)))
+    stream, _ = _stream(rate_point)
+    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm), flash_with(rate_point.image)))
     host = Host(link, link.clock, link.sleep)
     packets, packet_samples = stream.packets, stream.decoder().packet_samples
     packet_s = stream.seconds / len(packets)
@@ -182,9 +182,9 @@ def _trials(
             name,
             method.name if buffer_s == BUFFER_S else f"{method.name}, buffer of {buffer_s:g} s",
             f"buffer of {buffer_s:g} s",
-            middle_rung(method).text,
+            middle_rate_point(method).text,
             float(value),
-            partial(measure, middle_rung(method), line(value), buffer_s),
+            partial(measure, middle_rate_point(method), line(value), buffer_s),
             clear_errors=CLEAR_ERRORS,
         )
         for method in scope.methods
@@ -195,7 +195,7 @@ def _trials(
 
 def _drift_trials(scope: Scope) -> list[Trial]:
     """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
-    first, rung = scope.methods[0], middle_rung(scope.methods[0])
+    first, rate_point = scope.methods[0], middle_rate_point(scope.methods[0])
     return [
         *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,), scope),
         *(
@@ -203,9 +203,9 @@ def _drift_trials(scope: Scope) -> list[Trial]:
                 DRIFT.name,
                 f"{first.name}, its own pace",
                 f"source {PACED_AHEAD_S:g} s ahead",
-                rung.text,
+                rate_point.text,
                 float(drift_ppm),
-                partial(measure_paced, rung, drift_ppm),
+                partial(measure_paced, rate_point, drift_ppm),
                 clear_errors=CLEAR_ERRORS,
             )
             for drift_ppm in PACED_DRIFTS_PPM[:: 3 if scope.quick else 1]
@@ -216,10 +216,10 @@ def _drift_trials(scope: Scope) -> list[Trial]:
 def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> None:
     """Three panels over what is varied: the share that is off, the SNR, the largest step; a curve for each codec."""
     panels = []
-    for figure, title, least_span in (
+    for figure, title, min_span in (
         ("off_share", "share of the signal that is off", 0.1),
         ("snr_db", "SNR of what is played, dB", 10.0),
-        ("largest_step_ratio", "largest step, relative to the signal's", 1.0),
+        ("max_step_ratio", "largest step, relative to the signal's", 1.0),
     ):
         curves = []
         for method in dict.fromkeys(cell.method for cell in cells):
@@ -229,7 +229,7 @@ def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> No
             y = [value if math.isfinite(value) else math.nan for value in y]
             curves.append(pictures.Curve(method, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
         if any(math.isfinite(y) for curve in curves for y in curve.y):
-            panels.append(pictures.Panel(title, x_label, "", curves, log_x, least_span=least_span))
+            panels.append(pictures.Panel(title, x_label, "", curves, log_x, min_span=min_span))
     pictures.curves(path, panels)
 
 
@@ -237,7 +237,7 @@ _RULES = (
     f"A texture of {SECONDS:g} s at each codec's middle setting, refreshed as for streaming, played {LOOPS} times "
     "by the host's player on the simulated controller. A sample is off where the DAC's code differs from that of a "
     f"faultless line by more than {100 * OFF_PART:g} % of the peak. Holds up to {100 * HELD_SHARE:g} % off; fails "
-    f"beyond {100 * FAILED_SHARE:g} %, or where a step (a click) is more than {LARGEST_STEP_RATIO:g} times the "
+    f"beyond {100 * FAILED_SHARE:g} %, or where a step (a click) is more than {MAX_STEP_RATIO:g} times the "
     "signal's largest."
 )
 LOSS = Map(

@@ -1,4 +1,4 @@
-"""Tests of `vibrocast bench`: what it prints and writes, its exit codes, and what it refuses."""
+"""Tests of `vibrocast bench`: what it prints and writes, its exit codes, and what it rejects."""
 
 import os
 import shutil
@@ -97,7 +97,7 @@ def test_failures_are_listed_and_the_exit_code_says_so(folder: Path, tmp_path: P
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_ladder_that_needs_a_unit_is_left_out_unless_it_is_named(tmp_path: Path) -> None:
+def test_a_rate_point_set_that_needs_a_unit_is_left_out_unless_it_is_named(tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
     signal = textures.Recording(wood(1, 0.2).samples, 2800.0, "full scale", "plain")
     textures.save(tmp_path / "recordings" / "plain.wav", signal)
@@ -143,7 +143,7 @@ def test_peers_and_programs_join(folder: Path, tmp_path: Path) -> None:
         ("wood,other,1,840,100,9,8000", "row 3, rate_hz: 8000; expected 2800"),
     ],
 )
-def test_peers_on_other_recordings_are_refused(folder: Path, tmp_path: Path, row: str, message: str) -> None:
+def test_peers_on_other_recordings_are_rejected(folder: Path, tmp_path: Path, row: str, message: str) -> None:
     peers = tmp_path / "peers.csv"
     peers.write_text(f"trace,codec,setting,samples,bytes_total,snr_db,rate_hz\nrough,other,1,840,100,9,2800\n{row}\n")
     said = fails(2, folder, "--codecs", "flac", "--out", tmp_path / "out", "--peers", peers, "--repeats", "0")
@@ -165,7 +165,7 @@ def test_peers_on_the_other_part_are_left_out(folder: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_column_that_peers_do_not_have_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_a_column_that_peers_do_not_have_is_rejected(folder: Path, tmp_path: Path) -> None:
     peers = tmp_path / "peers.csv"
     peers.write_text("trace,codec,setting,samples,bytes_total,snr_db,psnr\nwood,other,1,840,100,9,20\n")
     said = fails(2, folder, "--out", tmp_path / "out", "--peers", peers)
@@ -264,12 +264,12 @@ def test_a_part_of_the_traces(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_cannot_be_used_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_used_is_rejected(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     (tmp_path / "empty").mkdir()
     assert "no such folder" in fails(2, tmp_path / "missing", "--out", out)
     assert "no recordings" in fails(2, tmp_path / "empty", "--out", out)
-    assert "no codec or ladder 'mp3'" in fails(2, folder, "--out", out, "--codecs", "mp3")
+    assert "no codec or set of rate points 'mp3'" in fails(2, folder, "--out", out, "--codecs", "mp3")
     assert "does not state the material" in fails(2, folder, "--out", out, "--split", "test", "--split-by", "material")
     assert "no column trace" in fails(2, folder, "--out", out, "--peers", Path(__file__))
     assert "not a TOML file" in fails(2, folder, "--out", out, "--programs", Path(__file__))
@@ -306,5 +306,5 @@ def test_interrupted_it_ends_in_one_line_and_keeps_what_it_has(folder: Path, tmp
     assert process.returncode == 130
     assert [line for line in said.splitlines() if line and "measuring" not in line] == ["error: interrupted"]
     kept = journal.read_bytes().count(b"\n")
-    assert 0 < kept < 22 * len(codec.CODECS["mdct"].ladders["mdct"])
+    assert 0 < kept < 22 * len(codec.CODECS["mdct"].rate_point_sets["mdct"])
     assert not (tmp_path / "cut" / "results" / "points.csv").exists()

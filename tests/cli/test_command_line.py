@@ -273,10 +273,10 @@ def test_devices_and_status() -> None:
 def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, watched: Watched) -> None:
     coded_path = tmp_path / "image.vct"
     assert "model mdct-textures" in succeeds("encode", texture, coded_path, "--model", IMAGE)
-    refusal = fails(1, "play", coded_path, "--device", watched.address)
-    assert "runs none: flash it first" in refusal
+    rejection = fails(1, "play", coded_path, "--device", watched.address)
+    assert "runs none: flash it first" in rejection
     assert "drop --codec." in fails(2, "play", coded_path, "--codec", "mdct")
-    command = re.search("`vibrocast (flash .*)`", refusal)
+    command = re.search("`vibrocast (flash .*)`", rejection)
     assert command is not None
     assert "confirmed" in succeeds(*command.group(1).split())
     assert "mdct-textures" in succeeds("status", "--device", watched.address)
@@ -393,7 +393,7 @@ def test_no_arguments_and_help_and_version() -> None:
     assert "version" in succeeds("--version")
 
 
-def test_refuses_bad_usage(texture: Path, coded: Path, tmp_path: Path) -> None:
+def test_rejects_bad_usage(texture: Path, coded: Path, tmp_path: Path) -> None:
     assert "No such command" in fails(2, "dance")
     assert "exclude each other" in fails(2, "play", texture, "--rate-bps", 1000, "--snr-db", 10)
     assert "coded already" in fails(2, "play", coded, "--snr-db", 10)
@@ -446,7 +446,7 @@ def test_says_where_there_is_no_room(
     assert not (tmp_path / name).exists()
 
 
-def test_refuses_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path: Path) -> None:
+def test_rejects_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path: Path) -> None:
     before = texture.read_bytes()
     assert ".json" in fails(2, "play", texture, "--report", texture)
     named_json, linked = tmp_path / "image.json", tmp_path / "linked.json"
@@ -464,7 +464,7 @@ def test_refuses_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path
     assert coded.exists()
 
 
-def test_refuses_one_name_for_two_outputs(texture: Path, tmp_path: Path) -> None:
+def test_rejects_one_name_for_two_outputs(texture: Path, tmp_path: Path) -> None:
     report_path, plot_path = tmp_path / "out.json", tmp_path / "out.png"
     plot_path.symlink_to(report_path)
     assert "same file" in fails(2, "play", texture, "--report", report_path, "--plot", plot_path)
@@ -472,14 +472,14 @@ def test_refuses_one_name_for_two_outputs(texture: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["texture.wav", "pipe"])
-def test_refuses_a_flash_file_that_is_none(name: str, texture: Path) -> None:
+def test_rejects_a_flash_file_that_is_none(name: str, texture: Path) -> None:
     path = texture.with_name(name)
     if name == "pipe":
         os.mkfifo(path)
     assert "flash memory" in fails(2, "simulate", "--flash-file", path)
 
 
-def test_refuses_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
+def test_rejects_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.vct"
     garbage, truncated, flipped = tmp_path / "garbage.wav", tmp_path / "short.vct", tmp_path / "flipped.vct"
     garbage.write_bytes(bytes(range(256)) * 10)
@@ -617,7 +617,7 @@ def test_a_file_that_describes_no_actuator_is_one_line(content: str, cause: str,
     assert str(path) in told and cause in told
 
 
-def test_a_level_beyond_any_stream_is_refused(texture: Path) -> None:
+def test_a_level_beyond_any_stream_is_rejected(texture: Path) -> None:
     for gain_db in (-1e9, -401, 401, 1e9):
         assert "--gain-db" in fails(2, "play", texture, f"--gain-db={gain_db}")
     assert "finite" in fails(2, "play", texture, "--gain-db", "nan")

@@ -1,4 +1,4 @@
-"""Tests of `vibrocast export`: a checkpoint becomes a folder that codes and plays; what is none is refused."""
+"""Tests of `vibrocast export`: a checkpoint becomes a folder that codes and plays; what is none is rejected."""
 
 import json
 import subprocess
@@ -138,7 +138,7 @@ def unreadable(kind: str, whole: bytes, path: Path) -> None:
         ("another training", "missing"),
     ],
 )
-def test_bad_checkpoints_are_refused(kind: str, advice: str, best: Path, tmp_path: Path) -> None:
+def test_bad_checkpoints_are_rejected(kind: str, advice: str, best: Path, tmp_path: Path) -> None:
     (tmp_path / "best.pt").write_bytes(best.read_bytes())
     unreadable(kind, best.read_bytes(), tmp_path / "other.pt")
     assert advice in fails(2, "export", tmp_path / "other.pt", "--out", tmp_path / "out")
@@ -157,8 +157,8 @@ def test_data_that_are_not_there_are_named(tmp_path: Path) -> None:
     checkpoint = tiny.checkpoint()
     checkpoint.training["archive"] = [{"archive": "recordings.npz", "drop_s": 0.0, "high_pass_hz": 0.0}]
     checkpoint.save(tmp_path / "best.pt")
-    refusal = fails(2, "export", tmp_path / "best.pt", "--out", tmp_path / "out", "--data", tmp_path)
-    assert "recordings.npz" in refusal
+    rejection = fails(2, "export", tmp_path / "best.pt", "--out", tmp_path / "out", "--data", tmp_path)
+    assert "recordings.npz" in rejection
     assert not (tmp_path / "out").exists()
 
 

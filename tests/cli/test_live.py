@@ -40,13 +40,13 @@ def test_the_unit_of_raw_samples_is_asked_for() -> None:
     assert "--unit is missing" in result.output
 
 
-def test_a_recording_that_is_piped_in_is_refused() -> None:
+def test_a_recording_that_is_piped_in_is_rejected() -> None:
     result = run("-", "--unit", "g", data=bytes(2 * 2800 * 120))
     assert result.exit_code == 2
     assert "a live one keeps its rate" in result.output
 
 
-def test_samples_that_are_no_numbers_are_refused() -> None:
+def test_samples_that_are_no_numbers_are_rejected() -> None:
     result = run("-", "--unit", "m/s^2", "--format", "float32", data=np.full(800, np.nan, "<f4").tobytes())
     assert result.exit_code == 2
     assert "NaN" in result.output
@@ -60,7 +60,7 @@ def test_a_model_is_flashed_and_streamed_with(arguments: list[str]) -> None:
     assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
 
 
-def test_a_model_of_another_codec_is_refused() -> None:
+def test_a_model_of_another_codec_is_rejected() -> None:
     result = run("rough", "--model", "eva-16", "--codec", "dct")
     assert result.exit_code == 2
     assert "is not for the codec dct" in result.output
@@ -85,7 +85,7 @@ def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
         (["--constant-rate-bps", "50", "--packet-ms", "20000"], 1, "encode with shorter packets"),
     ],
 )
-def test_a_rate_out_of_reach_is_refused(arguments: list[str], exit_code: int, told: str) -> None:
+def test_a_rate_out_of_reach_is_rejected(arguments: list[str], exit_code: int, told: str) -> None:
     result = run("rough", *arguments)
     assert result.exit_code == exit_code
     assert told in result.output

@@ -25,7 +25,9 @@ def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
     names = {path.name for path in (tmp_path / "planned").iterdir()}
     assert names == {"plan.toml", "plan.png", "candidates.csv", "bands.csv"}
     plan = tomllib.loads((tmp_path / "planned" / "plan.toml").read_text())
-    assert plan["textures"][0]["codec"] == "parametric", "the cheapest rung where a measure blind to phase allows it"
+    assert plan["textures"][0]["codec"] == "parametric", (
+        "the cheapest rate point where a measure blind to phase allows it"
+    )
     assert plan["textures"][0]["forecast"]["snr_db"] < 5, "what it gives up is told"
     with (tmp_path / "planned" / "candidates.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -24,7 +24,7 @@ def golden_digests() -> dict[str, str]:
     digests = {}
     for path in sorted(FOLDER.glob("golden_*.vct")):
         if path.stem.removeprefix("golden_") not in FOREIGN:
-            image = FOLDER / f"{path.stem.removesuffix('_steered')}.vcmi"
+            image = FOLDER / f"{path.stem.removesuffix('_rate_controlled')}.vcmi"
             stream = read_stream(path, image.read_bytes() if image.exists() else None)
             digests[path.stem] = digest(stream.decode_integers().tobytes())
     return digests
@@ -42,8 +42,8 @@ def coding_digests() -> dict[str, str]:
         methods[name] = name.split("-")[0], codec.Model(network.tables, network.analysis)
     digests = {}
     for method, (codec_name, model) in methods.items():
-        for ladder in codec.CODECS[codec_name].ladders.values():
-            setting = ladder[len(ladder) // 2]
+        for rate_point_set in codec.CODECS[codec_name].rate_point_sets.values():
+            setting = rate_point_set[len(rate_point_set) // 2]
             for name, signal in signals.items():
                 coded = codec.encode(signal, RATE_HZ, setting, codec=codec_name, unit="um", live=True, model=model)
                 decoder = codec.decoder(

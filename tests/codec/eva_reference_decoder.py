@@ -68,7 +68,7 @@ class EvaReferenceDecoder:
         head = 1 + (configuration[0] >> 7)
         self.columns = configuration[0] & 0x7F | (configuration[1] << 7 if head == 2 else 0)
         fields = np.frombuffer(configuration, [("level", "<u2"), ("quality", "u1")], channels, head)
-        self.steered = configuration[head + 3 * channels :] == b"\x01"
+        self.rate_controlled = configuration[head + 3 * channels :] == b"\x01"
         self.levels = [(64 + int(code) % 64) << int(code) // 64 for code in fields["level"]]
         self.qualities = [int(quality) for quality in fields["quality"]]
 
@@ -90,13 +90,13 @@ class EvaReferenceDecoder:
         if packet[0] & 1:
             self.known = [Channel(self.image.latents) for _ in self.levels]
             self.model = Model(self.image.prior) if isinstance(self.image.prior, bytes) else None
-            self.coarseness = Coarseness()
+            self.quantiser_offset = Coarseness()
         coder = RangeDecoder(packet[start:])
-        if self.steered:
-            self.coarseness.decode(coder)
+        if self.rate_controlled:
+            self.quantiser_offset.decode(coder)
         levels = np.zeros((len(self.levels), self.columns, self.image.latents), dtype=np.int64)
         for channel, (known, asked) in enumerate(zip(self.known, self.qualities, strict=True)):
-            quality = min(max(asked - 4 * self.coarseness.value, 0), 16 * (self.image.rates - 1))
+            quality = min(max(asked - 4 * self.quantiser_offset.value, 0), 16 * (self.image.rates - 1))
             for row in levels[channel]:
                 if self.model is not None:
                     decode_block(coder, self.model, known, row)

@@ -128,7 +128,7 @@ class Model:
 
 @dataclass
 class Coarseness:
-    """Section "payload": what moves the quality of a steered stream's packet."""
+    """Section "payload": what moves the quality of a rate-controlled stream's packet."""
 
     value: int = 0
     same: int = 32768
@@ -250,7 +250,7 @@ class ReferenceDecoder:
         fields = np.frombuffer(configuration, "<u2", channels, position)
         self.codes = [int(code) % 2048 for code in fields]
         self.fills = [int(code) // 2048 for code in fields]
-        self.steered = configuration[position + 2 * channels :] == b"\x01"
+        self.rate_controlled = configuration[position + 2 * channels :] == b"\x01"
         self.tables = tables
         self.channels = [Channel(self.hop) for _ in range(channels)]
         self.overlap = np.zeros((channels, self.hop))
@@ -267,10 +267,10 @@ class ReferenceDecoder:
         if packet[0] & 1:
             self.model = Model(self.tables)
             self.channels = [Channel(self.hop) for _ in self.channels]
-            self.coarseness = Coarseness()
+            self.quantiser_offset = Coarseness()
         coder = RangeDecoder(packet[position:])
-        if self.steered:
-            self.coarseness.decode(coder)
+        if self.rate_controlled:
+            self.quantiser_offset.decode(coder)
         levels = np.zeros((self.blocks, len(self.channels), self.hop), dtype=np.int64)
         self.silent = np.zeros(levels.shape[:2], dtype=bool)
         for block, silent in zip(levels, self.silent, strict=True):
@@ -281,7 +281,7 @@ class ReferenceDecoder:
 
     def steps(self) -> list[float]:
         """Steps of the last packet, by channel."""
-        codes = [min(max(code + 16 * self.coarseness.value, 0), 1343) for code in self.codes]
+        codes = [min(max(code + 16 * self.quantiser_offset.value, 0), 1343) for code in self.codes]
         return [(64 + code % 64) * 2.0 ** (code // 64) / 256 for code in codes]
 
     def fill(self, levels: NDArray[np.int64], spectra: NDArray[np.float64], steps: list[float], random: int) -> None:

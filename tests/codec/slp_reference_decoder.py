@@ -69,8 +69,8 @@ class SlpReferenceDecoder:
         self.packet_frames = configuration[1] | configuration[2] << 8
         self.shaping, self.rate_code = configuration[3], configuration[4]
         self.step_codes = list(configuration[5 : 5 + channels])
-        self.steered = configuration[5 + channels :] == b"\x01"
-        self.coarseness = Coarseness()
+        self.rate_controlled = configuration[5 + channels :] == b"\x01"
+        self.quantiser_offset = Coarseness()
         self.model = Model()
         self.channels: list[Channel] = []
 
@@ -79,11 +79,11 @@ class SlpReferenceDecoder:
         head = next(i for i, byte in enumerate(packet) if byte < 128) + 1
         if packet[0] & 1:
             self.model = Model()
-            self.coarseness = Coarseness()
+            self.quantiser_offset = Coarseness()
             self.channels = [Channel(self.frame, self.order) for _ in self.step_codes]
         coder = RangeDecoder(packet[head:])
-        if self.steered:
-            self.coarseness.decode(coder)
+        if self.rate_controlled:
+            self.quantiser_offset.decode(coder)
         frames = [
             [self._frame(coder, channel, code) for channel, code in zip(self.channels, self.step_codes, strict=True)]
             for _ in range(self.packet_frames)
@@ -166,7 +166,13 @@ class SlpReferenceDecoder:
             index = min(max(divide(frequency - 1024 + 16, 32), 0), 56)
             gain = lg(real**2 + imaginary**2) // 2 - 3072
             steps.append(
-                ex(768 + 32 * step_code + 16 * self.coarseness.value + gain + (self.shaping * THRESHOLD[index] >> 8))
+                ex(
+                    768
+                    + 32 * step_code
+                    + 16 * self.quantiser_offset.value
+                    + gain
+                    + (self.shaping * THRESHOLD[index] >> 8)
+                )
             )
         return steps
 

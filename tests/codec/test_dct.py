@@ -15,7 +15,7 @@ from tests.codec.dct_reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec
 from vibrocast.codec import Choice, CodecError, Decoder, Framing, Setting, Signal, SignalFormat, dct
-from vibrocast.codec.huffman import LONGEST_CODE, canonical_codes, code_lengths
+from vibrocast.codec.huffman import MAX_CODE, canonical_codes, code_lengths
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.firmware.native_core import library
@@ -124,14 +124,14 @@ def test_a_smallest_level_above_the_signal_is_no_louder_than_it() -> None:
     assert np.max(np.abs(coefficients(decoded))) <= 1.01 * np.max(np.abs(coefficients(texture(2048))))
 
 
-def steered(signal: Signal, setting: Setting, coarsenesses: list[int]) -> tuple[bytes, list[bytes]]:
-    """Code live, each packet at the next of these coarsenesses, over and over, or at the nearest that there is."""
-    turn = itertools.cycle(coarsenesses)
+def rate_controlled(signal: Signal, setting: Setting, quantiser_offsets: list[int]) -> tuple[bytes, list[bytes]]:
+    """Code live, each packet at the next of these quantiser offsets, over and over, or at the nearest that there is."""
+    turn = itertools.cycle(quantiser_offsets)
     encoder = dct.DctEncoder(
         dct.CODEC.complete(setting),
         SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], (0.5,) * signal.shape[1]),
         Framing(128, 1),
-        lambda trial: Choice(min(max(next(turn), trial.coarsenesses[0]), trial.coarsenesses[-1])),
+        lambda trial: Choice(min(max(next(turn), trial.quantiser_offsets[0]), trial.quantiser_offsets[-1])),
     )
     return encoder.configuration, encoder.encode(signal) + encoder.finish()
 
@@ -143,15 +143,15 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.
 
 @pytest.mark.parametrize(("quantiser", "entropy"), EVERY_CODER)
 @given(
-    coarsenesses=st.lists(st.integers(-60, 60) | st.integers(-300, 300), min_size=1, max_size=6),
+    quantiser_offsets=st.lists(st.integers(-60, 60) | st.integers(-300, 300), min_size=1, max_size=6),
     channels=st.integers(1, 2),
 )
 @settings(max_examples=8, deadline=None)
-def test_core_agrees_with_the_documented_decoder_on_any_coarsenesses(
-    quantiser: str, entropy: str, coarsenesses: list[int], channels: int
+def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
+    quantiser: str, entropy: str, quantiser_offsets: list[int], channels: int
 ) -> None:
     setting: Setting = {"quantiser": quantiser, "entropy": entropy, "block": "64"}
-    configuration, packets = steered(texture(600, channels), setting, coarsenesses)
+    configuration, packets = rate_controlled(texture(600, channels), setting, quantiser_offsets)
     reference = ReferenceDecoder(configuration, channels)
     exact = np.concatenate([reference.samples(packet) for packet in packets])
     assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels))) < 0.55
@@ -166,7 +166,7 @@ def test_codes_of_levels_are_sixteen_to_a_factor_of_two_in_the_steps() -> None:
 
 
 @pytest.mark.parametrize("code", [231, 255])
-def test_packets_of_a_number_of_levels_that_is_none_are_refused(code: int) -> None:
+def test_packets_of_a_number_of_levels_that_is_none_are_rejected(code: int) -> None:
     decoder = decoder_of(16, levels=0)
     assert decoder.decode(bytes((1, 230)) + RANGES).shape == (64, 1)
     for packet in (bytes((1, code)) + RANGES, b"\x01", bytes((1, 230)) + RANGES[:3]):
@@ -174,19 +174,19 @@ def test_packets_of_a_number_of_levels_that_is_none_are_refused(code: int) -> No
             decoder.decode(packet)
 
 
-def test_left_open_streams_are_huffman_coded_and_steered_ones_range_coded() -> None:
-    """Steered, since Huffman's code of a bit a coefficient at least leaves low rates nothing but silence."""
+def test_left_open_streams_are_huffman_coded_and_rate_controlled_ones_range_coded() -> None:
+    """Rate-controlled, since Huffman's code of a bit a coefficient at least leaves low rates nothing but silence."""
     signal = texture(4096)
     assert coded(signal, {}) == coded(signal, {"entropy": "huffman"})
     policy, framing = codec.ConstantRate(500), Framing(2048, 2)
-    stream = codec.encode_steered(signal, RATE_HZ, policy, framing, codec="dct", unit="m/s^2")
+    stream = codec.encode_rate_controlled(signal, RATE_HZ, policy, framing, codec="dct", unit="m/s^2")
     assert (codec.snr_db(signal, codec.decode(stream)) or 0.0) > 1.0
 
 
-def test_small_coefficients_of_steered_packets_are_zero() -> None:
-    """At an even number of levels too, where without steering each of them is half a step off."""
+def test_small_coefficients_of_rate_controlled_packets_are_zero() -> None:
+    """At an even number of levels too, where without rate control each of them is half a step off."""
     signal = sine(0.9, 175.0) + sine(0.05, 350.0)
-    configuration, packets = steered(signal, {"levels": 6, "entropy": "range"}, [0])
+    configuration, packets = rate_controlled(signal, {"levels": 6, "entropy": "range"}, [0])
     spectrum = coefficients(decoded(configuration, packets, 1) / 32768)
     assert np.max(np.abs(np.delete(spectrum, 64, axis=1))) < 0.01
     np.testing.assert_allclose(spectrum[:, 64], coefficients(signal)[:, 64], rtol=0.01)
@@ -195,8 +195,12 @@ def test_small_coefficients_of_steered_packets_are_zero() -> None:
 def test_the_coarsest_packets_keep_the_loudest_channel_and_then_nothing() -> None:
     signal = np.hstack([0.1 * texture(1024), texture(1024, seed=2)])
     coarsest = dct.level_code(14) + 6 * 16 + 1  # 6 octaves of cuts from 4 levels on, and all
-    for coarseness, sounding in ((coarsest - 1, [False, True]), (coarsest, [False, False]), (1000, [False, False])):
-        samples = decoded(*steered(signal, {}, [coarseness]), 2)
+    for quantiser_offset, sounding in (
+        (coarsest - 1, [False, True]),
+        (coarsest, [False, False]),
+        (1000, [False, False]),
+    ):
+        samples = decoded(*rate_controlled(signal, {}, [quantiser_offset]), 2)
         assert [bool(np.any(channel)) for channel in samples.T] == sounding
 
 
@@ -231,7 +235,7 @@ def test_heights_lose_what_is_above_400_hz_and_recordings_do_not() -> None:
     assert np.max(np.abs(below_100[:, [0, *range(37, 512)]])) < 1e-2
 
 
-def test_a_limit_that_leaves_nothing_is_refused() -> None:
+def test_a_limit_that_leaves_nothing_is_rejected() -> None:
     with pytest.raises(CodecError, match=r"limit_hz from 2\.73 on"):
         coded(texture(600), {"limit_hz": 2, "dc": "drop"})
     coded(texture(600), {"limit_hz": 2.74, "dc": "drop"})
@@ -279,7 +283,7 @@ def test_the_shipped_threshold_names_its_source() -> None:
 @pytest.mark.parametrize(
     "text", ["", "frequency_hz,level\n", "f,l\n10,1\n5,2\n", "f,l\n0,1\n", "f,l\n1,nan\n", "f\n1\n", "f,l\nx,y\n"]
 )
-def test_files_that_hold_no_threshold_are_refused(text: str, tmp_path: Path) -> None:
+def test_files_that_hold_no_threshold_are_rejected(text: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(CodecError, match="threshold"):
@@ -299,7 +303,7 @@ def decoder_of(head: int, levels: int = 14, first: int = 0, end: int = 64, block
 
 
 @given(head=st.integers(0, 31), numbers=st.lists(st.integers(0, 2000), min_size=4, max_size=4))
-def test_any_configuration_is_read_or_refused(head: int, numbers: list[int]) -> None:
+def test_any_configuration_is_read_or_rejected(head: int, numbers: list[int]) -> None:
     blocks, levels, first, end = numbers
     fits = head & 7 < 5 and 1 <= blocks <= 2**12 // (1 << (head & 7)) and (levels == 0 or levels >= 4)
     fits = fits and blocks <= 4095 and first < end <= 64 << (head & 7)
@@ -366,7 +370,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_that_are_no_code_are_refused(name: str) -> None:
+def test_tables_that_are_no_code_are_rejected(name: str) -> None:
     with pytest.raises(CodecError, match="damaged"):
         decoder_of(0).decode(b"\x01" + RANGES + bits((0, 1), *TABLES[name]))
 
@@ -377,7 +381,7 @@ def test_a_complete_table_is_taken() -> None:
 
 
 @pytest.mark.parametrize("packet", [b"", b"\x00" + RANGES, b"\x01", b"\x01" + RANGES[:3], b"\x80" * 9])
-def test_packets_without_head_or_ranges_are_refused(packet: bytes) -> None:
+def test_packets_without_head_or_ranges_are_rejected(packet: bytes) -> None:
     with pytest.raises(CodecError, match="damaged"):
         decoder_of(16).decode(packet)
 
@@ -408,7 +412,7 @@ def test_silence_takes_its_ranges_only() -> None:
         assert np.any(decoded[:, 2])
 
 
-def test_packets_that_do_not_fit_are_refused() -> None:
+def test_packets_that_do_not_fit_are_rejected() -> None:
     noise = np.random.default_rng(1).uniform(-1, 1, (2**13, 16))
     signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * 16, (0.5,) * 16)
     for entropy in ("huffman", "range"):
@@ -444,7 +448,7 @@ def test_huffman_codes_are_never_too_long() -> None:
     counts = [1, 1]
     while len(counts) < 40:
         counts.append(counts[-1] + counts[-2])
-    assert max(code_lengths(counts)) == LONGEST_CODE
+    assert max(code_lengths(counts)) == MAX_CODE
 
 
 @given(st.lists(st.integers(0, 65_536), min_size=1))

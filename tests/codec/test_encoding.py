@@ -42,14 +42,14 @@ def test_meets_the_asked_rate_in_bytes_of_the_file(rate_bps: float, tmp_path: Pa
     assert 8 * (tmp_path / "noise.vct").stat().st_size / 2 == pytest.approx(rate_bps, rel=0.02)
 
 
-def test_says_why_a_wish_cannot_be_met() -> None:
+def test_says_why_a_target_cannot_be_met() -> None:
     with pytest.raises(CodecError, match="10 bit/s cannot be met"):
         encode_recording(noise(), rate_bps=10)
     with pytest.raises(CodecError, match="200 dB cannot be met"):
         encode_recording(noise(), snr_db=200)
 
 
-def test_says_how_far_from_a_wish_it_came() -> None:
+def test_says_how_far_from_a_target_it_came() -> None:
     """Of a constant a few coefficients remain, and its quality jumps; above the finest step there is no more rate."""
     constant = textures.Recording(np.full((2800, 1), 0.5), 2800, "um", "constant")
     finer = encode_recording(constant, snr_db=15)
@@ -64,7 +64,7 @@ def test_says_how_far_from_a_wish_it_came() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(samples=st.integers(1, 90), level=st.sampled_from([0.0, 1e-9, 1.0, 1e9]), channels=st.integers(1, 3))
-def test_any_recording_can_be_coded_without_a_wish(samples: int, level: float, channels: int) -> None:
+def test_any_recording_can_be_coded_without_a_target(samples: int, level: float, channels: int) -> None:
     recording = textures.Recording(np.full((samples, channels), level), 2800, "um", "level")
     encoding = encode_recording(recording)
     assert encoding.stream.decode().shape == (samples, channels)
@@ -106,14 +106,14 @@ def test_damage_anywhere_is_found(tmp_path: Path) -> None:
     ("samples", "flaw"),
     [(1, "surplus"), (1376, "surplus"), (1377, None), (1504, None), (1505, "cut short"), (2**62, "cut short")],
 )
-def test_more_or_fewer_packets_than_the_samples_take_are_refused(samples: int, flaw: str | None) -> None:
+def test_more_or_fewer_packets_than_the_samples_take_are_rejected(samples: int, flaw: str | None) -> None:
     stream = encode_recording(noise(channels=2), live=True).stream
     assert len(stream.packets) * stream.decoder().packet_samples == 1504 + stream.decoder().delay_samples
     with pytest.raises(StreamError, match=flaw) if flaw else nullcontext():
         assert len(replace(stream, header=replace(stream.header, samples=samples)).decode()) == samples
 
 
-def test_a_file_without_its_last_packet_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_its_last_packet_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "noise.vct"
     stream = encode_recording(noise(), live=True).stream
     path.write_bytes(pack_file(stream.header, stream.packets[:-1]))
@@ -122,7 +122,7 @@ def test_a_file_without_its_last_packet_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("samples", [0, None])
-def test_a_stream_without_signal_is_refused(samples: int | None) -> None:
+def test_a_stream_without_signal_is_rejected(samples: int | None) -> None:
     stream = encode_recording(noise()).stream
     header = replace(stream.header, samples=samples)
     with pytest.raises(StreamError, match="no signal"):
@@ -133,7 +133,7 @@ def test_a_stream_without_signal_is_refused(samples: int | None) -> None:
 
 
 @pytest.mark.parametrize("samples", [100, None])
-def test_a_small_file_of_many_samples_is_refused_before_it_is_decoded(samples: int | None, tmp_path: Path) -> None:
+def test_a_small_file_of_many_samples_is_rejected_before_it_is_decoded(samples: int | None, tmp_path: Path) -> None:
     path = tmp_path / "bomb.vct"
     longest_packets_of_16_channels = bytes((4095 << 2 & 0x7F | 0x82, 4095 << 2 >> 7)) + bytes(2 * 16)
     header = StreamHeader(1, 2800, samples, "um", (1.0,) * 16, longest_packets_of_16_channels)
@@ -143,7 +143,7 @@ def test_a_small_file_of_many_samples_is_refused_before_it_is_decoded(samples: i
         read_stream(path)
 
 
-def test_a_stream_that_does_not_fit_into_memory_is_refused_undecoded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_that_does_not_fit_into_memory_is_rejected_undecoded(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = encode_recording(noise()).stream
     monkeypatch.setattr("vibrocast.textures.memory.available_bytes", lambda: 1000)
     with pytest.raises(StreamError, match=r"decoding \d+ samples needs .* GiB of memory.*; cut it into parts"):
@@ -219,7 +219,7 @@ def test_a_model_that_ships_is_found_by_the_streams_hash(tmp_path: Path) -> None
     np.testing.assert_array_equal(found.decode(), stream.decode())
 
 
-def test_a_model_that_does_not_fit_is_refused() -> None:
+def test_a_model_that_does_not_fit_is_rejected() -> None:
     path = Path("other.vcmi")
     with pytest.raises(ModelImageError):
         encode_recording(noise(), model=models.Model("none", path, b"nonsense"))
@@ -234,7 +234,7 @@ def test_a_model_that_does_not_fit_is_refused() -> None:
 
 
 @pytest.mark.parametrize("gain_db", [-1e9, -7000.0, -800.0, 800.0, 1e9, math.inf])
-def test_a_level_beyond_any_stream_is_refused(gain_db: float) -> None:
+def test_a_level_beyond_any_stream_is_rejected(gain_db: float) -> None:
     recording = textures.Recording(np.random.default_rng(0).normal(size=(280, 1)), 2800, "m/s^2", "noise")
     stream = encode_recording(recording, setting={"step": 1.0}).stream
     with pytest.raises(CodecError, match=r"`gain_db`=.*give a number"):

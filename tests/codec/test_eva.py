@@ -16,7 +16,7 @@ from tests.codec.eva_models import random_image, tiny_model, with_extreme_weight
 from tests.codec.eva_reference_decoder import EvaReferenceDecoder
 from tests.codec.signals import RATE_HZ, texture
 from vibrocast import codec
-from vibrocast.codec import Choice, CodecError, Framing, Model, Steering, eva
+from vibrocast.codec import Choice, CodecError, Framing, Model, RateControl, eva
 from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, transform
 from vibrocast.codec.mdct import STEP_CODES
@@ -34,10 +34,10 @@ def coded(
     quality: float,
     framing: Framing = LIVE,
     level: float = 0.2,
-    steering: Steering | None = None,
+    rate_control: RateControl | None = None,
 ) -> tuple[bytes, list[bytes]]:
     channels = signal.shape[1]
-    encoder = eva.EvaEncoder([level] * channels, [quality] * channels, framing, TINY, steering=steering)
+    encoder = eva.EvaEncoder([level] * channels, [quality] * channels, framing, TINY, rate_control=rate_control)
     packets = encoder.encode(signal) + encoder.finish()
     return encoder.configuration, packets
 
@@ -48,17 +48,17 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int, runtime: 
 
 
 def random_packets(
-    image: EvaImage, seed: int, channels: int, columns: int, scale: float, coarsenesses: Sequence[int] = ()
+    image: EvaImage, seed: int, channels: int, columns: int, scale: float, quantiser_offsets: Sequence[int] = ()
 ) -> tuple[bytes, list[bytes]]:
-    """Return a configuration and packets of random latents of this magnitude, in steps; steered if so asked."""
+    """Return a configuration and packets of random latents of this magnitude, in steps; rate-controlled if so asked."""
     generator = np.random.default_rng(seed)
     level_codes = [int(code) for code in generator.integers(0, STEP_CODES, channels)]
     quality_codes = [int(code) for code in generator.integers(0, 16 * (image.rates - 1) + 1, channels)]
-    configuration = eva.configuration(columns, level_codes, quality_codes, steered=bool(coarsenesses))
+    configuration = eva.configuration(columns, level_codes, quality_codes, rate_controlled=bool(quantiser_offsets))
     encoder = eva.LatentEncoder(configuration, channels, image.pack(), 2)
     latents = generator.laplace(0, scale, (3, channels, image.latents, columns))
-    turn = zip(latents, itertools.cycle(coarsenesses or [0]), strict=False)
-    return configuration, [encoder.encode(list(packet), coarseness) for packet, coarseness in turn]
+    turn = zip(latents, itertools.cycle(quantiser_offsets or [0]), strict=False)
+    return configuration, [encoder.encode(list(packet), quantiser_offset) for packet, quantiser_offset in turn]
 
 
 @given(
@@ -70,7 +70,7 @@ def random_packets(
     columns=st.integers(1, 9),
     scale=st.sampled_from([0.05, 0.5, 3.0, 1e6]),
     extreme=st.booleans(),
-    coarsenesses=st.lists(st.integers(-40, 40) | st.integers(-(2**31), 2**31 - 1), max_size=3),
+    quantiser_offsets=st.lists(st.integers(-40, 40) | st.integers(-(2**31), 2**31 - 1), max_size=3),
 )
 @settings(max_examples=60, deadline=None)
 def test_core_gives_the_integers_of_the_numpy_decoder(
@@ -82,12 +82,12 @@ def test_core_gives_the_integers_of_the_numpy_decoder(
     columns: int,
     scale: float,
     extreme: bool,
-    coarsenesses: list[int],
+    quantiser_offsets: list[int],
 ) -> None:
     image = random_image(seed, width, latents, 3, prior)
     if extreme:
         image = with_extreme_weights(image, seed)
-    configuration, packets = random_packets(image, seed, channels, columns, scale, coarsenesses)
+    configuration, packets = random_packets(image, seed, channels, columns, scale, quantiser_offsets)
     decoder = eva.EvaDecoder(configuration, channels, image.pack())
     reference = EvaReferenceDecoder(configuration, channels, image.pack())
     samples = np.concatenate([decoder.decode(packet) for packet in packets])
@@ -132,9 +132,9 @@ def test_packets_do_not_depend_on_how_samples_arrive(seed: int, lengths: list[in
     assert (encoder.configuration, packets + encoder.finish()) == whole
 
 
-def in_turn(coarsenesses: Sequence[int]) -> Steering:
-    """Choose these coarsenesses, one after the other and over again."""
-    turn = itertools.cycle(coarsenesses)
+def in_turn(quantiser_offsets: Sequence[int]) -> RateControl:
+    """Choose these quantiser offsets, one after the other and over again."""
+    turn = itertools.cycle(quantiser_offsets)
     return lambda trial: Choice(next(turn))
 
 
@@ -144,39 +144,39 @@ def in_turn(coarsenesses: Sequence[int]) -> Steering:
     st.lists(st.integers(-64, 48), min_size=1),
 )
 @settings(max_examples=20, deadline=None)
-def test_steered_packets_do_not_depend_on_how_samples_arrive(
-    seed: int, lengths: list[int], coarsenesses: list[int]
+def test_rate_controlled_packets_do_not_depend_on_how_samples_arrive(
+    seed: int, lengths: list[int], quantiser_offsets: list[int]
 ) -> None:
     signal = texture(sum(lengths), 2, seed)
-    whole = coded(signal, 3.0, Framing(96, 4), steering=in_turn(coarsenesses))
-    encoder = eva.EvaEncoder([0.2, 0.2], [3.0, 3.0], Framing(96, 4), TINY, steering=in_turn(coarsenesses))
+    whole = coded(signal, 3.0, Framing(96, 4), rate_control=in_turn(quantiser_offsets))
+    encoder = eva.EvaEncoder([0.2, 0.2], [3.0, 3.0], Framing(96, 4), TINY, rate_control=in_turn(quantiser_offsets))
     packets = [packet for part in np.split(signal, np.cumsum(lengths)[:-1]) for packet in encoder.encode(part)]
     assert (encoder.configuration, packets + encoder.finish()) == whole
 
 
-@pytest.mark.parametrize("coarseness", [0, 20, -8])
+@pytest.mark.parametrize("quantiser_offset", [0, 20, -8])
 @pytest.mark.parametrize("runtime", codec.RUNTIMES)
-def test_a_constant_coarseness_is_that_of_the_quality_and_costs_at_most_a_bit_a_packet(
-    coarseness: int, runtime: str
+def test_a_constant_quantiser_offset_is_that_of_the_quality_and_costs_at_most_a_bit_a_packet(
+    quantiser_offset: int, runtime: str
 ) -> None:
     signal = texture(30_000)
-    plain = coded(signal, 3.0 - coarseness / 16)
-    steered = coded(signal, 3.0, steering=in_turn([coarseness]))
-    np.testing.assert_array_equal(decoded(*plain, 1, runtime), decoded(*steered, 1, runtime))
-    added_bits = 8 * (sum(map(len, steered[1])) - sum(map(len, plain[1])))
-    at_refreshes = 0 if coarseness == 0 else 10 * len(plain[1]) / 5
+    plain = coded(signal, 3.0 - quantiser_offset / 16)
+    rate_controlled = coded(signal, 3.0, rate_control=in_turn([quantiser_offset]))
+    np.testing.assert_array_equal(decoded(*plain, 1, runtime), decoded(*rate_controlled, 1, runtime))
+    added_bits = 8 * (sum(map(len, rate_controlled[1])) - sum(map(len, plain[1])))
+    at_refreshes = 0 if quantiser_offset == 0 else 10 * len(plain[1]) / 5
     assert 0 < added_bits <= len(plain[1]) + at_refreshes
 
 
-def test_the_range_of_coarsenesses_is_that_of_the_model_and_on_to_nothing() -> None:
+def test_the_range_of_quantiser_offsets_is_that_of_the_model_and_on_to_nothing() -> None:
     ranges, sizes = [], []
 
-    def steering(trial: codec.Trial) -> Choice:
-        ranges.append(trial.coarsenesses)
-        sizes.append([len(trial.packet(each)) for each in trial.coarsenesses[4 * 16 :]])
+    def rate_control(trial: codec.Trial) -> Choice:
+        ranges.append(trial.quantiser_offsets)
+        sizes.append([len(trial.packet(each)) for each in trial.quantiser_offsets[4 * 16 :]])
         return Choice(0)
 
-    coded(texture(300), 3.0, steering=steering)
+    coded(texture(300), 3.0, rate_control=rate_control)
     assert set(ranges) == {range(-4 * 16, 3 * 16 + 12 * 16 + 1)}
     for of_packet in sizes:
         assert of_packet[3 * 16] > of_packet[6 * 16] > of_packet[-1]
@@ -301,7 +301,7 @@ def test_each_runtime_is_chosen_by_the_image_or_by_name() -> None:
             assert isinstance(decoder, eva.OnnxDecoder) == ((asked or preferred) == "onnx")
 
 
-def test_foreign_graphs_are_refused() -> None:
+def test_foreign_graphs_are_rejected() -> None:
     image = EvaImage.unpack(TINY.tables)
     signal = texture(300)
 

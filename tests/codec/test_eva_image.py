@@ -1,4 +1,4 @@
-"""The payload of EVA's model images: what is packed is unpacked, and any other bytes are refused."""
+"""The payload of EVA's model images: what is packed is unpacked, and any other bytes are rejected."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -36,14 +36,14 @@ def test_steps_are_those_of_the_rates_and_between_them_on_the_way() -> None:
 
 @given(st.integers(0, len(PACKED)), st.binary(max_size=40))
 @settings(max_examples=60)
-def test_shortened_and_lengthened_payloads_are_refused(length: int, tail: bytes) -> None:
+def test_shortened_and_lengthened_payloads_are_rejected(length: int, tail: bytes) -> None:
     if PACKED[:length] + tail != PACKED:
         with pytest.raises(CodecError):
             EvaImage.unpack(PACKED[:length] + tail)
 
 
 @given(st.dictionaries(st.integers(0, len(PACKED) - 1), st.integers(0, 255), min_size=1, max_size=4))
-def test_damaged_payloads_are_refused_or_read(damage: dict[int, int]) -> None:
+def test_damaged_payloads_are_rejected_or_read(damage: dict[int, int]) -> None:
     damaged = bytearray(PACKED)
     for position, byte in damage.items():
         damaged[position] = byte
@@ -51,7 +51,7 @@ def test_damaged_payloads_are_refused_or_read(damage: dict[int, int]) -> None:
         assert EvaImage.unpack(bytes(damaged)).pack() == damaged
 
 
-def test_a_runtime_without_what_it_needs_is_refused() -> None:
+def test_a_runtime_without_what_it_needs_is_rejected() -> None:
     with pytest.raises(CodecError, match="no ONNX graph"):
         with_runtime(PACKED, "onnx")
     graph_only = replace(EvaImage.unpack(PACKED), network=None, graph=b"a graph", runtime="onnx").pack()

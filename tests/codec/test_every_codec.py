@@ -21,7 +21,7 @@ from vibrocast.simulated_device.memory_link import MemoryLink
 
 every_codec = pytest.mark.parametrize("name", list(codec.CODECS))
 waveform_codec = pytest.mark.parametrize("name", [name for name, known in codec.CODECS.items() if known.keeps_waveform])
-LADDERS = {ladder: name for name, known in codec.CODECS.items() for ladder in known.ladders}
+RATE_POINTS = {rate_point_set: name for name, known in codec.CODECS.items() for rate_point_set in known.rate_point_sets}
 
 
 # Codecs without built-in tables need a model.
@@ -39,8 +39,8 @@ def tables_of(name: str) -> bytes | None:
 
 
 def middle_setting(name: str) -> codec.Setting:
-    ladder = next(iter(codec.CODECS[name].ladders.values()))
-    return ladder[len(ladder) // 2]
+    rate_point_set = next(iter(codec.CODECS[name].rate_point_sets.values()))
+    return rate_point_set[len(rate_point_set) // 2]
 
 
 def coded(name: str, signal: Signal, live: bool = False, setting: codec.Setting | None = None) -> codec.CodedSignal:
@@ -86,19 +86,19 @@ def test_names_and_numbers_are_their_own() -> None:
     identifiers = [known.identifier for known in codec.CODECS.values()]
     assert len(set(identifiers)) == len(identifiers)
     assert all(1 <= identifier <= 15 for identifier in identifiers)
-    assert len(LADDERS) == sum(len(known.ladders) for known in codec.CODECS.values())
+    assert len(RATE_POINTS) == sum(len(known.rate_point_sets) for known in codec.CODECS.values())
 
 
-@pytest.mark.parametrize("ladder", LADDERS)
-def test_the_top_of_a_ladder_is_better_than_its_bottom_and_takes_more(ladder: str) -> None:
-    known = codec.CODECS[LADDERS[ladder]]
-    rungs = known.ladders[ladder]
-    assert all(known.checked(rung) == rung for rung in rungs)
+@pytest.mark.parametrize("rate_point_set", RATE_POINTS)
+def test_the_top_of_a_rate_point_set_is_better_than_its_bottom_and_takes_more(rate_point_set: str) -> None:
+    known = codec.CODECS[RATE_POINTS[rate_point_set]]
+    rate_points = known.rate_point_sets[rate_point_set]
+    assert all(known.checked(rate_point) == rate_point for rate_point in rate_points)
     signal = 20 * texture(2800)
-    streams = [coded(known.name, signal, setting=rung) for rung in (rungs[0], rungs[-1])]
+    streams = [coded(known.name, signal, setting=rate_point) for rate_point in (rate_points[0], rate_points[-1])]
     qualities = [quality(known, signal, decode(stream)) for stream in streams]
     sizes = [sum(map(len, stream.packets)) for stream in streams]
-    assert len(rungs) == 1 or (qualities[1] > qualities[0] and sizes[1] > sizes[0])
+    assert len(rate_points) == 1 or (qualities[1] > qualities[0] and sizes[1] > sizes[0])
 
 
 @every_codec
@@ -177,7 +177,7 @@ def test_any_bytes_decode_safely(name: str, packets: list[bytes]) -> None:
 @every_codec
 @given(configuration=st.binary(max_size=40), channels=st.integers(-1, 20))
 @settings(max_examples=60)
-def test_any_configuration_is_read_or_refused(name: str, configuration: bytes, channels: int) -> None:
+def test_any_configuration_is_read_or_rejected(name: str, configuration: bytes, channels: int) -> None:
     try:
         decoder = codec.decoder(codec.CODECS[name].identifier, configuration, channels, tables_of(name))
     except CodecError:
@@ -233,7 +233,7 @@ def test_the_first_packet_must_be_a_refresh(name: str) -> None:
 
 
 @every_codec
-def test_bad_signals_and_settings_are_refused(name: str) -> None:
+def test_bad_signals_and_settings_are_rejected(name: str) -> None:
     for signal in (np.zeros((0, 1)), np.full((100, 1), math.nan), np.full((100, 1), math.inf), np.zeros(100)):
         with pytest.raises(CodecError):
             codec.encode(signal, RATE_HZ, middle_setting(name), codec=name, model=model_of(name))
@@ -251,7 +251,7 @@ def test_bad_signals_and_settings_are_refused(name: str) -> None:
 
 
 @every_codec
-def test_tables_are_refused_where_none_are_taken(name: str) -> None:
+def test_tables_are_rejected_where_none_are_taken(name: str) -> None:
     with pytest.raises(CodecError, match=r"image|tables"):
         codec.encode(texture(100), RATE_HZ, middle_setting(name), codec=name, model=codec.Model(bytes(10)))
 
@@ -274,7 +274,7 @@ def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
 
 
 @waveform_codec
-def test_a_quality_is_met_from_above_or_refused(name: str) -> None:
+def test_a_quality_is_met_from_above_or_rejected(name: str) -> None:
     recording = textures.Recording(texture(2800), 2800.0, "um", "texture")
     try:
         encoding = encode_recording(recording, codec_name=name, snr_db=8.0, model=MODELS.get(name))
@@ -286,7 +286,7 @@ def test_a_quality_is_met_from_above_or_refused(name: str) -> None:
     assert (encoding.note is None) == (abs(encoding.snr_db - 8.0) <= codec.SNR_TOLERANCE_DB)
 
 
-LADDER_CODECS = [
+RATE_POINT_CODECS = [
     name
     for name, known in codec.CODECS.items()
     if known.parameters
@@ -296,14 +296,16 @@ LADDER_CODECS = [
 
 
 @pytest.mark.parametrize("target_db", [3.0, 12.0])
-@pytest.mark.parametrize("name", LADDER_CODECS)
-def test_a_search_finds_the_best_rung_without_trying_all(
+@pytest.mark.parametrize("name", RATE_POINT_CODECS)
+def test_a_search_finds_the_best_rate_point_without_trying_all(
     name: str, target_db: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     signal = texture(1400)
-    rungs = next(iter(codec.CODECS[name].ladders.values()))
-    coded_by_rung = [codec.encode(signal, RATE_HZ, rung, codec=name, model=model_of(name)) for rung in rungs]
-    snrs_db = [codec.snr_db(signal, decode(each)) or 0.0 for each in coded_by_rung]
+    rate_points = next(iter(codec.CODECS[name].rate_point_sets.values()))
+    coded_by_rate_point = [
+        codec.encode(signal, RATE_HZ, rate_point, codec=name, model=model_of(name)) for rate_point in rate_points
+    ]
+    snrs_db = [codec.snr_db(signal, decode(each)) or 0.0 for each in coded_by_rate_point]
     trials: list[codec.Setting] = []
     encode = Source.encode
 
@@ -318,6 +320,9 @@ def test_a_search_finds_the_best_rung_without_trying_all(
             codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name, model=model_of(name))
         return
     found = codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name, model=model_of(name))
-    nearest = min(range(len(rungs)), key=lambda rung: (snrs_db[rung] not in enough, abs(snrs_db[rung] - target_db)))
-    assert found.packets == coded_by_rung[nearest].packets
-    assert len(trials) <= min(len(rungs), 12)
+    nearest = min(
+        range(len(rate_points)),
+        key=lambda rate_point: (snrs_db[rate_point] not in enough, abs(snrs_db[rate_point] - target_db)),
+    )
+    assert found.packets == coded_by_rate_point[nearest].packets
+    assert len(trials) <= min(len(rate_points), 12)

@@ -1,4 +1,4 @@
-"""Tests of graphs from elsewhere: what is no graph of a transform is refused, in words."""
+"""Tests of graphs from elsewhere: what is no graph of a transform is rejected, in words."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def test_a_graph_runs_and_is_loaded_once() -> None:
     ],
     ids=["nothing", "text", "other names", "the other way round", "double", "two axes", "unknown operator"],
 )
-def test_foreign_graphs_are_refused(foreign: bytes) -> None:
+def test_foreign_graphs_are_rejected(foreign: bytes) -> None:
     with pytest.raises(CodecError, match="give a graph that `vibrocast export` wrote"):
         Transform(foreign, SIGNAL, LATENTS)
 
@@ -63,7 +63,7 @@ def test_a_graph_reads_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         Transform(foreign, SIGNAL, LATENTS)
 
 
-def test_a_graph_that_may_run_for_ever_is_refused() -> None:
+def test_a_graph_that_may_run_for_ever_is_rejected() -> None:
     body = helper.make_graph(
         [helper.make_node("Identity", ["going_on"], ["go_on"]), helper.make_node("Neg", ["x"], ["y"])],
         "body",

@@ -1,4 +1,4 @@
-"""Codecs of FFmpeg's libraries: delay, rates, what a packet holds, gaps, what is refused, stored streams, peers."""
+"""Codecs of FFmpeg's libraries: delay, rates, what a packet holds, gaps, what is rejected, stored streams, peers."""
 
 import csv
 import subprocess
@@ -131,7 +131,7 @@ def test_a_packet_out_of_sequence_that_is_no_refresh_is_not_played() -> None:
     assert not np.any(decoder.conceal())
 
 
-def test_packets_with_too_many_frames_or_uneven_ones_are_refused() -> None:
+def test_packets_with_too_many_frames_or_uneven_ones_are_rejected() -> None:
     stream = encode("amr-nb", texture(2000, 2), live=True)
     head, frames = stream.packets[0][:1], stream.packets[0][1:]
     assert decoder_of(stream).decode(head + frames).shape == (160, 2)
@@ -140,7 +140,7 @@ def test_packets_with_too_many_frames_or_uneven_ones_are_refused() -> None:
             decoder_of(stream).decode(head + damaged)
 
 
-def test_frames_of_another_length_or_format_are_refused() -> None:
+def test_frames_of_another_length_or_format_are_rejected() -> None:
     import av
 
     stream = encode("flac", texture(2000), live=True)
@@ -173,7 +173,7 @@ def test_frames_of_another_length_or_format_are_refused() -> None:
         b"\x80" * 9,
     ],
 )
-def test_damaged_configurations_are_refused(configuration: bytes) -> None:
+def test_damaged_configurations_are_rejected(configuration: bytes) -> None:
     stream = encode("g726", texture(100))
     with pytest.raises(CodecError):
         decoder_of(stream, configuration)
@@ -184,15 +184,15 @@ def test_damage_is_not_reported_beside_the_errors(name: str, capfd: pytest.Captu
     """FFmpeg would write its own complaints to standard error."""
     stream = encode(name, texture(3000), live=True)
     generator = np.random.default_rng(4)
-    decoder, refused = decoder_of(stream), 0
+    decoder, rejected = decoder_of(stream), 0
     for packet in stream.packets:
         damaged = np.frombuffer(packet, dtype=np.uint8).copy()
         damaged[1:] ^= generator.integers(0, 256, len(damaged) - 1, dtype=np.uint8)
         try:
             decoder.decode(damaged.tobytes())
         except CodecError:
-            refused += 1
-    assert refused > 0 or name in ("g726", "g723-1")
+            rejected += 1
+    assert rejected > 0 or name in ("g726", "g723-1")
     assert capfd.readouterr() == ("", "")
 
 
@@ -240,8 +240,8 @@ def test_figures_are_those_of_the_codecs_own_programs(name: str) -> None:
         rows = [row for row in csv.DictReader(file) if (row["trace"], row["codec"]) == (trace, PEERS[name])]
     theirs_bits = [float(row["bits_per_sample"]) for row in rows]
     theirs_db = [min(float(row["snr_db"]), 90.0) for row in rows]
-    for rung in CODECS[name].ladders[name]:
-        stream = as_stream(codec.encode(samples, rate_hz, rung, codec=name), "m/s^2")
+    for rate_point in CODECS[name].rate_point_sets[name]:
+        stream = as_stream(codec.encode(samples, rate_hz, rate_point, codec=name), "m/s^2")
         bits = 8 * stream.size_bytes / len(samples)
         reached_db = codec.snr_db(samples, stream.decode())
         assert reached_db == pytest.approx(np.interp(bits, theirs_bits, theirs_db), abs=2.0 if name == "flac" else 0.6)

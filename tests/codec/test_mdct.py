@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec, models
-from vibrocast.codec import Choice, CodecError, Framing, Steering, mdct
+from vibrocast.codec import Choice, CodecError, Framing, RateControl, mdct
 from vibrocast.device_protocol.coded_stream import unpack_file
 
 TABLES = {"built in": mdct.built_in_tables(), "with a network": models.find("mdct-network").tables}
@@ -26,10 +26,10 @@ def coded(
     hop: int | None = None,
     tables: bytes | None = None,
     fill: float = 0.0,
-    steering: Steering | None = None,
+    rate_control: RateControl | None = None,
 ) -> tuple[bytes, list[bytes]]:
     steps = [step] * signal.shape[1]
-    encoder = mdct.MdctEncoder(steps, RATE_HZ, framing, tables, hop=hop, fill=fill, steering=steering)
+    encoder = mdct.MdctEncoder(steps, RATE_HZ, framing, tables, hop=hop, fill=fill, rate_control=rate_control)
     packets = encoder.encode(signal) + encoder.finish()
     return encoder.configuration, packets
 
@@ -62,25 +62,25 @@ def test_core_agrees_with_the_documented_decoder_at_fine_steps(name: str) -> Non
     assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, 1))) < 0.51
 
 
-def in_turn(coarsenesses: Sequence[int]) -> Steering:
-    """Choose these coarsenesses, one after the other and over again, or the nearest that there are."""
-    turn = itertools.cycle(coarsenesses)
-    return lambda trial: Choice(min(max(next(turn), trial.coarsenesses[0]), trial.coarsenesses[-1]))
+def in_turn(quantiser_offsets: Sequence[int]) -> RateControl:
+    """Choose these quantiser offsets, one after the other and over again, or the nearest that there are."""
+    turn = itertools.cycle(quantiser_offsets)
+    return lambda trial: Choice(min(max(next(turn), trial.quantiser_offsets[0]), trial.quantiser_offsets[-1]))
 
 
 @given(
-    coarsenesses=st.lists(st.integers(-40, 40) | st.integers(-336, 336), min_size=1, max_size=8),
+    quantiser_offsets=st.lists(st.integers(-40, 40) | st.integers(-336, 336), min_size=1, max_size=8),
     hop=st.sampled_from(mdct.HOPS),
     channels=st.integers(1, 2),
     refresh_packets=st.integers(0, 4),
 )
 @settings(max_examples=15, deadline=None)
-def test_core_agrees_with_the_documented_decoder_on_any_coarsenesses(
-    coarsenesses: list[int], hop: int, channels: int, refresh_packets: int
+def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
+    quantiser_offsets: list[int], hop: int, channels: int, refresh_packets: int
 ) -> None:
     signal = texture(300, channels)
     framing = Framing(2 * hop, refresh_packets)
-    configuration, packets = coded(signal, 0.1, framing, hop, fill=1 / 8, steering=in_turn(coarsenesses))
+    configuration, packets = coded(signal, 0.1, framing, hop, fill=1 / 8, rate_control=in_turn(quantiser_offsets))
     reference = ReferenceDecoder(configuration, channels, mdct.built_in_tables())
     exact = np.concatenate([reference.samples(packet) for packet in packets])
     assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels))) < 0.51
@@ -90,24 +90,26 @@ def test_core_agrees_with_the_documented_decoder_on_any_coarsenesses(
     st.integers(0, 3), st.lists(st.integers(1, 400), min_size=1, max_size=8), st.lists(st.integers(-60, 60), min_size=1)
 )
 @settings(max_examples=25)
-def test_steered_packets_do_not_depend_on_how_samples_arrive(
-    seed: int, lengths: list[int], coarsenesses: list[int]
+def test_rate_controlled_packets_do_not_depend_on_how_samples_arrive(
+    seed: int, lengths: list[int], quantiser_offsets: list[int]
 ) -> None:
     signal = texture(sum(lengths), 2, seed)
-    whole = coded(signal, 0.1, Framing(96, 4), steering=in_turn(coarsenesses))
-    encoder = mdct.MdctEncoder([0.1, 0.1], RATE_HZ, Framing(96, 4), steering=in_turn(coarsenesses))
+    whole = coded(signal, 0.1, Framing(96, 4), rate_control=in_turn(quantiser_offsets))
+    encoder = mdct.MdctEncoder([0.1, 0.1], RATE_HZ, Framing(96, 4), rate_control=in_turn(quantiser_offsets))
     packets = [packet for part in np.split(signal, np.cumsum(lengths)[:-1]) for packet in encoder.encode(part)]
     assert (encoder.configuration, packets + encoder.finish()) == whole
 
 
-@pytest.mark.parametrize("coarseness", [0, 16, -32])
-def test_a_constant_coarseness_is_that_of_the_step_and_costs_at_most_a_bit_a_packet(coarseness: int) -> None:
+@pytest.mark.parametrize("quantiser_offset", [0, 16, -32])
+def test_a_constant_quantiser_offset_is_that_of_the_step_and_costs_at_most_a_bit_a_packet(
+    quantiser_offset: int,
+) -> None:
     signal = texture(50_000)
-    plain = coded(signal, 0.125 * 2 ** (coarseness / 16), Framing(128, 5), fill=1 / 8)
-    steered = coded(signal, 0.125, Framing(128, 5), fill=1 / 8, steering=in_turn([coarseness]))
-    np.testing.assert_array_equal(decoded(*plain, 1), decoded(*steered, 1))
-    added_bits = 8 * (sum(map(len, steered[1])) - sum(map(len, plain[1])))
-    at_refreshes = 0 if coarseness == 0 else 10 * len(plain[1]) / 5
+    plain = coded(signal, 0.125 * 2 ** (quantiser_offset / 16), Framing(128, 5), fill=1 / 8)
+    rate_controlled = coded(signal, 0.125, Framing(128, 5), fill=1 / 8, rate_control=in_turn([quantiser_offset]))
+    np.testing.assert_array_equal(decoded(*plain, 1), decoded(*rate_controlled, 1))
+    added_bits = 8 * (sum(map(len, rate_controlled[1])) - sum(map(len, plain[1])))
+    at_refreshes = 0 if quantiser_offset == 0 else 10 * len(plain[1]) / 5
     assert 0 < added_bits <= len(plain[1]) + at_refreshes
 
 
@@ -117,17 +119,19 @@ def test_steps_per_packet_save_the_bits_of_a_click_above_a_texture() -> None:
     signal[700::1400] += 0.9
 
     def at_most_twice_a_packet_of_the_texture(trial: codec.Trial) -> Choice:
-        return Choice(next(coarseness for coarseness in range(0, 336, 4) if len(trial.packet(coarseness)) <= 30))
+        return Choice(
+            next(quantiser_offset for quantiser_offset in range(0, 336, 4) if len(trial.packet(quantiser_offset)) <= 30)
+        )
 
     results = []
-    for steering in (None, at_most_twice_a_packet_of_the_texture):
-        configuration, packets = coded(signal, 2e-4, Framing(128, 5), steering=steering)
+    for rate_control in (None, at_most_twice_a_packet_of_the_texture):
+        configuration, packets = coded(signal, 2e-4, Framing(128, 5), rate_control=rate_control)
         played = decoded(configuration, packets, 1)[32:][: len(signal)] / 32768
         apart_from_clicks = (played - signal)[:, 0].reshape(-1, 1400)[:, 1050:]
         results.append((sum(map(len, packets)), float(np.std(apart_from_clicks))))
-    (plain_bytes, plain_error), (steered_bytes, steered_error) = results
-    assert steered_bytes < 0.5 * plain_bytes
-    assert steered_error < plain_error
+    (plain_bytes, plain_error), (rate_controlled_bytes, rate_controlled_error) = results
+    assert rate_controlled_bytes < 0.5 * plain_bytes
+    assert rate_controlled_error < plain_error
 
 
 @given(st.integers(0, 3), st.lists(st.integers(1, 400), min_size=1, max_size=8), st.sampled_from(list(TABLES.values())))
@@ -190,8 +194,10 @@ def test_a_packet_out_of_order_is_not_played() -> None:
     st.booleans(),
 )
 @settings(max_examples=80)
-def test_any_bytes_decode_safely(head: bytes, channels: int, hop: int, payloads: list[bytes], steered: bool) -> None:
-    configuration = mdct.configuration(hop, 3, [mdct.STEP_CODES - 1] * channels, steered=steered)
+def test_any_bytes_decode_safely(
+    head: bytes, channels: int, hop: int, payloads: list[bytes], rate_controlled: bool
+) -> None:
+    configuration = mdct.configuration(hop, 3, [mdct.STEP_CODES - 1] * channels, rate_controlled=rate_controlled)
     decoder = mdct.MdctDecoder(configuration, channels)
     for payload in [b"\x01", b"\x01" + head, *payloads]:
         try:
@@ -202,7 +208,7 @@ def test_any_bytes_decode_safely(head: bytes, channels: int, hop: int, payloads:
 
 
 @given(st.binary(max_size=40), st.integers(-1, 20))
-def test_any_configuration_is_read_or_refused(configuration: bytes, channels: int) -> None:
+def test_any_configuration_is_read_or_rejected(configuration: bytes, channels: int) -> None:
     try:
         decoder = mdct.MdctDecoder(configuration, channels)
     except CodecError:
@@ -211,7 +217,7 @@ def test_any_configuration_is_read_or_refused(configuration: bytes, channels: in
 
 
 @pytest.mark.parametrize("tables", [b"", bytes(100), *(tables + b"\0" for tables in TABLES.values())])
-def test_tables_of_another_size_are_refused(tables: bytes) -> None:
+def test_tables_of_another_size_are_rejected(tables: bytes) -> None:
     with pytest.raises(CodecError, match="tables"):
         mdct.MdctDecoder(mdct.configuration(32, 4, [500]), 1, tables)
 
@@ -237,15 +243,17 @@ def test_decoding_that_begins_at_a_refresh_gives_the_same_samples() -> None:
     assert np.array_equal(late[32:], whole[1280 + 32 :])
 
 
-def test_decoding_that_begins_at_a_refresh_knows_its_coarseness() -> None:
-    configuration, packets = coded(texture(3000), 0.1, Framing(128, 5), steering=in_turn([-20, 5, 33, 7, 7, 60, -3]))
+def test_decoding_that_begins_at_a_refresh_knows_its_quantiser_offset() -> None:
+    configuration, packets = coded(
+        texture(3000), 0.1, Framing(128, 5), rate_control=in_turn([-20, 5, 33, 7, 7, 60, -3])
+    )
     whole = decoded(configuration, packets, 1)
     late = decoded(configuration, packets[10:], 1)
     assert np.array_equal(late[32:], whole[1280 + 32 :])
 
 
 @pytest.mark.parametrize("tail", [b"\0", b"\x02", b"\x01\x01"])
-def test_a_configuration_that_ends_otherwise_is_refused(tail: bytes) -> None:
+def test_a_configuration_that_ends_otherwise_is_rejected(tail: bytes) -> None:
     with pytest.raises(CodecError, match="configuration"):
         mdct.MdctDecoder(mdct.configuration(32, 4, [500]) + tail, 1)
 
@@ -300,18 +308,18 @@ def test_other_tables_decode_what_they_coded() -> None:
     + [([step], Framing(32, 0), 32) for step in (0.0, -1.0, float("nan"), float("inf"))]
     + [([0.1], Framing(32, 0), 48)],
 )
-def test_parameters_out_of_range_are_refused(steps: list[float], framing: Framing, hop: int) -> None:
+def test_parameters_out_of_range_are_rejected(steps: list[float], framing: Framing, hop: int) -> None:
     with pytest.raises(CodecError):
         mdct.MdctEncoder(steps, RATE_HZ, framing, hop=hop)
 
 
 @pytest.mark.parametrize("fill", [-0.01, 0.25, float("nan")])
-def test_a_fill_out_of_range_is_refused(fill: float) -> None:
+def test_a_fill_out_of_range_is_rejected(fill: float) -> None:
     with pytest.raises(CodecError, match="fill"):
         mdct.MdctEncoder([0.1], RATE_HZ, Framing(32, 0), fill=fill)
 
 
-def test_a_packet_that_does_not_fit_is_refused() -> None:
+def test_a_packet_that_does_not_fit_is_rejected() -> None:
     encoder = mdct.MdctEncoder([2.0**-17] * 16, RATE_HZ, Framing(32 * 512, 0))
     noise = np.random.default_rng(1).uniform(-1, 1, (32 * 600, 16))
     with pytest.raises(CodecError, match="shorter packets"):
@@ -362,7 +370,7 @@ def test_golden_stream_with_a_network() -> None:
     assert ratio == pytest.approx(30.22, abs=0.01)
 
 
-def test_golden_steered_stream() -> None:
+def test_golden_rate_controlled_stream() -> None:
     """Steps that change from packet to packet, with padding behind some: it stays playable likewise."""
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_steered.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 7)

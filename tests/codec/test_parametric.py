@@ -12,7 +12,7 @@ from tests.codec.parametric_reference_decoder import ParametricReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from tests.codec.test_mdct import golden_signal
 from vibrocast import codec
-from vibrocast.codec import CodecError, Framing, OutOfReach, Setting, SignalFormat, parametric
+from vibrocast.codec import CodecError, Framing, Setting, SignalFormat, TargetUnreachable, parametric
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.textures.generate import grating, taps
 
@@ -75,11 +75,11 @@ def test_loudness_is_kept(name: str) -> None:
     assert np.sqrt(np.mean(samples**2)) == pytest.approx(np.sqrt(np.mean(signal**2)), rel=0.35)
 
 
-def test_a_ladder_takes_some_30_to_500_bits_a_second() -> None:
+def test_a_rate_point_set_takes_some_30_to_500_bits_a_second() -> None:
     signal = texture(14_000)
     rates = []
-    for rung in parametric.CODEC.ladders["parametric"]:
-        stream = codec.encode(signal, RATE_HZ, rung, codec="parametric")
+    for rate_point in parametric.CODEC.rate_point_sets["parametric"]:
+        stream = codec.encode(signal, RATE_HZ, rate_point, codec="parametric")
         rates.append(8 * sum(map(len, stream.packets)) * RATE_HZ / len(signal))
     assert rates == sorted(rates)
     assert 10 < rates[0] < 60
@@ -128,7 +128,7 @@ def test_phase_goes_on_over_frames_packets_and_refreshes() -> None:
     assert np.max(second_difference) < 1.6 * np.percentile(second_difference, 90)
 
 
-def test_settings_that_do_not_fit_are_refused() -> None:
+def test_settings_that_do_not_fit_are_rejected() -> None:
     with pytest.raises(CodecError, match="interval of 8 blocks in frames of 4"):
         coded(texture(100), Framing(64, 0), frame="4", interval="8")
     for configuration in (
@@ -144,7 +144,7 @@ def test_settings_that_do_not_fit_are_refused() -> None:
 
 
 def test_an_snr_is_out_of_reach() -> None:
-    with pytest.raises(OutOfReach, match="keeps no waveform; ask for a rate"):
+    with pytest.raises(TargetUnreachable, match="keeps no waveform; ask for a rate"):
         codec.encode_to_snr(texture(2800), RATE_HZ, 1.0, codec="parametric")
 
 

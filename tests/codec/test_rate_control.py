@@ -19,24 +19,24 @@ from vibrocast.codec import (
     ConstantRate,
     Framing,
     Group,
-    OutOfReach,
     Signal,
     SignalFormat,
     SnrJudge,
-    steered_encoder,
-    steered_framing,
+    TargetUnreachable,
+    rate_controlled_encoder,
+    rate_controlled_framing,
 )
 from vibrocast.codec.interface import Choice, Decoded, Trial
 
 RATE_HZ = 2800
 SECONDS = 0.1
 FRAME_BYTES = 8
-STEERED = sorted(name for name, known in codec.CODECS.items() if known.steers and not known.needs_model)
+RATE_CONTROLLED = sorted(name for name, known in codec.CODECS.items() if known.controls_rate and not known.needs_model)
 
 
 @dataclass(frozen=True)
 class FakeTrial:
-    """A packet of the sizes given, from coarseness -3 on; None where it cannot be coded."""
+    """A packet of the sizes given, from quantiser offset -3 on; None where it cannot be coded."""
 
     sizes: tuple[int | None, ...]
     previous: int = 0
@@ -46,14 +46,14 @@ class FakeTrial:
         return np.ones((round(SECONDS * RATE_HZ), 1))
 
     @property
-    def coarsenesses(self) -> range:
+    def quantiser_offsets(self) -> range:
         return range(-3, -3 + len(self.sizes))
 
-    def packet(self, coarseness: int) -> bytes:
-        size = self.sizes[coarseness + 3]
+    def packet(self, quantiser_offset: int) -> bytes:
+        size = self.sizes[quantiser_offset + 3]
         if size is None:
             raise CodecError("too long")
-        return bytes((coarseness & 0xFF,)) + bytes(size)
+        return bytes((quantiser_offset & 0xFF,)) + bytes(size)
 
 
 class FakeDecoder:
@@ -62,8 +62,8 @@ class FakeDecoder:
     channels, packet_samples, delay_samples = 1, round(SECONDS * RATE_HZ), 0
 
     def decode(self, packet: bytes) -> Decoded:
-        coarseness = (packet[0] ^ 0x80) - 0x80
-        return np.full((self.packet_samples, 1), 32767 - 300 * (coarseness + 3), np.int16)
+        quantiser_offset = (packet[0] ^ 0x80) - 0x80
+        return np.full((self.packet_samples, 1), 32767 - 300 * (quantiser_offset + 3), np.int16)
 
     def conceal(self) -> Decoded:
         raise AssertionError("nothing is lost")
@@ -72,13 +72,13 @@ class FakeDecoder:
         return self
 
 
-def begun(policy: codec.Policy, least_bytes: int = 0) -> codec.Policy:
-    policy.begin(FakeDecoder(), least_bytes, SECONDS)
+def begun(policy: codec.Policy, min_bytes: int = 0) -> codec.Policy:
+    policy.begin(FakeDecoder(), min_bytes, SECONDS)
     return policy
 
 
 def sent_bytes(trial: FakeTrial, choice: Choice) -> int:
-    return max(len(trial.packet(choice.coarseness)), choice.least_bytes) + FRAME_BYTES
+    return max(len(trial.packet(choice.quantiser_offset)), choice.min_bytes) + FRAME_BYTES
 
 
 def ahead_of_rate(sizes: list[int], rate: float) -> NDArray[np.float64]:
@@ -93,30 +93,30 @@ packets = st.lists(
     max_size=30,
 )
 rates = st.floats(900, 20_000)
-buckets_s = st.floats(0.001, 2)
+rate_buffers_s = st.floats(0.001, 2)
 
 
-@given(packets, rates, buckets_s, st.booleans())
+@given(packets, rates, rate_buffers_s, st.booleans())
 def test_over_any_run_a_constant_rate_has_its_bytes(
-    trials: list[FakeTrial], rate: float, bucket_s: float, judged: bool
+    trials: list[FakeTrial], rate: float, rate_buffer_s: float, judged: bool
 ) -> None:
-    policy = begun(ConstantRate(rate, FRAME_BYTES, bucket_s, SnrJudge(RATE_HZ) if judged else None))
+    policy = begun(ConstantRate(rate, FRAME_BYTES, rate_buffer_s, SnrJudge(RATE_HZ) if judged else None))
     sizes = [sent_bytes(trial, policy(trial)) for trial in trials]
-    assert np.ptp(ahead_of_rate(sizes, rate)) <= max(1, rate * bucket_s / 8) + 1e-6
+    assert np.ptp(ahead_of_rate(sizes, rate)) <= max(1, rate * rate_buffer_s / 8) + 1e-6
 
 
-@given(packets, rates, buckets_s, st.floats(0, 60))
+@given(packets, rates, rate_buffers_s, st.floats(0, 60))
 def test_over_any_run_a_capped_rate_is_not_exceeded(
-    trials: list[FakeTrial], rate: float, bucket_s: float, quality_db: float
+    trials: list[FakeTrial], rate: float, rate_buffer_s: float, quality_db: float
 ) -> None:
-    policy = begun(CappedRate(quality_db, SnrJudge(RATE_HZ), rate, FRAME_BYTES, bucket_s))
+    policy = begun(CappedRate(quality_db, SnrJudge(RATE_HZ), rate, FRAME_BYTES, rate_buffer_s))
     ahead = ahead_of_rate([sent_bytes(trial, policy(trial)) for trial in trials], rate)
-    most_ahead = np.maximum.accumulate(ahead[::-1])[::-1] - ahead
-    assert np.max(most_ahead) <= max(1, rate * bucket_s / 8) + 1e-6
+    max_ahead = np.maximum.accumulate(ahead[::-1])[::-1] - ahead
+    assert np.max(max_ahead) <= max(1, rate * rate_buffer_s / 8) + 1e-6
 
 
 @given(packets, rates, rates)
-def test_a_rate_that_changes_counts_anew_when_the_bucket_has_drained(
+def test_a_rate_that_changes_counts_anew_when_the_rate_buffer_has_drained(
     trials: list[FakeTrial], before: float, after: float
 ) -> None:
     policy = ConstantRate(before, FRAME_BYTES)
@@ -125,10 +125,10 @@ def test_a_rate_that_changes_counts_anew_when_the_bucket_has_drained(
         policy(trial)
     policy.bits_per_second = after
     empty = FakeTrial((1,))
-    while policy.bucket.full > 1:
+    while policy.rate_buffer.full > 1:
         policy(empty)
     sizes = [sent_bytes(trial, policy(trial)) for trial in trials]
-    assert np.ptp(ahead_of_rate(sizes, after)) <= policy.bucket.size_bytes + 1e-6
+    assert np.ptp(ahead_of_rate(sizes, after)) <= policy.rate_buffer.size_bytes + 1e-6
 
 
 @given(st.lists(packets, min_size=1, max_size=4), rates)
@@ -158,37 +158,37 @@ def test_the_finest_that_fits_is_found_in_few_trials() -> None:
     tried = []
 
     class Counting(FakeTrial):
-        def packet(self, coarseness: int) -> bytes:
-            tried.append(coarseness)
-            return super().packet(coarseness)
+        def packet(self, quantiser_offset: int) -> bytes:
+            tried.append(quantiser_offset)
+            return super().packet(quantiser_offset)
 
     trial = Counting(tuple(range(500, 0, -1)), previous=100)
     choice = begun(ConstantRate(20_000))(trial)
-    assert abs(len(trial.packet(choice.coarseness)) - 250) <= 1
-    assert choice.least_bytes == len(trial.packet(choice.coarseness))
+    assert abs(len(trial.packet(choice.quantiser_offset)) - 250) <= 1
+    assert choice.min_bytes == len(trial.packet(choice.quantiser_offset))
     assert len(set(tried)) < 20
 
 
-def test_a_rate_below_the_coarsest_packets_is_refused_with_the_least() -> None:
+def test_a_rate_below_the_coarsest_packets_is_rejected_with_the_least() -> None:
     with pytest.raises(
-        OutOfReach, match=r"500 bit/s cannot be held: packets of 100\.0 ms take 800 bit/s .* longer pack"
+        TargetUnreachable, match=r"500 bit/s cannot be held: packets of 100\.0 ms take 800 bit/s .* longer pack"
     ):
-        begun(ConstantRate(500), least_bytes=10)
+        begun(ConstantRate(500), min_bytes=10)
     policy = ConstantRate(900)
-    begun(policy, least_bytes=10)
-    with pytest.raises(OutOfReach, match="800 bit/s"):
+    begun(policy, min_bytes=10)
+    with pytest.raises(TargetUnreachable, match="800 bit/s"):
         policy.bits_per_second = 799
     policy.bits_per_second = 801
-    with pytest.raises(OutOfReach, match=r"packets of 100\.0 ms take 4080 bit/s"):
+    with pytest.raises(TargetUnreachable, match=r"packets of 100\.0 ms take 4080 bit/s"):
         policy(FakeTrial((60, 50)))
 
 
 @pytest.mark.parametrize("rate", [0, -1, math.nan, math.inf])
-def test_what_is_no_rate_is_refused(rate: float) -> None:
+def test_what_is_no_rate_is_rejected(rate: float) -> None:
     with pytest.raises(CodecError, match="ask for a positive number"):
         ConstantRate(rate)
     with pytest.raises(CodecError, match="must hold a positive time"):
-        ConstantRate(1000, bucket_s=rate)
+        ConstantRate(1000, rate_buffer_s=rate)
 
 
 def test_a_packet_that_cannot_be_coded_says_so() -> None:
@@ -219,16 +219,18 @@ def worst_deviation(sizes: list[int], rate: float, seconds: float) -> float:
     return float(np.max(np.abs(sums / (rate * run * seconds / 8) - 1)))
 
 
-@pytest.mark.parametrize("name", STEERED)
+@pytest.mark.parametrize("name", RATE_CONTROLLED)
 @pytest.mark.parametrize(("rate_per_channel", "channels"), [(500, 1), (1000, 4), (20_000, 2)])
-def test_every_codec_that_steers_holds_its_rate_whatever_comes(name: str, rate_per_channel: int, channels: int) -> None:
+def test_every_codec_that_controls_rate_holds_its_rate_whatever_comes(
+    name: str, rate_per_channel: int, channels: int
+) -> None:
     samples, rate = hostile(channels), rate_per_channel * channels
-    framing = steered_framing(rate, RATE_HZ, lambda packet: FRAME_BYTES)
+    framing = rate_controlled_framing(rate, RATE_HZ, lambda packet: FRAME_BYTES)
     try:
-        coded = codec.encode_steered(samples, RATE_HZ, ConstantRate(rate, FRAME_BYTES), framing, codec=name)
-    except OutOfReach as refused:
-        assert f"{rate} bit/s cannot be held" in str(refused)
-        assert "longer packets" in str(refused)
+        coded = codec.encode_rate_controlled(samples, RATE_HZ, ConstantRate(rate, FRAME_BYTES), framing, codec=name)
+    except TargetUnreachable as rejected:
+        assert f"{rate} bit/s cannot be held" in str(rejected)
+        assert "longer packets" in str(rejected)
         return
     packet_samples = codec.decoder(codec.codec_by_name(name).identifier, coded.configuration, channels).packet_samples
     sizes = [len(packet) + FRAME_BYTES for packet in coded.packets]
@@ -254,7 +256,7 @@ def packet_snrs_db(samples: Signal, coded: codec.CodedSignal) -> NDArray[np.floa
 def test_a_constant_quality_is_that_of_every_packet(name: str) -> None:
     samples = texture(3)
     policy = ConstantQuality(15, SnrJudge(RATE_HZ))
-    coded = codec.encode_steered(samples, RATE_HZ, policy, Framing(140, 20), codec=name)
+    coded = codec.encode_rate_controlled(samples, RATE_HZ, policy, Framing(140, 20), codec=name)
     ratios = packet_snrs_db(samples, coded)[2:]
     assert np.min(ratios) >= 14.99
     assert np.percentile(ratios, 90) < 16
@@ -263,7 +265,7 @@ def test_a_constant_quality_is_that_of_every_packet(name: str) -> None:
 def test_a_capped_rate_is_the_constant_quality_where_it_fits() -> None:
     samples, framing = texture(3), Framing(160, 20)
     free, roomy, tight = (
-        codec.encode_steered(samples, RATE_HZ, policy, framing)
+        codec.encode_rate_controlled(samples, RATE_HZ, policy, framing)
         for policy in (
             ConstantQuality(15, SnrJudge(RATE_HZ)),
             CappedRate(15, SnrJudge(RATE_HZ), 100_000),
@@ -275,20 +277,20 @@ def test_a_capped_rate_is_the_constant_quality_where_it_fits() -> None:
     assert np.mean(packet_snrs_db(samples, tight)) < 14
 
 
-def test_a_larger_bucket_makes_the_quality_more_even() -> None:
+def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
     samples = np.concatenate([texture(3), np.sin(np.arange(3 * RATE_HZ) / 5)[:, None], texture(3, 1)])
     framing = Framing(350, 8)
     spreads = []
-    for bucket_s in (0.018, 2.0):
-        policy = ConstantRate(4000, 0, bucket_s, SnrJudge(RATE_HZ))
-        ratios = packet_snrs_db(samples, codec.encode_steered(samples, RATE_HZ, policy, framing))
+    for rate_buffer_s in (0.018, 2.0):
+        policy = ConstantRate(4000, 0, rate_buffer_s, SnrJudge(RATE_HZ))
+        ratios = packet_snrs_db(samples, codec.encode_rate_controlled(samples, RATE_HZ, policy, framing))
         spreads.append(np.std(ratios[3:]))
     assert spreads[1] < spreads[0] - 1
 
 
 def test_a_codec_whose_decoder_cannot_be_tried_holds_no_quality() -> None:
     with pytest.raises(CodecError, match="cannot be held to a quality"):
-        codec.encode_steered(
+        codec.encode_rate_controlled(
             texture(1), RATE_HZ, ConstantQuality(15, SnrJudge(RATE_HZ)), Framing(140, 0), codec="wavpack"
         )
 
@@ -300,7 +302,8 @@ def test_equal_error_gives_bits_to_the_louder_channel() -> None:
     setting = codec.equal_error(codec.codec_by_name("mdct"), SignalFormat(RATE_HZ, "um", (1.0, 1.0), tuple(rms)))
     framing = Framing(350, 8)
     equal_snr, equal_error = (
-        codec.decode(codec.encode_steered(samples, RATE_HZ, ConstantRate(4000), framing, setting=given)) - samples
+        codec.decode(codec.encode_rate_controlled(samples, RATE_HZ, ConstantRate(4000), framing, setting=given))
+        - samples
         for given in ({}, setting)
     )
     assert np.sum(np.square(equal_error)) < np.sum(np.square(equal_snr))
@@ -318,7 +321,7 @@ def test_a_group_of_real_encoders_shares_its_rate_by_need() -> None:
     for signal, member in zip(signals, group.members, strict=True):
         signal_format = SignalFormat(RATE_HZ, "um", (1.0,), (float(np.std(signal)),))
         setting = codec_.complete({"step": 0.02 / signal_format.rms[0]})
-        encoders.append(steered_encoder(codec_, setting, signal_format, framing, None, member))
+        encoders.append(rate_controlled_encoder(codec_, setting, signal_format, framing, None, member))
     sizes = []
     for start in range(0, len(signals[0]) - 352, 352):
         coded = group.code(
@@ -339,9 +342,9 @@ def test_a_group_has_packets_of_one_duration() -> None:
         group.members[1].begin(FakeDecoder(), 0, SECONDS / 2)
 
 
-def test_a_rate_whose_packets_outlast_what_it_is_held_over_is_refused_by_name() -> None:
-    with pytest.raises(OutOfReach, match=r"20 bit/s cannot be held over 2 s.*ask for 272 bit/s"):
-        steered_framing(20, RATE_HZ, lambda packet: FRAME_BYTES)
+def test_a_rate_whose_packets_outlast_what_it_is_held_over_is_rejected_by_name() -> None:
+    with pytest.raises(TargetUnreachable, match=r"20 bit/s cannot be held over 2 s.*ask for 272 bit/s"):
+        rate_controlled_framing(20, RATE_HZ, lambda packet: FRAME_BYTES)
 
 
 @pytest.mark.parametrize("name", ["mdct", "slp"])
@@ -354,7 +357,7 @@ def test_packets_that_no_frame_carries_are_not_chosen(name: str) -> None:
         return FRAME_BYTES
 
     for policy in (ConstantRate(800, frame_bytes), CappedRate(90, SnrJudge(RATE_HZ), 100_000, frame_bytes)):
-        coded = codec.encode_steered(texture(4), RATE_HZ, policy, Framing(RATE_HZ, 2), codec=name)
+        coded = codec.encode_rate_controlled(texture(4), RATE_HZ, policy, Framing(RATE_HZ, 2), codec=name)
         assert max(map(len, coded.packets)) <= 300
 
 
@@ -366,7 +369,7 @@ def test_the_coarsest_packet_is_short_whatever_came_before(name: str) -> None:
     coarsest: list[int] = []
 
     def steer(trial: Trial) -> Choice:
-        coarsest.append(len(trial.packet(trial.coarsenesses[-1])))
+        coarsest.append(len(trial.packet(trial.quantiser_offsets[-1])))
         return Choice(0)
 
     known, signal_format = codec.codec_by_name(name), SignalFormat(RATE_HZ, "um", (1.0,), (0.28,))
@@ -376,9 +379,9 @@ def test_the_coarsest_packet_is_short_whatever_came_before(name: str) -> None:
 
 
 def test_frames_add_at_most_15_percent_unless_the_delay_forbids() -> None:
-    framing = steered_framing(4000, RATE_HZ, lambda packet: 8)
+    framing = rate_controlled_framing(4000, RATE_HZ, lambda packet: 8)
     sent = 4000 * framing.packet_samples / RATE_HZ / 8
     assert 0.12 < 8 / (sent - 8) <= 0.135
     assert framing.refresh_packets * framing.packet_samples == pytest.approx(2 * RATE_HZ, rel=0.1)
-    assert steered_framing(4000, RATE_HZ, lambda packet: 8, longest_s=0.02).packet_samples == 56
-    assert steered_framing(500, RATE_HZ, lambda packet: 8).refresh_packets == 2
+    assert rate_controlled_framing(4000, RATE_HZ, lambda packet: 8, max_s=0.02).packet_samples == 56
+    assert rate_controlled_framing(500, RATE_HZ, lambda packet: 8).refresh_packets == 2

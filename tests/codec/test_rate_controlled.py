@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from vibrocast import textures
 from vibrocast.codec import rate_controlled
-from vibrocast.codec.rate_controlled import Wish
+from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import read_stream
 from vibrocast.host.cli.command_line import main
 
@@ -48,7 +48,7 @@ def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> No
         (["--capped-rate-bps", "1000", "--constant-quality"], "exclude each other"),
         (["--capped-rate-bps", "1000"], "--capped-rate-bps needs either --snr-db or --error-db"),
         (["--constant-quality", "--snr-db", "4", "--error-db", "0"], "needs either --snr-db or --error-db"),
-        (["--constant-quality", "--snr-db", "4", "--bucket-s", "1"], "--bucket-s belongs to a rate"),
+        (["--constant-quality", "--snr-db", "4", "--rate-buffer-s", "1"], "--rate-buffer-s belongs to a rate"),
         (["--packet-ms", "20"], "--packet-ms needs one of --constant-rate-bps"),
         (["--constant-rate-bps", "1000", "--packet-ms", "20"], "longer packets"),
         (["--constant-rate-bps", "9000", "--codec", "opus"], "are of one quality"),
@@ -65,7 +65,7 @@ def test_what_cannot_be_held_is_told(tmp_path: Path, options: list[str], told: s
 def test_silence_has_a_rate_and_no_snr(tmp_path: Path) -> None:
     recording = textures.load(OAK)
     silence = textures.Recording(0 * recording.samples, recording.rate_hz, recording.unit, "silence")
-    _, outcome = rate_controlled.encode(silence, Wish(constant_rate_bps=2000))
+    _, outcome = rate_controlled.encode(silence, RateTarget(constant_rate_bps=2000))
     assert outcome.furthest is not None
     assert abs(outcome.furthest) < 0.01
     assert outcome.padding > 0.5

@@ -1,4 +1,4 @@
-"""Coding to a step, a signal-to-noise ratio or a rate: any input is met or refused with a reason."""
+"""Coding to a step, a signal-to-noise ratio or a rate: any input is met or rejected with a reason."""
 
 import math
 
@@ -48,7 +48,7 @@ def test_snr_is_met(target_db: float, channels: int) -> None:
 
 @pytest.mark.parametrize("target_db", [6.0, 15.0, 30.0])
 def test_snr_is_met_in_every_channel_however_unlike(target_db: float) -> None:
-    """Noise, impulses, a tone and silence: each tactor gets the quality, or what lies next above it."""
+    """Noise, impulses, a tone and silence: each actuator gets the quality, or what lies next above it."""
     names = ("impulses", "sweep", "four-bit", "silence", "dc")
     signal = np.hstack([texture(2800), *(edge_signals()[name] for name in names)])
     ratios = codec.channel_snrs_db(signal, codec.decode(codec.encode_to_snr(signal, RATE_HZ, target_db)))
@@ -75,13 +75,13 @@ def test_rate_is_met(bits_per_second: float, live: bool) -> None:
 
 
 @pytest.mark.parametrize("target_db", [200.0, math.inf, math.nan])
-def test_snr_out_of_reach_is_refused(target_db: float) -> None:
+def test_snr_out_of_reach_is_rejected(target_db: float) -> None:
     with pytest.raises(CodecError, match="cannot be met"):
         codec.encode_to_snr(texture(500), RATE_HZ, target_db)
 
 
 @pytest.mark.parametrize("bits_per_second", [1.0, 0.0, -5.0, math.nan, math.inf])
-def test_rate_out_of_reach_is_refused(bits_per_second: float) -> None:
+def test_rate_out_of_reach_is_rejected(bits_per_second: float) -> None:
     with pytest.raises(CodecError, match="cannot be met"):
         codec.encode_to_rate(texture(500), RATE_HZ, bits_per_second, size_bytes)
 
@@ -105,7 +105,7 @@ def test_gain_is_carried(first_exponent: float, second_exponent: float) -> None:
 
 
 @pytest.mark.parametrize("peak", [1e-300, 1e-40, 1e39, 1e300])
-def test_levels_that_cannot_be_stored_are_refused(peak: float) -> None:
+def test_levels_that_cannot_be_stored_are_rejected(peak: float) -> None:
     with pytest.raises(CodecError, match="unit"):
         codec.encode(texture(100) * peak, RATE_HZ, {"step": 0.3})
 
@@ -148,13 +148,13 @@ def test_every_length_has_just_the_packets_that_hold_it(live: bool, samples: int
         np.array([[0.0], [math.inf]]),
     ],
 )
-def test_signals_that_cannot_be_coded_are_refused(signal: codec.Signal) -> None:
+def test_signals_that_cannot_be_coded_are_rejected(signal: codec.Signal) -> None:
     with pytest.raises(CodecError):
         codec.encode(signal, RATE_HZ, {"step": 0.3})
 
 
 @pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
-def test_steps_that_are_no_step_are_refused(step: float) -> None:
+def test_steps_that_are_no_step_are_rejected(step: float) -> None:
     with pytest.raises(CodecError):
         codec.encode(texture(100), RATE_HZ, {"step": step})
 

@@ -53,14 +53,14 @@ def run(program: Path, records: bytes, codec_name: str = "mdct") -> subprocess.C
 def test_streams_with_losses_damage_and_noise(program: Path) -> None:
     generator = np.random.default_rng(1)
     network = models.find("mdct-network").tables
-    for channels, tables, hop, steering in (
+    for channels, tables, hop, rate_control in (
         (1, b"", 32, None),
-        (3, network, 16, lambda trial: Choice(int(generator.choice(trial.coarsenesses)))),
+        (3, network, 16, lambda trial: Choice(int(generator.choice(trial.quantiser_offsets)))),
         (16, b"", 128, lambda trial: Choice(int(generator.integers(-30, 30)))),
         (1, generator.bytes(len(network)), 128, None),
     ):
         encoder = mdct.MdctEncoder(
-            [0.02] * channels, RATE_HZ, Framing(96, 4), tables or None, hop=hop, fill=0.1, steering=steering
+            [0.02] * channels, RATE_HZ, Framing(96, 4), tables or None, hop=hop, fill=0.1, rate_control=rate_control
         )
         packets = encoder.encode(texture(3000, channels))
         records = record(0, tables) + record(channels, encoder.configuration)
@@ -75,9 +75,9 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
 
 
 def test_extreme_steps_and_levels(program: Path) -> None:
-    for code, steered in itertools.product((0, mdct.STEP_CODES - 1), (False, True)):
+    for code, rate_controlled in itertools.product((0, mdct.STEP_CODES - 1), (False, True)):
         for hop in mdct.HOPS:
-            configuration = mdct.configuration(hop, 2, [code] * 2, fill_code=31, steered=steered)
+            configuration = mdct.configuration(hop, 2, [code] * 2, fill_code=31, rate_controlled=rate_controlled)
             records = record(0, b"") + record(2, configuration)
             records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))
             done = run(program, records)
@@ -168,8 +168,8 @@ def test_eva_streams_with_losses_and_noise(program: Path, width: int, latents: i
     generator = np.random.default_rng(5)
     image = random_image(1, width, latents, 3, prior)
     for model, channels in ((image, 1), (with_extreme_weights(image, 2), 16)):
-        steered = channels > 1
-        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, [32] * channels, steered)
+        rate_controlled = channels > 1
+        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, [32] * channels, rate_controlled)
         records = record(0, model.pack()) + record(channels, configuration)
         records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(0, 256, 17))
         for sequence in range(30):

@@ -17,24 +17,24 @@ from tests.codec.signals import RATE_HZ, edge_signals, texture
 from tests.codec.slp_reference_decoder import SlpReferenceDecoder
 from tests.codec.test_mdct import golden_signal
 from vibrocast import codec
-from vibrocast.codec import Choice, CodecError, Framing, Setting, SignalFormat, Steering, linear_prediction, slp
+from vibrocast.codec import Choice, CodecError, Framing, RateControl, Setting, SignalFormat, linear_prediction, slp
 from vibrocast.device_protocol.coded_stream import unpack_file
 
 
 def coded(
-    signal: codec.Signal, framing: Framing, steering: Steering | None = None, **given: float | str
+    signal: codec.Signal, framing: Framing, rate_control: RateControl | None = None, **given: float | str
 ) -> tuple[bytes, list[bytes]]:
     setting: Setting = slp.CODEC.complete(given)
     rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
     signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
-    encoder = slp.make_encoder(setting, signal_format, framing, None, steering)
+    encoder = slp.make_encoder(setting, signal_format, framing, None, rate_control)
     return encoder.configuration, encoder.encode(signal) + encoder.finish()
 
 
-def in_turn(coarsenesses: Sequence[int]) -> Steering:
-    """Choose these coarsenesses, one after the other and over again, or the nearest that there are."""
-    turn = itertools.cycle(coarsenesses)
-    return lambda trial: Choice(min(max(next(turn), trial.coarsenesses[0]), trial.coarsenesses[-1]))
+def in_turn(quantiser_offsets: Sequence[int]) -> RateControl:
+    """Choose these quantiser offsets, one after the other and over again, or the nearest that there are."""
+    turn = itertools.cycle(quantiser_offsets)
+    return lambda trial: Choice(min(max(next(turn), trial.quantiser_offsets[0]), trial.quantiser_offsets[-1]))
 
 
 def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
@@ -62,35 +62,35 @@ def test_core_agrees_with_the_documented_decoder_on_hard_signals(name: str, qual
 
 
 @given(
-    coarsenesses=st.lists(st.integers(-40, 40) | st.integers(-336, 336), min_size=1, max_size=8),
+    quantiser_offsets=st.lists(st.integers(-40, 40) | st.integers(-336, 336), min_size=1, max_size=8),
     frame=st.sampled_from(slp.FRAMES),
     channels=st.integers(1, 2),
     refresh_packets=st.integers(0, 3),
 )
 @settings(max_examples=15, deadline=None)
-def test_core_agrees_with_the_documented_decoder_on_any_coarsenesses(
-    coarsenesses: list[int], frame: int, channels: int, refresh_packets: int
+def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
+    quantiser_offsets: list[int], frame: int, channels: int, refresh_packets: int
 ) -> None:
     signal, framing = texture(500, channels), Framing(2 * frame, refresh_packets)
-    configuration, packets = coded(signal, framing, in_turn(coarsenesses), frame=str(frame))
+    configuration, packets = coded(signal, framing, in_turn(quantiser_offsets), frame=str(frame))
     assert difference_to_the_documented_decoder(configuration, packets, channels) < 1.5
 
 
-def test_a_constant_coarseness_is_that_of_the_quality_and_costs_at_most_a_bit_a_packet() -> None:
-    """Ten levels of `quality` are two octaves of steps: four to one, 32 coarsenesses."""
+def test_a_constant_quantiser_offset_is_that_of_the_quality_and_costs_at_most_a_bit_a_packet() -> None:
+    """Ten levels of `quality` are two octaves of steps: four to one, 32 quantiser offsets."""
     signal = texture(20_000)
     plain = coded(signal, Framing(128, 5), quality=10)
-    steered = coded(signal, Framing(128, 5), in_turn([32]), quality=20)
-    np.testing.assert_array_equal(decoded(*plain, 1), decoded(*steered, 1))
-    added_bits = 8 * (sum(map(len, steered[1])) - sum(map(len, plain[1])))
+    rate_controlled = coded(signal, Framing(128, 5), in_turn([32]), quality=20)
+    np.testing.assert_array_equal(decoded(*plain, 1), decoded(*rate_controlled, 1))
+    added_bits = 8 * (sum(map(len, rate_controlled[1])) - sum(map(len, plain[1])))
     assert 0 < added_bits <= len(plain[1]) + 12 * len(plain[1]) / 5
 
 
 def test_levels_rise_in_steps_of_about_a_decibel() -> None:
     signal = texture(5600)
     snrs_db = [
-        codec.snr_db(signal, codec.decode(codec.encode(signal, RATE_HZ, rung, codec="slp"))) or 0.0
-        for rung in slp.CODEC.ladders["slp"]
+        codec.snr_db(signal, codec.decode(codec.encode(signal, RATE_HZ, rate_point, codec="slp"))) or 0.0
+        for rate_point in slp.CODEC.rate_point_sets["slp"]
     ]
     assert len(snrs_db) >= 22
     assert snrs_db[0] < 5
@@ -187,7 +187,7 @@ def test_fine_quantisers_change_little(order: int) -> None:
         np.testing.assert_allclose(quantised(predictors, 15), predictors, atol=0.05)
 
 
-def test_too_few_bits_for_the_order_are_refused() -> None:
+def test_too_few_bits_for_the_order_are_rejected() -> None:
     with pytest.raises(CodecError, match="apart"):
         linear_prediction.quantised_pole_radii(frames_of_texture(8), "line spectral frequencies", 2)
 
@@ -311,19 +311,19 @@ def test_any_bytes_decode_safely(channels: int, order: int, payloads: list[bytes
         bytes((8, 1, 0, 0, 0, 0, 0)),
     ],
 )
-def test_configurations_out_of_range_are_refused(configuration: bytes) -> None:
+def test_configurations_out_of_range_are_rejected(configuration: bytes) -> None:
     with pytest.raises(CodecError, match="configuration"):
         slp.make_decoder(configuration, 1)
     assert len(slp.make_decoder(bytes((8, 255, 15, 0, 141, 167)), 1).conceal()) == 4095 * 32
 
 
 @pytest.mark.parametrize("framing", [Framing(0, 0), Framing(4096 * 64, 0)])
-def test_packets_out_of_range_are_refused(framing: Framing) -> None:
+def test_packets_out_of_range_are_rejected(framing: Framing) -> None:
     with pytest.raises(CodecError, match="allowed"):
         coded(texture(100), framing)
 
 
-def test_a_packet_that_does_not_fit_is_refused() -> None:
+def test_a_packet_that_does_not_fit_is_rejected() -> None:
     noise = np.random.default_rng(1).uniform(-1, 1, (64 * 300, 16))
     with pytest.raises(CodecError, match="shorter packets"):
         coded(noise, Framing(64 * 300, 0), quality=slp.LEVELS - 1, order=0)

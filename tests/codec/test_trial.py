@@ -1,4 +1,6 @@
-"""What every codec that steers must do: trials from the same state, packets as chosen, padding, what is refused."""
+"""What every codec that controls its rate must do: trials from the same state, packets as chosen, padding, what is
+rejected.
+"""
 
 from collections.abc import Callable
 
@@ -11,23 +13,23 @@ from tests.codec.signals import RATE_HZ, texture
 from tests.codec.test_every_codec import middle_setting, model_of, tables_of
 from vibrocast import codec
 from vibrocast.codec import CodecError, Signal
-from vibrocast.codec.interface import Choice, Encoder, Steering, Trial
+from vibrocast.codec.interface import Choice, Encoder, RateControl, Trial
 from vibrocast.codec.mdct import hop_samples
 
-STEERED = [name for name, known in codec.CODECS.items() if known.steers]
-every_steered_codec = pytest.mark.parametrize("name", STEERED)
+RATE_CONTROLLED = [name for name, known in codec.CODECS.items() if known.controls_rate]
+every_rate_controlled_codec = pytest.mark.parametrize("name", RATE_CONTROLLED)
 FRAMING = codec.Framing(4 * hop_samples(RATE_HZ), 5)
 
 
-def encoder_of(name: str, signal: Signal, steering: Steering | None) -> Encoder:
+def encoder_of(name: str, signal: Signal, rate_control: RateControl | None) -> Encoder:
     rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
     signal_format = codec.SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
     setting = codec.CODECS[name].complete(middle_setting(name))
-    return codec.CODECS[name].make_encoder(setting, signal_format, FRAMING, model_of(name), steering)
+    return codec.CODECS[name].make_encoder(setting, signal_format, FRAMING, model_of(name), rate_control)
 
 
-def coded(name: str, signal: Signal, steering: Steering) -> tuple[Encoder, list[bytes]]:
-    encoder = encoder_of(name, signal, steering)
+def coded(name: str, signal: Signal, rate_control: RateControl) -> tuple[Encoder, list[bytes]]:
+    encoder = encoder_of(name, signal, rate_control)
     return encoder, encoder.encode(signal) + encoder.finish()
 
 
@@ -37,41 +39,41 @@ def decoded(name: str, encoder: Encoder, packets: list[bytes], channels: int) ->
     return np.concatenate([decoder.decode(packet) for packet in packets])
 
 
-def in_turn(places: list[int], least_bytes: int = 0) -> Steering:
-    """Choose the coarsenesses at these places, in 1/64 of all that can be chosen, one after the other."""
+def in_turn(places: list[int], min_bytes: int = 0) -> RateControl:
+    """Choose the quantiser offsets at these places, in 1/64 of all that can be chosen, one after the other."""
     count = 0
 
-    def steering(trial: Trial) -> Choice:
+    def rate_control(trial: Trial) -> Choice:
         nonlocal count
         count += 1
-        place = places[count % len(places)] * (len(trial.coarsenesses) - 1) // 64
-        return Choice(trial.coarsenesses[place], least_bytes)
+        place = places[count % len(places)] * (len(trial.quantiser_offsets) - 1) // 64
+        return Choice(trial.quantiser_offsets[place], min_bytes)
 
-    return steering
+    return rate_control
 
 
-@every_steered_codec
+@every_rate_controlled_codec
 def test_trials_leave_no_trace_and_are_what_is_coded(name: str) -> None:
     signal = texture(2000, 2)
     choose = in_turn([20, 25, 40, 22])
     packets: list[bytes] = []
     previous = 0
 
-    def steering(trial: Trial) -> Choice:
+    def rate_control(trial: Trial) -> Choice:
         nonlocal previous
         assert trial.previous == previous
         choice = choose(trial)
-        sizes = [len(trial.packet(coarseness)) for coarseness in trial.coarsenesses[::40]]
+        sizes = [len(trial.packet(quantiser_offset)) for quantiser_offset in trial.quantiser_offsets[::40]]
         assert sizes[-1] <= sizes[0]
-        packets.append(trial.packet(choice.coarseness))
-        previous = choice.coarseness
+        packets.append(trial.packet(choice.quantiser_offset))
+        previous = choice.quantiser_offset
         return choice
 
-    assert coded(name, signal, steering)[1] == packets
+    assert coded(name, signal, rate_control)[1] == packets
     assert coded(name, signal, in_turn([20, 25, 40, 22]))[1] == packets
 
 
-@every_steered_codec
+@every_rate_controlled_codec
 def test_coarser_takes_fewer_bytes_and_errs_more(name: str) -> None:
     signal = texture(2800)
     results = []
@@ -85,13 +87,13 @@ def test_coarser_takes_fewer_bytes_and_errs_more(name: str) -> None:
     assert errors[-1] > 3 * errors[0]
 
 
-@every_steered_codec
+@every_rate_controlled_codec
 def test_the_samples_of_a_trial_are_what_its_packet_stands_for(name: str) -> None:
     wanted: list[Signal] = []
 
     def finest(trial: Trial) -> Choice:
         wanted.append(trial.samples)
-        return Choice(trial.coarsenesses[0])
+        return Choice(trial.quantiser_offsets[0])
 
     signal = texture(2000, 2)
     encoder, packets = coded(name, signal, finest)
@@ -103,7 +105,7 @@ def test_the_samples_of_a_trial_are_what_its_packet_stands_for(name: str) -> Non
     np.testing.assert_allclose(expected[: len(delayed)], delayed[: len(expected)], atol=1e-3)
 
 
-@every_steered_codec
+@every_rate_controlled_codec
 @given(places=st.lists(st.integers(0, 64), min_size=1, max_size=6), padding=st.integers(0, 300))
 @settings(max_examples=6)
 def test_padding_changes_nothing_but_the_length(name: str, places: list[int], padding: int) -> None:
@@ -115,30 +117,30 @@ def test_padding_changes_nothing_but_the_length(name: str, places: list[int], pa
     np.testing.assert_array_equal(decoded(name, encoder, padded, 2), decoded(name, encoder, packets, 2))
 
 
-@every_steered_codec
+@every_rate_controlled_codec
 @pytest.mark.parametrize(
     "choose",
     [
-        lambda trial: Choice(trial.coarsenesses[0] - 1),
-        lambda trial: Choice(trial.coarsenesses[-1] + 1),
+        lambda trial: Choice(trial.quantiser_offsets[0] - 1),
+        lambda trial: Choice(trial.quantiser_offsets[-1] + 1),
         lambda trial: Choice(0, 65_536),
-        lambda trial: Choice(0, len(trial.packet(trial.coarsenesses[-1] + 1))),
+        lambda trial: Choice(0, len(trial.packet(trial.quantiser_offsets[-1] + 1))),
     ],
 )
-def test_choices_that_no_packet_can_have_are_refused(name: str, choose: Callable[[Trial], Choice]) -> None:
+def test_choices_that_no_packet_can_have_are_rejected(name: str, choose: Callable[[Trial], Choice]) -> None:
     with pytest.raises(CodecError, match="can"):
         coded(name, texture(1000), choose)
 
 
-@pytest.mark.parametrize("name", [name for name in codec.CODECS if name not in STEERED])
-def test_codecs_that_do_not_steer_say_so(name: str) -> None:
+@pytest.mark.parametrize("name", [name for name in codec.CODECS if name not in RATE_CONTROLLED])
+def test_codecs_that_have_no_rate_control_say_so(name: str) -> None:
     with pytest.raises(CodecError, match="one quality; choose"):
         encoder_of(name, texture(100), in_turn([0]))
 
 
-@every_steered_codec
-def test_the_configuration_says_whether_a_stream_is_steered(name: str) -> None:
+@every_rate_controlled_codec
+def test_the_configuration_says_whether_a_stream_is_rate_controlled(name: str) -> None:
     signal = texture(300)
-    plain, steered = encoder_of(name, signal, None), encoder_of(name, signal, in_turn([0]))
-    assert (plain.configuration != steered.configuration) == (name != "wavpack"), "its blocks tell their bits"
-    assert len(plain.configuration) <= len(steered.configuration) <= len(plain.configuration) + 1
+    plain, rate_controlled = encoder_of(name, signal, None), encoder_of(name, signal, in_turn([0]))
+    assert (plain.configuration != rate_controlled.configuration) == (name != "wavpack"), "its blocks tell their bits"
+    assert len(plain.configuration) <= len(rate_controlled.configuration) <= len(plain.configuration) + 1

@@ -178,12 +178,12 @@ def test_a_crash_costs_only_its_cells(folder: Path, results: Path) -> None:
 def test_a_codec_that_raises_costs_only_its_cells_and_is_tried_again(
     folder: Path, results: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch, error: Exception, reason: str
 ) -> None:
-    def refuse(*_: object) -> Any:
+    def reject(*_: object) -> Any:
         raise error
 
     told: list[Tally] = []
     with monkeypatch.context() as patched:
-        patched.setitem(codec.BUILT_IN, "mdct", replace(codec.BUILT_IN["mdct"], make_encoder=refuse))
+        patched.setitem(codec.BUILT_IN, "mdct", replace(codec.BUILT_IN["mdct"], make_encoder=reject))
         measured = run(folder, results, progress=lambda tally: told.append(replace(tally)))
     assert [each for each in measured if isinstance(each, Failure)] == [
         Failure(trace, "mdct", setting, reason) for trace in ("rough", "wood") for setting in ("step=1", "step=0.25")
@@ -268,15 +268,17 @@ def test_fresh_forgets_the_journal(folder: Path, results: Path) -> None:
         run(folder, results, partial(cut_after, 0), METHODS[:1], fresh=True)
 
 
-def test_methods_by_codec_and_by_ladder() -> None:
+def test_methods_by_codec_and_by_rate_point_set() -> None:
     everything = cells.methods([])
     without_models = [known for known in codec.CODECS.values() if not known.needs_model]
     assert {method.coder for method in everything} == {known.name for known in without_models}
-    assert [method.name for method in everything] == [name for known in without_models for name in known.ladders]
+    assert [method.name for method in everything] == [
+        name for known in without_models for name in known.rate_point_sets
+    ]
     chosen = cells.methods(["g726", "mdct"])
     assert [method.name for method in chosen] == ["mdct", "mdct-live", "g726"]
     assert chosen == cells.methods(["mdct", "g726"])
-    with pytest.raises(BenchError, match=r"no codec or ladder 'mp3'; choose from .*mdct"):
+    with pytest.raises(BenchError, match=r"no codec or set of rate points 'mp3'; choose from .*mdct"):
         cells.methods(["mdct", "mp3"])
 
 

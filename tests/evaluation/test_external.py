@@ -102,7 +102,7 @@ def test_short_signals_and_silence(samples: int) -> None:
 
 
 def test_the_file_is_labelled_with_another_rate() -> None:
-    """The stand-in carries the label through: a decoder that returned another rate would be refused."""
+    """The stand-in carries the label through: a decoder that returned another rate would be rejected."""
     signal = texture(500)
     assert snr_db(signal, external.run(replace(coder(), label_rate_hz=8000), "0", signal, RATE_HZ).decoded) > 70
     with pytest.raises(ProgramError, match=r"at 5600 Hz instead of one at 2800 Hz.*mine\.toml"):
@@ -118,7 +118,7 @@ def test_programs_that_code_folders_and_in_two_steps() -> None:
         assert snr_db(signal, decoded) > 70
 
 
-def test_a_missing_end_counts_as_silence_and_a_wrong_length_is_refused() -> None:
+def test_a_missing_end_counts_as_silence_and_a_wrong_length_is_rejected() -> None:
     signal = texture(1000)
     program = replace(COPIER, decoder=python(CUT, "{input}", "{output}", "950"))
     decoded = external.run(program, "", signal, RATE_HZ).decoded
@@ -192,7 +192,7 @@ def test_signals_that_no_program_takes(signal: Signal) -> None:
         external.run(COPIER, "", signal, RATE_HZ)
 
 
-def test_the_example_lists_ladders() -> None:
+def test_the_example_lists_rate_point_sets() -> None:
     programs = external.read_programs(EXAMPLE)
     assert [program.name for program in programs] == ["speex-nb", "vcpwq", "mpeg-haptics"]
     assert programs[0].settings[:2] == ("0", "1")
@@ -232,7 +232,7 @@ BOTH = 'encoder = ["a", "{input}", "{output}"]\ndecoder = ["b", "{input}", "{out
         ("[mine]\nencoder = ['a', '{in}']\ndecoder = ['b']", "encoder has {in}; choose from input, output"),
     ],
 )
-def test_lists_that_are_wrong_are_refused(text: str, expected: str, tmp_path: Path) -> None:
+def test_lists_that_are_wrong_are_rejected(text: str, expected: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(ProgramError) as caught:

@@ -73,9 +73,11 @@ def test_a_cell_is_measured_again_where_its_module_changes(monkeypatch: pytest.M
 
 def test_the_stability_maps_take_it() -> None:
     (method,) = maps.methods([NAME], ())
-    rung = maps.three_rungs(method)["high"]
+    rate_point = maps.three_rate_points(method)["high"]
 
     def measure() -> Measured:
-        return signals.measure(rung, "texture")
+        return signals.measure(rate_point, "texture")
 
-    assert attempt(Trial("signals", NAME, "texture", f"high: {rung.text}", None, measure)).outcome is Outcome.HOLDS
+    assert (
+        attempt(Trial("signals", NAME, "texture", f"high: {rate_point.text}", None, measure)).outcome is Outcome.HOLDS
+    )

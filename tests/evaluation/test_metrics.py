@@ -1,4 +1,4 @@
-"""The measures of quality: published values, what leaves them unchanged, and what has none or is refused."""
+"""The measures of quality: published values, what leaves them unchanged, and what has none or is rejected."""
 
 import math
 from dataclasses import astuple
@@ -204,7 +204,7 @@ def test_a_reference_that_never_varies_has_no_similarity(constant: float) -> Non
         (noise(), noise(), math.nan, "positive"),
     ],
 )
-def test_refused_with_what_to_do(reference: Signal, decoded: Signal, rate_hz: float, message: str) -> None:
+def test_rejected_with_what_to_do(reference: Signal, decoded: Signal, rate_hz: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         measure(reference, decoded, rate_hz)
 
@@ -215,7 +215,7 @@ def test_refused_with_what_to_do(reference: Signal, decoded: Signal, rate_hz: fl
     rate_hz=st.floats(0.1, 1e6),
 )
 @pytest.mark.filterwarnings("error")
-def test_any_numbers_have_values_or_are_refused(values: list[float], samples: int, rate_hz: float) -> None:
+def test_any_numbers_have_values_or_are_rejected(values: list[float], samples: int, rate_hz: float) -> None:
     x, y = np.resize(values, (samples, 1)), np.resize(values[::-1], (samples, 1))
     try:
         quality = measure(x, y, rate_hz)

@@ -68,7 +68,7 @@ def test_points_are_sorted_by_codec_and_trace() -> None:
         (f"{HEADER}\na,b,c,1\n", "row 2"),
     ],
 )
-def test_refused_with_the_place(tmp_path: Path, text: str, message: str) -> None:
+def test_rejected_with_the_place(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "points.csv").write_text(text)
     with pytest.raises(PointsError, match=message):
         read_rows(tmp_path / "points.csv", Point)
@@ -87,14 +87,14 @@ def test_points_of_another_benchmark_are_imported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("times", ["soon,1", "1,nan", "inf,1", "-1,1"])
-def test_imported_times_that_are_none_are_refused(tmp_path: Path, times: str) -> None:
+def test_imported_times_that_are_none_are_rejected(tmp_path: Path, times: str) -> None:
     (tmp_path / "peers.csv").write_text(f"{TIMED}\na,peer,,2000,10,5,{times}\n")
     with pytest.raises(PointsError, match="row 2: encode_s or decode_s"):
         read_imported(tmp_path / "peers.csv")
 
 
 @given(data=st.binary(max_size=200), headed=st.booleans())
-def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data: bytes, headed: bool) -> None:
+def test_any_bytes_are_read_or_rejected(tmp_path_factory: pytest.TempPathFactory, data: bytes, headed: bool) -> None:
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_bytes((f"{TIMED}\n".encode() if headed else b"") + data)
     try:
@@ -118,6 +118,6 @@ def test_figures_of_a_point() -> None:
     assert Timing("a", "mdct", "", 20.0, 5.0).real_time_factor(8000) == pytest.approx(0.2)
 
 
-def test_what_is_no_file_is_refused_before_it_is_read() -> None:
+def test_what_is_no_file_is_rejected_before_it_is_read() -> None:
     with pytest.raises(PointsError, match="no file"):
         read_imported(Path("/dev/zero"))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from vibrocast.codec import CODECS
 from vibrocast.evaluation import bench, learned_page, results_page
 from vibrocast.evaluation.bd_rate import SNR
-from vibrocast.evaluation.charts import FAR_DB, LONGEST_NAME, _set_log_axis, _short, plot_marks
+from vibrocast.evaluation.charts import FAR_DB, MAX_NAME, _set_log_axis, _short, plot_marks
 from vibrocast.evaluation.comparison import (
     TIMES,
     Excess,
@@ -178,15 +178,15 @@ def test_bd_rates_are_relative_to_every_anchor_at_every_quality() -> None:
     assert {row.traces for row in rows} == {2}
 
 
-def test_costs_are_of_the_codec_that_a_ladder_belongs_to() -> None:
+def test_costs_are_of_the_codec_that_a_rate_point_set_belongs_to() -> None:
     points, timings, costs = measured()
     rows = {row.codec: row for row in curve_costs(Measurements(points, timings, costs, []))}
     assert rows["mdct"].real_time_factor == pytest.approx(3.0 * 2800 / 1e6)
     assert (rows["mdct"].peak_memory_bytes, rows["mdct"].settings, rows["mdct"].delay_ms) == (5_000_000, 7, 21)
     assert (rows["vcpwq"].decoder_bytes, rows["vcpwq"].source) == (None, "imported")
-    ladder = next(ladder for ladder in CODECS["dct"].ladders if ladder != "dct")
-    of_a_ladder = Measurements(curve(ladder), [], [CodecCost("dct", 7, None, "")], [])
-    assert curve_costs(of_a_ladder)[0].decoder_bytes == 7
+    rate_point_set = next(rate_point_set for rate_point_set in CODECS["dct"].rate_point_sets if rate_point_set != "dct")
+    of_a_rate_point_set = Measurements(curve(rate_point_set), [], [CodecCost("dct", 7, None, "")], [])
+    assert curve_costs(of_a_rate_point_set)[0].decoder_bytes == 7
 
 
 def test_advice_follows_its_rules_and_never_names_an_imported_codec() -> None:
@@ -343,7 +343,7 @@ def test_times_that_are_alike_have_plain_ticks(encode_s: float) -> None:
 
 def test_a_long_name_keeps_what_tells_traces_apart() -> None:
     name = _short("Direct_-_1spike_Probe_-_polyesterPad_-_slow")
-    assert len(name) == LONGEST_NAME
+    assert len(name) == MAX_NAME
     assert name.startswith("Direct_-_1...") and name.endswith("esterPad_-_slow")
 
 

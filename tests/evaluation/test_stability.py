@@ -22,16 +22,16 @@ from vibrocast.evaluation.stability import (
     filters,
     float_parity,
     hand_speed,
-    ladders,
     learned_signals,
     page,
     peers,
     pictures,
+    rate_point_sets,
     recordings,
     signals,
 )
 from vibrocast.evaluation.stability.known_causes import explanation, known_causes
-from vibrocast.evaluation.stability.maps import Rung, Scope, methods
+from vibrocast.evaluation.stability.maps import RatePoint, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
 from vibrocast.host.cli.stability import stability
 from vibrocast.host.stability import CLEAR_ERRORS, model_images, report, transport
@@ -40,17 +40,17 @@ from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood
 
 MDCT = codec.CODECS["mdct"]
-STEP = Rung("mdct", {"step": 0.25})
+STEP = RatePoint("mdct", {"step": 0.25})
 TINY = tiny_model()
 QUICK = Scope(methods(["mdct", "dct", "slp", "eva"], [TINY]), quick=True, recordings=(wood(0, 0.5),))
-LEARNED = Rung("eva", {"quality": 2.0}, TINY)
+LEARNED = RatePoint("eva", {"quality": 2.0}, TINY)
 
 
 def hold() -> Measured:
     return Measured(Outcome.HOLDS, {"snr_db": 12.345678})
 
 
-def refuse() -> Measured:
+def reject() -> Measured:
     raise codec.CodecError("too loud;\nturn it down")
 
 
@@ -68,8 +68,8 @@ def wait() -> Measured:
     return hold()
 
 
-def trial(measure: object, to_be_refused: bool = False) -> Trial:
-    return Trial("signals", "fake", "a case", "low: ", None, measure, to_be_refused)  # type: ignore[arg-type]
+def trial(measure: object, to_be_rejected: bool = False) -> Trial:
+    return Trial("signals", "fake", "a case", "low: ", None, measure, to_be_rejected)  # type: ignore[arg-type]
 
 
 def cell(outcome: Outcome, case: str = "a case", value: float | None = None, method: str = "fake") -> Verdict:
@@ -78,26 +78,26 @@ def cell(outcome: Outcome, case: str = "a case", value: float | None = None, met
 
 def test_what_happens_in_a_trial_is_its_outcome() -> None:
     assert attempt(trial(hold)).figures == {"snr_db": 12.3457}
-    refused = attempt(trial(refuse))
-    assert (refused.outcome, refused.effect, refused.sound) == (Outcome.REFUSED, "too loud; turn it down", False)
+    rejected = attempt(trial(reject))
+    assert (rejected.outcome, rejected.effect, rejected.sound) == (Outcome.REJECTED, "too loud; turn it down", False)
     crashed = attempt(trial(stumble))
     assert (crashed.outcome, crashed.effect) == (Outcome.FAILS, "CRASH: ZeroDivisionError: oh")
     assert explanation(crashed)[1] == "report it"
 
 
-def test_what_must_be_refused_is_sound_only_then() -> None:
-    assert attempt(trial(refuse, to_be_refused=True)).sound
-    accepted = attempt(trial(hold, to_be_refused=True))
+def test_what_must_be_rejected_is_sound_only_then() -> None:
+    assert attempt(trial(reject, to_be_rejected=True)).sound
+    accepted = attempt(trial(hold, to_be_rejected=True))
     assert (accepted.outcome, accepted.sound) == (Outcome.FAILS, False)
-    assert "must be refused" in accepted.effect
+    assert "must be rejected" in accepted.effect
 
 
 @pytest.mark.slow
 def test_a_trial_that_hangs_costs_only_its_cell() -> None:
     told: list[float] = []
-    cells = run([trial(hang), trial(refuse), trial(wait)], 1.0, lambda part, _: told.append(part))
+    cells = run([trial(hang), trial(reject), trial(wait)], 1.0, lambda part, _: told.append(part))
     # A busy machine that keeps a trial waiting does not end it.
-    assert [each.outcome for each in cells] == [Outcome.FAILS, Outcome.REFUSED, Outcome.HOLDS]
+    assert [each.outcome for each in cells] == [Outcome.FAILS, Outcome.REJECTED, Outcome.HOLDS]
     assert "longer than 1 s" in cells[0].effect
     assert told[-1] == 1.0
 
@@ -138,7 +138,7 @@ def test_a_codec_that_returns_garbage_is_classified_so(
     decode: object, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(codec.registry, "BUILT_IN", {"mdct": fake(decode)})
-    monkeypatch.setattr(signals, "texture_snr_db", lambda rung: 17.0)
+    monkeypatch.setattr(signals, "texture_snr_db", lambda rate_point: 17.0)
     measured = attempt(trial(partial(signals.measure, STEP, "texture")))
     assert measured.outcome is outcome
     assert measured.effect.startswith("CRASH: IndexError") == (decode is raising)
@@ -192,7 +192,7 @@ def test_an_offset_or_a_drift_is_far_greater_than_the_texture_and_counts_not(
     # Whether the offset comes through or is left out before coding, a good codec holds.
     for heard in (made, texture):
         monkeypatch.setattr(signals, "decoded", lambda *_, heard=heard: (heard, coding_stub()))
-        monkeypatch.setattr(signals, "texture_snr_db", lambda rung: 12.0)
+        monkeypatch.setattr(signals, "texture_snr_db", lambda rate_point: 12.0)
         assert signals.measure(STEP, name).outcome is Outcome.HOLDS
     monkeypatch.setattr(signals, "decoded", lambda *_: (made - texture, coding_stub()))
     assert signals.measure(STEP, name).outcome is Outcome.DEGRADED
@@ -200,9 +200,9 @@ def test_an_offset_or_a_drift_is_far_greater_than_the_texture_and_counts_not(
 
 @pytest.mark.parametrize("name", signals.DRIFTING)
 def test_a_high_pass_before_coding_is_the_remedy(name: str) -> None:
-    rung = Rung("mdct", {"step": 0.5})
-    assert attempt(trial(partial(signals.measure, rung, name))).outcome is not Outcome.HOLDS
-    assert attempt(trial(partial(signals.measure, rung, f"{name}, high-passed"))).outcome is Outcome.HOLDS
+    rate_point = RatePoint("mdct", {"step": 0.5})
+    assert attempt(trial(partial(signals.measure, rate_point, name))).outcome is not Outcome.HOLDS
+    assert attempt(trial(partial(signals.measure, rate_point, f"{name}, high-passed"))).outcome is Outcome.HOLDS
 
 
 def coding_stub() -> object:
@@ -229,24 +229,24 @@ def test_recordings_of_ones_own_are_a_map(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_pre_echo_falls_with_a_finer_setting() -> None:
-    coarse, fine = (signals.measure_onset(Rung("mdct", {"step": step})) for step in (0.5, 0.01))
+    coarse, fine = (signals.measure_onset(RatePoint("mdct", {"step": step})) for step in (0.5, 0.01))
     assert coarse.figures["pre_echo_5ms_db"] > fine.figures["pre_echo_5ms_db"]  # type: ignore[operator]
     assert (coarse.outcome, fine.outcome) == (Outcome.DEGRADED, Outcome.HOLDS)
 
 
 def test_an_hour_is_judged_by_its_last_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signals, "HOUR_S", 120)
-    assert signals.measure_hour(Rung("flac", {})).outcome is Outcome.HOLDS
+    assert signals.measure_hour(RatePoint("flac", {})).outcome is Outcome.HOLDS
 
 
-def test_a_fall_on_the_way_up_a_ladder_is_marked() -> None:
+def test_a_fall_on_the_way_up_a_rate_point_set_is_marked() -> None:
     snrs_db = [1.0, 5.0, 4.0, 4.95, 7.0, math.nan]
     cells = [dataclasses.replace(cell(Outcome.HOLDS), figures={"snr_db": each}) for each in snrs_db]
-    judged = ladders.falls(cells)
+    judged = rate_point_sets.falls(cells)
     assert [each.outcome.letter for each in judged] == list("HHDHHH")
     assert judged[2].effect == "SNR 4.0 dB, 1.0 dB less than at a coarser setting"
-    assert [each.outcome.letter for each in ladders.near_best(cells[:5])] == list("DHHHH")
-    assert [each.outcome.letter for each in ladders.half_left(cells[:2])] == list("DH")
+    assert [each.outcome.letter for each in rate_point_sets.near_best(cells[:5])] == list("DHHHH")
+    assert [each.outcome.letter for each in rate_point_sets.half_left(cells[:2])] == list("DH")
 
 
 @pytest.fixture
@@ -279,8 +279,8 @@ def test_a_longer_stall_than_the_buffer_is_heard_and_a_shorter_is_not() -> None:
 
 
 def test_speed_of_the_hand_matters_to_what_is_cut_at_one_speed() -> None:
-    rung = Rung("dct", {"levels": 320})
-    slow, coded, fast = (hand_speed.measure(rung, "sandpaper", speed) for speed in (25.0, 50.0, 100.0))
+    rate_point = RatePoint("dct", {"levels": 320})
+    slow, coded, fast = (hand_speed.measure(rate_point, "sandpaper", speed) for speed in (25.0, 50.0, 100.0))
     assert slow.outcome is Outcome.FAILS
     assert coded.outcome is fast.outcome is Outcome.HOLDS
     assert slow.figures["upper_octave_level_db"] < -10  # type: ignore[operator]
@@ -312,37 +312,37 @@ def test_a_source_with_its_own_pace_runs_dry_by_the_drift(monkeypatch: pytest.Mo
 def test_a_trained_model_is_tried_as_codecs_are() -> None:
     assert [method.name for method in QUICK.learned] == ["tiny"]
     assert signals.measure(LEARNED, "texture").outcome is Outcome.HOLDS
-    assert Rung("eva", {"quality": 2.0}, tiny_model()) == LEARNED != Rung("eva", {"quality": 2.5}, TINY)
-    assert hash(Rung("eva", {"quality": 2.0}, tiny_model())) == hash(LEARNED)
+    assert RatePoint("eva", {"quality": 2.0}, tiny_model()) == LEARNED != RatePoint("eva", {"quality": 2.5}, TINY)
+    assert hash(RatePoint("eva", {"quality": 2.0}, tiny_model())) == hash(LEARNED)
 
 
 @pytest.mark.usefixtures("played_once")
-def test_a_controller_with_the_model_plays_it_and_one_without_refuses() -> None:
+def test_a_controller_with_the_model_plays_it_and_one_without_rejects() -> None:
     assert transport.measure(LEARNED, transport.Line()).outcome is Outcome.HOLDS
     for image in (None, dataclasses.replace(ModelImage.unpack(TINY.image), version="another").pack()):
-        tried = trial(partial(model_images.measure_on_controller, LEARNED, image), to_be_refused=True)
-        refused = attempt(dataclasses.replace(tried, clear_errors=CLEAR_ERRORS))
-        assert refused.sound and "does not run here" in refused.effect
+        tried = trial(partial(model_images.measure_on_controller, LEARNED, image), to_be_rejected=True)
+        rejected = attempt(dataclasses.replace(tried, clear_errors=CLEAR_ERRORS))
+        assert rejected.sound and "does not run here" in rejected.effect
 
 
-def test_a_wrong_or_damaged_image_is_refused_while_something_vouches_for_it() -> None:
+def test_a_wrong_or_damaged_image_is_rejected_while_something_vouches_for_it() -> None:
     for measure in (model_images.measure_crc, model_images.measure_hash, model_images.measure_missing):
-        assert attempt(trial(partial(measure, LEARNED), to_be_refused=True)).sound
-    assert attempt(trial(partial(model_images.measure_cut, LEARNED, 90.0), to_be_refused=True)).sound
+        assert attempt(trial(partial(measure, LEARNED), to_be_rejected=True)).sound
+    assert attempt(trial(partial(model_images.measure_cut, LEARNED, 90.0), to_be_rejected=True)).sound
     outcomes = {
         attempt(trial(partial(model_images.measure_changed, LEARNED, runtime, percent))).outcome
         for runtime in codec.RUNTIMES
         for percent in (0.0, 1.0, 45.0, 99.0)
     }
-    assert Outcome.FAILS not in outcomes and Outcome.REFUSED in outcomes
+    assert Outcome.FAILS not in outcomes and Outcome.REJECTED in outcomes
 
 
 def test_what_a_model_needs_beyond_mdct_is_measured_in_bits() -> None:
-    ladder = [Rung("mdct", {"step": 2 ** (exponent / 2)}) for exponent in range(4, -14, -1)]
-    same = learned_signals.measure_kind(ladder, "wood")
+    rate_point_set = [RatePoint("mdct", {"step": 2 ** (exponent / 2)}) for exponent in range(4, -14, -1)]
+    same = learned_signals.measure_kind(rate_point_set, "wood")
     assert same.outcome is Outcome.HOLDS
     assert same.figures["ratio"] == pytest.approx(1.0)
-    coarse = learned_signals.measure_kind(ladder[:2], "wood")
+    coarse = learned_signals.measure_kind(rate_point_set[:2], "wood")
     assert (coarse.outcome, coarse.effect) == (Outcome.FAILS, "10 dB are not reached")
 
 
@@ -355,7 +355,7 @@ def test_a_quiet_passage_is_judged_alone() -> None:
 def test_a_wrong_level_costs_quality_in_either_runtime() -> None:
     for runtime in codec.RUNTIMES:
         right, wrong = (
-            learned_signals.measure_level(Rung("eva", {"quality": 2.0, "level": level}, TINY), runtime, "texture")
+            learned_signals.measure_level(RatePoint("eva", {"quality": 2.0, "level": level}, TINY), runtime, "texture")
             for level in (1.0, 0.001)
         )
         assert right.outcome is Outcome.HOLDS
@@ -470,7 +470,7 @@ def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
 def test_causes_are_about_maps_that_there_are() -> None:
     names = {each.name for each in report.MAPS} | {peers.PEERS.name}
     assert {cause.map for cause in known_causes()} <= names
-    assert all(len(explanation(cell(outcome))) == 2 for outcome in (Outcome.REFUSED, Outcome.DEGRADED, Outcome.FAILS))
+    assert all(len(explanation(cell(outcome))) == 2 for outcome in (Outcome.REJECTED, Outcome.DEGRADED, Outcome.FAILS))
 
 
 @pytest.mark.slow
@@ -519,6 +519,6 @@ def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         ["--recordings", "missing"],
     ],
 )
-def test_bad_arguments_are_refused(arguments: list[str], tmp_path: Path) -> None:
+def test_bad_arguments_are_rejected(arguments: list[str], tmp_path: Path) -> None:
     result = CliRunner().invoke(stability, ["--out", str(tmp_path), *arguments])
     assert result.exit_code != 0

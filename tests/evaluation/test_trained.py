@@ -45,7 +45,7 @@ def recording() -> Recording:
     return wood(1, 0.5)
 
 
-def test_a_model_of_several_rates_has_the_rungs_that_differ() -> None:
+def test_a_model_of_several_rates_has_the_rate_points_that_differ() -> None:
     (method,) = cells.families([with_rates("four", slice(4))])
     assert (method.name, method.coder) == ("four", "eva")
     assert [setting["quality"] for setting in method.settings if not isinstance(setting, str)] == [
@@ -57,7 +57,9 @@ def test_models_of_one_rate_make_one_curve(recording: Recording) -> None:
     models = [one_rate(f"step-{rate}", rate) for rate in (2, 0)]
     (method,) = cells.families(models)
     assert (method.name, [model.name for model in method.models]) == ("steps", ["step-0", "step-2"])
-    points = [Cell("wood", recording, method, setting, 0, model).measure().point for setting, model in method.rungs]
+    points = [
+        Cell("wood", recording, method, setting, 0, model).measure().point for setting, model in method.rate_points
+    ]
     assert [point.setting for point in points] == ["quality=0 model=step-0", "quality=0 model=step-2"]
     assert points[0].bytes_total < points[1].bytes_total
 
@@ -76,7 +78,7 @@ def test_the_model_is_in_the_key(recording: Recording) -> None:
     assert replace(cell, model=tiny_model()).key == cell.key
 
 
-def test_names_stand_for_codecs_ladders_and_families() -> None:
+def test_names_stand_for_codecs_rate_point_sets_and_families() -> None:
     models = [tiny_model(), one_rate("step-0", 0)]
     every = cells.methods([], models=models)
     assert [method.name for method in every][-2:] == ["tiny", "steps"]

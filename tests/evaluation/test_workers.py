@@ -23,11 +23,11 @@ def double(number: int) -> int:
     return 2 * number
 
 
-def refuse() -> NoReturn:
-    raise ValueError("refused")
+def reject() -> NoReturn:
+    raise ValueError("rejected")
 
 
-def refuse_oddly() -> NoReturn:
+def reject_oddly() -> NoReturn:
     raise NotPicklableError(1, 2)
 
 
@@ -44,14 +44,14 @@ def version_by_process() -> str:
 
 
 def pieces() -> Pieces:
-    bad: dict[int, Work] = {1: refuse, 4: die}
+    bad: dict[int, Work] = {1: reject, 4: die}
     return ((number, bad.get(number, partial(double, number))) for number in range(6))
 
 
 def check(outcomes: dict[int, int | Exception]) -> None:
     assert sorted(outcomes) == list(range(6))
-    refused, died = outcomes.pop(1), outcomes.pop(4)
-    assert isinstance(refused, ValueError) and str(refused) == "refused"
+    rejected, died = outcomes.pop(1), outcomes.pop(4)
+    assert isinstance(rejected, ValueError) and str(rejected) == "rejected"
     assert isinstance(died, WorkerDiedError)
     assert outcomes == {number: 2 * number for number in (0, 2, 3, 5)}
 
@@ -61,7 +61,7 @@ def test_on_cores_a_bad_piece_costs_only_itself() -> None:
 
 
 def test_an_error_that_cannot_be_carried_back_costs_only_itself() -> None:
-    works: list[tuple[int, Work]] = [(0, refuse_oddly), (1, partial(double, 1))]
+    works: list[tuple[int, Work]] = [(0, reject_oddly), (1, partial(double, 1))]
     outcomes = dict(on_cores(iter(works), 1))
     assert isinstance(outcomes.pop(0), Exception)
     assert outcomes == {1: 2}
@@ -99,19 +99,19 @@ def test_on_a_cluster_a_bad_piece_costs_only_itself(scheduler: str) -> None:
 
 
 @pytest.mark.slow
-def test_workers_of_another_version_are_refused(scheduler: str) -> None:
+def test_workers_of_another_version_are_rejected(scheduler: str) -> None:
     with pytest.raises(WorkersError, match="does not have this version"):
         list(on_cluster(pieces(), scheduler, version_by_process))
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "http://127.0.0.1:80"])
-def test_an_address_without_a_scheduler_is_refused(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_without_a_scheduler_is_rejected(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "CONNECT_S", 0.2)
     with pytest.raises(WorkersError, match="no Dask scheduler answers"):
         list(on_cluster(pieces(), address, version))
 
 
-def test_a_scheduler_without_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_without_workers_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "PATIENCE_S", 0.2)
     with cluster(workers=0) as running, pytest.raises(WorkersError, match="has no workers"):
         list(on_cluster(pieces(), running.scheduler_address, version))

@@ -33,7 +33,7 @@ def test_an_image_holds_what_was_asked_for(contents: Contents) -> None:
 
 
 @pytest.mark.parametrize(("contents", "missing"), [("core", "onnx"), ("onnx", "core")])
-def test_a_runtime_that_an_image_does_not_have_is_refused(contents: Contents, missing: str) -> None:
+def test_a_runtime_that_an_image_does_not_have_is_rejected(contents: Contents, missing: str) -> None:
     with pytest.raises(CodecError, match=f"runtime {contents}"):
         encode_recording(
             textures.GENERATORS["rough"](5, 0.3), setting={"quality": 2}, model=tiny.model(contents), runtime=missing

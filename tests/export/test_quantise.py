@@ -72,7 +72,7 @@ def test_norms_of_latents_of_few_steps_are_exact() -> None:
     assert 10 * np.log10(np.sum(exact**2) / np.sum((found - exact) ** 2)) > 30
 
 
-def test_a_model_that_diverged_is_refused() -> None:
+def test_a_model_that_diverged_is_rejected() -> None:
     model = random_model(EvaShape(4, 4, 1))
     with torch.no_grad():
         for parameter in model.parameters():
@@ -149,6 +149,6 @@ def test_tables_that_adapt_were_trained_on_the_signals() -> None:
 
 
 @pytest.mark.parametrize("signals", [[], [np.zeros(5000)], [np.zeros(0)]])
-def test_calibration_without_a_signal_is_refused(signals: list[Signal]) -> None:
+def test_calibration_without_a_signal_is_rejected(signals: list[Signal]) -> None:
     with pytest.raises(ModelError, match="no signal"):
         quantise(random_model(EvaShape(4, 4, 1)), ContextPrior(4), signals)

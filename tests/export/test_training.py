@@ -1,4 +1,4 @@
-"""Training of the learned codec, at a tiny width: it learns, resumes as if uncut, and refuses what it cannot use."""
+"""Training of the learned codec, at a tiny width: it learns, resumes as if uncut, and rejects what it cannot use."""
 
 import tomllib
 from collections.abc import Callable
@@ -190,7 +190,7 @@ def test_excerpts_are_of_rms_one_and_of_seed_and_step_alone() -> None:
     np.testing.assert_allclose(np.sqrt(np.mean(one.batch(7, 4) ** 2, axis=1)), 1, rtol=1e-5)
 
 
-def test_a_recording_of_one_sample_is_trained_on_and_silence_is_refused() -> None:
+def test_a_recording_of_one_sample_is_trained_on_and_silence_is_rejected() -> None:
     def excerpts(samples: list[float]) -> Excerpts:
         trace = Trace("lab", "lab/wood", np.array(samples, dtype=np.float32))
         unvaried = Augmentation(0, 0, False, 0, 0, 0)
@@ -202,7 +202,7 @@ def test_a_recording_of_one_sample_is_trained_on_and_silence_is_refused() -> Non
 
 
 @pytest.mark.parametrize("values", [{"rate_hz": 2800, "wood_1": np.ones(9) * 1j}, None])
-def test_archives_that_cannot_be_used_are_refused(values: dict[str, Any] | None, tmp_path: Path) -> None:
+def test_archives_that_cannot_be_used_are_rejected(values: dict[str, Any] | None, tmp_path: Path) -> None:
     if values:
         np.savez(tmp_path / "takes.npz", **values)
     with pytest.raises(TextureError, match="not of numbers" if values else "no such file"):
@@ -257,7 +257,7 @@ def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:
     assert {len(trace.samples) for trace in traces} == {1400}
 
 
-def test_what_a_data_set_leaves_out_is_told_and_a_wrong_manifest_refused(tmp_path: Path) -> None:
+def test_what_a_data_set_leaves_out_is_told_and_a_wrong_manifest_rejected(tmp_path: Path) -> None:
     (tmp_path / "own").mkdir()
     textures.save(tmp_path / "own" / "a.wav", textures.GENERATORS["rough"](seed=1, seconds=0.5))
     (tmp_path / "own" / "notes.md").touch()
@@ -289,7 +289,7 @@ def test_what_a_data_set_leaves_out_is_told_and_a_wrong_manifest_refused(tmp_pat
         (TINY.partition("[generator]")[2], "nothing to train on"),
     ],
 )
-def test_configurations_that_cannot_be_used_are_refused_with_the_reason(
+def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
     change: str, reason: str, tmp_path: Path
 ) -> None:
     replacements = {
@@ -328,7 +328,7 @@ def test_configurations_that_cannot_be_used_are_refused_with_the_reason(
         ("training", None, "lacks its table"),
     ],
 )
-def test_bad_checkpoints_are_refused_with_the_reason(
+def test_bad_checkpoints_are_rejected_with_the_reason(
     name: str, value: object, reason: str, trained: Path, tmp_path: Path
 ) -> None:
     content = torch.load(trained / training.BEST, weights_only=True)
@@ -337,7 +337,7 @@ def test_bad_checkpoints_are_refused_with_the_reason(
         checkpoint.load(tmp_path / "bad.pt")
 
 
-def test_files_that_are_no_checkpoints_are_refused(trained: Path, tmp_path: Path) -> None:
+def test_files_that_are_no_checkpoints_are_rejected(trained: Path, tmp_path: Path) -> None:
     whole = (trained / training.BEST).read_bytes()
     for number, content in enumerate((b"", b"\x80\x02.", b"PK\x03\x04", whole[:-100], whole[: len(whole) // 2])):
         (tmp_path / f"{number}.pt").write_bytes(content)
@@ -350,7 +350,7 @@ def test_files_that_are_no_checkpoints_are_refused(trained: Path, tmp_path: Path
         checkpoint.load(tmp_path)
 
 
-def test_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+def test_numbers_that_are_not_finite_are_rejected(tmp_path: Path) -> None:
     model = Eva(EvaShape(8, 16, 2))
     with torch.no_grad():
         model.log2_step[0, 0] = torch.nan
@@ -359,7 +359,7 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
         checkpoint.load(tmp_path / "nan.pt")
 
 
-def test_the_command_trains_resumes_and_refuses(tmp_path: Path) -> None:
+def test_the_command_trains_resumes_and_rejects(tmp_path: Path) -> None:
     configured(tmp_path, TINY.replace("steps = 40", "steps = 10"))
     out = tmp_path / "out"
     done = run(tmp_path / "tiny.toml", "--out", out, "--threads", 1)
@@ -395,7 +395,7 @@ def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
         assert best.training["model"]["lambdas"] == (weight,)
 
 
-def test_a_sweep_whose_names_would_be_too_long_to_export_is_refused(tmp_path: Path) -> None:
+def test_a_sweep_whose_names_would_be_too_long_to_export_is_rejected(tmp_path: Path) -> None:
     text = TINY.replace("tiny", 41 * "a")
     assert configured(tmp_path, text).name == 41 * "a"
     with pytest.raises(ConfigurationError, match="at most 41"):

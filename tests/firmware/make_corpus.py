@@ -83,7 +83,7 @@ def host_messages() -> list[Message]:
     ]
 
 
-def steered(name: str, setting: Setting) -> bytes:
+def rate_controlled(name: str, setting: Setting) -> bytes:
     """Return a short stream whose packets differ in their quality."""
     turn = itertools.cycle([0, 0, 16, -3, 50])
     signal_format = SignalFormat(RATE_HZ, "um", (1.0, 1.0), (0.2, 0.2))
@@ -97,7 +97,7 @@ def steered(name: str, setting: Setting) -> bytes:
 
 
 def streams() -> list[bytes]:
-    """Return a short stream of every codec, one packet of it missing, and steered ones."""
+    """Return a short stream of every codec, one packet of it missing, and rate-controlled ones."""
     inputs = []
     for name, setting in SETTINGS:
         coded = codec.encode(texture(300, 2), RATE_HZ, setting, codec=name, live=True)
@@ -105,10 +105,10 @@ def streams() -> list[bytes]:
         header = StreamHeader(identifier, RATE_HZ, 300, "um", coded.gains, coded.configuration)
         packets = [packet if number != 2 else b"" for number, packet in enumerate(coded.packets)]
         inputs.append(b"".join(map(record, [b"", header.pack(), *packets])))
-    inputs += [steered(name, setting) for name, setting in SETTINGS if codec.codec_by_name(name).steers]
+    inputs += [rate_controlled(name, setting) for name, setting in SETTINGS if codec.codec_by_name(name).controls_rate]
     generator = np.random.default_rng(1)
-    for prior, is_steered in itertools.product(PRIOR_KINDS, (False, True)):
-        configuration = eva.configuration(3, [700], [8], is_steered)
+    for prior, is_rate_controlled in itertools.product(PRIOR_KINDS, (False, True)):
+        configuration = eva.configuration(3, [700], [8], is_rate_controlled)
         header = StreamHeader(4, RATE_HZ, None, "um", (1.0,), configuration, b"hash")
         noise = [pack_varint(2 * number + (number % 4 == 0)) + generator.bytes(30) for number in range(8)]
         model = random_image(2, 2, 3, 1, prior).pack()

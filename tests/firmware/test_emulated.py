@@ -58,12 +58,12 @@ def coded(codec_name: str, seconds: float = 0.3) -> Stream:
     ).stream
 
 
-def steered(stream: Stream) -> Stream:
+def rate_controlled(stream: Stream) -> Stream:
     """Return the stream coded again, its packets of different qualities, some padded."""
     header, known = stream.header, codec.codec_by_identifier(stream.header.codec_identifier)
     model = models.find(LEARNED) if known.needs_model else None
     signal = stream.decode_integers()[stream.decoder().delay_samples :][: stream.samples] / 32768
-    turn = itertools.cycle([Choice(0), Choice(-7), Choice(-20, least_bytes=100), Choice(-12)])
+    turn = itertools.cycle([Choice(0), Choice(-7), Choice(-20, min_bytes=100), Choice(-12)])
     encoder = known.make_encoder(
         known.complete({}),
         SignalFormat(header.rate_hz, header.unit, header.gains, (0.2, 0.2)),
@@ -102,15 +102,15 @@ def flash_of(name: str) -> FlashMemory:
     ],
 )
 def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: str) -> None:
-    """On the board, and on the other cores, steered ones where the codec steers."""
+    """On the board, and on the other cores, rate-controlled ones where the codec controls its rate."""
     codes: list[Codes] = []
     device = board(name, on_dac=codes.append)
     link, host = session(device)
     if codec_name == "eva":
         uploader.flash(host, models.find(LEARNED).image)
     stream = coded(codec_name)
-    if name != "cortex-m4" and codec.codec_by_name(codec_name).steers:
-        stream = steered(stream)
+    if name != "cortex-m4" and codec.codec_by_name(codec_name).controls_rate:
+        stream = rate_controlled(stream)
     decoder, decoded = stream.decoder(), stream.decode_integers()
     result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
     link.sleep(0.2)

@@ -101,11 +101,11 @@ def test_a_link_that_falls_to_half_makes_no_packet_late_and_quality_comes_back(r
 
 
 def test_a_constant_quality_falls_to_what_the_link_carries() -> None:
-    wish = rate_controlled.Wish(snr_db=30)  # of noise: 14 kbit/s
+    target = rate_controlled.RateTarget(snr_db=30)  # of noise: 14 kbit/s
     signal_format = live_format(RATE_HZ, "um", [10.0])
-    policy = wish.policy(signal_format)
+    policy = target.policy(signal_format)
     assert isinstance(policy, codec.RatePolicy)
-    run = Run(0, Wire(7680), policy=policy, packet_samples=wish.framing(RATE_HZ).packet_samples)
+    run = Run(0, Wire(7680), policy=policy, packet_samples=target.framing(RATE_HZ).packet_samples)
     result = run.play(6.0)
     assert (result.lost_packets, result.underruns, result.dropped_packets) == (0, 0, 0)
     assert 0.7 * 7680 < run.mean_bps(3.0, 6.0) < 1.2 * 7680

@@ -8,7 +8,7 @@ import pytest
 from tests.cli.test_command_line import fails, succeeds
 from tests.export import tiny
 from vibrocast import models, textures
-from vibrocast.codec import CodecError, OutOfReach
+from vibrocast.codec import CodecError, TargetUnreachable
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import read_stream
 
@@ -30,8 +30,8 @@ def texture() -> textures.Recording:
     return textures.GENERATORS["rough"](seed=5, seconds=0.5)
 
 
-def chosen(**wish: float) -> str | None:
-    return encode_recording(texture(), codec_name="eva", **wish).stream.model_name  # type: ignore[arg-type]
+def chosen(**target: float) -> str | None:
+    return encode_recording(texture(), codec_name="eva", **target).stream.model_name  # type: ignore[arg-type]
 
 
 def test_the_smallest_that_meets_the_snr() -> None:
@@ -50,9 +50,9 @@ def test_a_setting_is_the_smallest_models() -> None:
 
 
 def test_what_none_can_do_is_refused_with_what_the_largest_reaches() -> None:
-    with pytest.raises(OutOfReach, match="an SNR of 60 dB cannot be met; this signal reaches"):
+    with pytest.raises(TargetUnreachable, match="an SNR of 60 dB cannot be met; this signal reaches"):
         chosen(snr_db=60)
-    with pytest.raises(OutOfReach, match="a rate of 10 bit/s cannot be met"):
+    with pytest.raises(TargetUnreachable, match="a rate of 10 bit/s cannot be met"):
         chosen(rate_bps=10)
 
 

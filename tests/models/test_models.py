@@ -1,4 +1,4 @@
-"""Models by name, by hash and from a path: what ships is whole, what is damaged is refused with its name."""
+"""Models by name, by hash and from a path: what ships is whole, what is damaged is rejected with its name."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from vibrocast.codec.eva_image import EvaImage, with_runtime
 from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
 from vibrocast.textures.generate import wood
 
-LARGEST_BYTES = 1_000_000
+MAX_BYTES = 1_000_000
 
 
 def folder(path: Path, **changes: Any) -> Path:
@@ -39,7 +39,7 @@ def test_what_ships_is_whole(name: str) -> None:
     for file, about in model.card["files"].items():
         data = (model.path.parent / file).read_bytes()
         assert (about["bytes"], about["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
-        assert len(data) < LARGEST_BYTES
+        assert len(data) < MAX_BYTES
     assert {"data", "held_back", "command", "seed"} <= model.card["training"].keys()
 
 
@@ -88,13 +88,13 @@ def test_a_folder_of_ones_own(tmp_path: Path) -> None:
         ({"files": {"own.vcmi": {"sha256": "00"}}}, "not the file that card.json beside it describes"),
     ],
 )
-def test_cards_that_do_not_fit_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_cards_that_do_not_fit_are_rejected(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     path = folder(tmp_path / "mine", **changes)
     with pytest.raises(models.ModelError, match=message):
         models.load(path)
 
 
-def test_damaged_files_are_refused(tmp_path: Path) -> None:
+def test_damaged_files_are_rejected(tmp_path: Path) -> None:
     path = folder(tmp_path / "mine")
     (path / models.ANALYSIS).write_bytes(b"another graph")
     with pytest.raises(models.ModelError, match=r"analysis.onnx: not the file"):
@@ -110,7 +110,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         models.load(path)
 
 
-def test_what_is_no_model_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_model_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(models.ModelError, match=r"give one of .*mdct-textures"):
         models.find(str(tmp_path / "missing"))
     (tmp_path / "text.vcmi").write_text("no image")

@@ -191,7 +191,7 @@ def test_limits_hold_for_any_numbers_however_they_are_cut(
     np.testing.assert_array_equal(play(cut(decoded, cuts)), codes)
     assert codes.max(initial=0) <= actuator.code_limit
     assert codes.min(initial=0) >= -actuator.code_limit - 1
-    assert largest_step(np.concatenate((codes[:1] * 0, codes))) <= actuator.code_step_limit
+    assert max_step(np.concatenate((codes[:1] * 0, codes))) <= actuator.code_step_limit
     assert not codes[-1:].any()
     second = np.zeros((actuator.dac_rate_hz, 2), np.int16)
     assert highest_second(np.concatenate((second, codes, second)), actuator) <= actuator.power_limit
@@ -209,7 +209,7 @@ def highest_second(codes: NDArray[Any], actuator: Actuator) -> float:
     return float(np.max(energy[second:] - energy[:-second]) / second)
 
 
-def largest_step(codes: NDArray[Any]) -> int:
+def max_step(codes: NDArray[Any]) -> int:
     return int(np.abs(np.diff(codes.astype(int), axis=0)).max(initial=0))
 
 
@@ -289,7 +289,7 @@ def test_end_is_no_larger_step_than_the_recording_and_the_fade_of_its_last_value
     end, fade_samples = len(codes) - round(0.02 * 3000), round(FADE_SECONDS * 3000)
     # From the last value before the fade to 0 in a raised cosine, whose steepest step is pi / 2 of the mean one.
     fade_step = abs(int(codes[-fade_samples - 1, 0])) * np.pi / 2 / fade_samples
-    assert largest_step(codes[end:]) <= 1.01 * max(largest_step(codes[200:end]), fade_step)
+    assert max_step(codes[end:]) <= 1.01 * max(max_step(codes[200:end]), fade_step)
 
 
 # A jump of a slow acceleration is no jump of the displacement, but a swing of it that the recording asks for.
@@ -305,7 +305,7 @@ def test_seam_of_a_recording_that_does_not_close_is_no_click(name: str, unit: st
     seam = slice(len(single) - 60, len(single) + 60)
     jump = np.ptp(single[200:-60].astype(int))
     fade_step = jump * np.pi / 2 / round(FADE_SECONDS * 3000)
-    assert largest_step(codes[seam]) <= 1.25 * max(largest_step(single[200:-60]), fade_step)
+    assert max_step(codes[seam]) <= 1.25 * max(max_step(single[200:-60]), fade_step)
     assert np.abs(codes[seam].astype(int)).max() <= 1.1 * np.abs(single[200:-60].astype(int)).max()
 
 

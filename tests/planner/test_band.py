@@ -9,7 +9,7 @@ from vibrocast.host.planner.band import (
     BandError,
     band_of,
     error_over_threshold_db,
-    largest_um,
+    max_um,
 )
 from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Profile, Recording
@@ -19,8 +19,8 @@ THRESHOLD = read_threshold()
 
 def tone(frequency_hz: float, over_db: float, rate_hz: float = 4000) -> Recording:
     """A second of a tone so far above the detection threshold, in um."""
-    (least_um,) = threshold_amplitude(THRESHOLD, np.array([frequency_hz]), "um")
-    samples = least_um * 10 ** (over_db / 20) * np.sin(2 * np.pi * frequency_hz * np.arange(rate_hz) / rate_hz)
+    (min_um,) = threshold_amplitude(THRESHOLD, np.array([frequency_hz]), "um")
+    samples = min_um * 10 ** (over_db / 20) * np.sin(2 * np.pi * frequency_hz * np.arange(rate_hz) / rate_hz)
     return Recording(samples[:, None], rate_hz, "um", "tone")
 
 
@@ -55,12 +55,12 @@ def test_what_the_actuator_cannot_make_is_not_worth_coding() -> None:
 
 def test_stroke_voltage_and_slew_limit_what_can_be_made() -> None:
     frequencies_hz = np.array([20.0, 270.0, 1000.0])
-    free = largest_um(PIEZO_STACK, frequencies_hz)
+    free = max_um(PIEZO_STACK, frequencies_hz)
     assert free[0] == pytest.approx(40.0, rel=0.01) and free[1] == pytest.approx(40 / np.sqrt(2), rel=0.02)
     slow = type(PIEZO_STACK)(**{**vars(PIEZO_STACK), "slew_volts_per_second": 75 * 2 * np.pi * 500})
-    assert largest_um(slow, frequencies_hz)[2] == pytest.approx(free[2] * 75 * 2 * np.pi * 500 / 300_000, rel=0.01)
+    assert max_um(slow, frequencies_hz)[2] == pytest.approx(free[2] * 75 * 2 * np.pi * 500 / 300_000, rel=0.01)
     half = type(PIEZO_STACK)(**{**vars(PIEZO_STACK), "volts_limit": 37.5})
-    assert largest_um(half, frequencies_hz)[0] == pytest.approx(20.0, rel=0.01)
+    assert max_um(half, frequencies_hz)[0] == pytest.approx(20.0, rel=0.01)
 
 
 def test_the_error_is_measured_at_the_skin() -> None:

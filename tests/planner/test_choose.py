@@ -1,4 +1,4 @@
-"""Choosing: what is asked is met at the least cost, what cannot be is refused, and what is advised then works."""
+"""Choosing: what is asked is met at the least cost, what cannot be is rejected, and what is advised then works."""
 
 import re
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 
 from tests.planner.scenes import ASKED, CONTROLLER, scene
 from vibrocast.host.planner.candidates import Workbench
-from vibrocast.host.planner.choose import Choice, Refusal, choose, plan
+from vibrocast.host.planner.choose import Choice, Rejection, choose, plan
 from vibrocast.host.planner.scene import SceneError
 from vibrocast.textures import Recording, save
 
@@ -73,12 +73,12 @@ def test_weights_decide(choice: Choice, tmp_path: Path) -> None:
         ({"asked": "[asked]\nsnr_db = 89\n"}, "snr_db"),
     ],
 )
-def test_a_refusal_names_the_limit_and_a_change_that_works(
+def test_a_rejection_names_the_limit_and_a_change_that_works(
     changed: dict[str, str], limit: str, choice: Choice, tmp_path: Path
 ) -> None:
     read = scene(tmp_path, **changed)
     bench = choice.workbench  # of the same texture: what it has measured is measured already
-    with pytest.raises(Refusal) as raised:
+    with pytest.raises(Rejection) as raised:
         choose(bench, read)
     told = re.search(rf"{limit} = ([\d.e+]+) in place of", str(raised.value))
     assert told is not None, str(raised.value)
@@ -102,7 +102,7 @@ def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_
 def test_a_texture_that_nobody_can_feel_is_told(tmp_path: Path) -> None:
     save(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
     read = scene(tmp_path, texture='[[textures]]\nfile = "weak.wav"\nunit = "nm"\nfull_scale = 0.001\n')
-    with pytest.raises(Refusal, match="weak: the band worth coding is empty: the most that the texture holds lies"):
+    with pytest.raises(Rejection, match="weak: the band worth coding is empty: the most that the texture holds lies"):
         plan(read)
 
 
@@ -130,9 +130,9 @@ def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_refusal_of_what_cannot_be_imperceptible_names_an_snr_that_can(choice: Choice, tmp_path: Path) -> None:
+def test_a_rejection_of_what_cannot_be_imperceptible_names_an_snr_that_can(choice: Choice, tmp_path: Path) -> None:
     read = scene(tmp_path, asked="[asked]\nimperceptible = true\nrate_limit_bps = 2000\n")
-    with pytest.raises(Refusal) as raised:
+    with pytest.raises(Rejection) as raised:
         choose(Workbench(read, read.textures[0]), read)
     told = re.search(r"snr_db = ([\d.]+) in place of imperceptible = true", str(raised.value))
     assert told is not None, str(raised.value)
@@ -143,7 +143,9 @@ def test_a_refusal_of_what_cannot_be_imperceptible_names_an_snr_that_can(choice:
 @pytest.mark.slow
 def test_where_no_single_change_is_enough_the_nearest_of_several_is_told(choice: Choice, tmp_path: Path) -> None:
     read = scene(tmp_path, controller=CONTROLLER + "flash_bytes = 20_000\n", asked=ASKED + "rate_limit_bps = 100\n")
-    with pytest.raises(Refusal, match=r"rate_limit_bps = 100 is in the way, and .*one: flash_bytes = 20000") as raised:
+    with pytest.raises(
+        Rejection, match=r"rate_limit_bps = 100 is in the way, and .*one: flash_bytes = 20000"
+    ) as raised:
         choose(choice.workbench, read)
     rate_bps, flash_bytes = (
         float(re.search(rf"{key} = ([\d.e+]+) in place of", str(raised.value))[1])  # type: ignore[index]

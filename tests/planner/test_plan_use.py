@@ -68,7 +68,7 @@ def test_a_texture_of_a_plan_is_played_and_coded_as_planned(plan: Path, tmp_path
         (("measure", "--bench", "bench.toml"), "a plan and a bench file both say what is there"),
     ],
 )
-def test_what_contradicts_a_plan_is_refused(
+def test_what_contradicts_a_plan_is_rejected(
     plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)

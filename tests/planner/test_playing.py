@@ -78,7 +78,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
         asked="[asked]\nsnr_db = 8\nrate_limit_bps = 2000\n",
     )
     plan, (choice,) = choose.plan(limited)
-    enough = [each for each in choice.candidates if each.measured.wish is None and each.lack <= 0]
+    enough = [each for each in choice.candidates if each.measured.target is None and each.lack <= 0]
     assert enough and not any(each.meets for each in enough)
     write_plan(tmp_path / "plan.toml", plan)
     plan = read_plan(tmp_path / "plan.toml")
@@ -122,7 +122,7 @@ def test_a_texture_that_is_over_at_once_has_no_delay_to_be_measured(tmp_path: Pa
         (lambda texture: replace(texture, packet_samples=1 << 20), "packets of 1048576 samples, the buffer of one"),
     ],
 )
-def test_a_plan_for_another_controller_is_refused(
+def test_a_plan_for_another_controller_is_rejected(
     tmp_path: Path, change: Callable[[PlannedTexture], PlannedTexture], message: str
 ) -> None:
     pytest.importorskip("unicorn")

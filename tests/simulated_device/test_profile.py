@@ -35,7 +35,7 @@ from vibrocast.output.profile import (
     HAND_DELAY_US,
     HAND_SMOOTHING_US,
     Profile,
-    least_samples,
+    min_samples,
     octaves_step,
     render,
 )
@@ -123,7 +123,7 @@ def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: in
 @pytest.mark.parametrize("samples", [34, 60, 66, 100, 575])
 def test_short_profile_repeats(samples: int) -> None:
     """One from the shortest on, shorter than what the interpolator reaches in the coarser octaves."""
-    assert samples >= least_samples(SAMPLES_PER_METRE, RATE_HZ) > 33
+    assert samples >= min_samples(SAMPLES_PER_METRE, RATE_HZ) > 33
     profile, speed_mm_s = heights()[:samples], 50
     made = rendered_along(loaded(profile), lambda t: speed_mm_s * t, 0.5)[600:]
     time_s = np.arange(600, 600 + len(made)) / RATE_HZ

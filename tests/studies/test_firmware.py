@@ -252,7 +252,7 @@ def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.Mo
         compile_core(tmp_path / "core.elf", M4F, FUNCTIONS)
 
 
-def test_what_a_decoder_refuses_is_an_error(programs: Programs) -> None:
+def test_what_a_decoder_rejects_is_an_error(programs: Programs) -> None:
     damaged = CodedSignal("mdct", 2800, 32, (1.0,), b"", (b"\x01",))
     with pytest.raises(ValueError, match="does not take the configuration"):
         emulated_core.decode(programs["M4F", 0], M4F, damaged)

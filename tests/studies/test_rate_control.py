@@ -21,17 +21,17 @@ def test_a_folder_is_measured_into_a_page(tmp_path: Path, monkeypatch: pytest.Mo
     rate_control.main([str(recordings), "--out", str(out)])
     page = (out / "rate_control.md").read_text()
     assert "python -m studies.rate_control" in page
-    for name in ("recordings", "codecs", "buckets"):
+    for name in ("recordings", "codecs", "buffers"):
         assert f"(results/rate_control_{name}.png)" in page
         assert (out / "results" / f"rate_control_{name}.png").stat().st_size > 1000
     with (out / "results" / "rate_control.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    held = [row for row in rows if row["codec"] == "mdct" and row["bucket_s"] == "0.018"]
+    held = [row for row in rows if row["codec"] == "mdct" and row["rate_buffer_s"] == "0.018"]
     assert [row["bits_per_second"] for row in held] == ["1000", "8000"]
     assert all(abs(float(row["furthest_percent"])) < 1 for row in held)
-    refused = [row for row in rows if row["codec"] == "wavpack"]
-    assert all("cannot be held" in row["refused"] for row in refused)
-    even = [row for row in rows if row["bucket_s"] == "1.0"]
+    rejected = [row for row in rows if row["codec"] == "wavpack"]
+    assert all("cannot be held" in row["rejected"] for row in rejected)
+    even = [row for row in rows if row["rate_buffer_s"] == "1.0"]
     assert float(even[0]["snr_deviation_db"]) < float(held[1]["snr_deviation_db"])
     with (out / "results" / "rate_control_refreshes.csv").open(newline="") as file:
         often, seldom = (float(row["snr_db"]) for row in csv.DictReader(file) if row["bits_per_second"] == "8000")

@@ -63,7 +63,7 @@ def test_the_command_writes_page_table_and_chart(tmp_path: Path, monkeypatch: py
     assert (tmp_path / "out" / "texture_paper.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_files_that_are_no_profile_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_profile_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("nothing\n")
     done = CliRunner().invoke(texture_paper.main, ["--out", str(tmp_path), "--profiles", str(tmp_path)])
     assert done.exit_code == 1
@@ -71,7 +71,7 @@ def test_files_that_are_no_profile_are_refused(tmp_path: Path) -> None:
     assert done.exception is None or isinstance(done.exception, SystemExit)
 
 
-def test_a_folder_that_cannot_be_made_is_refused_before_measuring(
+def test_a_folder_that_cannot_be_made_is_rejected_before_measuring(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(texture_paper, "measure_all", lambda profiles: pytest.fail("measured"))

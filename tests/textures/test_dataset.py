@@ -81,7 +81,7 @@ def test_a_name_that_is_no_text_is_escaped(tmp_path: Path) -> None:
     assert load(trace).rate_hz == 2800
 
 
-def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:
+def test_folders_without_recordings_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no such folder"):
         traces(tmp_path / "missing")
     with pytest.raises(DatasetError, match="no recordings"):
@@ -133,7 +133,7 @@ def test_the_parts_share_nothing_and_make_the_whole(wanted: list[str], seed: int
         assert len(test) == max(1, round(len(everything) / 5))
 
 
-def test_what_cannot_be_split_is_refused() -> None:
+def test_what_cannot_be_split_is_rejected() -> None:
     with pytest.raises(DatasetError, match="only one trace"):
         split(named(["single"]), "test")
     with pytest.raises(DatasetError, match="first: its name does not state the material"):
@@ -226,7 +226,7 @@ def test_what_a_manifest_states_must_not_contradict_the_file(tmp_path: Path) -> 
         ('file\n"a.wav\n', "not a CSV file in UTF-8"),
     ],
 )
-def test_a_wrong_manifest_is_refused_by_row_and_column(tmp_path: Path, text: str, message: str) -> None:
+def test_a_wrong_manifest_is_rejected_by_row_and_column(tmp_path: Path, text: str, message: str) -> None:
     textures.save(tmp_path / "a.wav", wood(0, 0.1))
     with pytest.raises(DatasetError, match=message):
         read(manifest(tmp_path, text))

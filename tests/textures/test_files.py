@@ -42,7 +42,7 @@ def test_every_wav_sample_format(tmp_path: Path, subtype: str, tolerance: float,
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there files have such names")
-def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_a_name_that_is_no_text_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"\xff.wav")
     path.touch()
     with pytest.raises(TextureError, match="its name holds bytes that are no characters; rename it"):
@@ -163,7 +163,7 @@ def test_integers_of_an_array_are_numbers_or_full_scale(tmp_path: Path) -> None:
         ({"samples": [np.nan]}, {"rate_hz": 5.0, "unit": "um"}, "is nan"),
     ],
 )
-def test_arrays_refused_with_what_to_do(
+def test_arrays_rejected_with_what_to_do(
     tmp_path: Path, arrays: dict[str, object], options: dict[str, object], message: str
 ) -> None:
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
@@ -231,7 +231,7 @@ CHANGES = st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size
 
 @given(changes=CHANGES, cut=st.integers(0, 300))
 @pytest.mark.parametrize("name", ["a.wav", "a.npy", "a.npz"])
-def test_a_damaged_file_loads_or_is_refused(
+def test_a_damaged_file_loads_or_is_rejected(
     tmp_path_factory: pytest.TempPathFactory, name: str, changes: list[tuple[int, int]], cut: int
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"damaged-{name}"
@@ -253,7 +253,7 @@ def test_a_damaged_file_loads_or_is_refused(
 
 @given(data=st.binary(max_size=400), head=st.sampled_from([b"", b"RIFF", b"\x93NUMPY\x01\x00", b"PK\x03\x04"]))
 @pytest.mark.parametrize("name", ["any.wav", "any.npy", "any.npz"])
-def test_any_bytes_load_or_are_refused(
+def test_any_bytes_load_or_are_rejected(
     tmp_path_factory: pytest.TempPathFactory, name: str, head: bytes, data: bytes
 ) -> None:
     path = tmp_path_factory.getbasetemp() / name

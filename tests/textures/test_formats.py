@@ -1,4 +1,4 @@
-"""Tests of every format that is read and written: what it states, what it holds, what is refused before it is read."""
+"""Tests of every format that is read and written: what it states, what it holds, what is rejected before it is read."""
 
 import io
 import tracemalloc
@@ -137,7 +137,7 @@ def test_what_no_format_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     for suffix in (".wav", ".csv", ".npy", ".mat"):
         with pytest.raises(TextureError, match=r"cannot be written .*; make room, or write elsewhere"):
             save(tmp_path / "missing" / f"a{suffix}", recording)
-    monkeypatch.setattr("vibrocast.textures.mat.LARGEST_BYTES", 100)
+    monkeypatch.setattr("vibrocast.textures.mat.MAX_BYTES", 100)
     with pytest.raises(TextureError, match=r"more than the 2 GiB that a \.mat file holds"):
         save(tmp_path / "a.mat", recording)
 
@@ -195,7 +195,7 @@ CELL[:] = [NOISE, NOISE]
         ({"a": np.zeros((2, 3, 4)), "Fs": 1000}, {}, r"shape \(2, 3, 4\)"),
     ],
 )
-def test_variables_of_matlab_refused_with_what_to_do(
+def test_variables_of_matlab_rejected_with_what_to_do(
     tmp_path: Path, variables: dict[str, Any], options: dict[str, Any], message: str
 ) -> None:
     savemat(tmp_path / "a.mat", variables)
@@ -238,7 +238,7 @@ def test_structs_of_matlab_7_3_are_chosen_by_path(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.samples, NOISE * 9.80665)
 
 
-def test_hdf5_whose_numbers_are_elsewhere_is_refused(tmp_path: Path) -> None:
+def test_hdf5_whose_numbers_are_elsewhere_is_rejected(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("samples", (50,), "f8", external=[("/dev/zero", 0, 400)])
         file["link"] = h5py.ExternalLink("/dev/zero", "samples")
@@ -279,7 +279,7 @@ HUGE: dict[str, tuple[str, Callable[[Path], Any]]] = {
 
 
 @pytest.mark.parametrize("name", HUGE)
-def test_a_file_that_does_not_fit_into_memory_is_refused_unread(
+def test_a_file_that_does_not_fit_into_memory_is_rejected_unread(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file, write = HUGE[name]
@@ -356,7 +356,7 @@ CHANGES = st.lists(st.tuples(st.integers(0, 3000), st.integers(0, 255)), max_siz
 
 @given(changes=CHANGES, cut=st.integers(0, 300))
 @pytest.mark.parametrize("name", ["mat v5", "mat v7.3", "h5"])
-def test_a_damaged_file_loads_or_is_refused(
+def test_a_damaged_file_loads_or_is_rejected(
     tmp_path_factory: pytest.TempPathFactory, name: str, changes: list[tuple[int, int]], cut: int
 ) -> None:
     file, write, _ = FORMATS[name]
@@ -374,7 +374,7 @@ def test_a_damaged_file_loads_or_is_refused(
 
 @given(data=st.binary(max_size=400), head=st.sampled_from([b"", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"]))
 @pytest.mark.parametrize("name", ["any.mat", "any.h5"])
-def test_any_bytes_are_refused(tmp_path_factory: pytest.TempPathFactory, name: str, head: bytes, data: bytes) -> None:
+def test_any_bytes_are_rejected(tmp_path_factory: pytest.TempPathFactory, name: str, head: bytes, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / name
     path.write_bytes(head + data)
     with pytest.raises(TextureError):

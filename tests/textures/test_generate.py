@@ -1,4 +1,4 @@
-"""Tests of the generators: seeds, bounds, bands, the physics they claim, and refused parameters."""
+"""Tests of the generators: seeds, bounds, bands, the physics they claim, and rejected parameters."""
 
 import importlib.util
 from itertools import pairwise
@@ -49,7 +49,7 @@ def test_equal_seeds_make_equal_textures(kind: str) -> None:
     rate_hz=st.sampled_from([1000.0, 2800.0, 8000.0]),
 )
 @settings(max_examples=50)
-def test_any_sweep_is_bounded_or_refused(
+def test_any_sweep_is_bounded_or_rejected(
     kind: str, seed: int, seconds: float, mean_mm_s: float, variation: float, rate_hz: float
 ) -> None:
     speed = varying_speed(seconds, rate_hz, mean_mm_s, variation)

@@ -96,7 +96,7 @@ def test_options(tmp_path: Path, options: dict[str, float], message: str) -> Non
         ("position_um,height_um\n" + "".join(f"{n},nan\n" for n in range(9)), "not numbers"),
     ],
 )
-def test_refused_with_what_to_do(tmp_path: Path, text: str, message: str) -> None:
+def test_rejected_with_what_to_do(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "profile.csv"
     path.write_text(text)
     with pytest.raises(TextureError, match=message):

@@ -40,6 +40,6 @@ def test_each_channel_has_its_axis() -> None:
         (np.array([[0.0], [-2e30]]), 2800.0, "um", "sample 1 of channel 0 is -2e[+]30; .* at most 1e[+]30"),
     ],
 )
-def test_refused(samples: np.ndarray, rate_hz: float, unit: str, message: str) -> None:
+def test_rejected(samples: np.ndarray, rate_hz: float, unit: str, message: str) -> None:
     with pytest.raises(TextureError, match=message):
         Recording(samples, rate_hz, unit, "test")

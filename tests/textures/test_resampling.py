@@ -62,7 +62,7 @@ def test_equal_rates_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [0, -1, float("nan"), float("inf"), 1e15, 1e-5])
-def test_refused_rates(rate_hz: float) -> None:
+def test_rejected_rates(rate_hz: float) -> None:
     with pytest.raises(TextureError, match="rate"):
         resample(Recording(np.ones((7, 1)), 2800, "um", "ones"), rate_hz)
 
@@ -75,12 +75,12 @@ def test_refused_rates(rate_hz: float) -> None:
         (3, 1e6, 2800, "3 samples at 1e[+]06 Hz last less than one sample at 2800 Hz"),
     ],
 )
-def test_refused_pairs_of_rates(count: int, old_hz: float, new_hz: float, message: str) -> None:
+def test_rejected_pairs_of_rates(count: int, old_hz: float, new_hz: float, message: str) -> None:
     with pytest.raises(TextureError, match=message):
         resample(Recording(np.ones((count, 1)), old_hz, "um", "ones"), new_hz)
 
 
-def test_a_slow_recording_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_recording_that_would_fill_the_memory_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vibrocast.textures.memory.available_bytes", lambda: 10_000_000)
     recording = Recording(np.ones((1000, 1)), 1, "um", "slow")
     with pytest.raises(TextureError, match=r"slow: 1000 s at 2800 Hz needs .* of memory, .* choose a lower rate"):

@@ -153,7 +153,7 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("7" * 200_000, {}, "not a text file"),
     ],
 )
-def test_refused_with_what_to_do(tmp_path: Path, text: str, options: dict[str, float], message: str) -> None:
+def test_rejected_with_what_to_do(tmp_path: Path, text: str, options: dict[str, float], message: str) -> None:
     with pytest.raises(TextureError, match=message):
         load(written(tmp_path, text), **options)  # type: ignore[arg-type]
 
@@ -207,7 +207,7 @@ def test_flaws_of_times_are_named_with_line_and_size(tmp_path: Path) -> None:
         ("time,x_um\n0,1\n1e-318,1\n", "states no unit"),
     ],
 )
-def test_times_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_times_rejected(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(TextureError, match=message):
         load(written(tmp_path, text))
 
@@ -255,7 +255,7 @@ def test_three_columns_without_names_are_axes_on_request(tmp_path: Path) -> None
             load(path, **options)  # type: ignore[arg-type]
 
 
-def test_other_encodings_are_refused(tmp_path: Path) -> None:
+def test_other_encodings_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "file.csv"
     for encoding in ("utf-16", "latin-1"):
         path.write_text("height_µm\n1\n", encoding=encoding)
@@ -283,7 +283,7 @@ PIECES = st.sampled_from([*WORDS, *'\t \n\r,;"#[)_\0\ufeff\x85\u2028é'])
 
 
 @given(text=st.lists(PIECES, max_size=40).map("".join) | st.text())
-def test_any_text_loads_or_is_refused(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+def test_any_text_loads_or_is_rejected(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     for options in ({}, {"rate_hz": 100.0, "unit": "um"}, {"hand_speed_mm_s": 10.0}):
@@ -294,7 +294,7 @@ def test_any_text_loads_or_is_refused(tmp_path_factory: pytest.TempPathFactory, 
 
 
 @given(data=st.binary(max_size=300))
-def test_any_bytes_load_or_are_refused(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+def test_any_bytes_load_or_are_rejected(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "any.txt"
     path.write_bytes(data)
     try:

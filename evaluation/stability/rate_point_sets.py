@@ -1,4 +1,6 @@
-"""Settings from coarse to fine, every codec's ladders and the DCT codec's parameters: does quality rise on the way?"""
+"""Settings from coarse to fine, every codec's sets of rate points and the DCT codec's parameters: does quality rise on
+the way?
+"""
 
 import dataclasses
 import math
@@ -11,7 +13,7 @@ import numpy as np
 from vibrocast import codec
 from vibrocast.codec.interface import Setting
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Rung, Scope, rungs
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, rate_points
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.textures import Recording
@@ -20,7 +22,7 @@ from vibrocast.textures.generate import rough, stick_slip, wood, wood_surface
 SECONDS = 1.0
 HAND_SPEED_MM_S = 50.0
 FALL_DB = 0.1
-"""A fall of the SNR from one rung to the next that counts."""
+"""A fall of the SNR from one rate point to the next that counts."""
 HALF_DB = 3.0
 
 SURFACES: dict[str, Callable[..., Recording]] = {"wood": wood_surface, "sandpaper": rough, "leather": stick_slip}
@@ -35,12 +37,12 @@ def texture_of(name: str) -> tuple[Signal, str]:
     return np.asarray(samples - samples.mean()), "um"
 
 
-def measure(rung: Rung, name: str) -> Measured:
+def measure(rate_point: RatePoint, name: str) -> Measured:
     """Code a texture at a setting: SNR, ST-SIM, bits per sample of the whole stream. Raises CodecError."""
     from vibrocast.evaluation import metrics
 
     samples, unit = texture_of(name)
-    heard, stream = decoded(samples, RATE_HZ, rung, unit)
+    heard, stream = decoded(samples, RATE_HZ, rate_point, unit)
     quality = metrics.measure(samples, heard, RATE_HZ)
     snr_db = quality.snr_db
     assert snr_db is not None, "a texture is not silent"
@@ -51,7 +53,7 @@ def measure(rung: Rung, name: str) -> Measured:
 
 
 def falls(cells: list[Verdict]) -> list[Verdict]:
-    """Return the cells, those degraded whose SNR is lower than that of a coarser rung of the same curve."""
+    """Return the cells, those degraded whose SNR is lower than that of a coarser rate point of the same curve."""
     best: dict[tuple[str, str], float] = {}
     judged = []
     for cell in cells:
@@ -96,23 +98,27 @@ def half_left(cells: list[Verdict]) -> list[Verdict]:
 def _trials(scope: Scope) -> list[Trial]:
     trials = []
     for method in scope.methods:
-        ladders = {method.name: rungs(method)}
+        rate_point_sets = {method.name: rate_points(method)}
         if not method.models:
-            every = codec.CODECS[method.name].ladders
-            ladders = {name: [Rung(method.name, setting) for setting in own] for name, own in every.items()}
-        for name, ladder in ladders.items():
-            if len(ladder) > 1:
-                trials += _of_rungs(LADDERS.name, name, list(enumerate(ladder, 1)), scope)
+            every = codec.CODECS[method.name].rate_point_sets
+            rate_point_sets = {
+                name: [RatePoint(method.name, setting) for setting in own] for name, own in every.items()
+            }
+        for name, rate_point_set in rate_point_sets.items():
+            if len(rate_point_set) > 1:
+                trials += _of_rate_points(RATE_POINTS.name, name, list(enumerate(rate_point_set, 1)), scope)
     return trials
 
 
-def _of_rungs(name: str, method: str, ladder: Sequence[tuple[float, Rung]], scope: Scope) -> list[Trial]:
-    """Return the trials of rungs, each with its value, on every texture."""
-    chosen = ladder[:: max(1, len(ladder) // 2)] if scope.quick else ladder
+def _of_rate_points(
+    name: str, method: str, rate_point_set: Sequence[tuple[float, RatePoint]], scope: Scope
+) -> list[Trial]:
+    """Return the trials of rate points, each with its value, on every texture."""
+    chosen = rate_point_set[:: max(1, len(rate_point_set) // 2)] if scope.quick else rate_point_set
     return [
-        Trial(name, method, texture, rung.text, float(value), partial(measure, rung, texture))
+        Trial(name, method, texture, rate_point.text, float(value), partial(measure, rate_point, texture))
         for texture in (TEXTURES[:1] if scope.quick else TEXTURES)
-        for value, rung in chosen
+        for value, rate_point in chosen
     ]
 
 
@@ -128,10 +134,12 @@ def _curves(cells: Sequence[Verdict], method: str, figure: str) -> list[pictures
 
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """One panel for each ladder, one curve for each texture."""
+    """One panel for each set of rate points, one curve for each texture."""
     panels = [
-        pictures.Panel(ladder, "rung, the coarsest first", "SNR, dB", _curves(cells, ladder, "snr_db"))
-        for ladder in dict.fromkeys(cell.method for cell in cells)
+        pictures.Panel(
+            rate_point_set, "rate point, the coarsest first", "SNR, dB", _curves(cells, rate_point_set, "snr_db")
+        )
+        for rate_point_set in dict.fromkeys(cell.method for cell in cells)
     ]
     pictures.curves(path, panels, across=3)
 
@@ -150,12 +158,12 @@ _TEXTURES_IN_WORDS = (
     f"{SECONDS:g} s of generated surfaces (heights at {HAND_SPEED_MM_S:g} mm/s; leather by stick and slip) and an "
     "acceleration"
 )
-LADDERS = Map(
+RATE_POINTS = Map(
     "ladders",
     "Settings from coarse to fine",
-    f"Every rung of every ladder that has more than one, on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is "
-    f"more than {FALL_DB:g} dB below that of a coarser rung; F: below {FAILED_SNR_DB:g} dB.",
-    "rung {}",
+    f"Every rate point of every set that has more than one, on {_TEXTURES_IN_WORDS}. D, ringed: the SNR "
+    f"is more than {FALL_DB:g} dB below that of a coarser rate point; F: below {FAILED_SNR_DB:g} dB.",
+    "rate point {}",
     _trials,
     _draw,
     falls,
@@ -178,8 +186,8 @@ def _dct_trials(
     return [
         trial
         for method, fixed in methods.items()
-        for trial in _of_rungs(
-            name, method, [(value, Rung(DCT, {**fixed, parameter: value})) for value in values], scope
+        for trial in _of_rate_points(
+            name, method, [(value, RatePoint(DCT, {**fixed, parameter: value})) for value in values], scope
         )
     ]
 
