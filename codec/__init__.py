@@ -20,7 +20,7 @@ from vibrocast.codec.interface import (
     Trial,
 )
 from vibrocast.codec.plugins import BlockCodec, as_codec
-from vibrocast.codec.quality_meters import Judge, SnrJudge, ThresholdJudge
+from vibrocast.codec.quality_meters import QualityMeter, SnrMeter, ThresholdMeter
 from vibrocast.codec.rate_control import (
     CappedRate,
     ConstantQuality,
@@ -46,7 +46,7 @@ from vibrocast.codec.registry import (
     gain_for,
     live_framing,
     nearest_gain,
-    settled,
+    resolved,
 )
 from vibrocast.codec.target_search import (
     RATE_TOLERANCE,
@@ -77,19 +77,19 @@ __all__ = [
     "Encoder",
     "Framing",
     "Group",
-    "Judge",
     "Model",
     "Parameter",
     "Policy",
+    "QualityMeter",
     "RateControl",
     "RatePolicy",
     "Rate control",
     "Setting",
     "Signal",
     "SignalFormat",
-    "SnrJudge",
+    "SnrMeter",
     "TargetUnreachable",
-    "ThresholdJudge",
+    "ThresholdMeter",
     "Trial",
     "as_codec",
     "channel_snrs_db",
@@ -109,7 +109,7 @@ __all__ = [
     "nearest_gain",
     "rate_controlled_encoder",
     "rate_controlled_framing",
-    "settled",
+    "resolved",
     "snr_db",
     "tactile_snr_db",
 ]

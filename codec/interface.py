@@ -281,7 +281,7 @@ class Codec:
     CodecError; None where there is no choice.
     `make_encoder(setting, format, framing, model, rate_control)`: the setting complete and checked; `rate_control`
     chooses the quality of each packet, None = all are of the setting's; a codec that does not control the rate rejects
-    it. `settle(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
+    it. `resolve(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
     unit; None where no signal decides on it.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
     """
@@ -293,7 +293,7 @@ class Codec:
     rate_point_sets: Mapping[str, tuple[Setting, ...]]
     make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None, RateControl | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
-    settle: Callable[[Signal, SignalFormat], Setting] | None = None
+    resolve: Callable[[Signal, SignalFormat], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None
     physical_rate_point_sets: frozenset[str] = frozenset()

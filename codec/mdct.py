@@ -352,7 +352,7 @@ CODEC = Codec(
     },
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
-    settle=settle,
+    resolve=settle,
     check_tables=check_tables,
     takes_model=True,
     searches_steps=True,

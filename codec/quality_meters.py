@@ -1,4 +1,4 @@
-"""Judges of decoded packets: how far their error lies below the signal, or below what a finger may feel."""
+"""Quality meters of decoded packets: how far their error lies below the signal, or below what a finger may feel."""
 
 import math
 from pathlib import Path
@@ -19,17 +19,17 @@ _MIN_BAND = -20  # 10 Hz
 _NOTHING = 1e-20
 
 
-class Judge(Protocol):
+class QualityMeter(Protocol):
     """Measures in dB how well a decoded packet stands for its samples; more is finer. Remembers what it has heard."""
 
     def quality_db(self, samples: Signal, decoded: Signal) -> float:
         """Return the quality of a packet if it were next; both are float64 (packet_samples, channels), full scale 1."""
 
-    def hear(self, samples: Signal, decoded: Signal) -> None:
+    def update(self, samples: Signal, decoded: Signal) -> None:
         """Take in the packet that is next."""
 
 
-class SnrJudge:
+class SnrMeter:
     """The signal-to-noise ratio of a packet in dB, the mean over channels.
 
     What is quiet is not held to it: the error is compared with the power of the packet or, where that is more, with
@@ -43,15 +43,15 @@ class SnrJudge:
         self._power: NDArray[np.float64] | None = None
 
     def quality_db(self, samples: Signal, decoded: Signal) -> float:
-        """Return the ratio; see Judge."""
+        """Return the ratio; see QualityMeter."""
         floor = np.maximum(self._recent_power(samples) * 10 ** (-_QUIET_DB / 10), _MIN_BIT**2)
         power = np.maximum(np.mean(np.square(samples), axis=0), floor)
         # Rounding to int16 has an error of that power, uniform over one least bit.
         error = np.maximum(np.mean(np.square(samples - decoded), axis=0), _MIN_BIT**2 / 12)
         return float(np.mean(10 * np.log10(power / error)))
 
-    def hear(self, samples: Signal, decoded: Signal) -> None:
-        """Remember how loud the texture is; see Judge."""
+    def update(self, samples: Signal, decoded: Signal) -> None:
+        """Remember how loud the texture is; see QualityMeter."""
         self._power = self._recent_power(samples)
 
     def _recent_power(self, samples: Signal) -> NDArray[np.float64]:
@@ -62,7 +62,7 @@ class SnrJudge:
         return kept * self._power + (1 - kept) * power
 
 
-class ThresholdJudge:
+class ThresholdMeter:
     """How far a packet's error stays below what a finger may feel, in dB, in the third octave where it is nearest.
 
     The error's power in each third octave (midband frequencies 1000 * 2^(n/3) Hz, IEC 61260-1) is that of its spectrum
@@ -74,7 +74,7 @@ class ThresholdJudge:
     """
 
     def __init__(self, signal_format: SignalFormat, threshold: Path = DETECTION_THRESHOLD) -> None:
-        """Make a judge of streams in a physical unit. Raises CodecError for others, and a threshold not readable."""
+        """Make a meter of streams in a physical unit. Raises CodecError for others, and a threshold not readable."""
         highest = math.floor(3 * math.log2(signal_format.rate_hz / 2 / 1000) - 0.5)
         middle_hz = 1000 * 2 ** (np.arange(_MIN_BAND, max(highest, _MIN_BAND) + 1) / 3)
         amplitude = threshold_amplitude(read_threshold(threshold), middle_hz, signal_format.unit)
@@ -84,12 +84,12 @@ class ThresholdJudge:
         self._rate_hz = signal_format.rate_hz
 
     def quality_db(self, samples: Signal, decoded: Signal) -> float:
-        """Return the level of the threshold over that of the error; see Judge."""
+        """Return the level of the threshold over that of the error; see QualityMeter."""
         spectrum = np.abs(np.fft.rfft((samples - decoded) * self._gains, axis=0)) / len(samples)
         spectrum[1:] *= math.sqrt(2)
         parts = band_parts(len(spectrum), self._rate_hz / len(samples), *self._edges_hz)
         power = np.maximum(parts.T @ np.square(spectrum), _NOTHING * self._min_power)
         return float(np.min(10 * np.log10(self._min_power / power)))
 
-    def hear(self, samples: Signal, decoded: Signal) -> None:
-        """Each packet is judged by itself; see Judge."""
+    def update(self, samples: Signal, decoded: Signal) -> None:
+        """Each packet is judged by itself; see QualityMeter."""

@@ -26,7 +26,7 @@ from vibrocast.codec.interface import (
     TargetUnreachable,
     Trial,
 )
-from vibrocast.codec.quality_meters import Judge
+from vibrocast.codec.quality_meters import QualityMeter
 
 DEFAULT_RATE_BUFFER_S = 0.018
 """The rate buffer's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
@@ -180,11 +180,11 @@ def _within(quantiser_offsets: range, quantiser_offset: int) -> int:
     return min(max(quantiser_offset, quantiser_offsets[0]), quantiser_offsets[-1])
 
 
-class _Ear:
-    """Hears packets as the far end will, and lets a judge say how good they are; of one stream."""
+class _DecoderProbe:
+    """Takes in packets as the far end will, and lets a meter say how good they are; of one stream."""
 
-    def __init__(self, judge: Judge) -> None:
-        self._judge = judge
+    def __init__(self, meter: QualityMeter) -> None:
+        self._meter = meter
         self._decoder: CopyableDecoder | None = None
 
     def begin(self, decoder: Decoder) -> None:
@@ -199,7 +199,7 @@ class _Ear:
         if packets is None:
             return math.inf
         assert self._decoder is not None, "it has begun"
-        return self._judge.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
+        return self._meter.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
 
     def coarsest_with(self, attempts: _Attempts, quality_db: float) -> int:
         """Return the coarsest that has the quality; the finest that can be coded where none has."""
@@ -212,10 +212,12 @@ class _Ear:
         codable = attempts.finest(lambda each: attempts.packets(each) is not None, quantiser_offset)
         return attempts.quantiser_offsets[-1] if codable is None else codable
 
-    def hear(self, attempts: _Attempts, quantiser_offset: int) -> None:
+    def update(self, attempts: _Attempts, quantiser_offset: int) -> None:
         """Take in the packet that was chosen."""
         assert self._decoder is not None, "it has begun"
-        self._judge.hear(attempts.trials[0].samples, self._decoder.decode(attempts.coded(quantiser_offset)[0]) / 32768)
+        self._meter.update(
+            attempts.trials[0].samples, self._decoder.decode(attempts.coded(quantiser_offset)[0]) / 32768
+        )
 
 
 class Policy(ABC):
@@ -223,7 +225,7 @@ class Policy(ABC):
     place.
     """
 
-    _ear: _Ear | None = None
+    _probe: _DecoderProbe | None = None
 
     def __init__(self, frame_bytes: FrameBytes | int = 0) -> None:
         """`frame_bytes`: what the frame of a packet adds to it on the way."""
@@ -238,8 +240,8 @@ class Policy(ABC):
         `min_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
         where the codec's packets cannot be judged, TargetUnreachable where they do not fit the rate.
         """
-        if self._ear is not None:
-            self._ear.begin(decoder)
+        if self._probe is not None:
+            self._probe.begin(decoder)
         self._seconds = seconds
         self.min_bytes = min_bytes
 
@@ -309,27 +311,27 @@ class RatePolicy(Policy):
 class CappedRate(RatePolicy):
     """A constant quality as far as the rate buffer holds it, and else the finest that it holds."""
 
-    _ear: _Ear
+    _probe: _DecoderProbe
 
     def __init__(
         self,
         quality_db: float,
-        judge: Judge,
+        meter: QualityMeter,
         bits_per_second: float,
         frame_bytes: FrameBytes | int = 0,
         rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.0), frame_bytes)
         self.quality_db = quality_db
-        self._ear = _Ear(judge)
+        self._probe = _DecoderProbe(meter)
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises TargetUnreachable."""
         attempts = _Attempts([trial], self.sent_bytes)
-        quantiser_offset = self._ear.coarsest_with(attempts, self.quality_db)
+        quantiser_offset = self._probe.coarsest_with(attempts, self.quality_db)
         if attempts.size_bytes(quantiser_offset) > self.rate_buffer.max_bytes(self._seconds):
             quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
-        self._ear.hear(attempts, quantiser_offset)
+        self._probe.update(attempts, quantiser_offset)
         self._send(attempts.coded(quantiser_offset))
         self.rate_buffer.fullness_bytes = max(0.0, self.rate_buffer.fullness_bytes)
         return Choice(quantiser_offset)
@@ -342,16 +344,16 @@ class ConstantQuality(CappedRate):
     """
 
     def __init__(
-        self, quality_db: float, judge: Judge, bits_per_second: float = 1e9, frame_bytes: FrameBytes | int = 0
+        self, quality_db: float, meter: QualityMeter, bits_per_second: float = 1e9, frame_bytes: FrameBytes | int = 0
     ) -> None:
-        super().__init__(quality_db, judge, bits_per_second, frame_bytes)
+        super().__init__(quality_db, meter, bits_per_second, frame_bytes)
 
 
 class ConstantRate(RatePolicy):
     """A constant rate: no packet lets the rate buffer run over, and padding never lets it run dry.
 
-    In between, a judge makes the quality as even as the rate buffer allows: each packet aims at the mean of those
-    before it, and at up to 2 dB more or less as the rate buffer is emptier or fuller than half. Without a judge each
+    In between, a meter makes the quality as even as the rate buffer allows: each packet aims at the mean of those
+    before it, and at up to 2 dB more or less as the rate buffer is emptier or fuller than half. Without a meter each
     packet aims at its share of the rate, which is all that the default rate buffer leaves to choose.
     """
 
@@ -360,10 +362,10 @@ class ConstantRate(RatePolicy):
         bits_per_second: float,
         frame_bytes: FrameBytes | int = 0,
         rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
-        judge: Judge | None = None,
+        meter: QualityMeter | None = None,
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.5), frame_bytes)
-        self._ear = None if judge is None else _Ear(judge)
+        self._probe = None if meter is None else _DecoderProbe(meter)
         self._mean_db, self._heard = 0.0, 0  # the mean quality, and of how many packets
 
     def __call__(self, trial: Trial) -> Choice:
@@ -381,10 +383,10 @@ class ConstantRate(RatePolicy):
             quantiser_offset = self._coarsest_that_fills(attempts, quantiser_offset, min_bytes, max_bytes)
         packets = attempts.coded(quantiser_offset)
         # What had more bytes than it could use tells nothing of the quality that the rate has.
-        if self._ear is not None:
+        if self._probe is not None:
             if attempts.size_bytes(quantiser_offset) >= min_bytes:
-                self._remember(self._ear.quality_db(attempts, quantiser_offset))
-            self._ear.hear(attempts, quantiser_offset)
+                self._remember(self._probe.quality_db(attempts, quantiser_offset))
+            self._probe.update(attempts, quantiser_offset)
         padded = self._padded(packets, min_bytes, max_bytes)
         self.padding_bytes += len(padded) - len(packets[-1])
         packets = [*packets[:-1], padded]
@@ -398,12 +400,12 @@ class ConstantRate(RatePolicy):
         """Return the quantiser offset of the quality aimed at; that of the packet's share of the rate where none is
         known.
         """
-        if self._ear is None or self._heard == 0:
+        if self._probe is None or self._heard == 0:
             share_bytes = self.bits_per_second * self._seconds / 8
             aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.previous)
             return attempts.quantiser_offsets[-1] if aim is None else aim
         swing_db = _SWING_DB * min(1.0, self.rate_buffer.rate_buffer_s / self._seconds / _PACKETS_FOR_FULL_SWING)
-        return self._ear.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
+        return self._probe.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
 
     def _coarsest_that_fills(self, attempts: _Attempts, start: int, min_bytes: int, max_bytes: int) -> int:
         """Return the coarsest that needs no padding, or the finest that fits where the least padding is needed."""

@@ -65,13 +65,13 @@ class RateTarget:
         rate_buffer_s = DEFAULT_RATE_BUFFER_S if self.rate_buffer_s is None else self.rate_buffer_s
         if self.constant_rate_bps is not None:
             # The default rate buffer leaves a quality nothing to choose.
-            judge = None if self.rate_buffer_s is None else codec.SnrJudge(signal_format.rate_hz)
-            return codec.ConstantRate(self.constant_rate_bps, added_bytes, rate_buffer_s, judge)
-        quality_db, quality_judge = self._quality(signal_format)
+            meter = None if self.rate_buffer_s is None else codec.SnrMeter(signal_format.rate_hz)
+            return codec.ConstantRate(self.constant_rate_bps, added_bytes, rate_buffer_s, meter)
+        quality_db, quality_meter = self._quality(signal_format)
         if self.capped_rate_bps is None:
             max_bps = _MAX_BITS_A_SAMPLE * signal_format.rate_hz * signal_format.channels
-            return codec.ConstantQuality(quality_db, quality_judge, max_bps, added_bytes)
-        return codec.CappedRate(quality_db, quality_judge, self.capped_rate_bps, added_bytes, rate_buffer_s)
+            return codec.ConstantQuality(quality_db, quality_meter, max_bps, added_bytes)
+        return codec.CappedRate(quality_db, quality_meter, self.capped_rate_bps, added_bytes, rate_buffer_s)
 
     def framing(self, rate_hz: int) -> codec.Framing:
         """Return how a stream of that sample rate is cut into packets."""
@@ -81,12 +81,12 @@ class RateTarget:
             return codec.rate_controlled_framing(self.rate_bps, rate_hz, added_bytes)
         return codec.live_framing(rate_hz)
 
-    def _quality(self, signal_format: SignalFormat) -> tuple[float, codec.Judge]:
+    def _quality(self, signal_format: SignalFormat) -> tuple[float, codec.QualityMeter]:
         if self.error_db is not None:
-            return -self.error_db, codec.ThresholdJudge(signal_format)
+            return -self.error_db, codec.ThresholdMeter(signal_format)
         if self.snr_db is None:
             raise codec.CodecError("a quality is needed; give an SNR, or the error's level")
-        return self.snr_db, codec.SnrJudge(signal_format.rate_hz)
+        return self.snr_db, codec.SnrMeter(signal_format.rate_hz)
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,7 @@ def encode_rate_controlled(
     )
 
 
-def settled(
+def resolved(
     samples: Signal,
     rate_hz: int,
     setting: Setting,
@@ -211,7 +211,7 @@ def settled(
     model: Model | None = None,
 ) -> Setting:
     """Return the complete setting with which `encode` codes these samples as a file. Raises CodecError as `encode`."""
-    return Source(samples, rate_hz, codec, unit, False, model, None).settled(setting)
+    return Source(samples, rate_hz, codec, unit, False, model, None).resolved(setting)
 
 
 def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
@@ -298,7 +298,7 @@ class Source:
 
     def encode(self, setting: Setting) -> CodedSignal:
         """Code with a setting, in shorter packets where they grow too long. Raises CodecError as `codec.encode`."""
-        setting = self.settled(setting)
+        setting = self.resolved(setting)
         framing = self._framing
         tried_samples = 0
         while True:
@@ -312,7 +312,7 @@ class Source:
 
     def encode_rate_controlled(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
         """Code with a policy, in packets as they are asked. Raises CodecError as `codec.encode_rate_controlled`."""
-        encoder = rate_controlled_encoder(self.codec, self.settled(setting), self.format, framing, self._model, policy)
+        encoder = rate_controlled_encoder(self.codec, self.resolved(setting), self.format, framing, self._model, policy)
         packets = self._packets(encoder)
         if max(map(len, packets)) > _MAX_PACKET_BYTES:
             raise CodecError(
@@ -329,18 +329,18 @@ class Source:
             return False
         return True
 
-    def settled(self, setting: Setting) -> Setting:
+    def resolved(self, setting: Setting) -> Setting:
         """Return the setting, complete, with what is left to the codec as it chooses. Raises CodecError."""
         setting = self.codec.complete(setting)
-        if self._live or self.codec.settle is None or AUTO not in setting.values():
+        if self._live or self.codec.resolve is None or AUTO not in setting.values():
             return setting
         return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}
 
     @cached_property
     def _choice(self) -> Setting:
         """What the codec chooses by the signal: the same at every setting, so that a search meets no jump."""
-        assert self.codec.settle is not None, f"{self.codec.name} has parameters that may be {AUTO}"
-        return self.codec.settle(self.samples, self.format)
+        assert self.codec.resolve is not None, f"{self.codec.name} has parameters that may be {AUTO}"
+        return self.codec.resolve(self.samples, self.format)
 
     def _coded(self, encoder: Encoder, packets: list[bytes]) -> CodedSignal:
         return CodedSignal(

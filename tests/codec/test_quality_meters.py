@@ -1,9 +1,9 @@
-"""Judges of decoded packets: the SNR that quiet packets are not held to, and the error's level re the threshold."""
+"""Quality meters of decoded packets: the SNR, eased for quiet packets, and the level of the error."""
 
 import numpy as np
 import pytest
 
-from vibrocast.codec import CodecError, SignalFormat, SnrJudge, ThresholdJudge
+from vibrocast.codec import CodecError, SignalFormat, SnrMeter, ThresholdMeter
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 
 RATE_HZ = 2800
@@ -17,25 +17,25 @@ def noise(level: float, seed: int = 0) -> np.ndarray:
 def test_snr_is_the_mean_over_channels() -> None:
     samples = np.ones((PACKET, 2)) / 2
     decoded = samples - np.array([0.05, 0.005])
-    assert SnrJudge(RATE_HZ).quality_db(samples, decoded) == pytest.approx(30)
+    assert SnrMeter(RATE_HZ).quality_db(samples, decoded) == pytest.approx(30)
 
 
 def test_a_pause_behind_a_loud_texture_is_held_to_little_and_soon_to_its_own_level() -> None:
-    judge = SnrJudge(RATE_HZ)
+    meter = SnrMeter(RATE_HZ)
     for _ in range(40):
-        judge.hear(noise(0.1), noise(0.1))
+        meter.update(noise(0.1), noise(0.1))
     pause, error = noise(1e-4, 1), noise(1e-4, 2)
-    held_db = judge.quality_db(pause, pause + error)
+    held_db = meter.quality_db(pause, pause + error)
     assert held_db == pytest.approx(60 - 20, abs=2)
     for _ in range(60):  # 3 s
-        judge.hear(pause, pause)
-    assert judge.quality_db(pause, pause + error) == pytest.approx(0, abs=2)
+        meter.update(pause, pause)
+    assert meter.quality_db(pause, pause + error) == pytest.approx(0, abs=2)
 
 
 def test_digital_silence_is_good_enough_however_coarse() -> None:
     silence = np.zeros((PACKET, 2))
-    assert SnrJudge(RATE_HZ).quality_db(silence, silence) > 10
-    assert SnrJudge(RATE_HZ).quality_db(silence, silence + 0.1) < -50
+    assert SnrMeter(RATE_HZ).quality_db(silence, silence) > 10
+    assert SnrMeter(RATE_HZ).quality_db(silence, silence + 0.1) < -50
 
 
 @pytest.mark.parametrize("unit", ["um", "m/s^2"])
@@ -44,11 +44,11 @@ def test_a_sinusoid_at_the_threshold_is_at_zero_db(unit: str, frequency_hz: floa
     format = SignalFormat(RATE_HZ, unit, (8.0, 8.0), (0.1, 0.1))
     amplitude = threshold_amplitude(read_threshold(), np.array([frequency_hz], dtype=float), unit)[0]
     error = amplitude / 8 * np.sin(2 * np.pi * frequency_hz * np.arange(RATE_HZ) / RATE_HZ)[:, None] * [1, 0.1]
-    judge = ThresholdJudge(format)
-    assert judge.quality_db(error, np.zeros_like(error)) == pytest.approx(0, abs=2)
-    assert judge.quality_db(error, 0.9 * error) == pytest.approx(judge.quality_db(error, 0 * error) + 20, abs=0.01)
+    meter = ThresholdMeter(format)
+    assert meter.quality_db(error, np.zeros_like(error)) == pytest.approx(0, abs=2)
+    assert meter.quality_db(error, 0.9 * error) == pytest.approx(meter.quality_db(error, 0 * error) + 20, abs=0.01)
 
 
 def test_a_signal_without_a_physical_unit_has_no_threshold() -> None:
     with pytest.raises(CodecError, match="give `unit` and `full_scale`"):
-        ThresholdJudge(SignalFormat(RATE_HZ, "full scale", (1.0,), (0.1,)))
+        ThresholdMeter(SignalFormat(RATE_HZ, "full scale", (1.0,), (0.1,)))

@@ -21,7 +21,7 @@ from vibrocast.codec import (
     Group,
     Signal,
     SignalFormat,
-    SnrJudge,
+    SnrMeter,
     TargetUnreachable,
     rate_controlled_encoder,
     rate_controlled_framing,
@@ -100,7 +100,7 @@ rate_buffers_s = st.floats(0.001, 2)
 def test_over_any_run_a_constant_rate_has_its_bytes(
     trials: list[FakeTrial], rate: float, rate_buffer_s: float, judged: bool
 ) -> None:
-    policy = begun(ConstantRate(rate, FRAME_BYTES, rate_buffer_s, SnrJudge(RATE_HZ) if judged else None))
+    policy = begun(ConstantRate(rate, FRAME_BYTES, rate_buffer_s, SnrMeter(RATE_HZ) if judged else None))
     sizes = [sent_bytes(trial, policy(trial)) for trial in trials]
     assert np.ptp(ahead_of_rate(sizes, rate)) <= max(1, rate * rate_buffer_s / 8) + 1e-6
 
@@ -109,7 +109,7 @@ def test_over_any_run_a_constant_rate_has_its_bytes(
 def test_over_any_run_a_capped_rate_is_not_exceeded(
     trials: list[FakeTrial], rate: float, rate_buffer_s: float, quality_db: float
 ) -> None:
-    policy = begun(CappedRate(quality_db, SnrJudge(RATE_HZ), rate, FRAME_BYTES, rate_buffer_s))
+    policy = begun(CappedRate(quality_db, SnrMeter(RATE_HZ), rate, FRAME_BYTES, rate_buffer_s))
     ahead = ahead_of_rate([sent_bytes(trial, policy(trial)) for trial in trials], rate)
     max_ahead = np.maximum.accumulate(ahead[::-1])[::-1] - ahead
     assert np.max(max_ahead) <= max(1, rate * rate_buffer_s / 8) + 1e-6
@@ -255,7 +255,7 @@ def packet_snrs_db(samples: Signal, coded: codec.CodedSignal) -> NDArray[np.floa
 @pytest.mark.parametrize("name", ["mdct", "slp"])
 def test_a_constant_quality_is_that_of_every_packet(name: str) -> None:
     samples = texture(3)
-    policy = ConstantQuality(15, SnrJudge(RATE_HZ))
+    policy = ConstantQuality(15, SnrMeter(RATE_HZ))
     coded = codec.encode_rate_controlled(samples, RATE_HZ, policy, Framing(140, 20), codec=name)
     ratios = packet_snrs_db(samples, coded)[2:]
     assert np.min(ratios) >= 14.99
@@ -267,9 +267,9 @@ def test_a_capped_rate_is_the_constant_quality_where_it_fits() -> None:
     free, roomy, tight = (
         codec.encode_rate_controlled(samples, RATE_HZ, policy, framing)
         for policy in (
-            ConstantQuality(15, SnrJudge(RATE_HZ)),
-            CappedRate(15, SnrJudge(RATE_HZ), 100_000),
-            CappedRate(15, SnrJudge(RATE_HZ), 1500),
+            ConstantQuality(15, SnrMeter(RATE_HZ)),
+            CappedRate(15, SnrMeter(RATE_HZ), 100_000),
+            CappedRate(15, SnrMeter(RATE_HZ), 1500),
         )
     )
     assert roomy.packets == free.packets
@@ -282,7 +282,7 @@ def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
     framing = Framing(350, 8)
     spreads = []
     for rate_buffer_s in (0.018, 2.0):
-        policy = ConstantRate(4000, 0, rate_buffer_s, SnrJudge(RATE_HZ))
+        policy = ConstantRate(4000, 0, rate_buffer_s, SnrMeter(RATE_HZ))
         ratios = packet_snrs_db(samples, codec.encode_rate_controlled(samples, RATE_HZ, policy, framing))
         spreads.append(np.std(ratios[3:]))
     assert spreads[1] < spreads[0] - 1
@@ -291,7 +291,7 @@ def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
 def test_a_codec_whose_decoder_cannot_be_tried_holds_no_quality() -> None:
     with pytest.raises(CodecError, match="cannot be held to a quality"):
         codec.encode_rate_controlled(
-            texture(1), RATE_HZ, ConstantQuality(15, SnrJudge(RATE_HZ)), Framing(140, 0), codec="wavpack"
+            texture(1), RATE_HZ, ConstantQuality(15, SnrMeter(RATE_HZ)), Framing(140, 0), codec="wavpack"
         )
 
 
@@ -356,7 +356,7 @@ def test_packets_that_no_frame_carries_are_not_chosen(name: str) -> None:
             raise CodecError("no frame carries it")
         return FRAME_BYTES
 
-    for policy in (ConstantRate(800, frame_bytes), CappedRate(90, SnrJudge(RATE_HZ), 100_000, frame_bytes)):
+    for policy in (ConstantRate(800, frame_bytes), CappedRate(90, SnrMeter(RATE_HZ), 100_000, frame_bytes)):
         coded = codec.encode_rate_controlled(texture(4), RATE_HZ, policy, Framing(RATE_HZ, 2), codec=name)
         assert max(map(len, coded.packets)) <= 300
 
