@@ -2,7 +2,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-CORE := $(wildcard firmware/core/*.[ch] firmware/ports/python/*.[ch])
+CORE := $(wildcard firmware/core/*.[ch] firmware/controller/*.[ch] firmware/ports/python/*.[ch])
 SOURCES := pyproject.toml hatch_build.py $(CORE)
 C_SOURCES := $(filter-out %_tables.c,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch])) $(wildcard tests/*/*.c)
 

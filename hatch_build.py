@@ -1,4 +1,4 @@
-"""Compiles firmware/core into the shared libraries that firmware/native_core.py loads; run directly, in place."""
+"""Compiles core and controller into the libraries that firmware/native_core.py loads; run directly, in place."""
 
 import platform
 import subprocess
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent
 sys.path.insert(0, str(ROOT))  # a build backend runs this file from elsewhere
 from firmware.declarations import cffi_declarations  # noqa: E402
 
-FOLDERS = ("firmware/core", "firmware/ports/python")
+FOLDERS = ("firmware/core", "firmware/controller", "firmware/ports/python")
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-sanitize=all", "-g0", "-shared")
 SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 MACHINE = platform.machine()
@@ -29,7 +29,7 @@ LINKS_GLIBC = sys.platform == "linux" and platform.libc_ver()[0] == "glibc" and 
 
 
 def compile_core(output_folder: Path) -> list[Path]:
-    """Compile the core with ziglang, once for each of PROCESSORS.
+    """Compile core and controller with ziglang, once for each of PROCESSORS.
 
     Return the libraries, and the declarations that cffi reads. Raises CalledProcessError.
     """

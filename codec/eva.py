@@ -376,6 +376,7 @@ CODEC = Codec(
     make_decoder=make_decoder,
     check_tables=check_tables,
     with_runtime=with_runtime,
+    runtime_of=lambda tables: EvaImage.unpack(tables).runtime,
     takes_model=True,
     needs_model=True,
     controls_rate=True,

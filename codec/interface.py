@@ -277,8 +277,8 @@ class Codec:
     what a texture is like, and none of its samples.
     `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
     CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
-    `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, or raises
-    CodecError; None where there is no choice.
+    `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, and
+    `runtime_of(tables)` which of them it is; both raise CodecError, and are None where there is no choice.
     `make_encoder(setting, format, framing, model, rate_control)`: the setting complete and checked; `rate_control`
     chooses the quality of each packet, None = all are of the setting's; a codec that does not control the rate rejects
     it. `resolve(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
@@ -296,6 +296,7 @@ class Codec:
     resolve: Callable[[Signal, SignalFormat], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None
+    runtime_of: Callable[[bytes], str] | None = None
     physical_rate_point_sets: frozenset[str] = frozenset()
     takes_model: bool = False
     needs_model: bool = False

@@ -1,17 +1,12 @@
-"""Flash memory in a file, and the slots for model images in it: whenever the power goes, an image that runs is left."""
+"""Flash memory in a file, and how the controller in C reaches it; the power may be cut at any byte."""
 
-import struct
-import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from vibrocast.codec import CodecError
-from vibrocast.device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
-from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
-from vibrocast.simulated_device.refusal import Refusal
+from vibrocast.simulated_device.callbacks import Callbacks
 
 SLOTS = 2
 ERASED = 0xFF
@@ -82,216 +77,44 @@ class FlashMemory:
             raise PowerCut
 
 
-@dataclass(frozen=True)
-class _Slot:
-    """What the record says of a slot. `booted`: a slot on trial has been started once."""
+class FlashPort:
+    """A FlashMemory as the controller in C sees it: `pointer` is its vc_flash.
 
-    LAYOUT = struct.Struct("<BBI32s")
-
-    state: SlotState = SlotState.EMPTY
-    booted: bool = False
-    size_bytes: int = 0
-    sha256: bytes = bytes(32)
-
-
-class ImageStore:
-    """Two slots for model images, and the record of their states.
-
-    The record is kept twice, in the first two sectors, each copy with a counter and a CRC-32; a change erases and
-    writes the older copy, so a cut leaves either the record before or the one after. A slot is erased and written only
-    while the record calls it empty or in writing, and neither the slot that runs nor the one to fall back to is.
+    The memory has a sector for each copy of the record, then two slots of the same size. An OSError says that the flash
+    did not take the data; `callbacks` keeps everything else that the memory raises.
     """
 
-    _RECORD = struct.Struct(f"<4sI{SLOTS * _Slot.LAYOUT.size}sI")
-    _MAGIC = b"VCFS"
-    # Data is programmed again from a multiple of this on after a cut, over bytes that may be half done.
-    _PAGE_BYTES = 256
+    def __init__(self, ffi: Any, flash: FlashMemory, callbacks: Callbacks) -> None:
+        def changed(change: Callable[..., None], *arguments: Any) -> int:
+            try:
+                change(*arguments)
+            except OSError:
+                return -1
+            return 0
 
-    def __init__(self, flash: FlashMemory, hardware: str, check_payload: Callable[[int, bytes], None]) -> None:
-        """Boot: start a slot that was put on trial, or fall back from one whose trial was not confirmed.
+        def erase(context: Any, offset: int, length: int) -> int:
+            return changed(flash.erase, offset, length)
 
-        `check_payload` raises CodecError where the codec of a number cannot use an image's payload.
-        """
-        self._flash = flash
-        self._hardware = hardware
-        self._check_payload = check_payload
-        self.slot_bytes = (len(flash) // flash.sector_bytes - 2) // SLOTS * flash.sector_bytes
-        self._counter, self._slots = self._read_record()
-        self.running: ModelImage | None = None
-        self.running_sha256 = b""
-        self._running_slot: int | None = None
-        self._boot()
+        def program(context: Any, offset: int, data: Any, length: int) -> int:
+            return changed(flash.program, offset, bytes(ffi.buffer(data, length)))
 
-    def describe(self) -> tuple[ImageDescription, ...]:
-        """Return what each slot holds, as hello tells it."""
-        descriptions = []
-        for number, slot in enumerate(self._slots):
-            image = self._image(number) if slot.state not in (SlotState.EMPTY, SlotState.WRITING) else None
-            name, version = (image.name, image.version) if image else ("", "")
-            descriptions.append(ImageDescription(number, slot.state, slot.sha256, name, version))
-        return tuple(descriptions)
-
-    def begin(self, number: int, size_bytes: int, digest: bytes, hardware: str) -> FlashStatus:
-        """Make a slot ready for an image, or go on with the one that it is taking. Raises Refusal."""
-        slot = self._slot(number)
-        if number == self._running_slot or slot.state == SlotState.CONFIRMED:
-            raise Refusal(ErrorCode.WRONG_STATE, f"slot {number} runs or is the one to fall back to: use the other")
-        if hardware not in ("", self._hardware):
-            raise Refusal(ErrorCode.WRONG_HARDWARE, f"the image is for {hardware}, this controller is {self._hardware}")
-        if not 0 < size_bytes <= self.slot_bytes:
-            raise Refusal(
-                ErrorCode.BEYOND_LIMITS, f"an image of {size_bytes} bytes; a slot holds 1 to {self.slot_bytes}"
-            )
-        wanted = _Slot(SlotState.WRITING, False, size_bytes, digest)
-        if slot != wanted:
-            self._set({number: _Slot()})
-            self._flash.erase(self._address(number), self.slot_bytes)
-            self._set({number: wanted})
-        return self._status(number)
-
-    def write(self, number: int, offset: int, data: bytes) -> FlashStatus:
-        """Program data at the offset that is next; at any other, write nothing. Raises Refusal."""
-        slot = self._slot_in(number, SlotState.WRITING, "begin with FlashBegin")
-        if offset == self._next_offset(number):
-            if offset + len(data) > slot.size_bytes:
-                raise Refusal(
-                    ErrorCode.BAD_VALUE, f"data up to byte {offset + len(data)} of an image of {slot.size_bytes} bytes"
-                )
-            self._flash.program(self._address(number) + offset, data)
-            self._written[number] = offset + len(data)
-        return self._status(number)
-
-    def verify(self, number: int) -> FlashStatus:
-        """Read the slot back and check all of it; an image that is refused leaves the slot empty. Raises Refusal."""
-        slot = self._slot_in(number, SlotState.WRITING, "there is nothing new to verify")
-        try:
-            data = self._flash.read(self._address(number), slot.size_bytes)
-            if sha256(data) != slot.sha256:
-                raise ModelImageError("what was written has another SHA-256 than announced: flash it again")
-            image = ModelImage.unpack(data)
-            if image.hardware not in ("", self._hardware):
-                raise ModelImageError(f"the image is for {image.hardware}, this controller is {self._hardware}")
-            self._check_payload(image.codec_identifier, image.payload)
-        except (ModelImageError, CodecError) as error:
-            self._set({number: _Slot()})
-            raise Refusal(ErrorCode.IMAGE_REFUSED, str(error)) from error
-        self._set({number: replace(slot, state=SlotState.VERIFIED)})
-        return self._status(number)
-
-    def activate(self, number: int) -> FlashStatus:
-        """Put a verified slot on trial at the next boot. Raises Refusal."""
-        slot = self._slot_in(number, SlotState.VERIFIED, "verify it first")
-        if any(other.state == SlotState.TRIAL for other in self._slots):
-            raise Refusal(ErrorCode.WRONG_STATE, "another slot is on trial: confirm it, or restart to fall back")
-        self._set({number: replace(slot, state=SlotState.TRIAL)})
-        return self._status(number)
-
-    def confirm(self, number: int) -> FlashStatus:
-        """Keep the slot that runs on trial; the one confirmed before becomes verified. Raises Refusal."""
-        slot = self._slot(number)
-        if number != self._running_slot:
-            raise Refusal(ErrorCode.WRONG_STATE, f"slot {number} does not run: only what has been tried can be kept")
-        if slot.state == SlotState.TRIAL:
-            changes = {
-                other: replace(before, state=SlotState.VERIFIED)
-                for other, before in enumerate(self._slots)
-                if before.state == SlotState.CONFIRMED
-            }
-            self._set(changes | {number: replace(slot, state=SlotState.CONFIRMED, booted=False)})
-        return self._status(number)
-
-    def _boot(self) -> None:
-        """Start what is on trial for the first time, or else what is confirmed; note what turned out to be broken."""
-        self._written = [self._programmed_bytes(number) for number in range(SLOTS)]
-        changes: dict[int, _Slot] = {}
-        for number, slot in enumerate(self._slots):
-            if slot.state in (SlotState.TRIAL, SlotState.CONFIRMED) and self._image(number) is None:
-                changes[number] = _Slot()
-                spare = self._whole(SlotState.VERIFIED)
-                if slot.state == SlotState.CONFIRMED and spare is not None:
-                    changes[spare] = replace(self._slots[spare], state=SlotState.CONFIRMED)
-            elif slot.state == SlotState.TRIAL and slot.booted:
-                changes[number] = replace(slot, state=SlotState.VERIFIED, booted=False)
-            elif slot.state == SlotState.TRIAL:
-                changes[number] = replace(slot, booted=True)
-        startable = [SlotState.TRIAL, SlotState.CONFIRMED]
-        try:
-            if changes:
-                self._set(changes)
-        except OSError:
-            startable.remove(SlotState.TRIAL)  # without a record of it, the trial would never end
-        for state in startable:
-            running = self._whole(state)
-            if running is not None:
-                self.running, self.running_sha256 = self._image(running), self._slots[running].sha256
-                self._running_slot = running
-                return
-
-    def _whole(self, state: SlotState) -> int | None:
-        """Return a slot in this state whose image is whole."""
-        whole = (n for n, slot in enumerate(self._slots) if slot.state == state and self._image(n) is not None)
-        return next(whole, None)
-
-    def _image(self, number: int) -> ModelImage | None:
-        """Return the image in a slot if it is whole."""
-        slot = self._slots[number]
-        data = self._flash.read(self._address(number), slot.size_bytes)
-        try:
-            return ModelImage.unpack(data) if sha256(data) == slot.sha256 else None
-        except ModelImageError:
-            return None
-
-    def _slot(self, number: int) -> _Slot:
-        if not 0 <= number < SLOTS:
-            raise Refusal(ErrorCode.NO_SUCH_SLOT, f"there is no slot {number}; slots are 0 to {SLOTS - 1}")
-        return self._slots[number]
-
-    def _slot_in(self, number: int, state: SlotState, hint: str) -> _Slot:
-        slot = self._slot(number)
-        if slot.state != state:
-            raise Refusal(ErrorCode.WRONG_STATE, f"slot {number} is {slot.state.name.lower()}: {hint}")
-        return slot
-
-    def _status(self, number: int) -> FlashStatus:
-        slot = self._slots[number]
-        verified = slot.state not in (SlotState.EMPTY, SlotState.WRITING)
-        return FlashStatus(number, slot.state, self._next_offset(number), slot.sha256 if verified else bytes(32))
-
-    def _next_offset(self, number: int) -> int:
-        return self._written[number] if self._slots[number].state == SlotState.WRITING else 0
-
-    def _address(self, number: int) -> int:
-        return 2 * self._flash.sector_bytes + number * self.slot_bytes
-
-    def _programmed_bytes(self, number: int) -> int:
-        """Return where to go on after a boot: the start of the last page that is not blank."""
-        data = self._flash.read(self._address(number), self._slots[number].size_bytes)
-        last = len(data.rstrip(bytes([ERASED]))) - 1
-        return max(0, last) // self._PAGE_BYTES * self._PAGE_BYTES
-
-    def _set(self, changes: dict[int, _Slot]) -> None:
-        """Change slots' states, all at once: in the record first, so that a flash that fails changes nothing."""
-        slots = [changes.get(number, slot) for number, slot in enumerate(self._slots)]
-        counter = self._counter + 1
-        packed = b"".join(_Slot.LAYOUT.pack(s.state, s.booted, s.size_bytes, s.sha256) for s in slots)
-        head = self._RECORD.pack(self._MAGIC, counter, packed, 0)[:-4]
-        address = counter % 2 * self._flash.sector_bytes
-        self._flash.erase(address, self._flash.sector_bytes)
-        self._flash.program(address, head + zlib.crc32(head).to_bytes(4, "little"))
-        self._counter, self._slots = counter, slots
-        for number, slot in changes.items():
-            if slot.state == SlotState.EMPTY:
-                self._written[number] = 0
-
-    def _read_record(self) -> tuple[int, list[_Slot]]:
-        newest: tuple[int, list[_Slot]] = (0, [_Slot()] * SLOTS)
-        for copy in range(2):
-            data = self._flash.read(copy * self._flash.sector_bytes, self._RECORD.size)
-            magic, counter, packed, crc = self._RECORD.unpack(data)
-            if magic == self._MAGIC and crc == zlib.crc32(data[:-4]) and counter > newest[0]:
-                slots = [
-                    _Slot(SlotState(state), bool(booted), min(size_bytes, self.slot_bytes), digest)
-                    for state, booted, size_bytes, digest in _Slot.LAYOUT.iter_unpack(packed)
-                ]
-                newest = (counter, slots)
-        return newest
+        sector_bytes = flash.sector_bytes
+        slot_bytes = (len(flash) // sector_bytes - 2) // SLOTS * sector_bytes
+        self._kept = (
+            ffi.from_buffer(flash.contents),
+            callbacks.make("int(void *, uint32_t, uint32_t)", erase, -1),
+            callbacks.make("int(void *, uint32_t, const uint8_t *, uint32_t)", program, -1),
+        )
+        base, erase_callback, program_callback = self._kept
+        self.pointer = ffi.new(
+            "vc_flash *",
+            {
+                "base": base,
+                "record": [0, sector_bytes],
+                "record_bytes": sector_bytes,
+                "slot": [2 * sector_bytes, 2 * sector_bytes + slot_bytes],
+                "slot_bytes": slot_bytes,
+                "erase": erase_callback,
+                "program": program_callback,
+            },
+        )

@@ -323,6 +323,9 @@ static int carry_out(vc_controller *controller, const vc_message *message, vc_fr
 static void put_description(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
 {
     const vc_actuator *actuator = controller->settings->actuator;
+    const vc_decoder_callbacks *callbacks = controller->settings->callbacks;
+    const vc_sizes sizes = vc_playback_sizes(controller->settings);
+    vc_codec_description codecs[VC_CODECS];
     vc_image_description images[VC_SLOTS];
     vc_hello_response hello;
     unsigned slot;
@@ -331,13 +334,13 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     hello.hardware = controller->settings->hardware;
     hello.limits.maximum_payload_bytes = VC_MAXIMUM_PAYLOAD_BYTES;
     hello.limits.maximum_packet_bytes = VC_MAXIMUM_PACKET_BYTES;
-    hello.limits.buffer_samples = VC_BUFFER_SAMPLES;
-    hello.limits.capture_samples = VC_CAPTURE_SAMPLES;
-    hello.limits.channels = VC_CHANNELS;
+    hello.limits.buffer_samples = sizes.buffer_samples;
+    hello.limits.capture_samples = sizes.capture_samples;
+    hello.limits.channels = sizes.channels;
     hello.limits.minimum_rate_hz = VC_MINIMUM_RATE_HZ;
     hello.limits.maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
     hello.limits.watchdog_ms = controller->settings->watchdog_ms;
-    hello.limits.profile_samples = controller->settings->profile != NULL ? VC_PROFILE_SAMPLES : 0;
+    hello.limits.profile_samples = sizes.profile_samples;
     hello.actuator.name = actuator->name;
     hello.actuator.stroke_um_float_bits = actuator->stroke_um;
     hello.actuator.volts_float_bits = actuator->volts;
@@ -346,8 +349,9 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     hello.actuator.slew_volts_per_second_float_bits = actuator->slew_volts_per_second;
     hello.actuator.dac_bits = actuator->dac_bits;
     hello.actuator.dac_rate_hz = actuator->dac_rate_hz;
-    hello.codecs = vc_codecs;
-    hello.codec_count = VC_CODECS;
+    vc_codecs_describe(codecs);
+    hello.codecs = callbacks != NULL ? callbacks->codecs : codecs;
+    hello.codec_count = callbacks != NULL ? callbacks->codec_count : VC_CODECS;
     for (slot = 0; slot < VC_SLOTS; slot++)
         vc_image_store_describe(&controller->images, slot, &images[slot]);
     hello.images = images;
@@ -359,7 +363,8 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
 
 static void boot(vc_controller *controller)
 {
-    vc_image_store_boot(&controller->images, controller->flash, controller->settings->hardware, vc_tables_check);
+    vc_image_store_boot(&controller->images, controller->flash, controller->settings->hardware, vc_tables_check,
+                        controller->settings->callbacks);
     controller->configured = 0;
     controller->state_without_stream = VC_STATE_IDLE;
     controller->in_session = 0;
@@ -495,6 +500,7 @@ void vc_controller_init(vc_controller *controller, const vc_controller_settings 
     controller->playback.sink = dac;
     controller->playback.sink_context = dac_context;
     controller->playback.profile = settings->profile;
+    controller->playback.sizes = vc_playback_sizes(settings);
     controller->playback.hand_delay_us = settings->position != NULL ? 0 : VC_HAND_DELAY_US;
     vc_frame_reader_init(&controller->reader);
     boot(controller);

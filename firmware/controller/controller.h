@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "codec.h"
 #include "output.h"
 #include "profile.h"
 
@@ -32,6 +33,13 @@ typedef struct {
  * second, before what is due is rendered. */
 typedef int64_t (*vc_position_sensor)(void *context, uint64_t now_us);
 
+/* Limits that hello tells. */
+typedef struct {
+    uint8_t channels;
+    uint32_t buffer_samples, capture_samples; /* per channel */
+    uint32_t profile_samples;                 /* of all channels together */
+} vc_sizes;
+
 /* What kind of controller this is; must stay valid. Texts end with a zero byte and have at most 63 bytes before it.
  * The other limits that hello tells are compiled in: sizes.h. */
 typedef struct {
@@ -41,6 +49,8 @@ typedef struct {
     vc_profile *profile;         /* VC_PROFILE_WORDS of int64_t (sizes.h) for height profiles; NULL: takes none */
     vc_position_sensor position; /* NULL: the host says where the hand is */
     void *position_context;
+    const vc_sizes *sizes;                 /* smaller than those of sizes.h; NULL: those */
+    const vc_decoder_callbacks *callbacks; /* decode what is not in C (decoders.h); NULL: nothing does */
 } vc_controller_settings;
 
 /* Takes DAC codes in the order in which they are due: samples x channels, interleaved, signed, 0 = rest. A port's DAC

@@ -2,29 +2,43 @@
 #ifndef VIBROCAST_DECODERS_H
 #define VIBROCAST_DECODERS_H
 
+#include "codec.h"
 #include "decoder_memory.h"
 #include "messages.h"
 
-#define VC_CODECS 5
+/* cffi: begin */
+/* Codecs that are in C. */
+enum { VC_CODECS = 5 };
 
-/* Their identifiers in stream headers and model images, and names. */
-extern const vc_codec_description vc_codecs[VC_CODECS];
+/* Writes them: VC_CODECS descriptions. */
+void vc_codecs_describe(vc_codec_description *descriptions);
 
-/* What a decoder is made from; the bytes belong to the caller. `tables`: payload of the model image that the stream
- * needs, which must stay valid while the decoder is used; NULL = those built in. */
+/* Decoders that are not in C, as a simulated controller may have. They decode one stream at a time.
+ * `codecs`: all that hello lists, those in C among them.
+ * `check_tables` and `check` do what vc_tables_check and vc_coding_check do. They return 0 for what these callbacks
+ * decode, VC_NOT_BY_CALLBACKS to leave it to the decoders in C, or the refusal's code. C asks them about codecs that it
+ * does not have, and about model images.
+ * `init`, `decode` and `conceal` then do what the functions in C do. */
+struct vc_decoder_callbacks {
+    void *context;
+    const vc_codec_description *codecs;
+    unsigned codec_count;
+    int (*check_tables)(void *context, uint8_t codec, const uint8_t *tables, size_t length, vc_refusal *refusal);
+    int (*check)(void *context, vc_coding *coding, vc_refusal *refusal);
+    void (*init)(void *context, const vc_coding *coding);
+    int (*decode)(void *context, const uint8_t *packet, size_t length, int16_t *samples);
+    void (*conceal)(void *context, int16_t *samples);
+};
+enum { VC_NOT_BY_CALLBACKS = -1 };
+
+/* Returns 0 if a codec's decoder takes the payload of a model image, or the refusal's code, VC_IMAGE_REFUSED. Any bytes
+ * are safe. `callbacks`: a vc_decoder_callbacks; NULL = there are none. */
+int vc_tables_check(const void *callbacks, uint8_t codec, const uint8_t *tables, size_t length, vc_refusal *refusal);
+/* cffi: end */
+
 typedef struct {
-    uint8_t codec;
-    uint8_t channels;
-    const uint8_t *configuration;
-    size_t configuration_length;
-    const uint8_t *tables;
-    size_t tables_length;
-    /* What vc_coding_check finds: samples per channel in each packet, and by which the output lags the input. */
-    uint32_t packet_samples, delay_samples;
-} vc_coding;
-
-typedef struct {
-    uint8_t codec;
+    const vc_codec *codec;                 /* NULL: */
+    const vc_decoder_callbacks *callbacks; /* these decode */
     union {
         struct vc_mdct_decoder mdct;
         struct vc_dct_decoder dct;
@@ -35,12 +49,8 @@ typedef struct {
 } vc_decoder;
 
 /* Finds what the packets of a stream are. Returns 0, or the refusal's code, VC_UNKNOWN_CODEC, where it cannot be
- * decoded. Any bytes are safe. */
-int vc_coding_check(vc_coding *coding, vc_refusal *refusal);
-
-/* Returns 0 if a codec's decoder takes the payload of a model image, or the refusal's code, VC_IMAGE_REFUSED. Any bytes
- * are safe. */
-int vc_tables_check(uint8_t codec, const uint8_t *tables, size_t length, vc_refusal *refusal);
+ * decoded. Any bytes are safe. `callbacks`: as above. */
+int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc_refusal *refusal);
 
 /* Makes a fresh decoder of what vc_coding_check has passed. */
 void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding);

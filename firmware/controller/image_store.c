@@ -127,7 +127,8 @@ static uint32_t programmed_bytes(const vc_image_store *store, unsigned number)
     return length > 0 ? (length - 1) / PAGE_BYTES * PAGE_BYTES : 0;
 }
 
-void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const char *hardware, vc_payload_check check)
+void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const char *hardware, vc_payload_check check,
+                         const void *check_context)
 {
     vc_slot slots[VC_SLOTS];
     vc_refusal unused;
@@ -137,6 +138,7 @@ void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const cha
     store->flash = flash;
     store->hardware = hardware;
     store->check = check;
+    store->check_context = check_context;
     for (i = 0; i < 2; i++)
         read_record(store, flash->base + flash->record[i]);
     for (i = 0; i < VC_SLOTS; i++) {
@@ -301,7 +303,8 @@ static int check_image(vc_image_store *store, unsigned number, vc_refusal *refus
     if (!refused)
         refused = wrong_hardware(store, image->hardware, VC_IMAGE_REFUSED, refusal);
     if (!refused)
-        refused = store->check(image->codec, image->payload.bytes, image->payload.length, refusal);
+        refused =
+            store->check(store->check_context, image->codec, image->payload.bytes, image->payload.length, refusal);
     return refused;
 }
 

@@ -13,7 +13,8 @@
 
 /* cffi: begin */
 /* Says whether a codec can use the payload of an image: returns 0, or the refusal's code, VC_IMAGE_REFUSED. */
-typedef int (*vc_payload_check)(uint8_t codec, const uint8_t *payload, size_t length, vc_refusal *refusal);
+typedef int (*vc_payload_check)(const void *context, uint8_t codec, const uint8_t *payload, size_t length,
+                                vc_refusal *refusal);
 
 /* What the record says of a slot. */
 typedef struct {
@@ -29,6 +30,7 @@ typedef struct {
     const vc_flash *flash;
     const char *hardware;
     vc_payload_check check;
+    const void *check_context;
     uint32_t counter; /* of the newest record */
     vc_slot slots[2];
     vc_model_image images[2];
@@ -37,9 +39,10 @@ typedef struct {
     int running;
 } vc_image_store;
 
-/* Boots: starts a slot that was put on trial, or falls back from one whose trial was not confirmed. `flash` and
- * `hardware` must stay valid. Reads both slots and may write the record. */
-void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const char *hardware, vc_payload_check check);
+/* Boots: starts a slot that was put on trial, or falls back from one whose trial was not confirmed. `flash`,
+ * `hardware` and `check_context` must stay valid. Reads both slots and may write the record. */
+void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const char *hardware, vc_payload_check check,
+                         const void *check_context);
 
 /* The image that runs, in flash, or NULL; and the 32 bytes of its SHA-256. */
 const vc_model_image *vc_image_store_running(const vc_image_store *store);

@@ -38,15 +38,15 @@ static void count_one(uint32_t *count)
 static void capture(vc_capture *capture, const int16_t *samples, uint32_t count, unsigned channels)
 {
     capture->end += count;
-    if (count > VC_CAPTURE_SAMPLES) {
-        samples += (size_t)(count - VC_CAPTURE_SAMPLES) * channels;
-        count = VC_CAPTURE_SAMPLES;
+    if (count > capture->size) {
+        samples += (size_t)(count - capture->size) * channels;
+        count = capture->size;
     }
     while (count > 0) {
-        const uint32_t piece = (uint32_t)least(count, VC_CAPTURE_SAMPLES - capture->at);
+        const uint32_t piece = (uint32_t)least(count, capture->size - capture->at);
         memcpy(capture->samples + (size_t)capture->at * channels, samples, (size_t)piece * channels * sizeof *samples);
         capture->at += piece;
-        if (capture->at == VC_CAPTURE_SAMPLES)
+        if (capture->at == capture->size)
             capture->at = 0;
         samples += (size_t)piece * channels;
         count -= piece;
@@ -58,14 +58,14 @@ void vc_playback_captured(const vc_playback *playback, enum vc_tap tap, uint64_t
 {
     const vc_capture *capture = &playback->captures[tap];
     const unsigned channels = playback->header.output.channels;
-    const uint64_t oldest = capture->end - least(capture->end, VC_CAPTURE_SAMPLES);
+    const uint64_t oldest = capture->end - least(capture->end, capture->size);
     uint32_t behind, at;
     *offset = least(*offset > oldest ? *offset : oldest, capture->end);
     count = (uint32_t)least(count, capture->end - *offset);
     behind = (uint32_t)(capture->end - *offset);
-    at = capture->at >= behind ? capture->at - behind : capture->at + VC_CAPTURE_SAMPLES - behind;
+    at = capture->at >= behind ? capture->at - behind : capture->at + capture->size - behind;
     runs[0].samples = capture->samples + (size_t)at * channels;
-    runs[0].count = (uint32_t)least(count, VC_CAPTURE_SAMPLES - at);
+    runs[0].count = (uint32_t)least(count, capture->size - at);
     runs[1].samples = capture->samples;
     runs[1].count = count - runs[0].count;
 }
@@ -99,7 +99,7 @@ static vc_output_stream output_of(const vc_stream_header *header, const vc_actua
 static int refuse_profile(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
                           const vc_controller_settings *settings, vc_refusal *refusal)
 {
-    const uint32_t room = settings->profile != NULL ? VC_PROFILE_SAMPLES : 0;
+    const uint32_t room = vc_playback_sizes(settings).profile_samples;
     const uint32_t least_samples = vc_profile_least_samples(header->output.rate_hz, settings->actuator->dac_rate_hz);
     if (header->samples == VC_LENGTH_UNKNOWN || configure->first_packet > 0 ||
         (uint64_t)configure->packets * coding->packet_samples < coding->delay_samples + header->samples)
@@ -136,9 +136,24 @@ static int refuse_short_iterations(const vc_stream_header *header, const vc_codi
 }
 
 /* Packets of a stream that the buffer's samples have room for. */
-static uint32_t buffer_packets_of(const vc_coding *coding)
+static uint32_t buffer_packets_of(const vc_coding *coding, const vc_sizes *sizes)
 {
-    return (uint32_t)least(VC_BUFFER_PACKETS, VC_BUFFER_SAMPLES / coding->packet_samples);
+    return (uint32_t)least(VC_BUFFER_PACKETS, sizes->buffer_samples / coding->packet_samples);
+}
+
+vc_sizes vc_playback_sizes(const vc_controller_settings *settings)
+{
+    const vc_sizes *asked = settings->sizes;
+    vc_sizes sizes = {VC_CHANNELS, VC_BUFFER_SAMPLES, VC_CAPTURE_SAMPLES, VC_PROFILE_SAMPLES};
+    if (asked != NULL) {
+        sizes.channels = (uint8_t)least(sizes.channels, asked->channels);
+        sizes.buffer_samples = (uint32_t)least(sizes.buffer_samples, asked->buffer_samples);
+        sizes.capture_samples = (uint32_t)least(sizes.capture_samples, asked->capture_samples);
+        sizes.profile_samples = (uint32_t)least(sizes.profile_samples, asked->profile_samples);
+    }
+    if (settings->profile == NULL)
+        sizes.profile_samples = 0;
+    return sizes;
 }
 
 uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator)
@@ -152,17 +167,18 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
     const vc_actuator *actuator = settings->actuator;
     const vc_output_stream output = output_of(header, actuator);
     const uint32_t maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
+    const vc_sizes sizes = vc_playback_sizes(settings);
     uint64_t end, room;
     if (configure->packets > 0 && configure->first_packet >= configure->packets)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
                                  configure->packets);
-    if (output.channels > VC_CHANNELS)
+    if (output.channels > sizes.channels)
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "# channels; there are # here", output.channels,
-                                 VC_CHANNELS);
+                                 sizes.channels);
     if (!is_spatial(header) && (output.rate_hz < VC_MINIMUM_RATE_HZ || output.rate_hz > maximum_rate_hz))
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "a rate outside # to # Hz: resample first",
                                  VC_MINIMUM_RATE_HZ, maximum_rate_hz);
-    if (vc_coding_check(coding, refusal))
+    if (vc_coding_check(coding, settings->callbacks, refusal))
         return refusal->code;
     if (vc_drive_size(actuator, &output) == 0)
         return vc_refuse(refusal, VC_BEYOND_LIMITS, "the output cannot play a stream of this kind");
@@ -175,7 +191,7 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
         return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
                                  "packets of # samples; here they have at most #: encode with shorter packets",
                                  coding->packet_samples, VC_PACKET_SAMPLES);
-    room = (uint64_t)buffer_packets_of(coding) * coding->packet_samples;
+    room = (uint64_t)buffer_packets_of(coding, &sizes) * coding->packet_samples;
     if (room == 0 || configure->prebuffer_samples > room)
         return vc_refuse_numbers(
             refusal, VC_BEYOND_LIMITS,
@@ -200,6 +216,7 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
                       const vc_coding *coding)
 {
     uint32_t delay_samples, hold_samples;
+    unsigned tap;
     playback->header = *header;
     playback->coding = *coding;
     playback->coding.configuration = playback->header.configuration;
@@ -210,7 +227,7 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     playback->packets = configure->packets;
     playback->loops = configure->loops;
     playback->prebuffer_samples = configure->prebuffer_samples;
-    playback->buffer_packets = buffer_packets_of(&playback->coding);
+    playback->buffer_packets = buffer_packets_of(&playback->coding, &playback->sizes);
 
     playback->state = VC_STATE_BUFFERING;
     playback->next = playback->newest_end = configure->first_packet;
@@ -236,8 +253,10 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     hold_samples = vc_drive_samples(drive_of(playback), delay_samples);
     vc_dac_init(&playback->dac, playback->actuator, &playback->output, configure->gain_float_bits,
                 configure->compensation, hold_samples);
-    playback->captures[VC_TAP_DECODED].end = playback->captures[VC_TAP_DECODED].at = 0;
-    playback->captures[VC_TAP_DAC].end = playback->captures[VC_TAP_DAC].at = 0;
+    for (tap = 0; tap < 2; tap++) {
+        playback->captures[tap].size = playback->sizes.capture_samples;
+        playback->captures[tap].end = playback->captures[tap].at = 0;
+    }
 }
 
 /* ---- packets ---- */

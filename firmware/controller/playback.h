@@ -19,10 +19,11 @@
 /* Samples that are made and put out at a time. */
 #define VC_PIECE_SAMPLES 32u
 
-/* The last VC_CAPTURE_SAMPLES samples of a signal, by their number since the start. */
+/* The last samples of a signal, by their number since the start. */
 typedef struct {
-    uint64_t end; /* samples so far */
-    uint32_t at;  /* where the next one goes */
+    uint32_t size; /* samples that it keeps */
+    uint64_t end;  /* samples so far */
+    uint32_t at;   /* where the next one goes */
     int16_t samples[(VC_CAPTURE_SAMPLES > 0 ? VC_CAPTURE_SAMPLES : 1) * VC_CHANNELS];
 } vc_capture;
 
@@ -64,6 +65,7 @@ typedef struct {
     int64_t drive[VC_DRIVE_MEMORY(VC_CHANNELS, VC_RATE_RATIO) / sizeof(int64_t) + 1];
     vc_dac dac;
     vc_capture captures[2]; /* by enum vc_tap */
+    vc_sizes sizes;
 
     vc_profile *profile;    /* memory for one; NULL: none */
     uint32_t hand_delay_us; /* by how much later than they were taken positions are rendered */
@@ -75,12 +77,14 @@ typedef struct {
 /* The highest rate of a stream for a DAC. */
 uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator);
 
+/* The sizes that are compiled in, or those of the settings where they are smaller. */
+vc_sizes vc_playback_sizes(const vc_controller_settings *settings);
+
 /* Says whether a stream can be played: returns 0, or the refusal's code. `coding`: of the header's codec and
  * configuration; what its packets are is filled in. */
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
                       const vc_controller_settings *settings, vc_refusal *refusal);
-/* Sets up what vc_playback_check has passed, in the place of what has stopped. `profile` and what
- * follows it stay. */
+/* Sets up what vc_playback_check has passed, in the place of what has stopped. `sizes` and what follows it stay. */
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding);
 

@@ -1,4 +1,5 @@
 /* Decoder of `dct`: packets to coded values, values to levels, levels to samples by a fixed-point inverse DCT. */
+#include "codec.h"
 #include "decoder_memory.h"
 
 #define MAX_PACKET_BLOCKS 4095u
@@ -309,3 +310,32 @@ void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples)
     memset(decoder->last, 0, sizeof decoder->last);
     decoder->rises = 1;
 }
+
+static int check(vc_coding *coding)
+{
+    vc_dct_configuration read;
+    const int status =
+        vc_dct_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
+    if (status == VC_OK) {
+        coding->packet_samples = read.packet_blocks * read.block;
+        coding->delay_samples = 0;
+    }
+    return status;
+}
+
+static void init(void *decoder, const vc_coding *coding)
+{
+    (void)vc_dct_decoder_init(decoder, coding->configuration, coding->configuration_length, coding->channels);
+}
+
+static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_dct_decode(decoder, packet, length, samples);
+}
+
+static void conceal(void *decoder, int16_t *samples)
+{
+    vc_dct_conceal(decoder, samples);
+}
+
+const vc_codec vc_dct_codec = {2, "dct", 0, NULL, check, init, decode, conceal};

@@ -1,4 +1,5 @@
 /* Decoder of `eva`: packets to latents, latents to samples, fades where packets miss; see eva.h. */
+#include "codec.h"
 #include "decoder_memory.h"
 
 #define FADE_COLUMNS 8u /* longest time that concealment sounds */
@@ -185,3 +186,47 @@ void vc_eva_conceal_latents(vc_eva_decoder *decoder, int16_t *latents)
     decoder->in_sequence = 0;
     put_out(decoder, NULL, to);
 }
+
+static const char *check_tables(const uint8_t *tables, size_t length)
+{
+    vc_eva_model model;
+    if (length > 0 && tables[0] != VC_EVA_LAYOUT_VERSION)
+        return "a model image of EVA with another layout than this controller reads: export it again";
+    if (vc_eva_model_read(&model, tables, length) != VC_OK)
+        return "the model image of EVA is damaged; export it again";
+    return model.has_network ? NULL
+                             : "the model has no integer network, the only one that this controller runs: export it "
+                               "with one";
+}
+
+static int check(vc_coding *coding)
+{
+    vc_eva_model model;
+    vc_eva_configuration read;
+    int status = vc_eva_model_read(&model, coding->tables, coding->tables_length);
+    if (status == VC_OK)
+        status = vc_eva_configuration_read(&read, &model, coding->configuration, coding->configuration_length,
+                                           coding->channels);
+    if (status == VC_OK)
+        coding->packet_samples = read.packet_columns * VC_EVA_HOP;
+    coding->delay_samples = VC_EVA_DELAY;
+    return status;
+}
+
+static void init(void *decoder, const vc_coding *coding)
+{
+    (void)vc_eva_decoder_init(decoder, coding->configuration, coding->configuration_length, coding->channels,
+                              coding->tables, coding->tables_length);
+}
+
+static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_eva_decode(decoder, packet, length, samples);
+}
+
+static void conceal(void *decoder, int16_t *samples)
+{
+    vc_eva_conceal(decoder, samples);
+}
+
+const vc_codec vc_eva_codec = {4, "eva", 1, check_tables, check, init, decode, conceal};

@@ -1,7 +1,6 @@
 /* Reads EVA's models and configurations, and what they say of a quality; see eva_model.h. */
 #include "eva_model.h"
 
-#define LAYOUT_VERSION 1
 #define HEAD_BYTES 10u
 #define ADAPTS_FLAG 1u
 #define NETWORK_FLAG 2u
@@ -73,7 +72,7 @@ int vc_eva_model_read(vc_eva_model *model, const uint8_t *bytes, size_t length)
     const uint8_t *head = take(&from, HEAD_BYTES);
     uint32_t graph_bytes, latent, codes;
     memset(model, 0, sizeof *model);
-    if (from.short_of || head[0] != LAYOUT_VERSION || head[1] > FLAGS || head[5] > MAX_FRACTION_BITS)
+    if (from.short_of || head[0] != VC_EVA_LAYOUT_VERSION || head[1] > FLAGS || head[5] > MAX_FRACTION_BITS)
         return VC_BAD_TABLES;
     model->width = head[2];
     model->latents = head[3];

@@ -6,8 +6,9 @@
 #include "eva.h"
 
 #define VC_EVA_HOP 16u
-#define VC_EVA_DELAY 41u      /* of the synthesis 28, of the analysis beyond its own column 13 */
-#define VC_EVA_MAX_WIDTH 128u /* of hidden layers and latents alike */
+#define VC_EVA_LAYOUT_VERSION 1 /* of model images */
+#define VC_EVA_DELAY 41u        /* of the synthesis 28, of the analysis beyond its own column 13 */
+#define VC_EVA_MAX_WIDTH 128u   /* of hidden layers and latents alike */
 #define VC_EVA_MAX_RATES 16u
 #define VC_EVA_STAGES 3u
 #define VC_EVA_MAX_PACKET_COLUMNS 4095u

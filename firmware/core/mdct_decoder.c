@@ -1,4 +1,5 @@
 /* Decoder of `mdct`: packets to levels, levels to coefficients, fades where packets miss. */
+#include "codec.h"
 #include "decoder_memory.h"
 #include "mdct_synthesis.h"
 
@@ -142,3 +143,39 @@ void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
                 samples += (size_t)configuration->hop * configuration->channels;
         }
 }
+
+static const char *check_tables(const uint8_t *tables, size_t length)
+{
+    return vc_model_check_tables(tables, length) == VC_OK ? NULL
+                                                          : "tables of the wrong size for mdct: export them again";
+}
+
+static int check(vc_coding *coding)
+{
+    vc_mdct_configuration read;
+    const int status =
+        vc_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
+    if (status == VC_OK) {
+        coding->packet_samples = read.packet_blocks * read.hop;
+        coding->delay_samples = read.hop;
+    }
+    return status;
+}
+
+static void init(void *decoder, const vc_coding *coding)
+{
+    (void)vc_mdct_decoder_init(decoder, coding->configuration, coding->configuration_length, coding->channels,
+                               coding->tables, coding->tables_length);
+}
+
+static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_mdct_decode(decoder, packet, length, samples);
+}
+
+static void conceal(void *decoder, int16_t *samples)
+{
+    vc_mdct_conceal(decoder, samples);
+}
+
+const vc_codec vc_mdct_codec = {1, "mdct", 0, check_tables, check, init, decode, conceal};

@@ -1,5 +1,6 @@
 /* Decoder of `parametric`: packets to a description, noise of its band levels by an inverse MDCT, ridges by
  * oscillators, fades where packets miss. */
+#include "codec.h"
 #include "decoder_memory.h"
 #include "mdct_synthesis.h"
 
@@ -149,3 +150,32 @@ void vc_parametric_conceal(vc_parametric_decoder *decoder, int16_t *samples)
                 samples += (size_t)configuration->hop * configuration->channels;
         }
 }
+
+static int check(vc_coding *coding)
+{
+    vc_parametric_configuration read;
+    const int status =
+        vc_parametric_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
+    if (status == VC_OK) {
+        coding->packet_samples = read.packet_frames * vc_parametric_frame_samples(&read);
+        coding->delay_samples = read.hop;
+    }
+    return status;
+}
+
+static void init(void *decoder, const vc_coding *coding)
+{
+    (void)vc_parametric_decoder_init(decoder, coding->configuration, coding->configuration_length, coding->channels);
+}
+
+static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_parametric_decode(decoder, packet, length, samples);
+}
+
+static void conceal(void *decoder, int16_t *samples)
+{
+    vc_parametric_conceal(decoder, samples);
+}
+
+const vc_codec vc_parametric_codec = {11, "parametric", 0, NULL, check, init, decode, conceal};

@@ -1,4 +1,5 @@
 /* Decoder of `slp`: packets to residual spectra, spectra to samples, fades where packets miss. */
+#include "codec.h"
 #include "decoder_memory.h"
 
 #define FADE_SAMPLES 256u /* longest time that concealment sounds */
@@ -101,3 +102,32 @@ void vc_slp_conceal(vc_slp_decoder *decoder, int16_t *samples)
             decoder->concealed++;
     }
 }
+
+static int check(vc_coding *coding)
+{
+    vc_slp_configuration read;
+    const int status =
+        vc_slp_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
+    if (status == VC_OK) {
+        coding->packet_samples = read.packet_frames * read.frame;
+        coding->delay_samples = 0;
+    }
+    return status;
+}
+
+static void init(void *decoder, const vc_coding *coding)
+{
+    (void)vc_slp_decoder_init(decoder, coding->configuration, coding->configuration_length, coding->channels);
+}
+
+static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_slp_decode(decoder, packet, length, samples);
+}
+
+static void conceal(void *decoder, int16_t *samples)
+{
+    vc_slp_conceal(decoder, samples);
+}
+
+const vc_codec vc_slp_codec = {3, "slp", 0, NULL, check, init, decode, conceal};

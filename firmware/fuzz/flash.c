@@ -42,8 +42,9 @@ static int program(void *context, uint32_t offset, const uint8_t *data, uint32_t
     return 0;
 }
 
-static int check(uint8_t codec, const uint8_t *payload, size_t length, vc_refusal *refusal)
+static int check(const void *context, uint8_t codec, const uint8_t *payload, size_t length, vc_refusal *refusal)
 {
+    (void)context;
     return length > 0 && payload[0] == codec ? vc_refuse(refusal, VC_IMAGE_REFUSED, "no tables of this codec") : 0;
 }
 
@@ -52,7 +53,7 @@ static void boot(vc_image_store *store, const vc_flash *flash)
     vc_image_description description;
     const vc_model_image *image;
     unsigned number;
-    vc_image_store_boot(store, flash, "board", check);
+    vc_image_store_boot(store, flash, "board", check, NULL);
     image = vc_image_store_running(store);
     vc_fuzz_check((image != NULL) == (vc_image_store_running_sha256(store) != NULL), "an image without its hash");
     if (image != NULL)

@@ -27,7 +27,7 @@ static void decode(const vc_stream_header *header, const uint8_t *tables, size_t
     coding.configuration_length = header->configuration_length;
     coding.tables = tables;
     coding.tables_length = tables_length;
-    if (vc_coding_check(&coding, &refusal) != 0 || coding.packet_samples > MAX_PACKET_SAMPLES)
+    if (vc_coding_check(&coding, NULL, &refusal) != 0 || coding.packet_samples > MAX_PACKET_SAMPLES)
         return;
     vc_fuzz_check(coding.packet_samples > 0, "packets without samples");
     decoder = malloc(sizeof *decoder);

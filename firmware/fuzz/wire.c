@@ -112,7 +112,7 @@ static void read_image(const uint8_t *data, size_t length)
     vc_fuzz_check(image.name.length + image.version.length + image.hardware.length + image.payload.length < length,
                   "an image whose parts are longer than it");
     touch(image.payload);
-    code = vc_tables_check(image.codec, image.payload.bytes, image.payload.length, &refusal);
+    code = vc_tables_check(NULL, image.codec, image.payload.bytes, image.payload.length, &refusal);
     if (code != 0)
         check_refusal(code, &refusal);
 }

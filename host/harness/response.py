@@ -207,7 +207,7 @@ def curve(sweep: Sweep, delay_ms: float | None = None, drift_ppm: float = 0.0) -
 
 
 def transfer(frequencies_hz: Samples, corner_hz: float, quality: float | None) -> Spectrum:
-    """Return the actuator's response, in parts of its excursion; as simulated_device.actuator.Actuator.response."""
+    """Return the actuator's response, in parts of its excursion; as output.actuator.Actuator.response."""
     s = 1j * frequencies_hz / corner_hz
     return np.asarray(1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s), np.complex128)
 

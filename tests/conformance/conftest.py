@@ -5,20 +5,22 @@ from contextlib import AbstractContextManager, contextmanager
 
 import pytest
 
+from tests.firmware.native import load
 from vibrocast.host import devices
 from vibrocast.host.conformance.fixtures import *  # noqa: F403
 from vibrocast.host.conformance.line import Line
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
 from vibrocast.simulated_device.cortex_m import CortexM
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.flash import FlashMemory
 from vibrocast.simulated_device.memory_link import MemoryLink
 
 # A board with little memory.
-SMALL = Settings(channels=2, buffer_samples=2048, capture_samples=2048, watchdog_ms=500)
 SMALL_SIZES = {
+    "VC_CHANNELS": 2,
     "VC_MAX_CHANNELS": 2,
+    "VC_BUFFER_SAMPLES": 2048,
+    "VC_CAPTURE_SAMPLES": 2048,
     "VC_BUFFER_PACKETS": 64,
     "VC_BUFFER_BYTES": 8192,
     "VC_MAXIMUM_PAYLOAD_BYTES": 640,
@@ -55,8 +57,9 @@ def at(address: str) -> Callable[[], AbstractContextManager[Line]]:
 
 DEVICES: dict[str, Callable[[], AbstractContextManager[Line]]] = {
     "memory": in_simulated_time(lambda flash: Controller(flash=flash)),
-    "firmware": in_simulated_time(lambda flash: Firmware(flash=flash)),
-    "small-firmware": in_simulated_time(lambda flash: Firmware(SMALL, flash, sizes=SMALL_SIZES)),
+    "small": in_simulated_time(
+        lambda flash: Controller(Settings(watchdog_ms=500), flash, firmware=load(**SMALL_SIZES))
+    ),
     "cortex-m4": in_simulated_time(lambda flash: CortexM("cortex-m4", flash)),
     "cortex-m7": in_simulated_time(lambda flash: CortexM("cortex-m7", flash)),
     "sim": at("sim"),

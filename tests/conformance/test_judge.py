@@ -18,10 +18,12 @@ from vibrocast.device_protocol.frames import FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
     NOTIFICATION,
     CaptureData,
-    CaptureRead,
+    Error,
     ErrorCode,
+    FlashStatus,
     HelloResponse,
     Message,
+    SlotState,
     Status,
     Tap,
     pack,
@@ -39,7 +41,6 @@ from vibrocast.host.conformance.report import Report
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 
 MODULES = sorted(Path(conformance.__file__).parent.glob("test_*.py"))
@@ -64,29 +65,46 @@ def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
     assert line.error_codes == set(ErrorCode) - NOT_PROVOKED
 
 
-class Faulty(Controller):
-    """Counts no bad frames, carries copies out, gives no host up, flashes while playing, decodes a sample wrong."""
+class Altered(Controller):
+    """Alters the messages that it sends."""
 
-    def _status(self) -> Status:
-        return replace(super()._status(), bad_frames=0)
+    def alter(self, message: Message) -> Message:
+        return message
 
-    def _is_new(self, sequence: int) -> bool:
-        return True
+    def alter_payload(self, payload: bytes) -> bytes:
+        sequence, message = unpack(payload)
+        return pack(self.alter(message), sequence)
 
-    def advance(self, now_us: int) -> None:
-        self._heard_us = self._time_us
-        super().advance(now_us)
+    def transmit(self) -> bytes:
+        return b"".join(write_frame(self.alter_payload(payload)) for payload in FrameReader().feed(super().transmit()))
 
-    def _refuse_while_active(self) -> None:
-        pass
 
-    def _capture(self, read: CaptureRead) -> CaptureData:
-        captured = super()._capture(read)
-        if read.tap == Tap.DECODED and captured.offset <= 100 < captured.offset + len(captured.data) // 2:
-            wrong = bytearray(captured.data)
-            wrong[2 * (100 - captured.offset)] ^= 1
-            return replace(captured, data=bytes(wrong))
-        return captured
+class Faulty(Altered):
+    """Counts no bad frames, rejects copies, gives no host up, flashes while playing, decodes a sample wrong."""
+
+    def __init__(self) -> None:
+        super().__init__(Settings(watchdog_ms=60_000))
+        self._last_payload = b""
+
+    def alter(self, message: Message) -> Message:
+        match message:
+            case HelloResponse():
+                return replace(message, limits=replace(message.limits, watchdog_ms=Settings().watchdog_ms))
+            case Status():
+                return replace(message, bad_frames=0)
+            case Error(text="a stream is being played: stop it first"):
+                return FlashStatus(0, SlotState.WRITING, 0)
+            case CaptureData(tap=Tap.DECODED) if message.offset <= 100 < message.offset + len(message.data) // 2:
+                wrong = bytearray(message.data)
+                wrong[2 * (100 - message.offset)] ^= 1
+                return replace(message, data=bytes(wrong))
+        return message
+
+    def alter_payload(self, payload: bytes) -> bytes:
+        before, self._last_payload = self._last_payload, payload
+        sequence, message = unpack(payload)
+        copied = payload == before and sequence != NOTIFICATION
+        return pack(Error(ErrorCode.WRONG_STATE, "once more") if copied else self.alter(message), sequence)
 
 
 @pytest.mark.slow
@@ -129,18 +147,6 @@ def test_controller_that_takes_its_time_to_answer_conforms() -> None:
     assert {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED} == {
         "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
     }
-
-
-class Altered(Firmware):
-    """Alters the messages that it sends."""
-
-    def alter(self, message: Message) -> Message:
-        return message
-
-    def transmit(self) -> bytes:
-        payloads = FrameReader().feed(super().transmit())
-        messages = [(sequence, self.alter(message)) for sequence, message in map(unpack, payloads)]
-        return b"".join(write_frame(pack(message, sequence)) for sequence, message in messages)
 
 
 class Backwards(Altered):
@@ -278,7 +284,7 @@ def test_result_is_told_where_the_report_cannot_be_written(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "conformance.md"))
 
-    reached.append(Firmware())
+    reached.append(Controller())
     monkeypatch.setattr(Path, "write_text", full)
     ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path), "--quick", "--no-flash"])
     assert ran.exit_code == 2
@@ -287,7 +293,7 @@ def test_result_is_told_where_the_report_cannot_be_written(
     assert list(tmp_path.iterdir()) == []
 
 
-class Mute(Firmware):
+class Mute(Controller):
     """Says hello in letters that are none."""
 
     def transmit(self) -> bytes:
@@ -300,7 +306,7 @@ def test_hello_that_cannot_be_read_is_told() -> None:
         judge(line_to(Mute()))
 
 
-class Dying(Firmware):
+class Dying(Controller):
     """Falls silent for good at the first request of a type that it does not know."""
 
     dead = False
@@ -357,7 +363,7 @@ def reached(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
 
 
 def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path: Path) -> None:
-    reached.append(Firmware(Settings(hardware="board <b>|</b>")))
+    reached.append(Controller(Settings(hardware="board <b>|</b>")))
     ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path / "out"), "--quick", "--no-flash"])
     assert ran.exit_code == 0, ran.output
     report = json.loads((tmp_path / "out" / "conformance.json").read_text())

@@ -1,4 +1,4 @@
-"""The image store in C over the simulated flash memory, as simulated_device.flash.ImageStore."""
+"""The image store in C, over the simulated flash memory, with the interface of a Python class."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,36 +7,31 @@ from tests.firmware.native import ffi, native, piece_bytes, refusal_text
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.simulated_device.flash import SLOTS, FlashMemory, PowerCut
-from vibrocast.simulated_device.refusal import Refusal
+from vibrocast.simulated_device.callbacks import Callbacks
+from vibrocast.simulated_device.flash import SLOTS, FlashMemory, FlashPort
+
+
+class RequestError(Exception):
+    """A request that the store rejects."""
+
+    def __init__(self, code: ErrorCode, text: str) -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class CImageStore:
-    """As ImageStore; what the flash raises is raised again when the C function has returned."""
+    """Two slots for model images. A PowerCut of the flash is raised again when the C function has returned."""
 
     def __init__(self, flash: FlashMemory, hardware: str, check_payload: Callable[[int, bytes], None]) -> None:
-        self._memory = flash
-        self._raised: Exception | None = None
         self._check_payload = check_payload
-        self._contents = ffi.from_buffer(flash.contents)
-        sector_bytes = flash.sector_bytes
-        self._slot_bytes = (len(flash) // sector_bytes - 2) // SLOTS * sector_bytes
-        self._erase = ffi.callback("int(void *, uint32_t, uint32_t)", self._on_erase)
-        self._program = ffi.callback("int(void *, uint32_t, const uint8_t *, uint32_t)", self._on_program)
-        self._check = ffi.callback("int(uint8_t, const uint8_t *, size_t, vc_refusal *)", self._on_check)
-        self._flash = ffi.new("vc_flash *")
-        self._flash.base = ffi.cast("const uint8_t *", self._contents)
-        self._flash.record, self._flash.record_bytes = [0, sector_bytes], sector_bytes
-        self._flash.slot = [2 * sector_bytes, 2 * sector_bytes + self._slot_bytes]
-        self._flash.slot_bytes = self._slot_bytes
-        self._flash.erase, self._flash.program = self._erase, self._program
+        self._callbacks = Callbacks(ffi)
+        self._flash = FlashPort(ffi, flash, self._callbacks)
+        self._check = self._callbacks.make("vc_payload_check", self._on_check, -1)
         self._hardware = ffi.new("char[]", hardware.encode())
         self._store, self._refusal = ffi.new("vc_image_store *"), ffi.new("vc_refusal *")
         self._report = ffi.new("vc_flash_report *")
-        native.vc_image_store_boot(self._store, self._flash, self._hardware, self._check)
-        raised, self._raised = self._raised, None
-        if isinstance(raised, PowerCut):
-            raise raised
+        native.vc_image_store_boot(self._store, self._flash.pointer, self._hardware, self._check, ffi.NULL)
+        self._callbacks.pass_on()
 
     @property
     def running(self) -> ModelImage | None:
@@ -80,35 +75,15 @@ class CImageStore:
         return self._status(native.vc_image_store_confirm(self._store, number, self._report, self._refusal))
 
     def _status(self, refused: int) -> FlashStatus:
-        raised, self._raised = self._raised, None
-        if raised is not None:
-            assert refused == ErrorCode.FLASH_FAILED
-            raise raised
+        self._callbacks.pass_on()
         if refused:
             assert refused == self._refusal.code
-            raise Refusal(ErrorCode(refused), refusal_text(self._refusal))
+            raise RequestError(ErrorCode(refused), refusal_text(self._refusal))
         report = self._report
         sha256 = bytes(ffi.buffer(report.sha256, 32)) if report.sha256 else bytes(32)
         return FlashStatus(report.slot, SlotState(report.state), report.next_offset, sha256)
 
-    def _on_erase(self, _: Any, offset: int, length: int) -> int:
-        return self._change(lambda: self._memory.erase(offset, length))
-
-    def _on_program(self, _: Any, offset: int, data: Any, length: int) -> int:
-        return self._change(lambda: self._memory.program(offset, bytes(ffi.buffer(data, length))))
-
-    def _change(self, change: Callable[[], None]) -> int:
-        """Return 0 when the flash took a change, and 1 when it failed or the power is gone."""
-        if not isinstance(self._raised, PowerCut):
-            try:
-                change()
-            except (PowerCut, OSError) as error:
-                self._raised = error
-            else:
-                return 0
-        return 1
-
-    def _on_check(self, codec_identifier: int, payload: Any, length: int, refusal: Any) -> int:
+    def _on_check(self, _: Any, codec_identifier: int, payload: Any, length: int, refusal: Any) -> int:
         try:
             self._check_payload(codec_identifier, bytes(ffi.buffer(payload, length)))
         except CodecError as error:

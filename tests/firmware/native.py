@@ -1,12 +1,15 @@
-"""The firmware's C functions, built for this machine and called through cffi."""
+"""The firmware's C functions, called through cffi: those that are installed, and builds with other sizes."""
 
+from functools import cache
 from typing import Any
 
 from cffi import FFI
 
+from vibrocast.firmware import native_core
 from vibrocast.firmware.build import build
 
 
+@cache
 def load(**sizes: int) -> tuple[Any, Any]:
     """Return a build with sizes of firmware/controller/sizes.h: its declarations (FFI), and its functions."""
     library = build("native", sizes)
@@ -15,7 +18,8 @@ def load(**sizes: int) -> tuple[Any, Any]:
     return declarations, declarations.dlopen(str(library))
 
 
-ffi, native = load()
+native: Any = native_core.library()
+ffi: Any = native_core.ffi
 
 
 def piece_bytes(piece: Any) -> bytes:

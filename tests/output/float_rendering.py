@@ -14,7 +14,7 @@ from vibrocast.output.rendering import displacement_filter
 def render(
     header: StreamHeader, decoded: Decoded, delay_samples: int, actuator: Actuator, compensation: bool, loops: int
 ) -> Codes:
-    """Return the DAC codes (n, 1) of a stream of one channel at gain 1; see simulated_device.output.render."""
+    """Return the DAC codes (n, 1) of a stream of one channel at gain 1; see output.rendering.render."""
     end = None if header.samples is None else delay_samples + header.samples
     starts = np.cumsum([0, len(decoded[:end]), *[len(decoded[delay_samples:end])] * (loops - 1)])
     wanted = np.concatenate([decoded[:end, 0], *[decoded[delay_samples:end, 0]] * (loops - 1)]) / 32768

@@ -1,8 +1,8 @@
 """A bench for tests: a coded stream, and a controller that is spoken to message by message in simulated time."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -26,14 +26,12 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.output.actuator import Codes
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.flash import FlashMemory
 
 RATE_HZ = 2800
 
-Kind = Callable[..., Controller | Firmware]
 SMALL = Settings(channels=2, buffer_samples=4096, capture_samples=1000, profile_samples=4096)
-"""The sizes of a small board, which the firmware is compiled for once."""
+"""The limits of a small board."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +60,18 @@ def stream(seconds: float = 1.0, channels: int = 1, unit: str = "um") -> Stream:
 
 @dataclass
 class Bench:
-    """A controller of a kind under test. `codes`: all that went to its DAC."""
+    """A controller under test. `codes`: all that went to its DAC. `firmware`: as of Controller."""
 
-    kind: Kind
     settings: Settings = field(default_factory=Settings)
     flash: FlashMemory | None = None
     now_us: int = 0
     sequence: int = 0
     codes: list[Codes] = field(default_factory=list)
     notified: list[Message] = field(default_factory=list)
+    firmware: tuple[Any, Any] | None = None
 
     def __post_init__(self) -> None:
-        self.controller = self.kind(self.settings, self.flash, self.codes.append)
+        self.controller = Controller(self.settings, self.flash, self.codes.append, self.firmware)
         self._reader = FrameReader()
 
     def ask(self, message: Message) -> Message:

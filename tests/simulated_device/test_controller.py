@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Kind, Stream, stream
+from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Stream, stream
 from vibrocast.codec import CODECS, mdct
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, UNITS, StreamHeader
 from vibrocast.device_protocol.frames import write_frame
@@ -85,25 +85,23 @@ def state_of(answer: Message) -> State:
 # ---- session ----
 
 
-def test_hello_describes_the_controller(kind: Kind) -> None:
-    hello = Bench(kind, Settings(actuator=LRA, hardware="bench")).ask(Hello())
+def test_hello_describes_the_controller() -> None:
+    hello = Bench(Settings(actuator=LRA, hardware="bench")).ask(Hello())
     assert isinstance(hello, HelloResponse)
     assert hello.hardware == "bench"
     assert hello.actuator.name == "lra"
-    codecs = tuple((codec.identifier, codec.name) for codec in CODECS.values())
-    of_the_core = {"mdct", "dct", "slp", "eva", "parametric"}  # which the firmware has
-    assert set(hello.codecs) == {known for known in codecs if kind is Controller or known[1] in of_the_core}
+    assert hello.codecs == tuple((codec.identifier, codec.name) for codec in CODECS.values())
     assert [image.state for image in hello.images] == [SlotState.EMPTY, SlotState.EMPTY]
 
 
-def test_only_stop_is_carried_out_before_hello(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_only_stop_is_carried_out_before_hello() -> None:
+    bench = Bench()
     assert error_code(bench.ask(StatusRequest())) == ErrorCode.HELLO_FIRST
     assert state_of(bench.ask(Stop())) == State.STOPPED
 
 
-def test_other_major_version_is_refused_by_name_and_other_minor_is_not(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_other_major_version_is_refused_by_name_and_other_minor_is_not() -> None:
+    bench = Bench()
     answer = bench.ask(Hello(major=2, minor=3))
     assert error_code(answer) == ErrorCode.UNSUPPORTED_VERSION
     assert isinstance(answer, Error)
@@ -113,8 +111,8 @@ def test_other_major_version_is_refused_by_name_and_other_minor_is_not(kind: Kin
     assert isinstance(bench.ask(Hello(minor=9)), HelloResponse)
 
 
-def test_unknown_and_malformed_messages_are_answered_with_an_error(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_unknown_and_malformed_messages_are_answered_with_an_error() -> None:
+    bench = Bench()
     bench.ask(Hello())
     for payload, code in ((b"\x3f\x02\x00", ErrorCode.UNKNOWN_MESSAGE), (b"\x04\x03\x00\x01", ErrorCode.MALFORMED)):
         (answer,) = bench.send_payload(payload)
@@ -124,8 +122,8 @@ def test_unknown_and_malformed_messages_are_answered_with_an_error(kind: Kind) -
     assert bench.send_payload(b"\x81\x05\x00") == []
 
 
-def test_repeated_request_gets_the_same_answer_and_is_carried_out_once(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_repeated_request_gets_the_same_answer_and_is_carried_out_once() -> None:
+    bench = Bench()
     bench.start_all(stream())
     bench.run(100)
     paused = bench.ask(Pause())
@@ -138,8 +136,8 @@ def test_repeated_request_gets_the_same_answer_and_is_carried_out_once(kind: Kin
     assert bench.status().state == State.PLAYING
 
 
-def test_hello_opens_a_new_session_and_leaves_the_stream_alone(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_hello_opens_a_new_session_and_leaves_the_stream_alone() -> None:
+    bench = Bench()
     bench.start_all(stream())
     bench.run(100)
     assert isinstance(bench.ask_as(40_000, Hello()), HelloResponse)
@@ -150,14 +148,14 @@ def test_hello_opens_a_new_session_and_leaves_the_stream_alone(kind: Kind) -> No
 @pytest.mark.parametrize(
     "message", [Start(), Pause(), Resume(), Loop(2), Gain(0.5), EndStream(7, 1), CaptureRead(Tap.DAC, 0, 1)]
 )
-def test_without_a_stream_what_needs_one_is_refused(kind: Kind, message: Message) -> None:
-    bench = Bench(kind)
+def test_without_a_stream_what_needs_one_is_refused(message: Message) -> None:
+    bench = Bench()
     bench.ask(Hello())
     assert error_code(bench.ask(message)) == ErrorCode.WRONG_STATE
 
 
-def test_configure_refuses_what_cannot_be_played(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_configure_refuses_what_cannot_be_played() -> None:
+    bench = Bench()
     good = stream()
     assert state_of(bench.configure(good)) == State.BUFFERING
     header = good.header
@@ -192,8 +190,8 @@ def test_configure_refuses_what_cannot_be_played(kind: Kind) -> None:
     assert bench.status().state == State.BUFFERING
 
 
-def test_number_of_the_last_request_opens_a_session_if_a_new_host_draws_it(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_number_of_the_last_request_opens_a_session_if_a_new_host_draws_it() -> None:
+    bench = Bench()
     bench.ask(Hello())
     bench.ask(StatusRequest())
     assert isinstance(bench.ask_as(bench.sequence, Hello()), HelloResponse)
@@ -206,9 +204,9 @@ def test_number_of_the_last_request_opens_a_session_if_a_new_host_draws_it(kind:
 
 
 @pytest.mark.parametrize(("channels", "unit"), [(1, "um"), (2, "m/s^2"), (3, "full scale")])
-def test_decoded_and_dac_are_bit_for_bit_those_computed_offline(kind: Kind, channels: int, unit: str) -> None:
+def test_decoded_and_dac_are_bit_for_bit_those_computed_offline(channels: int, unit: str) -> None:
     played = stream(1.0, channels, unit)
-    bench = Bench(kind)
+    bench = Bench()
     bench.start_all(played, gain=0.5)
     bench.run(1300)
     status = bench.status()
@@ -220,9 +218,9 @@ def test_decoded_and_dac_are_bit_for_bit_those_computed_offline(kind: Kind, chan
     np.testing.assert_array_equal(bench.all_codes(), rendered(played, gain=0.5))
 
 
-def test_steps_of_time_do_not_matter(kind: Kind) -> None:
+def test_steps_of_time_do_not_matter() -> None:
     played = stream()
-    bench = Bench(kind)
+    bench = Bench()
     bench.start_all(played)
     rng = np.random.default_rng(3)
     while bench.now_us < 1_300_000:
@@ -231,9 +229,9 @@ def test_steps_of_time_do_not_matter(kind: Kind) -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played))
 
 
-def test_start_waits_for_its_time_and_for_the_prebuffer(kind: Kind) -> None:
+def test_start_waits_for_its_time_and_for_the_prebuffer() -> None:
     played = stream()
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, prebuffer_samples=5 * played.packet_samples)
     assert state_of(bench.ask(Start(device_time_us=50_000))) == State.ARMED
     bench.send(played, range(4))
@@ -246,9 +244,9 @@ def test_start_waits_for_its_time_and_for_the_prebuffer(kind: Kind) -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played))
 
 
-def test_controllers_started_for_one_time_play_together(kind: Kind) -> None:
+def test_controllers_started_for_one_time_play_together() -> None:
     played = stream()
-    benches = [Bench(kind), Bench(kind)]
+    benches = [Bench(), Bench()]
     for delay_ms, bench in enumerate(benches):
         bench.configure(played)
         bench.send(played, range(len(played.packets)))
@@ -260,9 +258,9 @@ def test_controllers_started_for_one_time_play_together(kind: Kind) -> None:
     np.testing.assert_array_equal(benches[0].all_codes(), benches[1].all_codes())
 
 
-def test_playing_begins_without_what_was_lost_of_the_prebuffer(kind: Kind) -> None:
+def test_playing_begins_without_what_was_lost_of_the_prebuffer() -> None:
     played = stream()
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, prebuffer_samples=len(played.decoded))
     bench.send(played, range(len(played.packets) - 1))
     bench.ask(Start())
@@ -273,9 +271,9 @@ def test_playing_begins_without_what_was_lost_of_the_prebuffer(kind: Kind) -> No
     assert bench.status().lost_packets == 1
 
 
-def test_pause_holds_the_position_and_resume_goes_on_with_the_next_sample(kind: Kind) -> None:
+def test_pause_holds_the_position_and_resume_goes_on_with_the_next_sample() -> None:
     played = stream()
-    bench = Bench(kind)
+    bench = Bench()
     bench.start_all(played)
     bench.run(300)
     bench.ask(Pause())
@@ -298,9 +296,9 @@ def test_pause_holds_the_position_and_resume_goes_on_with_the_next_sample(kind: 
 
 
 @pytest.mark.parametrize("sample_at_stop", [0, 1, 150, 333])
-def test_stop_ramps_down_at_once_and_a_new_stream_can_follow(kind: Kind, sample_at_stop: int) -> None:
+def test_stop_ramps_down_at_once_and_a_new_stream_can_follow(sample_at_stop: int) -> None:
     played = stream()
-    bench = Bench(kind)
+    bench = Bench()
     bench.start_all(played)
     bench.run(sample_at_stop)
     assert state_of(bench.ask(Stop())) == State.STOPPED
@@ -314,9 +312,9 @@ def test_stop_ramps_down_at_once_and_a_new_stream_can_follow(kind: Kind, sample_
     np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played))
 
 
-def test_loops_repeat_the_stream_and_can_be_changed(kind: Kind) -> None:
+def test_loops_repeat_the_stream_and_can_be_changed() -> None:
     played = stream(0.5)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, loops=0)
     for iteration in range(3):
         bench.send(played, range(len(played.packets)), iteration)
@@ -335,9 +333,9 @@ def test_loops_repeat_the_stream_and_can_be_changed(kind: Kind) -> None:
 )
 @pytest.mark.parametrize("loops", [0, 2, 65_535])
 def test_iteration_too_short_to_be_repeated_is_refused(
-    kind: Kind, samples: int | None, blocks: int, hop: int, packets: int, loops: int
+    samples: int | None, blocks: int, hop: int, packets: int, loops: int
 ) -> None:
-    bench = Bench(kind)
+    bench = Bench()
     bench.ask(Hello())
     header = StreamHeader(1, RATE_HZ, samples, "um", (1.0,), configuration(blocks, hop))
     assert error_code(bench.ask(Configure(7, header.pack(), 0, packets=packets, loops=loops))) == ErrorCode.BAD_VALUE
@@ -349,9 +347,9 @@ def test_iteration_too_short_to_be_repeated_is_refused(
     assert bench.status().state == State.FINISHED
 
 
-def test_ten_samples_loop(kind: Kind) -> None:
+def test_ten_samples_loop() -> None:
     played = stream(10 / RATE_HZ)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, loops=200, prebuffer_samples=0)
     for iteration in range(200):
         bench.send(played, range(len(played.packets)), iteration)
@@ -363,9 +361,9 @@ def test_ten_samples_loop(kind: Kind) -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played, loops=200))
 
 
-def test_every_iteration_begins_afresh_whatever_was_lost_before(kind: Kind) -> None:
+def test_every_iteration_begins_afresh_whatever_was_lost_before() -> None:
     played = stream(0.5)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, loops=2)
     bench.send(played, range(len(played.packets) - 2))
     bench.send(played, range(len(played.packets)), iteration=1)
@@ -375,9 +373,9 @@ def test_every_iteration_begins_afresh_whatever_was_lost_before(kind: Kind) -> N
     np.testing.assert_array_equal(bench.captured(Tap.DECODED)[len(played.decoded) :], played.decoded)
 
 
-def test_loop_count_already_passed_ends_after_this_iteration(kind: Kind) -> None:
+def test_loop_count_already_passed_ends_after_this_iteration() -> None:
     played = stream(0.5)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, loops=3)
     for iteration in range(3):
         bench.send(played, range(len(played.packets)), iteration)
@@ -389,9 +387,9 @@ def test_loop_count_already_passed_ends_after_this_iteration(kind: Kind) -> None
     assert len(bench.captured(Tap.DECODED)) == 2 * len(played.decoded)
 
 
-def test_what_is_left_in_the_buffer_goes_with_the_end(kind: Kind) -> None:
+def test_what_is_left_in_the_buffer_goes_with_the_end() -> None:
     played = stream(0.5)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, loops=3)
     for iteration in range(3):
         bench.send(played, range(len(played.packets)), iteration)
@@ -402,12 +400,12 @@ def test_what_is_left_in_the_buffer_goes_with_the_end(kind: Kind) -> None:
     assert (bench.status().state, bench.status().buffered_samples) == (State.FINISHED, 0)
 
 
-def test_stop_and_pause_in_the_last_ramp_keep_their_state(kind: Kind) -> None:
+def test_stop_and_pause_in_the_last_ramp_keep_their_state() -> None:
     played = stream(0.3)
     whole = rendered(played)
     in_ramp_ms = (len(whole) - FADE_CODES // 2) // 3
 
-    stopped, paused = Bench(kind), Bench(kind)
+    stopped, paused = Bench(), Bench()
     for bench, message, state in ((stopped, Stop(), State.STOPPED), (paused, Pause(), State.PAUSED)):
         bench.start_all(played)
         bench.run(in_ramp_ms)
@@ -422,18 +420,18 @@ def test_stop_and_pause_in_the_last_ramp_keep_their_state(kind: Kind) -> None:
     np.testing.assert_array_equal(paused.all_codes(), whole)
 
 
-def test_watchdog_in_the_last_ramp_stays(kind: Kind) -> None:
+def test_watchdog_in_the_last_ramp_stays() -> None:
     played = stream(0.3)
     whole = rendered(played)
-    bench = Bench(kind, Settings(watchdog_ms=(len(whole) - FADE_CODES // 2) // 3))
+    bench = Bench(Settings(watchdog_ms=(len(whole) - FADE_CODES // 2) // 3))
     bench.start_all(played)
     bench.run(600, polling=False)
     assert bench.status().state == State.WATCHDOG
     np.testing.assert_array_equal(bench.all_codes(), whole)
 
 
-def test_stop_after_the_end_stays_stopped(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_stop_after_the_end_stays_stopped() -> None:
+    bench = Bench()
     bench.start_all(stream(0.3))
     bench.run(600)
     assert bench.status().state == State.FINISHED
@@ -442,8 +440,8 @@ def test_stop_after_the_end_stays_stopped(kind: Kind) -> None:
     assert bench.status().state == State.STOPPED
 
 
-def test_controller_that_captures_nothing_plays(kind: Kind) -> None:
-    bench = Bench(kind, Settings(capture_samples=0))
+def test_controller_that_captures_nothing_plays() -> None:
+    bench = Bench(Settings(capture_samples=0))
     bench.start_all(stream(0.3))
     bench.run(600)
     assert bench.status().state == State.FINISHED
@@ -461,9 +459,9 @@ def loud() -> Stream:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("played_ms", [25, 40, 100, 400])
-def test_power_limit_holds_across_streams_and_restarts(kind: Kind, played_ms: int) -> None:
+def test_power_limit_holds_across_streams_and_restarts(played_ms: int) -> None:
     played, image = loud(), ModelImage(1, "tables", "1", "", mdct.built_in_tables()).pack()
-    bench = Bench(kind)
+    bench = Bench()
     write_image(bench, 0, image)
     timeline: list[np.ndarray] = []
     started_us = bench.now_us
@@ -486,13 +484,13 @@ def test_power_limit_holds_across_streams_and_restarts(kind: Kind, played_ms: in
     assert 0.01 < highest <= PIEZO_STACK.power_limit
 
 
-def test_stream_after_a_limited_one_plays_as_computed_offline(kind: Kind) -> None:
+def test_stream_after_a_limited_one_plays_as_computed_offline() -> None:
     played = loud()
     expected, counts = render(
         played.header, played.decoded, played.delay_samples, PIEZO_STACK, gain=1000.0, compensation=False
     )
     assert counts.power_limited > 1000
-    bench = Bench(kind)
+    bench = Bench()
     for _ in range(2):
         bench.start_all(played, gain=1000.0, compensation=False)
         bench.run(1300)
@@ -500,9 +498,9 @@ def test_stream_after_a_limited_one_plays_as_computed_offline(kind: Kind) -> Non
         np.testing.assert_array_equal(bench.captured(Tap.DAC), expected)
 
 
-def test_gain_changes_along_a_ramp(kind: Kind) -> None:
+def test_gain_changes_along_a_ramp() -> None:
     played = stream()
-    bench = Bench(kind)
+    bench = Bench()
     bench.start_all(played)
     bench.run(300)
     bench.ask(Gain(0.25))
@@ -512,9 +510,9 @@ def test_gain_changes_along_a_ramp(kind: Kind) -> None:
     np.testing.assert_array_equal(codes[1000:2900], rendered(played, gain=0.25)[1000:2900])
 
 
-def test_live_stream_ends_where_the_host_says(kind: Kind) -> None:
+def test_live_stream_ends_where_the_host_says() -> None:
     played = replace(stream(), header=replace(stream().header, samples=None))
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, packets=0)
     bench.send(played, range(10))
     bench.ask(Start())
@@ -527,8 +525,8 @@ def test_live_stream_ends_where_the_host_says(kind: Kind) -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), played.decoded[: 10 * played.packet_samples])
 
 
-def test_live_stream_without_an_end_in_sight_stops_with_its_host(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_live_stream_without_an_end_in_sight_stops_with_its_host() -> None:
+    bench = Bench()
     bench.configure(stream(), packets=0)
     bench.ask(Start())
     assert state_of(bench.ask(EndStream(7, 2**32 - 1))) == State.ARMED
@@ -537,10 +535,10 @@ def test_live_stream_without_an_end_in_sight_stops_with_its_host(kind: Kind) -> 
     assert bench.status().underruns == 1
 
 
-def test_first_packet_is_where_playing_begins(kind: Kind) -> None:
+def test_first_packet_is_where_playing_begins() -> None:
     played = stream()
     refresh = next(number for number in range(1, 99) if played.packets[number][0] & 1)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, first_packet=refresh)
     bench.send(played, range(len(played.packets)))
     bench.ask(Start())
@@ -556,9 +554,9 @@ def test_first_packet_is_where_playing_begins(kind: Kind) -> None:
 # ---- loss ----
 
 
-def test_underrun_is_counted_once_faded_and_never_plays_old_samples(kind: Kind) -> None:
+def test_underrun_is_counted_once_faded_and_never_plays_old_samples() -> None:
     played = stream(2.0)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played)
     bench.send(played, range(8))
     bench.ask(Start())
@@ -584,11 +582,11 @@ def test_underrun_is_counted_once_faded_and_never_plays_old_samples(kind: Kind) 
     np.testing.assert_array_equal(captured[-RATE_HZ // 2 :], played.decoded[-RATE_HZ // 2 :])
 
 
-def test_one_lost_packet_costs_at_most_until_the_next_refresh(kind: Kind) -> None:
+def test_one_lost_packet_costs_at_most_until_the_next_refresh() -> None:
     played = stream(2.0)
     refreshes = [number for number, packet in enumerate(played.packets) if packet[0] & 1]
     lost = refreshes[2] + 1
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, prebuffer_samples=2800)
     bench.send(played, range(lost))
     bench.send(played, range(lost + 1, len(played.packets)))
@@ -603,11 +601,11 @@ def test_one_lost_packet_costs_at_most_until_the_next_refresh(kind: Kind) -> Non
     assert np.abs(captured[begin:end].astype(int)).max() <= np.abs(played.decoded.astype(int)).max()
 
 
-def test_order_and_copies_of_packets_do_not_matter(kind: Kind) -> None:
+def test_order_and_copies_of_packets_do_not_matter() -> None:
     played = stream()
     numbers = [*range(len(played.packets)), *range(len(played.packets))]
     np.random.default_rng(4).shuffle(numbers)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(played, prebuffer_samples=len(played.decoded))
     for number in numbers:
         bench.send(played, range(number, number + 1))
@@ -616,9 +614,9 @@ def test_order_and_copies_of_packets_do_not_matter(kind: Kind) -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played))
 
 
-def test_packets_beyond_credit_or_of_another_stream_are_dropped(kind: Kind) -> None:
+def test_packets_beyond_credit_or_of_another_stream_are_dropped() -> None:
     played = stream(2.0)
-    bench = Bench(kind, SMALL)
+    bench = Bench(SMALL)
     room_packets = SMALL.buffer_samples // played.packet_samples
     assert room_packets < len(played.packets)
     answer = bench.configure(played)
@@ -630,9 +628,9 @@ def test_packets_beyond_credit_or_of_another_stream_are_dropped(kind: Kind) -> N
     assert bench.status().buffered_samples == room_packets * played.packet_samples
 
 
-def test_silent_host_stops_the_output_within_the_watchdog(kind: Kind) -> None:
+def test_silent_host_stops_the_output_within_the_watchdog() -> None:
     played = stream(2.0)
-    bench = Bench(kind, Settings(watchdog_ms=300))
+    bench = Bench(Settings(watchdog_ms=300))
     bench.start_all(played)
     bench.run(1900, polling=False)
     codes = bench.all_codes()
@@ -642,8 +640,8 @@ def test_silent_host_stops_the_output_within_the_watchdog(kind: Kind) -> None:
     assert bench.status().state == State.WATCHDOG
 
 
-def test_watchdog_also_stops_what_one_long_step_of_time_skips(kind: Kind) -> None:
-    bench = Bench(kind, Settings(watchdog_ms=300))
+def test_watchdog_also_stops_what_one_long_step_of_time_skips() -> None:
+    bench = Bench(Settings(watchdog_ms=300))
     bench.start_all(stream(2.0))
     bench.now_us += 3600 * 1_000_000
     assert bench.status().state == State.WATCHDOG
@@ -652,9 +650,9 @@ def test_watchdog_also_stops_what_one_long_step_of_time_skips(kind: Kind) -> Non
 
 @pytest.mark.parametrize("later_us", [2**32, 2**63, 2**64 - 3_000_000])
 @pytest.mark.parametrize("requests", [(), (Start(2**64 - 1),), (Start(),), (Start(), Pause())])
-def test_no_jump_of_the_clock_is_too_long(kind: Kind, requests: tuple[Message, ...], later_us: int) -> None:
+def test_no_jump_of_the_clock_is_too_long(requests: tuple[Message, ...], later_us: int) -> None:
     played = stream(0.3)
-    bench = Bench(kind)
+    bench = Bench()
     bench.configure(stream(2.0), loops=0)
     bench.send(stream(2.0), range(len(stream(2.0).packets)))
     for request in requests:
@@ -672,8 +670,8 @@ def test_no_jump_of_the_clock_is_too_long(kind: Kind, requests: tuple[Message, .
     np.testing.assert_array_equal(bench.all_codes(), rendered(played))
 
 
-def test_status_is_notified_while_playing_and_on_changes(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_status_is_notified_while_playing_and_on_changes() -> None:
+    bench = Bench()
     bench.start_all(stream())
     bench.run(1300, polling=False)
     bench.collect()
@@ -682,9 +680,9 @@ def test_status_is_notified_while_playing_and_on_changes(kind: Kind) -> None:
     assert states[-1] == State.FINISHED
 
 
-def test_capture_keeps_the_newest_and_says_from_where(kind: Kind) -> None:
+def test_capture_keeps_the_newest_and_says_from_where() -> None:
     played = stream()
-    bench = Bench(kind, SMALL)
+    bench = Bench(SMALL)
     bench.start_all(played)
     bench.run(1300)
     answer = bench.ask(CaptureRead(Tap.DECODED, 0, 100))
@@ -696,8 +694,8 @@ def test_capture_keeps_the_newest_and_says_from_where(kind: Kind) -> None:
     assert (beyond.offset, beyond.data) == (len(played.decoded), b"")
 
 
-def test_clock_runs_fast_by_its_drift(kind: Kind) -> None:
-    bench = Bench(kind, Settings(drift_ppm=200))
+def test_clock_runs_fast_by_its_drift() -> None:
+    bench = Bench(Settings(drift_ppm=200))
     bench.ask(Hello())
     bench.now_us += 100_000_000
     assert bench.status().device_time_us == 100_020_000
@@ -721,8 +719,8 @@ def flash_image(bench: Bench, slot: int, image: bytes) -> None:
     assert isinstance(bench.ask(FlashActivate(slot)), FlashStatus)
 
 
-def test_restart_in_the_middle_of_a_ramp_brings_the_output_to_rest(kind: Kind) -> None:
-    bench = Bench(kind, Settings(watchdog_ms=300))
+def test_restart_in_the_middle_of_a_ramp_brings_the_output_to_rest() -> None:
+    bench = Bench(Settings(watchdog_ms=300))
     write_image(bench, 0, ModelImage(1, "tables", "1", "", mdct.built_in_tables()).pack())
     bench.start_all(stream(2.0))
     while bench.controller.transmit() is not None and len(bench.all_codes()) <= 900:
@@ -734,9 +732,9 @@ def test_restart_in_the_middle_of_a_ramp_brings_the_output_to_rest(kind: Kind) -
     assert len(bench.all_codes()) == 900 + FADE_CODES
 
 
-def test_flashed_image_decodes_the_streams_that_name_it(kind: Kind) -> None:
+def test_flashed_image_decodes_the_streams_that_name_it() -> None:
     image = ModelImage(1, "tables", "1", "", mdct.built_in_tables()).pack()
-    bench = Bench(kind)
+    bench = Bench()
     flash_image(bench, 1, image)
     assert error_code(bench.ask(StatusRequest())) == ErrorCode.HELLO_FIRST
     hello = bench.ask(Hello())
@@ -751,25 +749,25 @@ def test_flashed_image_decodes_the_streams_that_name_it(kind: Kind) -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), played.decoded)
 
 
-def test_flashing_is_refused_while_playing(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_flashing_is_refused_while_playing() -> None:
+    bench = Bench()
     bench.start_all(stream())
     bench.run(10)
     assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), ""))) == ErrorCode.WRONG_STATE
     assert error_code(bench.ask(FlashActivate(0))) == ErrorCode.WRONG_STATE
 
 
-def test_flash_that_fails_is_reported(kind: Kind, tmp_path: Path) -> None:
+def test_flash_that_fails_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "flash.bin"
-    bench = Bench(kind, flash=FlashMemory(FLASH_BYTES, path=path))
+    bench = Bench(flash=FlashMemory(FLASH_BYTES, path=path))
     bench.ask(Hello())
     path.unlink()
     assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), ""))) == ErrorCode.FLASH_FAILED
     assert isinstance(bench.ask(StatusRequest()), Status)
 
 
-def test_refusal_that_quotes_the_host_still_fits_a_frame(kind: Kind) -> None:
-    bench = Bench(kind)
+def test_refusal_that_quotes_the_host_still_fits_a_frame() -> None:
+    bench = Bench()
     bench.ask(Hello())
     assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), "x" * 4050))) == ErrorCode.WRONG_HARDWARE
 
@@ -852,11 +850,10 @@ def hostile_payloads() -> st.SearchStrategy[bytes]:
     )
 )
 def test_hostile_bytes_never_raise_and_never_pass_the_limits(
-    kind: Kind,
     pieces: list[tuple[bytes, int, bool, bytes]],
 ) -> None:
     codes: list[np.ndarray] = []
-    controller = kind(on_dac=codes.append)
+    controller = Controller(on_dac=codes.append)
     controller.receive(write_frame(pack(Hello(), 1)), 0)
     now_us = 0
     for payload, wait_us, framed, noise in pieces:
@@ -876,10 +873,8 @@ def test_hostile_bytes_never_raise_and_never_pass_the_limits(
 
 @settings(max_examples=60)
 @given(any_streams(), st.lists(st.sampled_from([0, 1, 2, 65_535]), max_size=2), st.booleans())
-def test_no_stream_keeps_the_controller_from_going_on(
-    kind: Kind, configured: bytes, loops: list[int], polling: bool
-) -> None:
-    bench = Bench(kind, Settings(watchdog_ms=300))
+def test_no_stream_keeps_the_controller_from_going_on(configured: bytes, loops: list[int], polling: bool) -> None:
+    bench = Bench(Settings(watchdog_ms=300))
     bench.ask(Hello())
     bench.sequence += 1
     bench.send_payload(configured[:1] + bench.sequence.to_bytes(2, "little") + configured[3:])
@@ -895,16 +890,16 @@ def test_no_stream_keeps_the_controller_from_going_on(
     assert not codes[-1:].any()
 
 
-def test_host_that_never_reads_fills_no_memory(kind: Kind) -> None:
-    controller = kind()
+def test_host_that_never_reads_fills_no_memory() -> None:
+    controller = Controller()
     request = b"".join(write_frame(pack(Hello(), sequence)) for sequence in range(1, 5000))
     controller.receive(request, 0)
     assert len(controller.transmit()) < 140_000
 
 
-def test_every_request_is_answered(kind: Kind) -> None:
+def test_every_request_is_answered() -> None:
     examples = {Hello: Hello(), StatusRequest: StatusRequest(), Stop: Stop()}
-    bench = Bench(kind)
+    bench = Bench()
     bench.ask(Hello())
     for request in REQUESTS:
         if request in examples:

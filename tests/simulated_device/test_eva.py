@@ -1,7 +1,4 @@
-"""The learned codec on the controllers: either runtime of the simulated one, and images that they cannot use.
-
-The firmware runs models in integers only: what asks for ONNX Runtime is of the simulated controller.
-"""
+"""The learned codec on the controller: decoded in C or by ONNX Runtime, and images that cannot be used."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,13 +8,13 @@ import pytest
 import torch
 
 from tests.export import tiny
-from tests.simulated_device.bench import Kind
+from tests.firmware.native import ffi, native, refusal_text
 from vibrocast import codec, models, textures
 from vibrocast.codec import eva
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import EvaImage, with_runtime
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.messages import SlotState
+from vibrocast.device_protocol.messages import ErrorCode, SlotState
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.graphs import graphs_of
@@ -26,12 +23,11 @@ from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.uploader import flash, running
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.memory_link import MemoryLink
 
 
-def session(runtime: str | None = None, kind: Kind = Controller) -> Host:
-    link = MemoryLink(kind(Settings(runtime=runtime)))
+def session(runtime: str | None = None) -> Host:
+    link = MemoryLink(Controller(Settings(runtime=runtime)))
     return Host(link, link.clock, link.sleep)
 
 
@@ -49,25 +45,21 @@ def played(host: Host, stream: Stream) -> codec.Decoded:
     return result.decoded
 
 
-@pytest.mark.parametrize(
-    ("kind", "runtime"), [(Controller, None), (Controller, "core"), (Controller, "onnx"), (Firmware, None)]
-)
-def test_a_stream_decodes_as_offline_by_either_runtime(kind: Kind, runtime: str | None) -> None:
-    model, host = tiny.model(), session(runtime, kind)
+@pytest.mark.parametrize("runtime", [None, *codec.RUNTIMES])
+def test_a_stream_decodes_as_offline_by_either_runtime(runtime: str | None) -> None:
+    model, host = tiny.model(), session(runtime)
     flash(host, model.image)
     stream = streamed(model, channels=2)
     np.testing.assert_array_equal(played(host, stream), replace(stream, runtime=runtime).decode_integers())
 
 
-def test_the_firmware_runs_what_prefers_onnx_in_integers_and_refuses_what_has_none() -> None:
+def test_what_prefers_onnx_can_be_decoded_in_integers() -> None:
     tables = with_runtime(tiny.model().tables, "onnx")
     model = replace(tiny.model(), image=ModelImage(eva.IDENTIFIER, "both", "1", "", tables).pack())
-    host = session(kind=Firmware)
+    host = session("core")
     flash(host, model.image)
     stream = streamed(model)
     np.testing.assert_array_equal(played(host, stream), replace(stream, runtime="core").decode_integers())
-    with pytest.raises(ControllerError, match="no integer network"):
-        flash(host, tiny.model("onnx").image)
 
 
 def test_the_image_chooses_the_runtime_and_the_setting_overrules_it() -> None:
@@ -122,7 +114,7 @@ BAD_PAYLOADS: dict[str, tuple[Callable[[], bytes], str]] = {
         "damaged",
     ),
 }
-# What the firmware never looks at.
+# Decoders in C never look at it.
 BAD_GRAPHS: dict[str, tuple[Callable[[], bytes], str]] = {
     "no graph at all": (lambda: with_graph(b"not ONNX"), "no ONNX graph"),
     "the analysis": (lambda: with_graph(tiny.model().analysis), "in place of latents and signal"),
@@ -130,13 +122,10 @@ BAD_GRAPHS: dict[str, tuple[Callable[[], bytes], str]] = {
 }
 
 
-@pytest.mark.parametrize(
-    ("kind", "flaw"),
-    [*((Controller, flaw) for flaw in BAD_PAYLOADS | BAD_GRAPHS), *((Firmware, flaw) for flaw in BAD_PAYLOADS)],
-)
-def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(kind: Kind, flaw: str) -> None:
+@pytest.mark.parametrize("flaw", BAD_PAYLOADS | BAD_GRAPHS)
+def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(flaw: str) -> None:
     payload, reason = (BAD_PAYLOADS | BAD_GRAPHS)[flaw]
-    model, host = tiny.model(), session(kind=kind)
+    model, host = tiny.model(), session()
     flash(host, model.image)
     bad = ModelImage(model.codec_identifier, "bad", "1", "", payload()).pack()
     with pytest.raises(ControllerError, match=reason):
@@ -147,3 +136,12 @@ def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(kind: Kind
     assert still is not None and still.name == "tiny"
     stream = streamed(model)
     np.testing.assert_array_equal(played(host, stream), stream.decode_integers())
+
+
+@pytest.mark.parametrize("flaw", [*BAD_PAYLOADS, "no network"])
+def test_decoders_in_c_say_what_is_wrong_with_an_image(flaw: str) -> None:
+    payload = tiny.model("onnx").tables if flaw == "no network" else BAD_PAYLOADS[flaw][0]()
+    refusal = ffi.new("vc_refusal *")
+    assert native.vc_tables_check(ffi.NULL, eva.IDENTIFIER, payload, len(payload), refusal) == ErrorCode.IMAGE_REFUSED
+    reasons = {"no network": "no integer network", "another layout": "another layout"}
+    assert reasons.get(flaw, "damaged") in refusal_text(refusal)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Kind, Stream, stream
+from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Stream, stream
 from vibrocast.codec import Decoded, mdct
 from vibrocast.device_protocol.messages import CaptureData, CaptureRead, SlotState, Start, State, StreamData, Tap, pack
 from vibrocast.device_protocol.model_image import ModelImage, sha256
@@ -23,7 +23,6 @@ from vibrocast.output.rendering import (
     render,
 )
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.firmware import Firmware
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
 from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
 
@@ -42,9 +41,9 @@ class Desk:
         return np.concatenate(self.codes)
 
 
-def desk(kind: Kind, to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None) -> Desk:
+def desk(to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None) -> Desk:
     codes: list[Codes] = []
-    link = MemoryLink(kind(on_dac=codes.append), to_controller, to_host)
+    link = MemoryLink(Controller(on_dac=codes.append), to_controller, to_host)
     return Desk(link, Host(link, link.clock, link.sleep), codes)
 
 
@@ -84,12 +83,12 @@ def assert_within_limits(codes: Codes) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("fault", ["lost", "flipped", "doubled", "swapped", "all"])
-def test_line_with_faults_in_both_directions(kind: Kind, fault: str, seed: int) -> None:
+def test_line_with_faults_in_both_directions(fault: str, seed: int) -> None:
     played = stream(3.0)
     chances = dict.fromkeys(("lost", "flipped", "doubled", "swapped") if fault == "all" else (fault,), 0.01)
     if fault in ("doubled", "swapped"):
         chances[fault] = 0.2
-    at = desk(kind, FaultyLine(2 * seed, **chances), FaultyLine(2 * seed + 1, **chances))
+    at = desk(FaultyLine(2 * seed, **chances), FaultyLine(2 * seed + 1, **chances))
     result = play_on(at, played)
     assert result.state == State.FINISHED
     assert result.decoded is not None
@@ -124,17 +123,12 @@ def output_of(decoded: Decoded, played: Stream, loops: int) -> Codes:
 
 
 @pytest.mark.parametrize(
-    ("kind", "loops"),
-    [
-        pytest.param(Controller, 1, id="30 s"),
-        pytest.param(Firmware, 1, id="firmware, 30 s"),
-        pytest.param(Firmware, 20, id="firmware, 10 minutes", marks=pytest.mark.slow),
-    ],
+    "loops", [pytest.param(1, id="30 s"), pytest.param(20, id="10 minutes", marks=pytest.mark.slow)]
 )
-def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator(kind: Kind, loops: int) -> None:
+def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator(loops: int) -> None:
     played = stream(30.0, 4)
     chances = {"lost": 0.01, "flipped": 0.01, "doubled": 0.05, "swapped": 0.05}
-    at = desk(kind, FaultyLine(1, **chances), FaultyLine(2, **chances))
+    at = desk(FaultyLine(1, **chances), FaultyLine(2, **chances))
     result = play_on(at, played, loops=loops)
     assert result.state == State.FINISHED
     assert result.decoded is not None
@@ -155,12 +149,12 @@ def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuato
     swapped=st.floats(0, 0.3),
 )
 def test_worse_lines_end_with_a_sound_output_or_a_clear_error(
-    kind: Kind, seed: int, lost: float, flipped: float, doubled: float, swapped: float
+    seed: int, lost: float, flipped: float, doubled: float, swapped: float
 ) -> None:
     played = stream(1.0)
     codes: list[Codes] = []
     lines = [FaultyLine(seed + direction, lost, flipped, doubled, swapped) for direction in range(2)]
-    link = MemoryLink(kind(on_dac=codes.append), *lines)
+    link = MemoryLink(Controller(on_dac=codes.append), *lines)
     try:
         result = play_on(Desk(link, Host(link, link.clock, link.sleep), codes), played)
     except ControllerError as error:
@@ -188,9 +182,9 @@ class PullCableOnce:
 
 
 @pytest.mark.parametrize("out_s", [0.05, 0.5, 1.5, 4.0])
-def test_cable_pulled_and_plugged_in_again(kind: Kind, out_s: float) -> None:
+def test_cable_pulled_and_plugged_in_again(out_s: float) -> None:
     played = stream(6.0)
-    at = desk(kind)
+    at = desk()
     cable = PullCableOnce(at.link, 1.0, out_s)
     result = play_on(at, played, progress=cable)
     assert cable.pulled
@@ -210,8 +204,8 @@ def test_cable_pulled_and_plugged_in_again(kind: Kind, out_s: float) -> None:
         assert len(codes) == len(clean)
 
 
-def test_cable_that_stays_out_stops_the_output_and_ends_the_playback(kind: Kind) -> None:
-    at = desk(kind)
+def test_cable_that_stays_out_stops_the_output_and_ends_the_playback() -> None:
+    at = desk()
     with pytest.raises(OSError, match="cable"):
         play_on(at, stream(6.0), progress=PullCableOnce(at.link, 1.0, 1e6), reconnect_s=3.0)
     at.link.sleep(3.0)
@@ -221,7 +215,7 @@ def test_cable_that_stays_out_stops_the_output_and_ends_the_playback(kind: Kind)
     assert len(codes) < longest_s * PIEZO_STACK.dac_rate_hz
 
 
-def test_killed_host_is_noticed_and_the_next_one_plays(kind: Kind) -> None:
+def test_killed_host_is_noticed_and_the_next_one_plays() -> None:
     class Killed(BaseException):
         pass
 
@@ -230,7 +224,7 @@ def test_killed_host_is_noticed_and_the_next_one_plays(kind: Kind) -> None:
             at.link.unplug(0.001)  # not even a last Stop goes out
             raise Killed
 
-    at = desk(kind)
+    at = desk()
     with pytest.raises(Killed):
         play_on(at, stream(6.0), progress=kill)
     at.link.sleep(Settings().watchdog_ms / 1000 + 0.1)
@@ -246,13 +240,13 @@ def test_killed_host_is_noticed_and_the_next_one_plays(kind: Kind) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-200, 200])
-def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(kind: Kind, drift_ppm: int) -> None:
+def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(drift_ppm: int) -> None:
     played = stream(5.0)
     # Each iteration lasts as long as the recording, a little less than its packets.
     packets, packet_us = len(played.packets), 5_000_000 / len(played.packets)
     # The host is 0.3 s ahead in the beginning: 200 ppm are 0.12 s in ten minutes.
     ahead_packets = round(0.3e6 / packet_us)
-    bench = Bench(kind, replace(SMALL, drift_ppm=drift_ppm))
+    bench = Bench(replace(SMALL, drift_ppm=drift_ppm))
     bench.configure(played, loops=0, prebuffer_samples=ahead_packets * played.packet_samples)
     for number in range(ahead_packets):
         bench.send(played, range(number, number + 1))
@@ -279,9 +273,9 @@ def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(kind: Kind,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-200, 200])
-def test_credit_follows_the_clock_of_the_controller(kind: Kind, drift_ppm: int) -> None:
+def test_credit_follows_the_clock_of_the_controller(drift_ppm: int) -> None:
     played = stream(5.0)
-    link = MemoryLink(kind(Settings(drift_ppm=drift_ppm)))
+    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm)))
     result = play_on(Desk(link, Host(link, link.clock, link.sleep), []), played, loops=4)
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
     assert result.decoded is not None
@@ -292,8 +286,8 @@ OLD_IMAGE = ModelImage(1, "old", "1", "", mdct.built_in_tables()).pack()
 NEW_IMAGE = ModelImage(1, "new", "2", "", mdct.built_in_tables()[::-1]).pack()
 
 
-def flash_over(kind: Kind, memory: FlashMemory, image: bytes) -> None:
-    link = MemoryLink(kind(flash=memory))
+def flash_over(memory: FlashMemory, image: bytes) -> None:
+    link = MemoryLink(Controller(flash=memory))
     host = Host(link, link.clock, link.sleep)
     assert flash(host, image, slot=1 if image == NEW_IMAGE else 0).state == SlotState.CONFIRMED
 
@@ -304,12 +298,12 @@ def small_flash() -> FlashMemory:
 
 
 @pytest.mark.slow
-def test_power_cut_while_a_host_flashes_leaves_the_old_image_running(kind: Kind) -> None:
+def test_power_cut_while_a_host_flashes_leaves_the_old_image_running() -> None:
     memory = small_flash()
-    flash_over(kind, memory, OLD_IMAGE)
+    flash_over(memory, OLD_IMAGE)
     before = memory.read(0, len(memory))
     memory.cut_after_bytes = 1 << 30
-    flash_over(kind, memory, NEW_IMAGE)
+    flash_over(memory, NEW_IMAGE)
     session_bytes = (1 << 30) - memory.cut_after_bytes
     # Every byte is cut at in test_flash.py; here some of them, through the whole protocol.
     for cut_after_bytes in np.linspace(0, session_bytes - 1, 40).astype(int).tolist():
@@ -317,11 +311,11 @@ def test_power_cut_while_a_host_flashes_leaves_the_old_image_running(kind: Kind)
         memory.program(0, before)
         memory.cut_after_bytes = cut_after_bytes
         with pytest.raises(PowerCut):
-            flash_over(kind, memory, NEW_IMAGE)
+            flash_over(memory, NEW_IMAGE)
         memory.cut_after_bytes = None
-        kind(flash=memory)  # a trial under way is over with this start
-        link = MemoryLink(kind(flash=memory))
+        Controller(flash=memory)  # a trial under way is over with this start
+        link = MemoryLink(Controller(flash=memory))
         images = Host(link, link.clock, link.sleep).description.images
         (running,) = [image for image in images if image.state in (SlotState.TRIAL, SlotState.CONFIRMED)]
         assert running.sha256 == sha256(OLD_IMAGE) or (running.name == "new" and running.state == SlotState.CONFIRMED)
-        flash_over(kind, memory, NEW_IMAGE)
+        flash_over(memory, NEW_IMAGE)

@@ -1,14 +1,14 @@
-"""What is the firmware's alone: sizes that are compiled in, the pool of coded packets, what a small board can hold."""
+"""A controller with little memory: sizes that are compiled in, the pool of coded packets, streams that do not fit."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.simulated_device.bench import SMALL, Bench, stream
+from tests.firmware.native import load
+from tests.simulated_device.bench import Bench, stream
 from vibrocast.codec import mdct
 from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.messages import (
@@ -30,14 +30,16 @@ from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.output.rendering import render
-from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.firmware import Firmware
+from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.memory_link import MemoryLink
 
 # A microcontroller with 128 KiB of memory: the STM32F405 has 64 KiB more.
 BOARD = {
+    "VC_CHANNELS": 2,
     "VC_MAX_CHANNELS": 2,
+    "VC_BUFFER_SAMPLES": 4096,
     "VC_PACKET_SAMPLES": 2048,
+    "VC_PROFILE_SAMPLES": 4096,
     "VC_BUFFER_PACKETS": 128,
     "VC_BUFFER_BYTES": 8192,
     "VC_CAPTURE_SAMPLES": 2048,
@@ -48,25 +50,20 @@ PACKET_BYTES = BOARD["VC_MAXIMUM_PAYLOAD_BYTES"] - 12
 
 
 def board() -> Bench:
-    return Bench(partial(Firmware, sizes=BOARD), SMALL)
+    return Bench(firmware=load(**BOARD))
 
 
 def test_controller_of_a_small_board_fits_its_memory_and_says_its_limits() -> None:
-    firmware = Firmware(SMALL, sizes=BOARD)
+    controller = board().controller
     # With pointers of eight bytes, where the board has four.
-    print(f"{firmware.memory_bytes} bytes of memory")
-    assert firmware.memory_bytes < 112 * 1024
+    print(f"{controller.memory_bytes} bytes of memory")
+    assert controller.memory_bytes < 112 * 1024
     hello = board().ask(Hello())
     assert isinstance(hello, HelloResponse)
     limits = hello.limits
     assert (limits.channels, limits.buffer_samples, limits.capture_samples) == (2, 4096, 2048)
     assert (limits.maximum_payload_bytes, limits.maximum_packet_bytes) == (1024, PACKET_BYTES)
     assert limits.maximum_rate_hz == 4 * hello.actuator.dac_rate_hz
-
-
-def test_runtime_that_the_firmware_does_not_have_is_refused() -> None:
-    with pytest.raises(ValueError, match="integer core"):
-        Firmware(Settings(runtime="onnx"))
 
 
 def refused(bench: Bench, header: StreamHeader, prebuffer_samples: int = 0) -> ErrorCode:
@@ -135,7 +132,7 @@ def test_what_credit_has_granted_always_has_room(lengths: list[int], seed: int) 
 def test_playing_begins_when_no_more_of_the_prebuffer_has_room() -> None:
     played = stream(2.0)
     bench = board()
-    bench.configure(played, prebuffer_samples=SMALL.buffer_samples)
+    bench.configure(played, prebuffer_samples=BOARD["VC_BUFFER_SAMPLES"])
     bench.ask(Start())
     for number in range(8):
         bench.run(1)
@@ -160,7 +157,7 @@ def test_credit_that_grows_while_data_comes_is_notified() -> None:
 def test_host_plays_on_a_small_board_as_on_a_large_one(channels: int) -> None:
     played = stream(3.0, channels)
     codes: list[Codes] = []
-    link = MemoryLink(Firmware(SMALL, on_dac=codes.append, sizes=BOARD))
+    link = MemoryLink(Controller(on_dac=codes.append, firmware=load(**BOARD)))
     host = Host(link, link.clock, link.sleep)
     result = play(host, played.header, played.packets, played.packet_samples, capture=True)
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)

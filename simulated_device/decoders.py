@@ -1,0 +1,92 @@
+"""Decoders in Python for the controller in C: ONNX Runtime, libav, and codecs of other packages."""
+
+from typing import Any
+
+import numpy as np
+
+from vibrocast import codec
+from vibrocast.codec import CodecError, Decoder
+from vibrocast.device_protocol.messages import ErrorCode
+from vibrocast.simulated_device.callbacks import Callbacks
+
+
+class PythonDecoders:
+    """Decodes what the controller has no decoder for in C: `pointer` is its vc_decoder_callbacks.
+
+    `runtime`: one of codec.RUNTIMES, which decodes models that leave the choice; None = as the image says.
+    """
+
+    def __init__(self, ffi: Any, library: Any, runtime: str | None, callbacks: Callbacks) -> None:
+        in_c = ffi.new("vc_codec_description[]", library.VC_CODECS)
+        library.vc_codecs_describe(in_c)
+        self._ffi, self._library, self._runtime = ffi, library, runtime
+        self._in_c = {description.identifier for description in in_c}
+        self._decoder: Decoder | None = None
+        named = [(known.identifier, ffi.new("char[]", known.name.encode())) for known in codec.CODECS.values()]
+        functions = {
+            "check_tables": callbacks.make(
+                "int(void *, uint8_t, const uint8_t *, size_t, vc_refusal *)", self._check_tables, -1
+            ),
+            "check": callbacks.make("int(void *, vc_coding *, vc_refusal *)", self._check, -1),
+            "init": callbacks.make("void(void *, const vc_coding *)", self._init),
+            "decode": callbacks.make("int(void *, const uint8_t *, size_t, int16_t *)", self._decode, 0),
+            "conceal": callbacks.make("void(void *, int16_t *)", self._conceal),
+        }
+        codecs = ffi.new("vc_codec_description[]", named)
+        self._kept = (named, functions, codecs)
+        self.pointer = ffi.new("vc_decoder_callbacks *", {"codecs": codecs, "codec_count": len(named), **functions})
+
+    def _check_tables(self, context: Any, identifier: int, tables: Any, length: int, refusal: Any) -> int:
+        try:
+            if codec.codec_by_identifier(identifier).with_runtime is None:
+                return int(self._library.VC_NOT_BY_CALLBACKS)
+            codec.check_tables(identifier, bytes(self._ffi.buffer(tables, length)))
+        except CodecError as error:
+            return self._refuse(refusal, ErrorCode.IMAGE_REFUSED, error)
+        return 0
+
+    def _check(self, context: Any, coding: Any, refusal: Any) -> int:
+        try:
+            tables, known = self._tables(coding), codec.codec_by_identifier(coding.codec, self._configuration(coding))
+            if tables is not None and self._runtime is not None and known.with_runtime is not None:
+                tables = known.with_runtime(tables, self._runtime)
+            runtime = known.runtime_of(tables) if tables is not None and known.runtime_of is not None else "core"
+            if coding.codec in self._in_c and runtime == "core":
+                return int(self._library.VC_NOT_BY_CALLBACKS)
+            decoder = self._make(coding)
+        except CodecError as error:
+            return self._refuse(refusal, ErrorCode.UNKNOWN_CODEC, error)
+        coding.packet_samples, coding.delay_samples = decoder.packet_samples, decoder.delay_samples
+        return 0
+
+    def _init(self, context: Any, coding: Any) -> None:
+        self._decoder = self._make(coding)
+
+    def _decode(self, context: Any, packet: Any, length: int, samples: Any) -> int:
+        assert self._decoder is not None, "a stream has begun"
+        try:
+            decoded = self._decoder.decode(bytes(self._ffi.buffer(packet, length)))
+        except CodecError:
+            return 0
+        self._write(samples, decoded)
+        return 1
+
+    def _conceal(self, context: Any, samples: Any) -> None:
+        assert self._decoder is not None, "a stream has begun"
+        self._write(samples, self._decoder.conceal())
+
+    def _write(self, samples: Any, decoded: codec.Decoded) -> None:
+        np.frombuffer(self._ffi.buffer(samples, decoded.nbytes), np.int16)[:] = decoded.ravel()
+
+    def _make(self, coding: Any) -> Decoder:
+        configuration, tables = self._configuration(coding), self._tables(coding)
+        return codec.decoder(coding.codec, configuration, coding.channels, tables, self._runtime)
+
+    def _configuration(self, coding: Any) -> bytes:
+        return bytes(self._ffi.buffer(coding.configuration, coding.configuration_length))
+
+    def _tables(self, coding: Any) -> bytes | None:
+        return bytes(self._ffi.buffer(coding.tables, coding.tables_length)) if coding.tables else None
+
+    def _refuse(self, refusal: Any, code: ErrorCode, error: CodecError) -> int:
+        return int(self._library.vc_refuse(refusal, code, str(error).encode()))
