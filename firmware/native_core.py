@@ -1,4 +1,4 @@
-"""The integer core (firmware/core), compiled while installing and loaded through cffi."""
+"""Core and controller in C, compiled while installing and loaded through cffi."""
 
 import os
 import sys
@@ -20,7 +20,7 @@ class CoreError(RuntimeError):
 
 @cache
 def library() -> Any:
-    """Load the compiled core; its functions are those of firmware/core/vibrocast_core.h.
+    """Load them; the functions are those that the headers of firmware/core and firmware/controller declare to cffi.
 
     A machine with an x86-64 processor has two cores, "baseline" and "x86_64_v3", which produce the same bits. The
     processor tells which is loaded. Raises CoreError if the core has not been compiled, or if the environment

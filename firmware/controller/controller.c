@@ -1,4 +1,6 @@
 /* The controller: sessions, requests and their answers, the watchdog, notifications; see controller.h. */
+#include "controller.h"
+
 #include "controller_memory.h"
 
 #define STATUS_INTERVAL_US 100000u

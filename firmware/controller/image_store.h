@@ -4,9 +4,9 @@
 #ifndef VIBROCAST_IMAGE_STORE_H
 #define VIBROCAST_IMAGE_STORE_H
 
-#include "controller.h"
 #include "messages.h"
 #include "model_image.h"
+#include "settings.h"
 #include "sha256.h"
 
 #define VC_SLOTS 2

@@ -6,10 +6,10 @@
 #ifndef VIBROCAST_PLAYBACK_H
 #define VIBROCAST_PLAYBACK_H
 
-#include "controller.h"
 #include "decoders.h"
 #include "messages.h"
 #include "packet_buffer.h"
+#include "settings.h"
 #include "stream_header.h"
 
 /* Rates of a stream, in Hz. */

@@ -126,7 +126,14 @@ unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, c
 void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_history *history, uint32_t hop, uint32_t k,
                       const vc_below *below, unsigned quantiser);
 /* Number of steps, four an octave from 4 up and one a unit below: a logarithm of x with two bits of mantissa. */
-unsigned vc_fine_class(uint32_t x);
+static inline unsigned vc_fine_class(uint32_t x)
+{
+    unsigned exponent;
+    if (x < 4)
+        return x;
+    exponent = vc_floor_log2(x);
+    return 4 * (exponent - 1) + ((x >> (exponent - 2)) & 3u);
+}
 
 uint32_t vc_silence_predict(const vc_model *model, const vc_history *history);
 void vc_silence_update(vc_model *model, const vc_history *history, int silent);

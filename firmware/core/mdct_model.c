@@ -105,15 +105,6 @@ void vc_history_next_block(vc_history *history, uint32_t hop)
     }
 }
 
-unsigned vc_fine_class(uint32_t x)
-{
-    unsigned exponent;
-    if (x < 4)
-        return x;
-    exponent = vc_floor_log2(x);
-    return 4 * (exponent - 1) + ((x >> (exponent - 2)) & 3u);
-}
-
 /* The same with two steps an octave, of small numbers in quarters, at most 15. */
 static unsigned coarse_class(uint32_t quarters)
 {

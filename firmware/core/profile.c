@@ -1,4 +1,6 @@
 /* A profile's octaves, the hand's way over it, and the heights under the hand; see profile.h. */
+#include "profile.h"
+
 #include "profile_memory.h"
 
 #define NM_PER_METRE 1000000000

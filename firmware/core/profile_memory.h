@@ -3,7 +3,6 @@
 #define VIBROCAST_PROFILE_MEMORY_H
 
 #include "output_memory.h"
-#include "profile.h"
 
 #define VC_PROFILE_OCTAVES 8
 #define VC_KEPT_POSITIONS 64 /* a power of two */
