@@ -17,10 +17,7 @@ class PythonDecoders:
     """
 
     def __init__(self, ffi: Any, library: Any, runtime: str | None, callbacks: Callbacks) -> None:
-        in_c = ffi.new("vc_codec_description[]", library.VC_CODECS)
-        library.vc_codecs_describe(in_c)
         self._ffi, self._library, self._runtime = ffi, library, runtime
-        self._in_c = {description.identifier for description in in_c}
         self._decoder: Decoder | None = None
         named = [(known.identifier, ffi.new("char[]", known.name.encode())) for known in codec.CODECS.values()]
         functions = {
@@ -51,7 +48,7 @@ class PythonDecoders:
             if tables is not None and self._runtime is not None and known.with_runtime is not None:
                 tables = known.with_runtime(tables, self._runtime)
             runtime = known.runtime_of(tables) if tables is not None and known.runtime_of is not None else "core"
-            if coding.codec in self._in_c and runtime == "core":
+            if self._library.vc_codec_is_in_c(coding.codec) and runtime == "core":
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             decoder = self._make(coding)
         except CodecError as error:

@@ -91,6 +91,7 @@ def plays_when_installed(wheel: Path, folder: Path) -> None:
     (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     for name in PACKAGES:
         (folder / f"{name}.py").write_text("raise ImportError('a module of the user')")
+    (folder / "ziglang.py").write_text("raise ImportError('the wheel needs no compiler')")
     (folder / "host").mkdir()
     (folder / "host" / "__init__.py").touch()
     without_path = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

@@ -327,7 +327,7 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     const vc_actuator *actuator = controller->settings->actuator;
     const vc_decoder_callbacks *callbacks = controller->settings->callbacks;
     const vc_sizes sizes = vc_playback_sizes(controller->settings);
-    vc_codec_description codecs[VC_CODECS];
+    vc_codec_description codecs[VC_CODEC_COUNT];
     vc_image_description images[VC_SLOTS];
     vc_hello_response hello;
     unsigned slot;
@@ -353,7 +353,7 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     hello.actuator.dac_rate_hz = actuator->dac_rate_hz;
     vc_codecs_describe(codecs);
     hello.codecs = callbacks != NULL ? callbacks->codecs : codecs;
-    hello.codec_count = callbacks != NULL ? callbacks->codec_count : VC_CODECS;
+    hello.codec_count = callbacks != NULL ? callbacks->codec_count : VC_CODEC_COUNT;
     for (slot = 0; slot < VC_SLOTS; slot++)
         vc_image_store_describe(&controller->images, slot, &images[slot]);
     hello.images = images;

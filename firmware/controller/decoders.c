@@ -1,24 +1,29 @@
 /* The codecs that a controller decodes, behind one interface; see decoders.h. */
 #include "decoders.h"
 
-static const vc_codec *const codecs[VC_CODECS] = {
-    &vc_mdct_codec, &vc_dct_codec, &vc_slp_codec, &vc_eva_codec, &vc_parametric_codec,
-};
+#define ROW(name) &vc_##name##_codec,
+
+static const vc_codec *const codecs[] = {VC_CODECS(ROW)};
 
 /* The codec of an identifier; NULL: it is not in C. */
 static const vc_codec *find(uint8_t identifier)
 {
     unsigned i;
-    for (i = 0; i < VC_CODECS; i++)
+    for (i = 0; i < VC_CODEC_COUNT; i++)
         if (codecs[i]->identifier == identifier)
             return codecs[i];
     return NULL;
 }
 
+int vc_codec_is_in_c(uint8_t identifier)
+{
+    return find(identifier) != NULL;
+}
+
 void vc_codecs_describe(vc_codec_description *descriptions)
 {
     unsigned i;
-    for (i = 0; i < VC_CODECS; i++) {
+    for (i = 0; i < VC_CODEC_COUNT; i++) {
         descriptions[i].identifier = codecs[i]->identifier;
         descriptions[i].name = codecs[i]->name;
     }

@@ -7,11 +7,8 @@
 #include "messages.h"
 
 /* cffi: begin */
-/* Codecs that are in C. */
-enum { VC_CODECS = 5 };
-
-/* Writes them: VC_CODECS descriptions. */
-void vc_codecs_describe(vc_codec_description *descriptions);
+/* Returns whether a codec is in C. */
+int vc_codec_is_in_c(uint8_t identifier);
 
 /* Decoders that are not in C, as a simulated controller may have. They decode one stream at a time.
  * `codecs`: all that hello lists, those in C among them.
@@ -36,15 +33,20 @@ enum { VC_NOT_BY_CALLBACKS = -1 };
 int vc_tables_check(const void *callbacks, uint8_t codec, const uint8_t *tables, size_t length, vc_refusal *refusal);
 /* cffi: end */
 
+/* How many codecs are in C. */
+#define VC_ONE(name) +1
+enum { VC_CODEC_COUNT = 0 VC_CODECS(VC_ONE) };
+
+/* Writes them: VC_CODEC_COUNT descriptions. */
+void vc_codecs_describe(vc_codec_description *descriptions);
+
+#define VC_DECODER_MEMORY(name) struct vc_##name##_decoder name;
+
 typedef struct {
     const vc_codec *codec;                 /* NULL: */
     const vc_decoder_callbacks *callbacks; /* these decode */
     union {
-        struct vc_mdct_decoder mdct;
-        struct vc_dct_decoder dct;
-        struct vc_slp_decoder slp;
-        struct vc_eva_decoder eva;
-        struct vc_parametric_decoder parametric;
+        VC_CODECS(VC_DECODER_MEMORY)
     } of;
 } vc_decoder;
 

@@ -40,6 +40,16 @@ typedef struct {
     void (*conceal)(void *decoder, int16_t *samples);
 } vc_codec;
 
-extern const vc_codec vc_mdct_codec, vc_dct_codec, vc_slp_codec, vc_eva_codec, vc_parametric_codec;
+/* The codecs of the core, a line each: vc_NAME_codec is the row, struct vc_NAME_decoder (decoder_memory.h) the memory.
+ */
+#define VC_CODECS(CODEC)                                                                                               \
+    CODEC(mdct)                                                                                                        \
+    CODEC(dct)                                                                                                         \
+    CODEC(slp)                                                                                                         \
+    CODEC(eva)                                                                                                         \
+    CODEC(parametric)
+
+#define VC_CODEC_DECLARED(name) extern const vc_codec vc_##name##_codec;
+VC_CODECS(VC_CODEC_DECLARED)
 
 #endif
