@@ -2,40 +2,30 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypedDict, TypeVar
+from typing import TypeVar
 
 from vibrocast import codec, models, textures
 from vibrocast.codec.stream import CodingQuality, Stream, as_stream, check_length
 
 Made = TypeVar("Made")
-DEFAULT_CODEC = "mdct"
 DEFAULT_SNR_DB = 15.0
 DEFAULT_STREAM_RATE_HZ = 2800
 
 
-class _How(TypedDict):
-    """What all encoding functions of the codec take."""
-
-    codec: str
-    unit: str
-    live: bool
-    model: codec.Model | None
-    progress: Callable[[float], None] | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Encoding(CodingQuality):
-    """A coded recording. `recording`: what was coded, at the stream's rate, without the band below `highpass_hz`."""
+@dataclass(frozen=True)
+class Encoding:
+    """A coded recording. `recording`: what was coded, at the stream's rate, without the band below the high-pass."""
 
     stream: Stream
     recording: textures.Recording
 
     @property
     def quality(self) -> CodingQuality:
-        """The quality alone."""
-        return CodingQuality(**{each.name: getattr(self, each.name) for each in fields(CodingQuality)})
+        """How near the stream comes to the recording."""
+        assert self.stream.quality is not None, "it has just been coded"
+        return self.stream.quality
 
 
 def encode_recording(
@@ -82,15 +72,27 @@ def encode_recording(
             )
     elif rate_bps is None and snr_db is None and chosen.keeps_waveform:
         snr_db = DEFAULT_SNR_DB
-    encoding = first_reachable(
-        chosen,
-        model,
-        lambda candidate, tell: _encode(
-            resampled, unit or resampled.unit, chosen, given, rate_bps, snr_db, candidate, runtime, live, tell
-        ),
-        progress,
-    )
-    return replace(encoding, highpass_hz=passed.highpass_hz, removed_energy=passed.removed_energy)
+
+    def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
+        samples, coded_unit = resampled.samples, unit or resampled.unit
+        image = None if candidate is None else candidate.image
+        source = codec.Source(
+            samples, stream_rate_hz, chosen.name, coded_unit, live, encoder_model(candidate), progress=tell
+        )
+
+        def size_bytes(coded: codec.CodedSignal) -> int:
+            return as_stream(coded, coded_unit, image).size_bytes
+
+        if rate_bps is not None:
+            coded = codec.encode_to_rate(source, rate_bps, size_bytes, given)
+        elif snr_db is not None:
+            coded = codec.encode_to_snr(source, snr_db, given)
+        else:
+            coded = source.encode(given)
+        stream = replace(as_stream(coded, coded_unit, image), runtime=runtime)
+        return measure_encoding(resampled, stream, rate_bps, snr_db, passed)
+
+    return first_reachable(chosen, model, code, progress)
 
 
 def first_reachable(
@@ -117,7 +119,7 @@ def first_reachable(
 def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:
     """Return the codec of that name; None = that of the model, or DEFAULT_CODEC. Raises CodecError on a misfit."""
     if codec_name is None:
-        codec_name = DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
+        codec_name = codec.DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
     chosen = codec.codec_by_name(codec_name)
     if model is not None and model.codec_identifier != chosen.identifier:
         raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another")
@@ -137,8 +139,16 @@ def smallest_first(chosen: codec.Codec) -> list[models.Model]:
     return [
         model
         for model in models.shipped()
-        if model.codec_identifier == chosen.identifier and model.family == model.name
+        if model.codec_identifier == chosen.identifier
+        and model.family == model.name
+        and not brings_built_in_tables(model)
     ]
+
+
+def brings_built_in_tables(model: models.Model) -> bool:
+    """Return whether a model's tables are those that its codec has anyway. Raises CodecError for an unknown codec."""
+    built_in_tables = codec.codec_by_identifier(model.codec_identifier).built_in_tables
+    return built_in_tables is not None and model.tables == built_in_tables()
 
 
 def _tell_of_part(progress: Callable[[float], None], number: int, count: int, done: float) -> None:
@@ -146,58 +156,28 @@ def _tell_of_part(progress: Callable[[float], None], number: int, count: int, do
     progress((number + done) / count)
 
 
-def _encode(
-    recording: textures.Recording,
-    unit: str,
-    chosen: codec.Codec,
-    given: codec.Setting,
-    rate_bps: float | None,
-    snr_db: float | None,
-    model: models.Model | None,
-    runtime: str | None,
-    live: bool,
-    progress: Callable[[float], None] | None,
-) -> Encoding:
-    """Code a recording at its own rate with a model, or the tables built in. Raises as `encode`."""
-    samples, rate_hz = recording.samples, round(recording.rate_hz)
-    image = None if model is None else model.image
-    how: _How = {
-        "codec": chosen.name,
-        "unit": unit,
-        "live": live,
-        "model": encoder_model(model),
-        "progress": progress,
-    }
-
-    def size_bytes(coded: codec.CodedSignal) -> int:
-        return as_stream(coded, unit, image).size_bytes
-
-    if rate_bps is not None:
-        coded = codec.encode_to_rate(samples, rate_hz, rate_bps, size_bytes, setting=given, **how)
-    elif snr_db is not None:
-        coded = codec.encode_to_snr(samples, rate_hz, snr_db, setting=given, **how)
-    else:
-        coded = codec.encode(samples, rate_hz, given, **how)
-    stream = replace(as_stream(coded, unit, image), runtime=runtime)
-    return measure_encoding(recording, stream, rate_bps, snr_db)
-
-
 def measure_encoding(
-    recording: textures.Recording, stream: Stream, rate_bps: float | None = None, snr_db: float | None = None
+    recording: textures.Recording,
+    stream: Stream,
+    rate_bps: float | None = None,
+    snr_db: float | None = None,
+    passed: textures.HighPassed | None = None,
 ) -> Encoding:
-    """Return how near a stream comes to the recording, at its rate, and to what was asked. Raises CodecError."""
+    """Measure how near a stream comes to the recording, at its rate, and to what was asked. Raises CodecError.
+
+    `passed`: what the high-pass took from the recording before; None = nothing.
+    """
     decoded = stream.decode()
-    reached_db = _finite(codec.snr_db(recording.samples, decoded))
     each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
-    tactile_db = codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz)
-    return Encoding(
-        stream=stream,
-        recording=recording,
-        snr_db=reached_db,
+    quality = CodingQuality(
+        snr_db=_finite(codec.snr_db(recording.samples, decoded)),
         snr_db_per_channel=each_db,
-        tactile_snr_db=tactile_db,
+        tactile_snr_db=codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz),
         note=_shortfall(stream, each_db, rate_bps, snr_db),
+        highpass_hz=None if passed is None else passed.highpass_hz,
+        removed_energy=0.0 if passed is None else passed.removed_energy,
     )
+    return Encoding(replace(stream, quality=quality), recording)
 
 
 def _shortfall(

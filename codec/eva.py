@@ -15,7 +15,7 @@ from vibrocast.codec.core import (
     check_made,
     does_not_fit,
 )
-from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, with_runtime
+from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, learned_transform, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
 from vibrocast.codec.interface import (
     Codec,
@@ -377,7 +377,8 @@ CODEC = Codec(
     check_tables=check_tables,
     with_runtime=with_runtime,
     runtime_of=lambda tables: EvaImage.unpack(tables).runtime,
-    takes_model=True,
+    learned_transform=learned_transform,
     needs_model=True,
     controls_rate=True,
+    step_parameter="level",
 )

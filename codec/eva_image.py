@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.interface import RUNTIMES, CodecError
+from vibrocast.codec.interface import RUNTIMES, CodecError, LearnedTransform
 from vibrocast.firmware.native_core import library
 
 LAYOUT_VERSION = 1
@@ -188,6 +188,12 @@ def with_runtime(payload: bytes, runtime: str) -> bytes:
     if runtime == "onnx" and not image.graph:
         raise CodecError("the model has no ONNX graph; decode it by the integer core (runtime core)")
     return replace(image, runtime=runtime).pack()
+
+
+def learned_transform(payload: bytes) -> LearnedTransform:
+    """Return the sizes of the network in a payload. Raises CodecError where it is damaged."""
+    image = EvaImage.unpack(payload)
+    return LearnedTransform(image.width, len(image.graph))
 
 
 def without_graph(payload: bytes) -> bytes:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -265,25 +265,42 @@ class Decoder(Protocol):
 
 
 @dataclass(frozen=True)
+class LearnedTransform:
+    """The network in the tables of a trained model: channels of its hidden layers, bytes of its ONNX graph."""
+
+    width: int
+    graph_bytes: int
+
+
+@dataclass(frozen=True)
 class Codec:
     """A codec by its name and by its number in stream headers; each codec's module defines its own.
 
+    Everything that other modules know of a codec is here: no other module names it.
+
     `rate_point_sets`: named curves of settings ("rate points"), the coarsest first, for benchmarks; what a rate point
     leaves out has its default. A search for an SNR or a rate tries rate points of the first, and between them where
-    what varies is a fraction; with `searches_steps` (`mdct`), and nothing of the setting given, it searches the
-    parameters `step`, relative to each channel's RMS value, and `rd_weight`. `controls_rate`: packets may each be of
-    another quality. `physical_rate_point_sets`: those that need a signal in a physical unit.
+    what varies is a fraction. `physical_rate_point_sets`: those that need a signal in a physical unit.
+    `make_encoder(setting, format, framing, model, rate_control)`: the setting complete and checked; `rate_control`
+    chooses the quality of each packet, None = all are of the setting's; a codec without `controls_rate` rejects it.
+    `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
+    `resolve(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
+    unit; None where no signal decides on it.
     `keeps_waveform`: decoded samples come near the input's, so that an SNR can be asked for; False for one that keeps
     what a texture is like, and none of its samples.
-    `takes_model`: a model may bring its tables; `needs_model`: there are none built in. `check_tables` raises
-    CodecError for the payload of a model image that decoders do not take; None where no model brings tables.
-    `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of RUNTIMES, and
-    `runtime_of(tables)` which of them it is; both raise CodecError, and are None where there is no choice.
-    `make_encoder(setting, format, framing, model, rate_control)`: the setting complete and checked; `rate_control`
-    chooses the quality of each packet, None = all are of the setting's; a codec that does not control the rate rejects
-    it. `resolve(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
-    unit; None where no signal decides on it.
-    `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
+    `step_parameter`: what the quantiser's steps of a channel are proportional to, relative to its RMS value; None where
+    they do not differ by channel. `step_range`: the smallest and the largest step, relative to full scale; where it is
+    given, and nothing of the setting, a search tries steps in it, and the parameter `rd_weight`.
+    `block_parameter`: the length of a block in samples; None where the codec has one length only.
+    `live_setting(rate_hz)`: what a live stream has in place of defaults, for the least delay. `planned_setting`: what
+    the planner does not try, as its best value is known.
+    `check_tables` raises CodecError for the payload of a model image that decoders do not take; None where no model
+    brings tables. `needs_model`: no tables are built in. `built_in_tables`: returns those that are, where a model may
+    take their place. `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of
+    RUNTIMES, and `runtime_of(tables)` which of them it is; both raise CodecError, None where there is no choice. `learned_transform(tables)` describes that of a
+    model; None where there is none.
+    `library`: how the name of the file in PyAV's wheel begins that holds the decoder, "" where the file holds many
+    codecs; None for a decoder that is not from there.
     """
 
     name: str
@@ -295,14 +312,35 @@ class Codec:
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
     resolve: Callable[[Signal, SignalFormat], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
+    built_in_tables: Callable[[], bytes] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None
     runtime_of: Callable[[bytes], str] | None = None
+    learned_transform: Callable[[bytes], LearnedTransform] | None = None
     physical_rate_point_sets: frozenset[str] = frozenset()
-    takes_model: bool = False
     needs_model: bool = False
-    searches_steps: bool = False
     controls_rate: bool = False
     keeps_waveform: bool = True
+    step_parameter: str | None = None
+    step_range: tuple[float, float] | None = None
+    block_parameter: str | None = None
+    live_setting: Callable[[int], Setting] = lambda rate_hz: {}
+    planned_setting: Setting = field(default_factory=dict)
+    library: str | None = None
+
+    @property
+    def takes_model(self) -> bool:
+        """Whether a model may bring its tables."""
+        return self.check_tables is not None
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The values of `block_parameter` but AUTO, empty where there is none."""
+        choices = self.parameters[self.block_parameter].choices if self.block_parameter else ()
+        return tuple(choice for choice in choices if choice != AUTO)
+
+    def block_setting(self, block: str | None) -> Setting:
+        """Return the part of a setting that chooses one of `blocks`; None leaves it open."""
+        return {} if self.block_parameter is None or block is None else {self.block_parameter: block}
 
     def checked(self, setting: Setting) -> Setting:
         """Return what is given of a setting, numbers in text read. Raises CodecError for unknown names and values."""

@@ -72,7 +72,7 @@ class _Library:
     `plan(setting, packet_samples)`. `decimation`: of decoded samples, one of so many is kept. `continuous`: frames
     have no bounds, and those of a packet are decoded at once. `full_scale_bits`: 16, fewer where the codec wants
     headroom. `settling_samples`: that a decoder which begins anew in the middle of a stream takes to find the signal.
-    `decoder_options(frame_bytes)`. `controls_rate`: WavPack does.
+    `decoder_options(frame_bytes)`. `controls_rate`: WavPack does. `file`: as `Codec.library`.
     """
 
     encoder: str
@@ -85,6 +85,7 @@ class _Library:
     settling_samples: int = 640  # 80 ms at 8 kHz, the pre-roll of RFC 7845, 4.6; enough for the speech codecs too
     decoder_options: Callable[[int], Mapping[str, str]] = lambda frame_bytes: {}
     controls_rate: bool = False
+    file: str = ""
 
 
 def _plan_opus(setting: Setting, packet_samples: int) -> _Plan:
@@ -410,6 +411,7 @@ def _codec(
     library: _Library,
     parameters: Mapping[str, Parameter],
     rate_point_set: tuple[Setting, ...],
+    block_parameter: str | None = None,
 ) -> Codec:
     def make_encoder(
         setting: Setting,
@@ -436,6 +438,8 @@ def _codec(
         make_encoder,
         make_decoder,
         controls_rate=library.controls_rate,
+        block_parameter=block_parameter,
+        library=library.file,
     )
 
 
@@ -444,18 +448,19 @@ CODECS = (
         "opus",
         5,
         "Opus (RFC 6716), its low-delay MDCT coder, by libopus",
-        _Library("libopus", "libopus", _plan_opus, decimation=6),
+        _Library("libopus", "libopus", _plan_opus, decimation=6, file="libopus"),
         {
             "bit_rate_bps": Parameter("bit/s at 8000 samples/s, on average", 16_000, low=500, high=128_000, whole=True),
             "frame_samples": Parameter("samples in a frame", "160", choices=tuple(map(str, _OPUS_FRAMES_SAMPLES))),
         },
         tuple({"bit_rate_bps": rate} for rate in _OPUS_BITS_PER_SECOND),
+        block_parameter="frame_samples",
     ),
     _codec(
         "amr-nb",
         6,
         "AMR narrow-band (3GPP TS 26.071), ACELP speech codec, by libopencore",
-        _Library("libopencore_amrnb", "libopencore_amrnb", _plan_amr),
+        _Library("libopencore_amrnb", "libopencore_amrnb", _plan_amr, file="libopencore-amrnb"),
         {
             "mode": Parameter(
                 "0 to 7: 4.75, 5.15, 5.9, 6.7, 7.4, 7.95, 10.2, 12.2 kbit/s at 8000 samples/s", 7, 0, 7, True

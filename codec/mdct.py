@@ -51,8 +51,8 @@ LAMBDA = 96
 
 _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
-_SETTLING_SAMPLES = 1 << 16
-_SETTLING_PACKET = 1024
+_RESOLVING_SAMPLES = 1 << 16
+_RESOLVING_PACKET = 1024
 _FILL_UNIT = 128
 
 
@@ -285,16 +285,16 @@ def check_tables(tables: bytes) -> None:
     _tables_arguments(tables)
 
 
-def settle(samples: Signal, signal_format: SignalFormat) -> Setting:
+def resolve(samples: Signal, signal_format: SignalFormat) -> Setting:
     """Choose the hop for a whole signal (n, channels) in its physical unit, by coding its beginning with each.
 
     The one of the least squared error + lambda * bits, as the encoder's search weighs them, at a step of the RMS value.
     """
-    normalised = samples[:_SETTLING_SAMPLES] / np.array(signal_format.gains)
+    normalised = samples[:_RESOLVING_SAMPLES] / np.array(signal_format.gains)
     steps = np.array(signal_format.rms)
 
     def cost(hop: int) -> float:
-        encoder = MdctEncoder(list(steps), signal_format.rate_hz, Framing(_SETTLING_PACKET, 0), hop=hop)
+        encoder = MdctEncoder(list(steps), signal_format.rate_hz, Framing(_RESOLVING_PACKET, 0), hop=hop)
         decoder = MdctDecoder(encoder.configuration, signal_format.channels)
         packets = encoder.encode(normalised) + encoder.finish()
         decoded = np.concatenate([decoder.decode(packet) for packet in packets])[hop : hop + len(normalised)]
@@ -352,9 +352,12 @@ CODEC = Codec(
     },
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
-    resolve=settle,
+    resolve=resolve,
     check_tables=check_tables,
-    takes_model=True,
-    searches_steps=True,
+    built_in_tables=built_in_tables,
     controls_rate=True,
+    step_parameter="step",
+    step_range=(MIN_STEP, MAX_STEP),
+    block_parameter="hop",
+    live_setting=lambda rate_hz: {"hop": str(hop_samples(rate_hz) // 2)},
 )

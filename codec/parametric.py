@@ -376,4 +376,5 @@ CODEC = Codec(
     make_encoder=make_encoder,
     make_decoder=ParametricDecoder,
     keeps_waveform=False,
+    block_parameter="hop",
 )

@@ -49,8 +49,6 @@ _MEMORY_RATE_BUFFERS = 4.0
 _SWING_DB = 4.0
 _PACKETS_FOR_FULL_SWING = 4.0
 _PROBE_PACKETS = 4
-_STEP_PARAMETERS = {"mdct": "step", "eva": "level"}
-"""What the steps of a channel are proportional to, relative to its RMS value."""
 # A sequence number takes one byte at first, and four from packet 2^20 on.
 _SEQUENCE_GROWTH_BYTES = 3
 
@@ -541,10 +539,9 @@ def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
     water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3). It is the least error in all for
     the rate; by default all channels have the same SNR. Raises CodecError for a codec whose steps are not of a channel.
     """
-    if codec.name not in _STEP_PARAMETERS:
-        known = " or ".join(_STEP_PARAMETERS)
-        raise CodecError(f"the steps of {codec.name} do not differ by channel; code an equal error with {known}")
-    name = _STEP_PARAMETERS[codec.name]
+    name = codec.step_parameter
+    if name is None:
+        raise CodecError(f"the steps of {codec.name} do not differ by channel; choose another codec for an equal error")
     physical = np.array(signal_format.rms) * np.array(signal_format.gains)
     steps = float(codec.parameters[name].default) * math.sqrt(np.mean(np.square(physical))) / physical
     return {name: tuple(map(float, steps))}

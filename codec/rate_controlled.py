@@ -157,17 +157,10 @@ def encode(
 
     def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, codec.Policy]:
         policy = target.policy(signal_format)
-        coded = codec.encode_rate_controlled(
-            samples,
-            stream_rate_hz,
-            policy,
-            target.framing(stream_rate_hz),
-            codec=chosen.name,
-            setting=given,
-            unit=resampled.unit,
-            model=encoder_model(candidate),
-            progress=tell,
+        source = codec.Source(
+            samples, stream_rate_hz, chosen.name, resampled.unit, True, encoder_model(candidate), tell
         )
+        coded = source.encode_rate_controlled(given, policy, target.framing(stream_rate_hz))
         return as_stream(coded, resampled.unit, None if candidate is None else candidate.image), policy
 
     stream, policy = first_reachable(chosen, model, code, progress)

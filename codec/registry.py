@@ -38,6 +38,7 @@ Progress: TypeAlias = Callable[[float], None]
 BUILT_IN: dict[str, Codec] = {
     codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS, parametric.CODEC)
 }
+DEFAULT_CODEC = mdct.NAME
 
 
 class Codecs(Mapping[str, Codec]):
@@ -161,7 +162,7 @@ def encode(
     rate_hz: int,
     setting: Setting,
     *,
-    codec: str = mdct.NAME,
+    codec: str = DEFAULT_CODEC,
     unit: str = "full scale",
     live: bool = False,
     model: Model | None = None,
@@ -176,42 +177,6 @@ def encode(
     setting that the codec does not have, or a channel count, level or unit that cannot be coded.
     """
     return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
-
-
-def encode_rate_controlled(
-    samples: Signal,
-    rate_hz: int,
-    policy: Policy,
-    framing: Framing,
-    *,
-    codec: str = mdct.NAME,
-    setting: Setting | None = None,
-    unit: str = "full scale",
-    model: Model | None = None,
-    progress: Progress | None = None,
-) -> CodedSignal:
-    """Code samples (n, channels) in a physical unit in one pass, as a live stream would be, rate-controlled by a
-    policy.
-
-    Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as
-    `rate_controlled_encoder`.
-    """
-    return Source(samples, rate_hz, codec, unit, True, model, progress).encode_rate_controlled(
-        setting or {}, policy, framing
-    )
-
-
-def resolved(
-    samples: Signal,
-    rate_hz: int,
-    setting: Setting,
-    *,
-    codec: str = mdct.NAME,
-    unit: str = "full scale",
-    model: Model | None = None,
-) -> Setting:
-    """Return the complete setting with which `encode` codes these samples as a file. Raises CodecError as `encode`."""
-    return Source(samples, rate_hz, codec, unit, False, model, None).resolved(setting)
 
 
 def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
@@ -258,7 +223,7 @@ def _check_model(codec: Codec, given: bool) -> None:
 
 
 class Source:
-    """A signal ready to be coded at any setting.
+    """A signal ready to be coded at any setting, as a file or as a live stream.
 
     `format`: what the encoder is told of it. `silent`: every channel is.
     """
@@ -267,13 +232,14 @@ class Source:
         self,
         samples: Signal,
         rate_hz: int,
-        codec: str,
-        unit: str,
-        live: bool,
-        model: Model | None,
-        progress: Progress | None,
+        codec: str = DEFAULT_CODEC,
+        unit: str = "full scale",
+        live: bool = False,
+        model: Model | None = None,
+        progress: Progress | None = None,
         framing: Framing | None = None,
     ) -> None:
+        """Take samples (n, channels) in a physical unit; the parameters are as in `encode`. Raises CodecError."""
         if samples.ndim != 2 or samples.shape[1] < 1:
             raise CodecError(f"samples of shape {samples.shape}; (n, channels) is needed")
         if len(samples) == 0:
@@ -283,7 +249,7 @@ class Source:
         self.codec = codec_by_name(codec)
         _check_model(self.codec, model is not None)
         self.samples = samples
-        self._model = model
+        self.model = model
         self._progress = progress or (lambda part: None)
         self._live = live
         if framing is None:
@@ -302,7 +268,7 @@ class Source:
         framing = self._framing
         tried_samples = 0
         while True:
-            encoder = self.codec.make_encoder(setting, self.format, framing, self._model, None)
+            encoder = self.codec.make_encoder(setting, self.format, framing, self.model, None)
             packets = self._packets(encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
             if max(map(len, packets)) <= _MAX_PACKET_BYTES or as_short_as_can_be:
@@ -311,8 +277,12 @@ class Source:
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
 
     def encode_rate_controlled(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
-        """Code with a policy, in packets as they are asked. Raises CodecError as `codec.encode_rate_controlled`."""
-        encoder = rate_controlled_encoder(self.codec, self.resolved(setting), self.format, framing, self._model, policy)
+        """Code in one pass, as a live stream would be, rate-controlled by a policy.
+
+        Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as
+        `rate_controlled_encoder`.
+        """
+        encoder = rate_controlled_encoder(self.codec, self.resolved(setting), self.format, framing, self.model, policy)
         packets = self._packets(encoder)
         if max(map(len, packets)) > _MAX_PACKET_BYTES:
             raise CodecError(
@@ -324,13 +294,13 @@ class Source:
     def takes(self, setting: Setting) -> bool:
         """Return whether the codec has this setting with this model."""
         try:
-            self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self._model, None)
+            self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self.model, None)
         except CodecError:
             return False
         return True
 
     def resolved(self, setting: Setting) -> Setting:
-        """Return the setting, complete, with what is left to the codec as it chooses. Raises CodecError."""
+        """Return the complete setting that `encode` uses, with what the codec itself chooses. Raises CodecError."""
         setting = self.codec.complete(setting)
         if self._live or self.codec.resolve is None or AUTO not in setting.values():
             return setting

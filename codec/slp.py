@@ -201,4 +201,5 @@ CODEC = Codec(
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     controls_rate=True,
+    block_parameter="frame",
 )

@@ -8,12 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vibrocast.codec import mdct
-from vibrocast.codec.interface import CodecError, CodedSignal, Model, Setting, Signal, TargetUnreachable, number
+from vibrocast.codec.interface import CodecError, CodedSignal, Setting, Signal, TargetUnreachable, number
 from vibrocast.codec.registry import (
-    Progress,
     Source,
-    codec_by_name,
     decode,
     parts,
     peak_of,
@@ -77,18 +74,7 @@ def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float 
     return 10 * math.log10(powers[0] / powers[1]) if min(powers) > 0 else None
 
 
-def encode_to_snr(
-    samples: Signal,
-    rate_hz: int,
-    target_db: float,
-    *,
-    codec: str = mdct.NAME,
-    setting: Setting | None = None,
-    unit: str = "full scale",
-    live: bool = False,
-    model: Model | None = None,
-    progress: Progress | None = None,
-) -> CodedSignal:
+def encode_to_snr(source: Source, target_db: float, setting: Setting | None = None) -> CodedSignal:
     """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
 
     `setting`: what is given of the codec's setting and not searched for. Raises CodecError as `encode`,
@@ -96,15 +82,14 @@ def encode_to_snr(
     """
     if not math.isfinite(target_db):
         raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
-    if not codec_by_name(codec).keeps_waveform:
+    if not source.codec.keeps_waveform:
         raise TargetUnreachable(
-            f"an SNR of {target_db:g} dB cannot be met: {codec} keeps no waveform; ask for a rate, or "
+            f"an SNR of {target_db:g} dB cannot be met: {source.codec.name} keeps no waveform; ask for a rate, or "
             "choose another codec"
         )
-    source = Source(samples, rate_hz, codec, unit, live, model, progress)
     if source.silent:
         return source.encode(_rate_points(source, setting)[0])
-    tables = model.tables if model is not None else None
+    tables = source.model.tables if source.model is not None else None
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Excess of each channel over the target; 0 for silent ones, which have none."""
@@ -115,7 +100,7 @@ def encode_to_snr(
         ratio = snr_db(source.samples, decode(coded, tables))
         return math.inf if ratio is None else ratio - target_db
 
-    if _searches_steps(source, setting):
+    if not setting and source.codec.step_range:
         found = _search(source, mean_excess, SNR_TOLERANCE_DB, side=1)
         best, least = _balance(source, found, excesses_db)
     elif _differs_by_channel(source, setting):
@@ -185,17 +170,10 @@ class _ChannelStep:
 
 
 def encode_to_rate(
-    samples: Signal,
-    rate_hz: int,
+    source: Source,
     bits_per_second: float,
     size_bytes: Callable[[CodedSignal], int],
-    *,
-    codec: str = mdct.NAME,
     setting: Setting | None = None,
-    unit: str = "full scale",
-    live: bool = False,
-    model: Model | None = None,
-    progress: Progress | None = None,
 ) -> CodedSignal:
     """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
 
@@ -204,16 +182,15 @@ def encode_to_rate(
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
-    source = Source(samples, rate_hz, codec, unit, live, model, progress)
 
     def rate(coded: CodedSignal) -> float:
-        return size_bytes(coded) * 8 * rate_hz / coded.samples
+        return size_bytes(coded) * 8 * coded.rate_hz / coded.samples
 
     def excess(coded: CodedSignal) -> float:
         return math.log(rate(coded)) - math.log(bits_per_second)
 
     tolerance = math.log1p(RATE_TOLERANCE)
-    if _searches_steps(source, setting):
+    if not setting and source.codec.step_range:
         best = _search(source, excess, tolerance, side=-1).coded
     else:
         best = _choose(source, setting, excess, tolerance, side=-1)
@@ -223,10 +200,6 @@ def encode_to_rate(
             f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
         )
     return best
-
-
-def _searches_steps(source: Source, setting: Setting | None) -> bool:
-    return source.codec.searches_steps and not setting
 
 
 def _differs_by_channel(source: Source, setting: Setting | None) -> bool:
@@ -363,15 +336,18 @@ class _Found:
 def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: float, side: int) -> _Found:
     """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
 
-    What is found, preferred by `_preference`, lies beyond the tolerance on the worse side only where every step does.
+    The codec has a `step_range`. What is found, preferred by `_preference`, lies beyond the tolerance on the worse side
+    only where every step does.
     """
     best: _Found | None = None
+    step_range = source.codec.step_range
+    assert step_range is not None, "its steps can be searched"
 
     # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
     # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
     for rd_weight in _RD_WEIGHTS:
-        finest = round(_STEPS_PER_OCTAVE * math.log2(mdct.MIN_STEP))
-        coarsest = round(_STEPS_PER_OCTAVE * math.log2(mdct.MAX_STEP / min(source.format.rms)))
+        finest = round(_STEPS_PER_OCTAVE * math.log2(step_range[0]))
+        coarsest = round(_STEPS_PER_OCTAVE * math.log2(step_range[1] / min(source.format.rms)))
         above = below = math.nan  # excess beside the finest and the coarsest step that are left
         interpolates = False
         while finest <= coarsest:

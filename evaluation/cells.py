@@ -122,7 +122,7 @@ class Cell:
             file = encode()
             decoded, size_bytes = decode(file), len(file)
             tables = trained.for_encoder(self.model) if self.model else None
-            settled = codec.resolved(samples, rate_hz, self.setting, codec=coder, unit=recording.unit, model=tables)
+            settled = codec.Source(samples, rate_hz, coder, recording.unit, model=tables).resolved(self.setting)
             delay_ms = cost.delay_ms(coder, settled, rate_hz, recording.channels, recording.unit, self.model)
             if self.repeats:
                 times = cost.time_coding(encode, decode, samples.size, self.repeats)

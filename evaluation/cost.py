@@ -39,15 +39,6 @@ DECODER_SIZES = Path(__file__).parent / "data" / "decoder_sizes.json"
 _CORE = Path(__file__).parents[1] / "firmware" / "core"
 _TARGET = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp")
 _FLAGS = ("-Os", "-std=c99", "-ffreestanding", "-fno-builtin", "-ffunction-sections", "-fdata-sections", "-g0")
-_PYAV_LIBRARIES = {
-    "opus": "libopus",
-    "amr-nb": "libopencore-amrnb",
-    "g723-1": None,
-    "g726": None,
-    "wavpack": None,
-    "flac": None,
-}
-"""The library of PyAV's wheel that holds the codec alone; None where it is one of many in libavcodec."""
 
 
 @dataclass(frozen=True)
@@ -208,11 +199,10 @@ def count_decoder_size(codec_name: str) -> DecoderSize:
         compiler = f"ziglang {metadata.version('ziglang')} {_FLAGS[0]}"
         note = f"for Cortex-M4 by {compiler}, without memcpy, memset and the compiler's arithmetic routines"
         return DecoderSize(_linked_bytes(functions), note)
-    if codec_name not in _PYAV_LIBRARIES:
-        return DecoderSize(None, "decoder not counted: not in the C core")
-    library = _PYAV_LIBRARIES[codec_name]
-    if library is None:
-        return DecoderSize(None, "decoder not counted: one of many in libavcodec")
+    library = codec.codec_by_name(codec_name).library
+    if not library:
+        reason = "not in the C core" if library is None else "one of many in libavcodec"
+        return DecoderSize(None, f"decoder not counted: {reason}")
     files = [file for file in metadata.files("av") or () if file.name.startswith(library)]
     size = sum(Path(str(file.locate())).stat().st_size for file in files)
     return DecoderSize(

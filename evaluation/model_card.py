@@ -217,7 +217,7 @@ def _point(quality: int, encodings: Sequence[Encoding]) -> dict[str, Any]:
     return {
         "quality": quality,
         "bits_per_sample": bits / sum(encoding.stream.samples for encoding in encodings),
-        "snr_db": fmean(_known(encoding.snr_db) for encoding in encodings),
+        "snr_db": fmean(_known(encoding.quality.snr_db) for encoding in encodings),
         "snr_db_by_onnx": fmean(map(_known, by_onnx)),
     }
 

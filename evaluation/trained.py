@@ -6,9 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from vibrocast import codec, models
-from vibrocast.codec import CodecError, Framing, Setting, SignalFormat, eva
-from vibrocast.codec.eva_image import EvaImage
-from vibrocast.codec.mdct import built_in_tables
+from vibrocast.codec import CodecError, Framing, Setting, SignalFormat
+from vibrocast.codec.encoding import brings_built_in_tables
+from vibrocast.codec.interface import LearnedTransform
 from vibrocast.models import Model
 
 _FORMAT = SignalFormat(2800, "full scale", (1.0,), (0.5,))
@@ -21,10 +21,7 @@ def known_models(folders: Iterable[Path]) -> list[Model]:
     a codec that this version does not have.
     """
     every = [*models.shipped(), *map(models.load, folders)]
-    every = [model for model in every if model.tables != built_in_tables()]
-    for model in every:
-        codec.codec_by_identifier(model.codec_identifier)
-    return every
+    return [model for model in every if not brings_built_in_tables(model)]
 
 
 def codec_name(model: Model) -> str:
@@ -73,10 +70,16 @@ def runtimes(model: Model) -> tuple[str, ...]:
 
 def width(model: Model) -> int | None:
     """Return the channels of the hidden layers of a model's learned transform; None where it has none."""
-    return EvaImage.unpack(model.tables).width if codec_name(model) == eva.NAME else None
+    transform = _learned_transform(model)
+    return None if transform is None else transform.width
 
 
 def flash_bytes(model: Model) -> int:
     """Return the bytes of a model's image without an ONNX graph, which no microcontroller runs."""
-    graph = EvaImage.unpack(model.tables).graph if codec_name(model) == eva.NAME else b""
-    return len(model.image) - len(graph)
+    transform = _learned_transform(model)
+    return len(model.image) - (0 if transform is None else transform.graph_bytes)
+
+
+def _learned_transform(model: Model) -> LearnedTransform | None:
+    describe = codec.CODECS[codec_name(model)].learned_transform
+    return None if describe is None else describe(model.tables)

@@ -88,7 +88,7 @@ def play(
     played_codes = result.dac_codes if result.dac_codes is not None else codes
     source = "read back from the controller" if result.dac_codes is not None else "computed here"
     algorithmic_s = (decoder.packet_samples + decoder.delay_samples) / header.rate_hz
-    quality = encoding or stream.quality
+    quality = stream.quality
     report = Report(
         version=version("vibrocast"),
         file=file_name,

@@ -131,7 +131,7 @@ class LiveStream:
         self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
         self._codec, self._model = chosen_codec(codec_name, model), model
-        defaults = {} if policy else live_setting(self._codec.name, signal_format.rate_hz)
+        defaults = {} if policy else self._codec.live_setting(signal_format.rate_hz)
         self.setting = self._codec.complete({**defaults, **(setting or {})})
         self._asked_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
         self._needed_bps = needed_bps or self._asked_bps or math.inf
@@ -401,11 +401,6 @@ class LiveStream:
         raise ControllerError(
             f"the stream's end has not been played {_END_S:g} s after its time. Restart the controller."
         )
-
-
-def live_setting(codec_name: str, rate_hz: int) -> codec.Setting:
-    """Return what of a codec's setting is another for the least delay: half the hop of `mdct`."""
-    return {"hop": "16" if rate_hz < 5600 else "32"} if codec_name == "mdct" else {}
 
 
 def play(

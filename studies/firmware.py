@@ -14,7 +14,6 @@ import numpy as np
 
 from vibrocast import codec, extras, models
 from vibrocast.codec import CodedSignal, Signal
-from vibrocast.codec.interface import AUTO
 from vibrocast.codec.live_format import live_format
 from vibrocast.codec.stream import as_stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
@@ -48,8 +47,6 @@ SECONDS = 0.5
 TARGET_DB = 10.0
 DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128", "parametric")
 """Codecs, and models that ship."""
-BLOCKS = {"mdct": "hop", "dct": "block", "slp": "frame", "parametric": "hop"}
-"""The parameter of a codec that is the length of its block."""
 QUALITIES_DB = (5.0, 10.0, 20.0)
 LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
 """Wanted: less than this load of a Cortex-M4F."""
@@ -89,7 +86,7 @@ class Load:
 class Decoding:
     """What decoding one texture takes a Cortex-M4F with DSP kernels, in instructions per sample.
 
-    `block`: the codec's parameter of BLOCKS, empty where it has one length only. `bits_per_sample`, `quiet`: what that
+    `block`: the codec's `block_parameter`, empty where it has one length only. `bits_per_sample`, `quiet`: what that
     depends on; the latter as host.planner.costs.quiet_part.
     """
 
@@ -172,7 +169,8 @@ def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
     for_encoder = trained.for_encoder(model) if model else None
     name = _codec_name(decoder)
     if codec.CODECS[name].keeps_waveform:
-        stream = codec.encode_to_snr(signal, RATE_HZ, TARGET_DB, codec=name, live=True, model=for_encoder)
+        source = codec.Source(signal, RATE_HZ, name, live=True, model=for_encoder)
+        stream = codec.encode_to_snr(source, TARGET_DB)
     else:
         finest = next(iter(codec.CODECS[name].rate_point_sets.values()))[-1]
         stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True)
@@ -214,12 +212,9 @@ def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]
     for decoder in decoders:
         name, model = _codec_name(decoder), _model(decoder)
         program = _program(folder, core, "DSP instructions", {name})
-        parameter = BLOCKS.get(name)
-        choices = codec.CODECS[name].parameters[parameter].choices if parameter else ("",)
-        for block in choices:
-            if block == AUTO:
-                continue
-            for kind, stream in _qualities(name, model, {parameter: block} if parameter else {}, kinds, seconds):
+        known = codec.CODECS[name]
+        for block in known.blocks or ("",):
+            for kind, stream in _qualities(name, model, known.block_setting(block), kinds, seconds):
                 run = decode(program, core, stream, _tables(decoder))
                 bits_per_sample = 8 * sum(map(len, stream.packets)) / len(run.decoded)
                 quiet = quiet_part(run.decoded)
@@ -237,7 +232,7 @@ def _qualities(
         signal = texture(kind, seconds)
         if codec.CODECS[name].keeps_waveform:
             for snr_db in QUALITIES_DB:
-                yield kind, codec.encode_to_snr(signal, RATE_HZ, snr_db, setting=given, **how)
+                yield kind, codec.encode_to_snr(codec.Source(signal, RATE_HZ, **how), snr_db, given)
         else:
             for rate_point in next(iter(codec.CODECS[name].rate_point_sets.values())):
                 yield kind, codec.encode(signal, RATE_HZ, {**rate_point, **given}, **how)

@@ -78,9 +78,8 @@ def rows_of(trace: str, recording: Recording) -> Iterator[Row]:
         for times in RATES:
             asked = times * _bits_per_second(described)
             try:
-                coded = codec.encode_to_rate(
-                    samples, rate_hz, asked, _packet_bytes, codec=WAVEFORM, unit=recording.unit
-                )
+                source = codec.Source(samples, rate_hz, WAVEFORM, recording.unit)
+                coded = codec.encode_to_rate(source, asked, _packet_bytes)
             except codec.TargetUnreachable:
                 continue
             yield row(rate_point, curve_name(times), coded)

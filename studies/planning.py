@@ -11,7 +11,7 @@ import numpy as np
 
 from vibrocast import codec, progress, textures
 from vibrocast.codec import mdct
-from vibrocast.codec.encoding import DEFAULT_CODEC, DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
+from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.evaluation.page_parts import code, paragraphs, table
@@ -21,7 +21,7 @@ from vibrocast.host.harness.bench_file import BenchActuator
 from vibrocast.host.planner import costs
 from vibrocast.host.planner.band import BandError, band_of, rendering_s
 from vibrocast.host.planner.candidates import BUFFERS_MS, Workbench
-from vibrocast.host.planner.choose import Rejection, choose
+from vibrocast.host.planner.choose import PlanningError, choose
 from vibrocast.host.planner.plan_file import prepared
 from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.output.actuator import PIEZO_STACK
@@ -81,7 +81,7 @@ class Saving:
 
 
 def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
-    """Yield what planning a trace saves. Raises TextureError, CodecError, BandError, Rejection."""
+    """Yield what planning a trace saves. Raises TextureError, CodecError, BandError, PlanningError."""
     recording = _loaded(trace, unit)
     default = encode_recording(recording, live=True)
     threshold = read_threshold()
@@ -171,7 +171,7 @@ def _default_costs(default: Encoding) -> tuple[float, float, float]:
     seconds = len(packets) * default.stream.decoder().packet_samples / header.rate_hz
     payload_bytes = sum(map(len, packets))
     wire_bytes = payload_bytes + sum(map(added_bytes, packets))
-    decoding = costs.decoder_cost(DEFAULT_CODEC, CORE, str(mdct.hop_samples(header.rate_hz)))
+    decoding = costs.decoder_cost(codec.DEFAULT_CODEC, CORE, str(mdct.hop_samples(header.rate_hz)))
     assert decoding is not None, "the tables have the default codec"
     bits_per_sample = 8 * payload_bytes / seconds / header.rate_hz / header.channels
     quiet = costs.quiet_part(default.stream.decode_integers())
@@ -281,7 +281,7 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
             update(place / len(found), trace.name)
             try:
                 rows += savings(group, trace, unit)
-            except (TextureError, codec.CodecError, BandError, Rejection) as error:
+            except (TextureError, codec.CodecError, BandError, PlanningError) as error:
                 left_out.append(str(error))
     if not rows:
         raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))

@@ -15,8 +15,8 @@ from studies import link_drop
 from studies import rate_control_charts as charts
 from studies.rate_control_charts import Held, RefreshCost
 from vibrocast import codec, progress, textures
-from vibrocast.codec import rate_controlled
-from vibrocast.codec.encoding import DEFAULT_CODEC, DEFAULT_STREAM_RATE_HZ
+from vibrocast.codec import DEFAULT_CODEC, rate_controlled
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
 from vibrocast.evaluation.page_parts import code, count, paragraphs, table
 from vibrocast.evaluation.points import write_rows
@@ -101,13 +101,9 @@ def measure_refreshes(recordings: Sequence[textures.Recording], rate_bps: int, r
         rate_hz = round(recording.rate_hz)
         framing = codec.rate_controlled_framing(total_bps, rate_hz, added_bytes)
         packets = 0 if math.isinf(refresh_s) else max(1, round(refresh_s * rate_hz / framing.packet_samples))
-        coded = codec.encode_rate_controlled(
-            recording.samples,
-            rate_hz,
-            codec.ConstantRate(total_bps, added_bytes),
-            codec.Framing(framing.packet_samples, packets),
-            codec=DEFAULT_CODEC,
-            unit=recording.unit,
+        source = codec.Source(recording.samples, rate_hz, DEFAULT_CODEC, recording.unit, live=True)
+        coded = source.encode_rate_controlled(
+            {}, codec.ConstantRate(total_bps, added_bytes), codec.Framing(framing.packet_samples, packets)
         )
         ratios_db.append(codec.snr_db(recording.samples, codec.decode(coded)))
     return RefreshCost(rate_bps, refresh_s, fmean(ratio for ratio in ratios_db if ratio is not None))

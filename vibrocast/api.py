@@ -4,7 +4,6 @@ import contextlib
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
@@ -97,7 +96,7 @@ def encode(
         progress=progress,
         highpass_hz=textures.highpass_of(unit, arguments.optional_number("highpass_hz", highpass_hz)),
     )
-    return replace(encoding.stream, quality=encoding.quality)
+    return encoding.stream
 
 
 def decode(

@@ -86,7 +86,9 @@ def tell_encoded(out: Path, encoding: Encoding) -> None:
     encoding.stream.save(out)
     stream = encoding.stream
     model = f", model {stream.model_name}" if stream.image else ""
-    click.echo(f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}, {told_quality(encoding)}")
+    click.echo(
+        f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}, {told_quality(encoding.quality)}"
+    )
 
 
 def encode_rate_controlled(

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from vibrocast import codec, models, textures
-from vibrocast.codec.encoding import DEFAULT_CODEC, DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
+from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import devices
@@ -123,7 +123,7 @@ codec_option = click.option(
     "--codec",
     "codec_name",
     type=click.Choice(sorted(codec.CODECS)),
-    help=f"That of --model if not given, else {DEFAULT_CODEC}.",
+    help=f"That of --model if not given, else {codec.DEFAULT_CODEC}.",
 )
 setting_option = click.option(
     "--setting",

@@ -46,8 +46,8 @@ def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) 
     """Encode a recording, show how far it is, and say what was not met."""
     with progress.shown("encoding") as update:
         encoding = encode_recording(recording, live=live, progress=update, **quality)
-    if encoding.note:
-        click.echo(f"note: {encoding.note}", err=True)
+    if note := encoding.quality.note:
+        click.echo(f"note: {note}", err=True)
     return encoding
 
 
@@ -58,8 +58,8 @@ def encoded_profile(recording: textures.Recording, quality: dict[str, Any], slow
         raise click.UsageError("a profile has no time: give --snr-db and --slowest-hand-speed-mm-s instead of rates.")
     with progress.shown("encoding") as update:
         encoding = profiles.encode(recording, slowest_mm_s, progress=update, **quality)
-    if encoding.note:
-        click.echo(f"note: {encoding.note}", err=True)
+    if note := encoding.quality.note:
+        click.echo(f"note: {note}", err=True)
     return encoding
 
 

@@ -24,7 +24,7 @@ STRENGTH = 0.1
 TONE_HZ = 150.0
 MODEL = "eva-16"
 # What needs no model image; the first that the controller has is played where a test needs no other.
-PLAIN_CODECS = (codec.mdct.NAME, codec.dct.NAME, codec.slp.NAME)
+PLAIN_CODECS = tuple(known.name for known in codec.BUILT_IN.values() if known.keeps_waveform and not known.needs_model)
 Made = Callable[[int, int, str, float, float], textures.Recording]
 """Makes a signal of a rate in hertz, of so many channels, in a unit, with a peak value, for so many seconds."""
 # docs/protocol.md, "Credit"

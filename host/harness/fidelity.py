@@ -115,7 +115,7 @@ def measure(
         source=source,
         as_decoded=outcome.report.decoded_equals_offline,
         as_computed=outcome.report.dac_equals_offline,
-        coding_snr_db=encoding.snr_db,
+        coding_snr_db=encoding.quality.snr_db,
         decoded_snr_db=as_displacement.snr_db,
         snr_db=against_sent.snr_db,
         st_sim=against_sent.st_sim_2800,

@@ -1,18 +1,16 @@
 """The ways to code a texture, and what each costs and gives: measured on the texture itself, each coding only once."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vibrocast import codec, models, textures
-from vibrocast.codec import CodecError, Framing, Setting, Signal
-from vibrocast.codec.encoding import Encoding, smallest_first
-from vibrocast.codec.interface import AUTO
+from vibrocast.codec import Codec, CodecError, Framing, Setting, Signal, Source
+from vibrocast.codec.encoding import Encoding, encoder_model, smallest_first
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
-from vibrocast.codec.registry import LIVE_REFRESH_S, Source
+from vibrocast.codec.registry import LIVE_REFRESH_S
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
@@ -35,10 +33,6 @@ from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, min_sampl
 from vibrocast.output.rendering import Drive
 from vibrocast.textures import Profile, Recording
 
-BLOCKS = {"mdct": "hop", "parametric": "hop", "dct": "block", "slp": "frame", "opus": "frame_samples"}
-"""The parameter of each codec that is the length of its block."""
-GIVEN: Mapping[str, Setting] = {"dct": {"entropy": "range"}}
-"""What is fixed beforehand: the range coder has taken fewer bits than Huffman's on every texture (docs/results.md)."""
 PACKET_BLOCKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 DEFAULT_BLOCK_SAMPLES = 32
 """Where the codec has one length only; its packets are rounded up to whole blocks of its own."""
@@ -72,14 +66,23 @@ class Way:
     @property
     def name(self) -> str:
         """What a person calls it."""
-        block = "" if self.block is None else f", {BLOCKS[self.codec]} {self.block}"
+        block = "".join(f", {name} {value}" for name, value in self._known.block_setting(self.block).items())
         capped = "" if self.rate_limit_bps is None else f", capped to {self.rate_limit_bps:g} bit/s"
         return (self.codec if self.model is None else f"{self.codec} with {self.model}") + block + capped
 
     @property
     def decoder(self) -> str:
-        """Its name in the tables of what decoding costs; a model of tables alone costs as the codec does."""
-        return self.codec if self.model is None or self.model == "mdct-textures" else self.model
+        """Its name in the tables of what decoding costs."""
+        return self.model or self.codec
+
+    @property
+    def given(self) -> Setting:
+        """What of the setting is fixed beforehand."""
+        return {**self._known.planned_setting, **self._known.block_setting(self.block)}
+
+    @property
+    def _known(self) -> Codec:
+        return codec.codec_by_name(self.codec)
 
 
 @dataclass(frozen=True)
@@ -226,17 +229,9 @@ class Workbench:
         for name, each in codec.CODECS.items():
             if self._waveform and not each.keeps_waveform:
                 continue
-            shipped = [model.name for model in models.shipped() if model.codec_identifier == each.identifier]
-            if each.needs_model:
-                shipped = [model.name for model in smallest_first(each)]
-            names = [*shipped] if each.needs_model else [None, *shipped]
-            parameter = BLOCKS.get(name)
-            blocks = (
-                [None]
-                if parameter is None
-                else [choice for choice in each.parameters[parameter].choices if choice != AUTO]
-            )
-            found += [Way(name, model, block) for model in names for block in blocks]
+            shipped = [model.name for model in smallest_first(each)]
+            names = shipped if each.needs_model else [None, *shipped]
+            found += [Way(name, model, block) for model in names for block in each.blocks or (None,)]
         longest = MAX_PACKET_S * self.samples_per_second
         found = [way for way in found if way.block is None or int(way.block) <= longest]
         return [way for way in found if core is None or costs.decoder_cost(way.decoder, core) is not None]
@@ -244,12 +239,12 @@ class Workbench:
     def settings(self, way: Way) -> list[Setting]:
         """Return the settings of a way, the coarsest first; empty where it has none for this texture."""
         if way not in self._settings:
-            given = _given(way)
             chosen = codec.codec_by_name(way.codec)
             part = self.excerpt
+            tables = encoder_model(None if way.model is None else models.find(way.model))
             try:
-                source = Source(part.samples, round(part.rate_hz), way.codec, part.unit, True, _tables(way.model), None)
-                self._settings[way] = [chosen.complete(setting) for setting in settings(source, given)]
+                source = Source(part.samples, round(part.rate_hz), way.codec, part.unit, True, tables)
+                self._settings[way] = [chosen.complete(setting) for setting in settings(source, way.given)]
             except CodecError:
                 self._settings[way] = []
         return self._settings[way]
@@ -258,7 +253,7 @@ class Workbench:
         """Return the settings of a way, the coarsest first; of a capped one, its setting with each SNR of a packet."""
         if way.rate_limit_bps is None:
             return [(setting, None) for setting in self.settings(way)]
-        setting = codec.codec_by_name(way.codec).complete(_given(way))
+        setting = codec.codec_by_name(way.codec).complete(way.given)
         return [(setting, snr_db) for snr_db in PACKET_SNRS_DB]
 
     def packet_blocks(self, way: Way) -> list[int]:
@@ -317,7 +312,7 @@ class Workbench:
             max_frame_bytes=max(frames),
             delay_samples=decoder.delay_samples,
             size_bytes=encoding.stream.size_bytes,
-            snr_db=encoding.snr_db,
+            snr_db=encoding.quality.snr_db,
             spqi=spqi(felt[0], decoded) if every or self._measure == "spqi" else None,
             third_octave_distance_db=(
                 metrics.measure(recording.samples, decoded, felt[0].rate_hz, recording.unit).third_octave_distance_db
@@ -450,18 +445,5 @@ def _peak_bps(frames: list[int], packet_s: float) -> float:
     return float(8 * np.max(sums[count:] - sums[:-count]) / (count * packet_s))
 
 
-def _given(way: Way) -> Setting:
-    """Return what of the setting is fixed beforehand."""
-    block = {} if way.block is None else {BLOCKS[way.codec]: way.block}
-    return {**GIVEN.get(way.codec, {}), **block}
-
-
 def _block_samples(way: Way) -> int:
     return DEFAULT_BLOCK_SAMPLES if way.block is None else int(way.block)
-
-
-def _tables(name: str | None) -> codec.Model | None:
-    if name is None:
-        return None
-    model = models.find(name)
-    return codec.Model(model.tables, model.analysis)

@@ -1,16 +1,15 @@
 """Chooses how each texture of a scene is coded: the least weighted cost that meets what is asked, and says why."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.files import InputFileError
 from vibrocast.host.planner.band import MARGIN_DB, BandError
 from vibrocast.host.planner.candidates import BUFFERS_MS, Candidate, Limit, Measured, Way, Workbench
 from vibrocast.host.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
-from vibrocast.host.planner.scene import Asked, Scene, SceneController, SceneTexture
+from vibrocast.host.planner.scene import Asked, Scene
 
 Progress = Callable[[float, str], None]
 FIRST_PACKET_BLOCKS = 4
@@ -19,15 +18,10 @@ _FINER, _FINER_ON_THE_WHOLE = 3, 16
 """Settings that are tried beyond the one found, in other packets, and on the whole of a long texture."""
 _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
 """Keys of the limits that a capped rate may keep where no setting does."""
-_DIGITS = 3
-_JOINT_CHANGES = 8
-"""So many changes of several values are tried, where no single one is enough."""
-_DB_PER_OCTAVE = 6.02
-"""Of an error's amplitude."""
 
 
-class Rejection(InputFileError):
-    """What a scene asks cannot be met; the message names the limit in the way, and the nearest scene that can."""
+class PlanningError(InputFileError):
+    """What a scene requires cannot be met; the message names the limits in the way, and says what to do."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +49,7 @@ class Choice:
 
 
 def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[Choice, ...]]:
-    """Plan every texture of a scene. Raises Rejection, and SceneError for a texture of which nothing can be felt."""
+    """Plan every texture of a scene. Raises PlanningError, also for a texture of which nothing can be felt."""
     choices = []
     for place, texture in enumerate(scene.textures):
 
@@ -65,7 +59,7 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
         try:
             bench = Workbench(scene, texture)
         except BandError as error:
-            raise Rejection(f"{scene.path}: {error}") from error
+            raise PlanningError(f"{scene.path}: {error}") from error
         choices.append(choose(bench, scene, tell))
     planned = tuple(_planned(choice) for choice in choices)
     controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
@@ -73,10 +67,10 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
 
 
 def choose(bench: Workbench, scene: Scene, progress: Progress = lambda part, details: None) -> Choice:
-    """Choose for one texture. Raises Rejection."""
+    """Choose for one texture. Raises PlanningError."""
     found = _search(bench, scene, progress)
     if found is None:
-        raise _rejection(bench, scene, progress)
+        raise _impossible(bench, scene)
     chosen, bests = found
     candidates = tuple(bench.judged(measured, scene) for measured in bench.measured)
     reasons = tuple(
@@ -229,7 +223,7 @@ def _why(bench: Workbench, way: Way, best: Candidate | None, chosen: Candidate, 
         return "cannot code this signal at this rate"
     if best.meets:
         return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g} ({_differences(best, chosen, scene)})"
-    told = _short_of(best, scene)
+    told = _short_of(best, scene, bench.texture.controller)
     if best.cost >= chosen.cost:
         return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g}, and is not enough: {'; '.join(told)}"
     return f"cheaper, but not enough: {'; '.join(told)}"
@@ -263,196 +257,41 @@ def reached(candidate: Candidate, asked: Asked) -> str:
     return f"{asked.measure} {candidate.quality:.3g}, {wanted:.3g} is asked"
 
 
-def _told(limit: Limit) -> str:
-    return f"needs {limit.key} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
+def _needs(limit: Limit, controller: str) -> str:
+    return f"needs {limit.place(controller)} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
 
 
-def _rejection(bench: Workbench, scene: Scene, progress: Progress) -> Rejection:
-    """Return the error that names the limit in the way, and what change of the scene would do, the least one first.
-
-    Each change is tried by the same search before it is told.
-    """
-    candidates = [bench.judged(measured, scene) for measured in bench.measured]
-    name = bench.texture.name
+def _impossible(evaluator: Workbench, scene: Scene) -> PlanningError:
+    """Return the error that names the limits in the way, by the candidate that comes nearest to what is required."""
+    candidates = [evaluator.judged(measured, scene) for measured in evaluator.measured]
+    name, controller = evaluator.texture.name, evaluator.texture.controller
     if not candidates:
-        return Rejection(
-            f"{scene.path}: {name}: no codec that {bench.texture.controller} decodes takes this signal; give another "
-            "controller"
+        return PlanningError(
+            f"{scene.path}: {name}: no codec that {controller} decodes takes this signal; give another controller"
         )
-    changes = [*_limit_changes(bench, scene, candidates), *_quality_changes(bench, scene, progress)]
-    works = [change for change in changes if _search(bench, change.scene) is not None]
-    if not works:
-        works = [change for change in _joint_changes(bench, scene, candidates) if _search(bench, change.scene)][:1]
-    if not works:
-        nearest = min(candidates, key=_preference)
-        return Rejection(
-            f"{scene.path}: {name} cannot be planned: with {nearest.measured.way.name}, which comes nearest, "
-            f"{'; '.join(_short_of(nearest, scene))}; nothing that was tried is enough: ask for less"
-        )
-    first, *others = sorted(works, key=lambda change: change.distance)
-    more = "".join(f"; or {other.text}" for other in others)
-    return Rejection(
-        f"{scene.path}: {name} cannot be planned: {first.limit} is in the way; the nearest scene that can: "
-        f"{first.text}{more}"
-    )
-
-
-def _short_of(candidate: Candidate, scene: Scene) -> list[str]:
-    """Return what a candidate lacks: quality, and the limits that it breaks."""
-    return [reached(candidate, scene.asked)] * (candidate.lack > 0) + [_told(limit) for limit in candidate.broken]
-
-
-@dataclass(frozen=True)
-class _Change:
-    """A scene with a value changed, or several. `limit`: what is in the way. `distance`: how far, in octaves."""
-
-    limit: str
-    text: str
-    scene: Scene
-    distance: float
-
-
-def _limit_changes(bench: Workbench, scene: Scene, candidates: list[Candidate]) -> Iterator[_Change]:
-    """Yield for each limit the least that would do, where it alone stands in the way of a candidate."""
-    least: dict[str, Limit] = {}
-    for candidate in candidates:
-        if candidate.lack <= 0 and len(candidate.broken) == 1:
-            (limit,) = candidate.broken
-            if limit.key not in least or limit.needed < least[limit.key].needed:
-                least[limit.key] = limit
-    for limit in least.values():
-        yield _raised(bench, scene, (limit,))
-
-
-def _joint_changes(bench: Workbench, scene: Scene, candidates: list[Candidate]) -> Iterator[_Change]:
-    """Yield the scene with all limits raised that a candidate breaks, and the quality that it has, the nearest first.
-
-    Of the candidates with the asked quality; where there is none, of those that come nearest to it.
-    """
-    min_lack = max(0.0, min(candidate.lack for candidate in candidates))
-    changes = []
-    for candidate in candidates:
-        if candidate.lack <= min_lack and candidate.broken:
-            change = _raised(bench, scene, candidate.broken)
-            if candidate.lack > 0:
-                lower = _with_quality(bench, change.scene, candidate)
-                change = _joined(change, lower)
-            changes.append(change)
-    yield from sorted(changes, key=lambda change: change.distance)[:_JOINT_CHANGES]
-
-
-def _raised(bench: Workbench, scene: Scene, limits: tuple[Limit, ...]) -> _Change:
-    """Return the scene with what limits must be."""
-    change: _Change | None = None
-    for limit in limits:
-        assert limit.available is not None, "it is broken"
-        value = _rounded(limit.needed, up=True)
-        baud = f", {10 * value:.6g} baud" if limit.table == "link" and scene.link.kind == "serial" else ""
-        one = _Change(
-            f"{limit.place(bench.texture.controller)} = {limit.available:.6g}",
-            f"{limit.key} = {value:.6g} in place of {limit.available:.6g}{baud}",
-            _with(change.scene if change else scene, limit, bench.texture, value),
-            abs(math.log2(value / limit.available)),
-        )
-        change = _joined(change, one) if change else one
-    assert change is not None
-    return change
-
-
-def _joined(first: _Change, second: _Change) -> _Change:
-    """Return two changes, the second made after the first."""
-    return _Change(
-        f"{first.limit} is in the way, and {second.limit}",
-        f"{first.text} and {second.text}",
-        second.scene,
-        first.distance + second.distance,
-    )
-
-
-def _quality_changes(bench: Workbench, scene: Scene, progress: Progress) -> Iterator[_Change]:
-    """Yield the scene with the best quality that the limits allow, where there is one."""
-    allowed = []
-    ways = bench.ways(scene.controller(bench.texture.controller).core)
-    for place, way in enumerate(ways):
-        progress(place / len(ways), f"{way.name}, for the nearest scene")
-        lengths = bench.packet_blocks(way)
-        # The usual packets, the quickest, and those with the fewest frames.
-        for blocks in sorted({_first_length(bench, way), lengths[0], lengths[-1]}):
-            found = _finest_within_limits(bench, scene, way, blocks)
-            if found is not None:
-                allowed.append(found)
-    measured = (each for each in bench.measured if each.way.rate_limit_bps == scene.asked.rate_limit_bps)
-    capped = (bench.judged(each, scene) for each in measured if each.target is not None)
-    allowed += [candidate for candidate in capped if not candidate.broken]
-    if allowed:
-        yield _with_quality(bench, scene, min(allowed, key=lambda candidate: candidate.lack))
-
-
-def _with_quality(bench: Workbench, scene: Scene, candidate: Candidate) -> _Change:
-    """Return the scene with the quality that a candidate has; an SNR where nothing that can be felt was to be lost."""
-    asked = scene.asked
-    if asked.measure == "imperceptible":
-        snr_db = _rounded(candidate.measured.snr_db or 0.0, up=False)
-        return _Change(
-            "[asked] imperceptible = true",
-            f"snr_db = {snr_db:.6g} in place of imperceptible = true, {reached(candidate, asked)}",
-            replace(scene, asked=replace(asked, imperceptible=False, snr_db=snr_db)),
-            candidate.lack / _DB_PER_OCTAVE,
-        )
-    wanted = getattr(asked, asked.measure)
-    assert candidate.quality is not None, "silence has any quality"
-    value = _rounded(candidate.quality, up=asked.measure == "third_octave_distance_db")
-    if asked.measure == "snr_db":
-        distance = abs(value - wanted) / _DB_PER_OCTAVE
+    enough = [candidate for candidate in candidates if candidate.lack <= 0 and candidate.broken]
+    if enough:
+        nearest = min(enough, key=lambda candidate: _octaves_over(candidate.broken))
+        action = "raise that, or require less"
     else:
-        distance = abs(math.log2(max(value, 1e-3) / wanted))
-    given: dict[str, Any] = {asked.measure: value}
-    return _Change(
-        f"[asked] {asked.measure} = {wanted:.6g}",
-        f"{asked.measure} = {value:.6g} in place of {wanted:.6g}",
-        replace(scene, asked=replace(asked, **given)),
-        distance,
+        nearest = min(candidates, key=lambda candidate: candidate.lack)
+        action = "require less"
+    return PlanningError(
+        f"{scene.path}: {name} cannot be planned: {nearest.measured.way.name} comes nearest: "
+        f"{'; '.join(_short_of(nearest, scene, controller))}; {action}"
     )
 
 
-def _finest_within_limits(bench: Workbench, scene: Scene, way: Way, blocks: int) -> Candidate | None:
-    """Return the finest of a way that keeps all limits, by halving; None where not even the coarsest does.
-
-    It is what a search would find too, which begins with packets of another length.
-    """
-    low, high, found = 0, len(bench.settings(way)) - 1, None
-    while low <= high:
-        middle = (low + high) // 2
-        candidate = _candidate(bench, scene, way, middle, blocks)
-        if candidate is not None and not candidate.broken:
-            found, low = middle, middle + 1
-        else:
-            high = middle - 1
-    if found is None:
-        return None
-    lengths = {blocks, _first_length(bench, way)}
-    both = [_candidate(bench, scene, way, found, length) for length in lengths]
-    return max((each for each in both if each is not None), key=lambda each: each.lack)
+def _octaves_over(broken: Sequence[Limit]) -> float:
+    """Return by how many octaves limits are exceeded, all together."""
+    return sum(math.log2(limit.needed / limit.available) for limit in broken if limit.available)
 
 
-def _with(scene: Scene, limit: Limit, texture: SceneTexture, value: float) -> Scene:
-    """Return the scene with another value of a limit."""
-    given: dict[str, Any] = {limit.key: value}
-    if limit.table == "asked":
-        return replace(scene, asked=replace(scene.asked, **given))
-    if limit.table == "link":
-        return replace(scene, link=replace(scene.link, bytes_per_second=value))
-
-    def changed(controller: SceneController) -> SceneController:
-        return replace(controller, **given) if controller.name == texture.controller else controller
-
-    return replace(scene, controllers=tuple(map(changed, scene.controllers)))
-
-
-def _rounded(value: float, up: bool) -> float:
-    """Return a value of _DIGITS digits that is no less, or no more."""
-    digit = 10.0 ** (math.floor(math.log10(abs(value))) - _DIGITS + 1) if value else 1.0
-    return (math.ceil if up else math.floor)(value / digit) * digit
+def _short_of(candidate: Candidate, scene: Scene, controller: str) -> list[str]:
+    """Return what a candidate lacks: quality, and the limits that it breaks."""
+    return [reached(candidate, scene.asked)] * (candidate.lack > 0) + [
+        _needs(limit, controller) for limit in candidate.broken
+    ]
 
 
 def _planned(choice: Choice) -> PlannedTexture:

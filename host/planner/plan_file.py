@@ -213,15 +213,11 @@ def encode(
     unit = PROFILE_UNIT if over_position else recording.unit
     samples, rate = recording.samples, round(recording.rate_hz)
     tables = None if model is None else codec.Model(model.tables, model.analysis)
+    source = codec.Source(samples, rate, codec_name, unit, True, tables, framing=framing)
     if target is None:
-        coded = codec.encode(
-            samples, rate, setting, codec=codec_name, unit=unit, live=True, model=tables, framing=framing
-        )
+        coded = source.encode(setting)
     else:
-        policy = target.policy(recording_format(recording))
-        coded = codec.encode_rate_controlled(
-            samples, rate, policy, framing, codec=codec_name, setting=setting, unit=unit, model=tables
-        )
+        coded = source.encode_rate_controlled(setting, target.policy(recording_format(recording)), framing)
     return measure_encoding(recording, as_stream(coded, unit, None if model is None else model.image))
 
 

@@ -88,7 +88,7 @@ def test_an_image_holds_what_was_asked_for(best: Path, tmp_path: Path) -> None:
     image = EvaImage.unpack(model.tables)
     assert (model.name, model.card["version"], image.runtime, image.network) == ("other", "2", "onnx", None)
     encoding = encode_recording(texture(), setting={"quality": 2}, model=model)
-    assert encoding.snr_db is not None and encoding.snr_db > 8
+    assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 8
 
 
 def unreadable(kind: str, whole: bytes, path: Path) -> None:

@@ -179,7 +179,9 @@ def test_left_open_streams_are_huffman_coded_and_rate_controlled_ones_range_code
     signal = texture(4096)
     assert coded(signal, {}) == coded(signal, {"entropy": "huffman"})
     policy, framing = codec.ConstantRate(500), Framing(2048, 2)
-    stream = codec.encode_rate_controlled(signal, RATE_HZ, policy, framing, codec="dct", unit="m/s^2")
+    stream = codec.Source(signal, RATE_HZ, codec="dct", unit="m/s^2", live=True).encode_rate_controlled(
+        {}, policy, framing
+    )
     assert (codec.snr_db(signal, codec.decode(stream)) or 0.0) > 1.0
 
 

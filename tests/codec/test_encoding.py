@@ -31,8 +31,8 @@ def noise(seconds: float = 0.5, channels: int = 1, rate_hz: float = 2800, unit: 
 @pytest.mark.parametrize("snr_db", [6.0, 20.0, 40.0])
 def test_meets_the_asked_quality(snr_db: float) -> None:
     encoding = encode_recording(noise(), snr_db=snr_db)
-    assert encoding.snr_db == pytest.approx(snr_db, abs=0.2)
-    assert encoding.note is None
+    assert encoding.quality.snr_db == pytest.approx(snr_db, abs=0.2)
+    assert encoding.quality.note is None
 
 
 @pytest.mark.parametrize("rate_bps", [2000.0, 9000.0])
@@ -53,13 +53,13 @@ def test_says_how_far_from_a_target_it_came() -> None:
     """Of a constant a few coefficients remain, and its quality jumps; above the finest step there is no more rate."""
     constant = textures.Recording(np.full((2800, 1), 0.5), 2800, "um", "constant")
     finer = encode_recording(constant, snr_db=15)
-    assert finer.snr_db is not None
-    assert finer.snr_db > 15.2
-    assert finer.note is not None
-    assert "instead of 15" in finer.note
+    assert finer.quality.snr_db is not None
+    assert finer.quality.snr_db > 15.2
+    assert finer.quality.note is not None
+    assert "instead of 15" in finer.quality.note
     finest = encode_recording(noise(), rate_bps=1e7)
-    assert finest.note is not None
-    assert "instead of 10000000" in finest.note
+    assert finest.quality.note is not None
+    assert "instead of 10000000" in finest.quality.note
 
 
 @settings(max_examples=20, deadline=None)
@@ -69,9 +69,9 @@ def test_any_recording_can_be_coded_without_a_target(samples: int, level: float,
     encoding = encode_recording(recording)
     assert encoding.stream.decode().shape == (samples, channels)
     if level:
-        assert encoding.snr_db is None or encoding.snr_db > 14.5
+        assert encoding.quality.snr_db is None or encoding.quality.snr_db > 14.5
     else:
-        assert encoding.snr_db is None
+        assert encoding.quality.snr_db is None
 
 
 def test_a_file_holds_the_whole_stream(tmp_path: Path) -> None:
@@ -190,10 +190,10 @@ def test_says_how_far_encoding_and_decoding_are() -> None:
 def test_names_the_channel_furthest_from_the_asked_quality() -> None:
     samples = np.hstack([noise().samples, np.full((1400, 1), 0.5)])
     encoding = encode_recording(textures.Recording(samples, 2800, "um", "one constant channel"), snr_db=15)
-    misses_db = [abs(ratio - 15) for ratio in encoding.snr_db_per_channel if ratio is not None]
+    misses_db = [abs(ratio - 15) for ratio in encoding.quality.snr_db_per_channel if ratio is not None]
     assert len(misses_db) == 2 and max(misses_db) > 0.2
-    assert encoding.note is not None
-    assert f"instead of 15 in channel {1 + misses_db.index(max(misses_db))}" in encoding.note
+    assert encoding.quality.note is not None
+    assert f"instead of 15 in channel {1 + misses_db.index(max(misses_db))}" in encoding.quality.note
 
 
 def test_an_image_is_named_by_the_stream_and_needed_to_decode(tmp_path: Path) -> None:

@@ -359,7 +359,7 @@ def test_channels_have_qualities_of_their_own() -> None:
 
 def test_an_snr_is_met_in_every_channel_and_a_rate_in_all() -> None:
     signal = np.hstack([texture(2800), 0.1 * texture(2800, seed=4)])
-    stream = codec.encode_to_snr(signal, RATE_HZ, 20.0, codec="eva", model=TINY)
+    stream = codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec="eva", model=TINY), 20.0)
     for ratio_db in codec.channel_snrs_db(signal, codec.decode(stream, TINY.tables)):
         assert ratio_db == pytest.approx(20.0, abs=codec.SNR_TOLERANCE_DB)
 
@@ -367,7 +367,7 @@ def test_an_snr_is_met_in_every_channel_and_a_rate_in_all() -> None:
         return sum(map(len, coded_signal.packets))
 
     for wanted in (16_000, 20_000):
-        at_rate = codec.encode_to_rate(signal, RATE_HZ, wanted, size_bytes, codec="eva", model=TINY)
+        at_rate = codec.encode_to_rate(codec.Source(signal, RATE_HZ, codec="eva", model=TINY), wanted, size_bytes)
         assert size_bytes(at_rate) * 8 == pytest.approx(wanted, rel=codec.RATE_TOLERANCE)
 
 

@@ -281,9 +281,9 @@ def test_a_quality_is_met_from_above_or_rejected(name: str) -> None:
     except CodecError as error:
         assert "cannot be met" in str(error) or not codec.CODECS[name].parameters
         return
-    assert encoding.snr_db is not None
-    assert encoding.snr_db >= 8.0 - codec.SNR_TOLERANCE_DB
-    assert (encoding.note is None) == (abs(encoding.snr_db - 8.0) <= codec.SNR_TOLERANCE_DB)
+    assert encoding.quality.snr_db is not None
+    assert encoding.quality.snr_db >= 8.0 - codec.SNR_TOLERANCE_DB
+    assert (encoding.quality.note is None) == (abs(encoding.quality.snr_db - 8.0) <= codec.SNR_TOLERANCE_DB)
 
 
 RATE_POINT_CODECS = [
@@ -317,9 +317,9 @@ def test_a_search_finds_the_best_rate_point_without_trying_all(
     enough = [snr_db for snr_db in snrs_db if snr_db >= target_db - codec.SNR_TOLERANCE_DB]
     if not enough:
         with pytest.raises(CodecError, match=f"reaches {max(snrs_db):.1f} dB"):
-            codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name, model=model_of(name))
+            codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=model_of(name)), target_db)
         return
-    found = codec.encode_to_snr(signal, RATE_HZ, target_db, codec=name, model=model_of(name))
+    found = codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=model_of(name)), target_db)
     nearest = min(
         range(len(rate_points)),
         key=lambda rate_point: (snrs_db[rate_point] not in enough, abs(snrs_db[rate_point] - target_db)),

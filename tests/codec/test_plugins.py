@@ -52,7 +52,7 @@ def haar(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_example_codes_to_an_snr_and_its_stream_is_read_again(tmp_path: Path) -> None:
     recording = textures.Recording(SIGNAL, 2800.0, "m/s^2", "noise")
     encoding = encode_recording(recording, codec_name="haar", snr_db=20.0)
-    assert encoding.snr_db == pytest.approx(20, abs=0.5)
+    assert encoding.quality.snr_db == pytest.approx(20, abs=0.5)
     encoding.stream.save(tmp_path / "noise.vct")
     stream = read_stream(tmp_path / "noise.vct")
     assert stream.codec_name == "haar"

@@ -26,7 +26,7 @@ def size_bytes(coded: CodedSignal) -> int:
 @pytest.mark.parametrize("name", edge_signals())
 def test_edge_inputs_are_decoded_to_the_asked_quality(name: str, live: bool) -> None:
     signal = edge_signals()[name]
-    coded = codec.encode_to_snr(signal, RATE_HZ, 15.0, live=live)
+    coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ, live=live), 15.0)
     reached = codec.snr_db(signal, codec.decode(coded))
     assert codec.decode(coded).shape == signal.shape
     assert reached is None or reached >= 14.8
@@ -38,7 +38,7 @@ def test_edge_inputs_are_decoded_to_the_asked_quality(name: str, live: bool) -> 
 @pytest.mark.parametrize("channels", [1, 4])
 def test_snr_is_met(target_db: float, channels: int) -> None:
     signal = texture(4000, channels)
-    coded = codec.encode_to_snr(signal, RATE_HZ, target_db)
+    coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ), target_db)
     ratios = [ratio for ratio in codec.channel_snrs_db(signal, codec.decode(coded)) if ratio is not None]
     assert len(ratios) == channels
     assert min(ratios) > target_db - 0.2
@@ -51,7 +51,7 @@ def test_snr_is_met_in_every_channel_however_unlike(target_db: float) -> None:
     """Noise, impulses, a tone and silence: each actuator gets the quality, or what lies next above it."""
     names = ("impulses", "sweep", "four-bit", "silence", "dc")
     signal = np.hstack([texture(2800), *(edge_signals()[name] for name in names)])
-    ratios = codec.channel_snrs_db(signal, codec.decode(codec.encode_to_snr(signal, RATE_HZ, target_db)))
+    ratios = codec.channel_snrs_db(signal, codec.decode(codec.encode_to_snr(codec.Source(signal, RATE_HZ), target_db)))
     heard = [ratio for ratio in ratios if ratio is not None]
     assert len(heard) == 5
     assert min(heard) > target_db - 0.2
@@ -60,7 +60,7 @@ def test_snr_is_met_in_every_channel_however_unlike(target_db: float) -> None:
 
 def test_progress_goes_from_nothing_to_nearly_all() -> None:
     parts: list[float] = []
-    codec.encode_to_snr(texture(2000), RATE_HZ, 12.0, progress=parts.append)
+    codec.encode_to_snr(codec.Source(texture(2000), RATE_HZ, progress=parts.append), 12.0)
     assert len(parts) > 2
     assert parts == sorted(parts)
     assert 0 < parts[0] < parts[-1] < 1
@@ -70,26 +70,26 @@ def test_progress_goes_from_nothing_to_nearly_all() -> None:
 @pytest.mark.parametrize("live", [False, True])
 def test_rate_is_met(bits_per_second: float, live: bool) -> None:
     signal = texture(14000)
-    coded = codec.encode_to_rate(signal, RATE_HZ, bits_per_second, size_bytes, live=live)
+    coded = codec.encode_to_rate(codec.Source(signal, RATE_HZ, live=live), bits_per_second, size_bytes)
     assert size_bytes(coded) * 8 * RATE_HZ / 14000 == pytest.approx(bits_per_second, rel=0.02)
 
 
 @pytest.mark.parametrize("target_db", [200.0, math.inf, math.nan])
 def test_snr_out_of_reach_is_rejected(target_db: float) -> None:
     with pytest.raises(CodecError, match="cannot be met"):
-        codec.encode_to_snr(texture(500), RATE_HZ, target_db)
+        codec.encode_to_snr(codec.Source(texture(500), RATE_HZ), target_db)
 
 
 @pytest.mark.parametrize("bits_per_second", [1.0, 0.0, -5.0, math.nan, math.inf])
 def test_rate_out_of_reach_is_rejected(bits_per_second: float) -> None:
     with pytest.raises(CodecError, match="cannot be met"):
-        codec.encode_to_rate(texture(500), RATE_HZ, bits_per_second, size_bytes)
+        codec.encode_to_rate(codec.Source(texture(500), RATE_HZ), bits_per_second, size_bytes)
 
 
 @pytest.mark.parametrize("bits_per_second", [1e9, 1e300])
 def test_rate_above_the_finest_step_gives_the_finest_step(bits_per_second: float) -> None:
     signal = texture(500)
-    coded = codec.encode_to_rate(signal, RATE_HZ, bits_per_second, size_bytes)
+    coded = codec.encode_to_rate(codec.Source(signal, RATE_HZ), bits_per_second, size_bytes)
     quality = codec.snr_db(signal, codec.decode(coded))
     assert quality is not None
     assert quality > 75
@@ -100,7 +100,7 @@ def test_rate_above_the_finest_step_gives_the_finest_step(bits_per_second: float
 def test_gain_is_carried(first_exponent: float, second_exponent: float) -> None:
     gains = np.array([2.0**first_exponent, 2.0**second_exponent])
     signal = texture(1000, 2)
-    coded = codec.encode_to_snr(signal * gains, RATE_HZ, 20.0)
+    coded = codec.encode_to_snr(codec.Source(signal * gains, RATE_HZ), 20.0)
     assert codec.channel_snrs_db(signal * gains, codec.decode(coded)) == pytest.approx([20.0, 20.0], abs=0.2)
 
 
@@ -121,7 +121,7 @@ def test_gain_is_the_next_number_of_eight_bits(peak: float) -> None:
 def test_silent_channel_beside_a_loud_one() -> None:
     signal = texture(2000, 2)
     signal[:, 1] = 0
-    coded = codec.encode_to_snr(signal, RATE_HZ, 15.0)
+    coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ), 15.0)
     assert not np.any(codec.decode(coded)[:, 1])
 
 

@@ -158,7 +158,6 @@ def test_codecs_outside_the_core() -> None:
     assert opus.bytes is not None and opus.bytes > 100_000
     assert "libopus" in opus.note and "encoder included" in opus.note
     assert cost.count_decoder_size("flac").bytes is None
-    assert cost.count_decoder_size("speex").bytes is None
 
 
 @needs_ziglang

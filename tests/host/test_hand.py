@@ -31,7 +31,7 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
         encoding = profiles.encode(profiles.recording_of(PROFILE), slowest_mm_s, snr_db=25.0)
         header = encoding.stream.header
         assert header.spatial and header.rate_hz == pytest.approx(400 / slowest_mm_s * 1000 / 0.34, rel=1e-3)
-        assert encoding.snr_db == pytest.approx(25.0, abs=0.5)
+        assert encoding.quality.snr_db == pytest.approx(25.0, abs=0.5)
         # Nothing is left that would be rendered with images.
         samples = encoding.recording.samples[:, 0]
         spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(samples))))

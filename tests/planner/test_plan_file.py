@@ -78,7 +78,7 @@ def test_a_texture_is_coded_as_planned(tmp_path: Path) -> None:
     decoder = encoding.stream.decoder()
     assert encoding.stream.header.rate_hz == 1600 and decoder.packet_samples == 64
     assert encoding.stream.facts()["refresh_packets"] == -(-len(encoding.stream.packets) // 5)
-    assert encoding.snr_db is not None and encoding.snr_db > 3
+    assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 3
 
 
 def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
