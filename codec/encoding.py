@@ -28,7 +28,7 @@ class Encoding:
         return self.stream.quality
 
 
-def encode_recording(
+def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, which passes them on by name
     recording: textures.Recording,
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     codec_name: str | None = None,

@@ -1,26 +1,11 @@
 """Compress vibrotactile textures and play them in real time on an actuator."""
 
+# ruff: noqa: F403, F405 - type checkers find the names of __all__ in the API
+
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from vibrocast.api import (
-        Actuator,
-        Codec,
-        Connection,
-        Profile,
-        Recording,
-        Report,
-        Stream,
-        codecs,
-        connect,
-        decode,
-        encode,
-        load,
-        load_profile,
-        measure,
-        register,
-        render,
-    )
+    from vibrocast.api import *
 
 __all__ = [
     "Actuator",

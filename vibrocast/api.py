@@ -1,4 +1,4 @@
-"""The public API: plain arrays and bytes in and out. Import it as `vibrocast`."""
+"""The public API: plain arrays and bytes in and out. Import it as `vibrocast`, which lists its names."""
 
 import contextlib
 import os
@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 from numpy.typing import ArrayLike
 
 from vibrocast import extras, models, textures
-from vibrocast.codec import CODECS, RUNTIMES, BlockCodec, Codec, CodecError, Setting, as_codec
+from vibrocast.codec import CODECS, RUNTIMES, BlockCodec, CodecError, Setting, as_codec
+from vibrocast.codec import Codec as Codec
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
-from vibrocast.codec.stream import Stream, read_stream
+from vibrocast.codec.stream import Stream as Stream
+from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.host import (
     devices,
@@ -21,32 +23,17 @@ from vibrocast.host import (
     uploader,
 )
 from vibrocast.host.controller import Controller
-from vibrocast.host.report import Report
+from vibrocast.host.report import Report as Report
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import Actuator
-from vibrocast.textures import HIGHPASS_HZ, Profile, Recording, TextureError, arguments, load, load_profile
+from vibrocast.output.actuator import Actuator as Actuator
+from vibrocast.textures import HIGHPASS_HZ, TextureError, arguments
+from vibrocast.textures import Profile as Profile
+from vibrocast.textures import Recording as Recording
+from vibrocast.textures import load as load
+from vibrocast.textures import load_profile as load_profile
 
 if TYPE_CHECKING:
     from vibrocast.evaluation.metrics import Quality
-
-__all__ = [
-    "Actuator",
-    "Codec",
-    "Connection",
-    "Profile",
-    "Recording",
-    "Report",
-    "Stream",
-    "codecs",
-    "connect",
-    "decode",
-    "encode",
-    "load",
-    "load_profile",
-    "measure",
-    "register",
-    "render",
-]
 
 _MAX_STREAM_RATE_HZ = 200_000
 _MAX_LOOPS = 1_000_000
@@ -55,7 +42,7 @@ Progress = Callable[[float], None]
 """Called with the part of the work that is done, from 0 to 1."""
 
 
-def encode(
+def encode(  # noqa: PLR0913 - a name for each option reads better than an object of options
     samples: ArrayLike | Recording,
     rate_hz: SupportsFloat | None = None,
     unit: str | None = None,

@@ -24,7 +24,7 @@ def golden_digests() -> dict[str, str]:
     digests = {}
     for path in sorted(FOLDER.glob("golden_*.vct")):
         if path.stem.removeprefix("golden_") not in FOREIGN:
-            image = FOLDER / f"{path.stem.removesuffix('_rate_controlled')}.vcmi"
+            image = FOLDER / f"{path.stem.removesuffix('_steered')}.vcmi"
             stream = read_stream(path, image.read_bytes() if image.exists() else None)
             digests[path.stem] = digest(stream.decode_integers().tobytes())
     return digests

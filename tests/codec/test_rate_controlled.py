@@ -52,7 +52,7 @@ def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> No
         (["--packet-ms", "20"], "--packet-ms needs one of --constant-rate-bps"),
         (["--constant-rate-bps", "1000", "--packet-ms", "20"], "longer packets"),
         (["--constant-rate-bps", "9000", "--codec", "opus"], "are of one quality"),
-        (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "with mdct or eva"),
+        (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "choose another codec"),
     ],
 )
 def test_what_cannot_be_held_is_told(tmp_path: Path, options: list[str], told: str) -> None:
