@@ -1,7 +1,13 @@
 """Ways to a controller, behind one small interface: a serial port, or USB bulk endpoints of a vendor interface."""
 
+import contextlib
 import errno
+import os
+import queue
 import re
+import select
+import socket
+import threading
 import time
 from abc import ABC, abstractmethod
 from types import TracebackType
@@ -18,7 +24,11 @@ VENDOR_INTERFACE_CLASS = 0xFF
 _WRITE_TIMEOUT_S = 1.0
 # A multiple of every bulk packet size (64 and 512), so that no read can overflow.
 _USB_READ_BYTES = 4096
-_SOCKET_READ_BYTES = 65_536
+_SERIAL_READ_BYTES = 65_536
+# Bytes that a serial port may leave to be written later: two of the longest frames, so that a sender seldom waits.
+_MAX_UNSENT_BYTES = 8192
+# How soon the threads of a transport without a file notice that it is closed.
+_THREAD_READ_S = 0.05
 
 
 class TransportError(OSError):
@@ -26,7 +36,11 @@ class TransportError(OSError):
 
 
 class Transport(Protocol):
-    """Bytes to and from a controller. Not safe to share between threads."""
+    """Bytes to and from a controller. Not safe to share between threads.
+
+    A transport may also have `file`, an open file that `selectors` can wait for, and `unsent`, the bytes that `read`
+    still has to write: see SelectableTransport.
+    """
 
     def write(self, data: bytes) -> None:
         """Send all of `data`. Raises TransportError if the way is broken or takes nothing for a second."""
@@ -63,65 +77,223 @@ class _Closing(ABC):
         self.close()
 
 
+class SelectableTransport(Transport, Protocol):
+    """A transport that one thread can wait for together with others.
+
+    `file`: readable when bytes have come; another object after `reopen`; None where the system has none for this port.
+    `unsent`: bytes that were written and that the port has not taken; `read` hands them on when `file` is writable.
+    """
+
+    @property
+    def file(self) -> Any: ...
+
+    @property
+    def unsent(self) -> bytes: ...
+
+
 class SerialTransport(_Closing):
     """A serial port: a UART, a USB serial port, a pseudo-terminal, or a URL of pyserial, such as socket://HOST:PORT.
 
-    Raises TransportError if it cannot be opened.
+    Where the system allows, `write` leaves up to 8 KiB that the port does not take at once to later calls of `read`
+    and `write`. Raises TransportError if it cannot be opened.
     """
 
     def __init__(self, port: str, baud: int = BAUD) -> None:
         self._port, self._baud = port, baud
         self._is_socket = port.startswith("socket://")
-        self._serial = self._open()
+        self._open()
 
-    def _open(self) -> Any:
+    @property
+    def file(self) -> Any:
+        """The port, where the system can wait for it together with others; Windows cannot."""
+        return self._serial if os.name == "posix" else None
+
+    def _open(self) -> None:
+        self.unsent = b""
+        self._taken_s = 0.0
         try:
             # Exclusive: two programs on one port would garble each other's frames.
-            return serial.serial_for_url(self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
+            self._serial = serial.serial_for_url(self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
         except (OSError, ValueError) as error:
             raise TransportError(
                 f"cannot open serial port {self._port}: {error}. Check the name (`vibrocast devices` lists the ports), "
                 "that no other program uses it and that you may read and write it."
             ) from error
 
-    def _broken(self, error: Exception) -> TransportError:
+    def _broken(self, reason: object) -> TransportError:
         return TransportError(
-            f"serial port {self._port} broke off ({error}). Check the cable and the controller, and that no other "
+            f"serial port {self._port} broke off ({reason}). Check the cable and the controller, and that no other "
             "program uses the port."
+        )
+
+    def _takes_nothing(self) -> TransportError:
+        return TransportError(
+            f"serial port {self._port} took no data for {_WRITE_TIMEOUT_S:g} s. Is a controller behind it?"
         )
 
     def write(self, data: bytes) -> None:
         try:
-            self._serial.write(data)
+            if self.file is None:
+                self._serial.write(data)
+                return
+            if not self.unsent:
+                self._taken_s = time.monotonic()
+            self.unsent += data
+            self._hand_on()
+            while len(self.unsent) > _MAX_UNSENT_BYTES:
+                select.select([], [self._serial], [], _WRITE_TIMEOUT_S)
+                self._hand_on()
         except serial.SerialTimeoutException as error:
-            raise TransportError(
-                f"serial port {self._port} took no data for {_WRITE_TIMEOUT_S:g} s. Is a controller behind it?"
-            ) from error
+            raise self._takes_nothing() from error
         except OSError as error:
-            raise self._broken(error) from error
+            raise error if isinstance(error, TransportError) else self._broken(error) from error
+
+    def _hand_on(self) -> None:
+        """Write what the port takes now. Raises TransportError if it has taken nothing for a second."""
+        try:
+            taken = os.write(self._serial.fileno(), self.unsent)
+        except BlockingIOError:
+            taken = 0
+        self.unsent = self.unsent[taken:]
+        if taken:
+            self._taken_s = time.monotonic()
+        elif time.monotonic() > self._taken_s + _WRITE_TIMEOUT_S:
+            raise self._takes_nothing()
 
     def read(self, timeout_s: float) -> bytes:
         try:
-            if self._serial.timeout != timeout_s:
-                self._serial.timeout = timeout_s
-            first: bytes = self._serial.read(1)
-            if not first:
+            if self.file is None:
+                return self._read_with_pyserial(timeout_s)
+            if self.unsent:
+                self._hand_on()
+            if data := self._waiting():
+                return data
+            readable, writable, _ = select.select([self._serial], [self._serial] if self.unsent else [], [], timeout_s)
+            if writable:
+                self._hand_on()
+            if not readable:
                 return b""
-            waiting: int = self._serial.in_waiting
-            if self._is_socket:
-                # pyserial tells only that bytes wait, not how many; with this timeout it gives those that do.
-                self._serial.timeout, waiting = 0, _SOCKET_READ_BYTES
-            rest: bytes = self._serial.read(waiting)
-            return first + rest
+            if data := self._waiting():
+                return data
         except OSError as error:
-            raise self._broken(error) from error
+            raise error if isinstance(error, TransportError) else self._broken(error) from error
+        raise self._broken("its other end was closed")
+
+    def _waiting(self) -> bytes:
+        """Return the bytes that have come; none where there are none, and where the port is gone."""
+        try:
+            return os.read(self._serial.fileno(), _SERIAL_READ_BYTES)
+        except BlockingIOError:
+            return b""
+
+    def _read_with_pyserial(self, timeout_s: float) -> bytes:
+        if self._serial.timeout != timeout_s:
+            self._serial.timeout = timeout_s
+        first: bytes = self._serial.read(1)
+        if not first:
+            return b""
+        waiting: int = self._serial.in_waiting
+        if self._is_socket:
+            # pyserial tells only that bytes wait, not how many; with this timeout it gives those that do.
+            self._serial.timeout, waiting = 0, _SERIAL_READ_BYTES
+        rest: bytes = self._serial.read(waiting)
+        return first + rest
 
     def reopen(self) -> None:
         self.close()
-        self._serial = self._open()
+        self._open()
 
     def close(self) -> None:
         self._serial.close()
+
+
+class ThreadedTransport(_Closing):
+    """Another transport behind two threads, which makes it selectable: neither reading nor writing waits.
+
+    It owns the other one, which may be open already. Errors of the threads are raised by the next call.
+    """
+
+    unsent = b""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self._threads: list[threading.Thread] = []
+        self._start()
+
+    def _start(self) -> None:
+        self._error: TransportError | None = None
+        self._received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._sent: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self.file, self._signal = socket.socketpair()
+        self.file.setblocking(False)
+        self._signal.setblocking(False)
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._read_all, self._write_all)]
+        for thread in self._threads:
+            thread.start()
+
+    def _end(self) -> None:
+        """End the threads, once what was written before has been sent; may be called again."""
+        if self._threads:
+            self._sent.put(None)
+            for thread in self._threads:
+                thread.join()
+            self._threads = []
+            self.file.close()
+            self._signal.close()
+
+    def _read_all(self) -> None:
+        while self._threads[1].is_alive():
+            try:
+                data = self._transport.read(_THREAD_READ_S)
+            except TransportError as error:
+                self._fail(error)
+                return
+            if data:
+                self._received.put(data)
+                self._wake()
+
+    def _write_all(self) -> None:
+        while (data := self._sent.get()) is not None:
+            try:
+                self._transport.write(data)
+            except TransportError as error:
+                self._fail(error)
+                return
+
+    def _fail(self, error: TransportError) -> None:
+        self._error = error
+        self._wake()
+
+    def _wake(self) -> None:
+        # A full socket wakes as well as one byte more.
+        with contextlib.suppress(OSError):
+            self._signal.send(b"\0")
+
+    def write(self, data: bytes) -> None:
+        if self._error is not None:
+            raise self._error
+        self._sent.put(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        if self._threads:
+            select.select([self.file], [], [], timeout_s)
+            with contextlib.suppress(BlockingIOError):
+                self.file.recv(_SERIAL_READ_BYTES)
+        pieces = []
+        while not self._received.empty():
+            pieces.append(self._received.get())
+        if self._error is not None and not pieces:
+            raise self._error
+        return b"".join(pieces)
+
+    def reopen(self) -> None:
+        self._end()
+        self._transport.reopen()
+        self._start()
+
+    def close(self) -> None:
+        self._end()
+        self._transport.close()
 
 
 class UsbTransport(_Closing):
@@ -216,6 +388,13 @@ def open_transport(address: str, usb_backend: Any = None) -> Transport:
     if kind == "usb" and (match := re.fullmatch("([0-9a-fA-F]{1,4}):([0-9a-fA-F]{1,4})", rest)):
         return UsbTransport(int(match[1], 16), int(match[2], 16), usb_backend)
     raise TransportError(f"{address!r} is no address of a controller: give serial:PORT or usb:VID:PID (hexadecimal)")
+
+
+def selectable(transport: Transport) -> Transport:
+    """Return a transport with a file, where this one lacks it and can be given one: over USB, or serial on Windows."""
+    if isinstance(transport, UsbTransport) or (isinstance(transport, SerialTransport) and transport.file is None):
+        return ThreadedTransport(transport)
+    return transport
 
 
 def _configuration(device: Any) -> Any:

@@ -1,10 +1,10 @@
-"""Client session with a tactor controller: requests, retries, notifications. No threads: it runs in the caller's."""
+"""Client session with a controller: requests, retries, notifications."""
 
 import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
@@ -12,8 +12,6 @@ from vibrocast.device_protocol.messages import (
     NOTIFICATION,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
-    CaptureData,
-    CaptureRead,
     Error,
     ErrorCode,
     Hello,
@@ -25,11 +23,12 @@ from vibrocast.device_protocol.messages import (
     StatusRequest,
     Stop,
     StreamData,
-    Tap,
     pack,
     unpack,
 )
-from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.device_protocol.transports import Transport, TransportError, selectable
+from vibrocast.host import event_loop
+from vibrocast.host.event_loop import Pause, Steps
 
 # docs/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1
@@ -42,6 +41,7 @@ LARGEST_DAC_RATE_HZ = 1_000_000
 _RECONNECT_PAUSE_S = 0.1
 
 _Answer = TypeVar("_Answer", bound=Message)
+_Result = TypeVar("_Result")
 
 
 class ControllerError(RuntimeError):
@@ -96,7 +96,7 @@ class Controller:
         self._sequence = NOTIFICATION
         self._complaint: Error | None = None
         self._asked: _Asked | None = None
-        self.say_hello()
+        self.open_session()
 
     def __enter__(self) -> Self:
         return self
@@ -108,11 +108,39 @@ class Controller:
         """Close the transport."""
         self._transport.close()
 
-    def say_hello(self) -> None:
-        """Open a session, or open it anew; sets `description`. Raises as `request`."""
+    # ---- what an event loop needs ----
+
+    def make_selectable(self) -> None:
+        """Give the transport a file that an event loop can wait for, where it lacks one and can be given one."""
+        self._transport = selectable(self._transport)
+
+    @property
+    def file(self) -> Any:
+        """What `selectors` can wait for; None where the transport has none."""
+        return getattr(self._transport, "file", None)
+
+    @property
+    def is_sending(self) -> bool:
+        """Whether the transport has not taken all bytes yet; `read` hands them on."""
+        return bool(getattr(self._transport, "unsent", b""))
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that came, waiting for them at most `timeout_s`. Raises TransportError."""
+        data = self._transport.read(timeout_s)
+        self.bytes_received += len(data)
+        return data
+
+    def run(self, steps: Steps[_Result]) -> _Result:
+        """Do work with this controller alone, and wait for its end; return its result."""
+        return event_loop.run(self, steps)
+
+    # ---- requests: each as steps of an event loop, and as a call that waits ----
+
+    def open_session_steps(self) -> Steps[None]:
+        """Say hello and set `description`. Raises as `request`."""
         self._asked = None
         self._write(DELIMITER)  # ends whatever the line has picked up
-        description = self._greet()
+        description = yield from self._hello_steps()
         if description.major != PROTOCOL_MAJOR:
             raise ControllerError(
                 f"the controller speaks protocol {description.major}.{description.minor}, this host "
@@ -130,7 +158,11 @@ class Controller:
             )
         self.description = description
 
-    def _greet(self) -> HelloResponse:
+    def open_session(self) -> None:
+        """Open a session, or open it again; sets `description`. Raises as `request`."""
+        self.run(self.open_session_steps())
+
+    def _hello_steps(self) -> Steps[HelloResponse]:
         """Return the answer to a Hello under a sequence number that means nothing to the controller yet."""
         tries_left = TRIES
         while True:
@@ -139,10 +171,39 @@ class Controller:
             self._sequence = random.randrange(MAXIMUM_SEQUENCE)
             tries_left -= HELLO_TRIES
             try:
-                return self.request(Hello(), HelloResponse, tries=HELLO_TRIES)
+                return (yield from self.request_steps(Hello(), HelloResponse, tries=HELLO_TRIES))
             except ControllerError as error:
                 if tries_left <= 0 or error.code == ErrorCode.UNSUPPORTED_VERSION:
                     raise
+
+    def request_steps(
+        self,
+        message: Message,
+        answer_type: type[_Answer],
+        answer_timeout_s: float = ANSWER_TIMEOUT_S,
+        tries: int = TRIES,
+    ) -> Steps[_Answer]:
+        """Send a request, as often as it takes, and return its answer; first wait for the answer to an `ask` before.
+
+        Raises ControllerError with the controller's text if it rejects it, ConnectionLost, TransportError,
+        MessageError.
+        """
+        while self._asked is not None:
+            yield from self.poll_steps(ANSWER_TIMEOUT_S)
+        frame = self._next_request(message)
+        for _ in range(tries):
+            self._write(frame)
+            deadline_s = self.clock() + answer_timeout_s
+            while self.clock() < deadline_s:
+                answer = self._take((yield answer_timeout_s))
+                if isinstance(answer, Error):
+                    raise _rejection(answer)
+                if isinstance(answer, answer_type):
+                    return answer
+                if answer is not None:
+                    asked, answered = type(message).__name__, type(answer).__name__
+                    raise ControllerError(f"the controller answers {asked} with {answered}: update its firmware")
+        raise _no_answer()
 
     def request(
         self,
@@ -151,102 +212,25 @@ class Controller:
         answer_timeout_s: float = ANSWER_TIMEOUT_S,
         tries: int = TRIES,
     ) -> _Answer:
-        """Send a request, as often as it takes, and return its answer.
-
-        Raises ControllerError with the controller's text if it refuses, ConnectionLost, TransportError, MessageError.
-        """
-        frame = self._next_request(message)
-        for _ in range(tries):
-            self._write(frame)
-            deadline_s = self.clock() + answer_timeout_s
-            while self.clock() < deadline_s:
-                answer = self._receive(answer_timeout_s)
-                if isinstance(answer, Error):
-                    raise _refusal(answer)
-                if isinstance(answer, answer_type):
-                    return answer
-                if answer is not None:
-                    asked, answered = type(message).__name__, type(answer).__name__
-                    raise ControllerError(f"the controller answers {asked} with {answered}: update its firmware")
-        raise _no_answer()
-
-    def send(self, data: StreamData | Position) -> None:
-        """Send stream data, which is never answered. Raises TransportError."""
-        self._write(write_frame(pack(data)))
-
-    def ask(self, message: Message, answer_timeout_s: float = ANSWER_TIMEOUT_S) -> None:
-        """Send a request without waiting for its answer: `poll` sends it again until it comes. Raises as `request`."""
-        frame = self._next_request(message)
-        self._write(frame)
-        self._asked = _Asked(frame, self.clock() + answer_timeout_s, answer_timeout_s, TRIES - 1)
-
-    def ask_status(self) -> None:
-        """Ask for the status without waiting for it; `poll` brings it. Raises TransportError.
-
-        While another request waits for its answer, nothing is sent: one is under way at a time.
-        """
-        if self._asked is None:
-            self._write(self._next_request(StatusRequest()))
-
-    def ask_capture(self, tap: Tap, offset: int, channels: int) -> None:
-        """Ask for a frame of captured samples without waiting for it; `poll` brings it. Raises TransportError."""
-        self._write(self._next_request(CaptureRead(tap, offset, self.capture_room(channels))))
-
-    def poll(self, timeout_s: float) -> Message | None:
-        """Take in what the controller sends, waiting for it at most `timeout_s`; return the answer to what was asked.
-
-        Raises TransportError, ConnectionLost, and ControllerError if the controller refuses or complains.
-        """
-        if self._asked is not None and self.clock() >= self._asked.again_s:
-            if not self._asked.tries_left:
-                raise _no_answer()
-            self._write(self._asked.frame)
-            self._asked.again_s = self.clock() + self._asked.answer_timeout_s
-            self._asked.tries_left -= 1
-        answer = self._receive(timeout_s)
-        if answer is not None:
-            self._asked = None
-        if isinstance(answer, Error):
-            raise _refusal(answer)
-        if self._complaint is not None:
-            complaint, self._complaint = self._complaint, None
-            raise _refusal(complaint)
-        return answer
+        """Send a request and wait for its answer. Raises as `request_steps`."""
+        return self.run(self.request_steps(message, answer_type, answer_timeout_s, tries))
 
     def request_status(self) -> Status:
-        """Ask for the status and return it. Raises as `request`."""
+        """Ask for the status and return it. Raises as `request_steps`."""
         return self.request(StatusRequest(), Status)
 
-    def stop(self) -> Status:
-        """Ramp down at once, also after a frame that was cut while it was being written. Raises as `request`."""
+    def stop_steps(self) -> Steps[Status]:
+        """Ramp down at once, also after a frame that was cut while it was being written. Raises as `request_steps`."""
         self._asked = None
         self._write(DELIMITER)
-        return self.request(Stop(), Status)
+        return (yield from self.request_steps(Stop(), Status))
 
-    def capture_room(self, channels: int) -> int:
-        """Return how many captured samples per channel one frame holds."""
-        fixed_bytes = len(pack(CaptureData(Tap.DAC, channels, 0, 0, b"")))
-        return (self.description.limits.maximum_payload_bytes - fixed_bytes) // (2 * channels)
+    def stop(self) -> Status:
+        """Ramp down at once and wait for the answer. Raises as `request_steps`."""
+        return self.run(self.stop_steps())
 
-    def read_capture(self, tap: Tap, offset: int, count: int, channels: int) -> CaptureData:
-        """Return up to `count` captured samples per channel from `offset`, as many as one frame holds.
-
-        Raises as `request`, and ControllerError if the first of them is no longer there.
-        """
-        captured = self.request(CaptureRead(tap, offset, min(count, self.capture_room(channels))), CaptureData)
-        return self.checked_capture(captured, tap, offset, channels)
-
-    def checked_capture(self, captured: CaptureData, tap: Tap, offset: int, channels: int) -> CaptureData:
-        """Return captured samples if they are those asked for. Raises ControllerError."""
-        if captured.tap != tap or captured.channels != channels or captured.offset != offset:
-            raise ControllerError(
-                f"the controller has no {tap.name.lower()} capture from sample {offset} of {channels} channels: "
-                f"it keeps the last {self.description.limits.capture_samples} samples. Play without the read-back."
-            )
-        return captured
-
-    def reconnect(self, within_s: float) -> None:
-        """Open the transport anew and say hello, again and again until it works.
+    def reconnect_steps(self, within_s: float) -> Steps[None]:
+        """Open the transport and a session again, as often as it takes.
 
         Raises the last TransportError or ControllerError after `within_s`.
         """
@@ -255,17 +239,70 @@ class Controller:
             try:
                 self._transport.reopen()
                 self._reader = FrameReader()
-                self.say_hello()
+                yield from self.open_session_steps()
                 return
             except (TransportError, ConnectionLost):
                 if self.clock() >= deadline_s:
                     raise
-            self.sleep(_RECONNECT_PAUSE_S)
+            yield Pause(_RECONNECT_PAUSE_S)
+
+    def reconnect(self, within_s: float) -> None:
+        """Open the transport and a session again, and wait for it. Raises as `reconnect_steps`."""
+        self.run(self.reconnect_steps(within_s))
+
+    # ---- what is sent without waiting for an answer ----
+
+    def send(self, data: StreamData | Position) -> None:
+        """Send stream data, which is never answered. Raises TransportError."""
+        self._write(write_frame(pack(data)))
+
+    def ask(self, message: Message, answer_timeout_s: float = ANSWER_TIMEOUT_S) -> None:
+        """Send a request, which `poll` sends again until its answer comes; no other one may be under way."""
+        frame = self._next_request(message)
+        self._write(frame)
+        self._asked = _Asked(frame, self.clock() + answer_timeout_s, answer_timeout_s, TRIES - 1)
+
+    def ask_status(self) -> None:
+        """Ask for the status once; `poll` brings it. Raises TransportError.
+
+        While another request waits for its answer, nothing is sent: one is under way at a time.
+        """
+        if self._asked is None:
+            self.ask_once(StatusRequest())
+
+    def ask_once(self, message: Message) -> None:
+        """Send a request once; `poll` brings its answer, unless one of the two is lost. Raises TransportError."""
+        self._write(self._next_request(message))
+
+    def poll_steps(self, timeout_s: float) -> Steps[Message | None]:
+        """Take in what the controller sends, waiting for it at most `timeout_s`; return the answer to what was asked.
+
+        Raises TransportError, ConnectionLost, and ControllerError if the controller rejects something or complains.
+        """
+        if self._asked is not None and self.clock() >= self._asked.again_s:
+            if not self._asked.tries_left:
+                raise _no_answer()
+            self._write(self._asked.frame)
+            self._asked.again_s = self.clock() + self._asked.answer_timeout_s
+            self._asked.tries_left -= 1
+        answer = self._take((yield timeout_s))
+        if answer is not None:
+            self._asked = None
+        if isinstance(answer, Error):
+            raise _rejection(answer)
+        if self._complaint is not None:
+            complaint, self._complaint = self._complaint, None
+            raise _rejection(complaint)
+        return answer
+
+    def poll(self, timeout_s: float) -> Message | None:
+        """Take in what the controller sends, waiting for it at most `timeout_s`. Returns and raises as `poll_steps`."""
+        return self.run(self.poll_steps(timeout_s))
+
+    # ---- frames ----
 
     def _next_request(self, message: Message) -> bytes:
-        """Return the frame of a new request, the one that is waited for, once an `ask` before it is answered."""
-        while self._asked is not None:
-            self.poll(ANSWER_TIMEOUT_S)
+        """Return the frame of a new request."""
         self._sequence = self._sequence % MAXIMUM_SEQUENCE + 1
         return write_frame(pack(message, self._sequence))
 
@@ -273,10 +310,8 @@ class Controller:
         self._transport.write(data)
         self.bytes_sent += len(data)
 
-    def _receive(self, timeout_s: float) -> Message | None:
-        """Read once; note notifications; return the answer to the last request, if it came."""
-        data = self._transport.read(timeout_s)
-        self.bytes_received += len(data)
+    def _take(self, data: bytes) -> Message | None:
+        """Take in bytes that came; note notifications; return the answer to the last request, if it came."""
         answer = None
         for payload in self._reader.feed(data):
             try:
@@ -298,7 +333,7 @@ def _no_answer() -> ConnectionLost:
     )
 
 
-def _refusal(error: Error) -> ControllerError:
+def _rejection(error: Error) -> ControllerError:
     if error.code == ErrorCode.HELLO_FIRST:
         return ConnectionLost("the controller has restarted and knows nothing of this session", error.code)
     return ControllerError(f"the controller refuses: {error.text or 'no reason given'}", error.code)

@@ -11,35 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.messages import (
-    CaptureData,
-    CaptureRead,
-    Configure,
-    Position,
-    Start,
-    State,
-    Status,
-    StreamData,
-    Tap,
-)
+from vibrocast.device_protocol.messages import Position, State, Status, Tap
 from vibrocast.files import InputFileError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.picture import Trace
+from vibrocast.host.stream_session import StreamSession, configure_steps, max_packet_bytes, read_capture
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import Actuator, Codes
 
 _POSITION_RATE_HZ = 500
-_MOST_POSITIONS = 1_000_000
-_LONGEST_S = _MOST_POSITIONS / _POSITION_RATE_HZ
-_FARTHEST_MM = 1e6
+_MAX_POSITIONS = 1_000_000
+_MAX_S = _MAX_POSITIONS / _POSITION_RATE_HZ
+_MAX_MM = 1e6
 # Between Start and the first DAC sample, so that its time is known; and until the last position has been rendered.
 _AHEAD_S, _BEHIND_S = 0.2, 0.05
 _LOADING_S = 5.0
-_READ_S, _SHORTEST_READ_S = 0.02, 0.001
+_READ_S, _MIN_READ_S = 0.02, 0.001
 # The controller's clock is no earlier than the last Status said, ten a second: of so many the soonest holds. Sent
 # so much later than that, no position comes before its time, also where that clock is slow by 1 %.
 _HEARD, _SENT_AFTER_S = 2, 0.003
-_FRAME_BYTES = 12
 
 
 @dataclass(frozen=True)
@@ -63,7 +53,7 @@ class Movement:
 def back_and_forth(stroke_mm: float, speed_mm_s: float, strokes: int) -> Movement:
     """Return a hand that goes there and back so many times along a cosine, at most as fast as this."""
     seconds = strokes * math.pi * stroke_mm / speed_mm_s
-    if not seconds <= _LONGEST_S:
+    if not seconds <= _MAX_S:
         raise InputFileError(f"a movement of {seconds:.0f} s: make it shorter, by --loop, --stroke-mm or a faster hand")
     times_s = np.arange(math.ceil(seconds * _POSITION_RATE_HZ) + 2) / _POSITION_RATE_HZ
     phase = np.minimum(2 * speed_mm_s / stroke_mm * times_s, 2 * math.pi * strokes)
@@ -84,20 +74,18 @@ def read_movement(path: Path) -> Movement:
                 time_s, position_mm = map(float, row)
             except ValueError as error:
                 raise InputFileError(f"{path}: line {number} is not two numbers, time_s,position_mm") from error
-            if not (math.isfinite(time_s) and abs(position_mm) <= _FARTHEST_MM):
-                raise InputFileError(
-                    f"{path}: line {number}: a position is within {_FARTHEST_MM:g} mm, at a finite time"
-                )
+            if not (math.isfinite(time_s) and abs(position_mm) <= _MAX_MM):
+                raise InputFileError(f"{path}: line {number}: a position is within {_MAX_MM:g} mm, at a finite time")
             if rows and time_s <= rows[-1][0]:
                 raise InputFileError(f"{path}: line {number}: times must rise; sort the lines and drop copies")
-            if len(rows) == _MOST_POSITIONS:
-                raise InputFileError(f"{path}: more than {_MOST_POSITIONS} positions; cut it into parts")
+            if len(rows) == _MAX_POSITIONS:
+                raise InputFileError(f"{path}: more than {_MAX_POSITIONS} positions; cut it into parts")
             rows.append((time_s, position_mm))
     if len(rows) < 2:
         raise InputFileError(f"{path}: at least two positions make a movement")
     times_s, positions_mm = np.array(rows).T
-    if not times_s[-1] - times_s[0] <= _LONGEST_S:
-        raise InputFileError(f"{path}: a movement of more than {_LONGEST_S:.0f} s; cut it into parts")
+    if not times_s[-1] - times_s[0] <= _MAX_S:
+        raise InputFileError(f"{path}: a movement of more than {_MAX_S:.0f} s; cut it into parts")
     return Movement(times_s - times_s[0], positions_mm)
 
 
@@ -131,7 +119,7 @@ class Played:
     positions: tuple[tuple[int, int], ...]
 
 
-def load(controller: Controller, stream: Stream) -> Status:
+def load(controller: Controller, stream: Stream) -> StreamSession:
     """Set a spatial stream up on a controller and send it until all of it has come. Raises ControllerError."""
     limits, header = controller.description.limits, stream.header
     if stream.samples * header.channels > limits.profile_samples:
@@ -141,24 +129,23 @@ def load(controller: Controller, stream: Stream) -> Status:
             + ("it needs newer firmware" if not limits.profile_samples else "code a shorter one, or a coarser pitch")
         )
     packet_samples = stream.decoder().packet_samples
-    number = (controller.request_status().stream + 1) % 256
-    configure = Configure(number, header.pack(), 0, packets=len(stream.packets))
-    status = controller.request(configure, Status)
-    largest_bytes = min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - _FRAME_BYTES)
-    if max(map(len, stream.packets)) > largest_bytes:
-        raise ControllerError(f"the controller takes packets of {largest_bytes} bytes: encode at a lower quality")
+    session = controller.run(configure_steps(controller, header, 0, packets=len(stream.packets)))
+    max_bytes = max_packet_bytes(limits)
+    if max(map(len, stream.packets)) > max_bytes:
+        raise ControllerError(f"the controller takes packets of {max_bytes} bytes: encode at a lower quality")
     until_s = controller.clock() + _LOADING_S
-    while (loaded := status.position // packet_samples) < len(stream.packets):
-        for packet in stream.packets[loaded : status.credit_until // packet_samples]:
-            controller.send(StreamData(number, 0, (packet,)))
-        status = controller.request_status()
-        if status.position // packet_samples > loaded:
+    while (loaded := session.status.position // packet_samples) < len(stream.packets):
+        for packet in stream.packets[loaded : session.credit_until // packet_samples]:
+            session.send((packet,))
+        controller.request_status()
+        session.news()
+        if session.status.position // packet_samples > loaded:
             until_s = controller.clock() + _LOADING_S
         elif controller.clock() > until_s:
-            raise ControllerError("the profile does not get through to the controller: check the line")
-    if status.lost_packets:
-        raise ControllerError(f"the controller could not decode {status.lost_packets} packets of the profile")
-    return status
+            raise ControllerError("the profile does not get through to the controller: check the link")
+    if session.status.lost_packets:
+        raise ControllerError(f"the controller could not decode {session.status.lost_packets} packets of the profile")
+    return session
 
 
 def play(
@@ -172,10 +159,11 @@ def play(
     The hand goes straight from each position to the next: the controller is told of it 500 times a second, by the
     controller's own clock. `progress` is called with the part done. Raises ControllerError, TransportError.
     """
-    load(controller, stream)
-    status = begun = controller.request_status()
-    heard = deque([status.device_time_us / 1e6 - controller.clock()], _HEARD)
-    start_us = status.device_time_us + round(1e6 * _AHEAD_S)
+    session = load(controller, stream)
+    begun = controller.request_status()
+    session.news()
+    heard = deque([begun.device_time_us / 1e6 - controller.clock()], _HEARD)
+    start_us = begun.device_time_us + round(1e6 * _AHEAD_S)
     times_s = np.arange(math.ceil(movement.seconds * _POSITION_RATE_HZ) + 1) / _POSITION_RATE_HZ
     positions = tuple(
         (start_us + round(1e6 * time_s), round(1e6 * position_mm))
@@ -184,9 +172,9 @@ def play(
         )
     )
     # Where the hand is before it moves is known from the beginning.
-    positions = ((status.device_time_us, positions[0][1]), *positions)
+    positions = ((begun.device_time_us, positions[0][1]), *positions)
     controller.send(Position(*positions[0]))
-    controller.request(Start(start_us), Status)
+    controller.run(session.start_steps(start_us))
     sent = 1
     whole_s = movement.seconds + _BEHIND_S
     ask_s = controller.clock()
@@ -199,9 +187,8 @@ def play(
                 ask_s = now_s + min(0.1, controller.description.limits.watchdog_ms / 4000)
                 controller.ask_status()
             due_s = times_s[sent - 1] + _SENT_AFTER_S if sent < len(positions) else whole_s
-            controller.poll(min(_READ_S, max(_SHORTEST_READ_S, due_s - passed_s)))
-            if controller.status is not None and controller.status is not status:
-                status = controller.status
+            controller.poll(min(_READ_S, max(_MIN_READ_S, due_s - passed_s)))
+            if (status := session.news()) is not None:
                 heard.append(status.device_time_us / 1e6 - controller.clock())
                 if status.state not in (State.ARMED, State.PLAYING):
                     raise ControllerError(f"the controller stopped playing: {status.state.name}")
@@ -209,23 +196,9 @@ def play(
                 progress(max(0.0, passed_s / whole_s))
     finally:
         status = controller.stop()
-    captured_from, codes = _read_back(controller, stream.header.channels)
+    captured_from, codes = read_capture(controller, Tap.DAC, stream.header.channels)
     damaged = status.bad_frames - begun.bad_frames
     return Played(status, damaged, codes, captured_from, start_us, positions)
-
-
-def _read_back(controller: Controller, channels: int) -> tuple[int, Codes]:
-    """Return what the controller has kept of the codes that went to its DAC, and the number of the first."""
-    kept = controller.request(CaptureRead(Tap.DAC, 0, 0), CaptureData)
-    pieces = [np.zeros((0, channels), np.int16)]
-    offset = kept.offset
-    while offset < kept.end:
-        captured = controller.read_capture(Tap.DAC, offset, controller.capture_room(channels), channels)
-        pieces.append(np.frombuffer(captured.data, "<i2").astype(np.int16).reshape(-1, channels))
-        if not len(pieces[-1]):
-            break
-        offset += len(pieces[-1])
-    return kept.offset, np.concatenate(pieces)
 
 
 @dataclass(frozen=True)

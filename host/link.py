@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import Message, Status, StatusRequest, StreamData, pack
 from vibrocast.host.controller import Controller
+from vibrocast.host.stream_session import next_number
 
 # The controller drops data of a stream that is not under way, so a frame of it may be of any length.
 _PROBE_BYTES = 128
@@ -70,7 +71,7 @@ class Link:
         (the packet pair of Keshav, "A control-theoretic approach to flow control", SIGCOMM 1991). Of each the soonest
         counts: a busy computer, or an answer that was lost, can only make it later.
         """
-        probe = StreamData((stream + 1) % 256, 0, (bytes(_PROBE_BYTES),))
+        probe = StreamData(next_number(stream), 0, (bytes(_PROBE_BYTES),))
         trips = [[_trip(controller, data) for _ in range(_PROBES)] for data in ((), (probe,))]
         alone_s, behind_s = (min(late_s for late_s, _ in each) for each in trips)
         byte_s = max(0.0, behind_s - alone_s) / frame_bytes(probe)

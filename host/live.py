@@ -1,6 +1,5 @@
-"""Streams a live source to a controller: blocks are coded as they come, and each packet is sent at once. No threads."""
+"""Streams a live source to a controller: blocks are coded as they come, and each packet is sent at once."""
 
-import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,11 +13,12 @@ from vibrocast.codec.rate_control import REFRESH_S as RATE_CONTROLLED_REFRESH_S
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
-from vibrocast.device_protocol.messages import Configure, EndStream, Start, State, Status, StreamData
+from vibrocast.device_protocol.messages import EndStream, Start, State, Status
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
-from vibrocast.host.player import RECONNECT_S, check_limits, check_packet
+from vibrocast.host.player import RECONNECT_S
+from vibrocast.host.stream_session import check_limits, check_packet, configure_steps, stopped_on_error
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
 MARGIN_S = 0.01
@@ -27,7 +27,7 @@ REFRESH_S = 0.25
 LINK_SHARE = 0.9
 
 # The controller's clock and the source's drift apart: beyond the margin on one side, or so much on the other, for so
-# long, the stream is begun anew.
+# long, the stream is begun again.
 _LARGEST_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 _END_S = 5.0
@@ -52,9 +52,10 @@ class LiveResult:
     """What live streaming did.
 
     `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: those of the lost ones that
-    the host did not send, as they would have come too late. `streams`: more than one where it was begun anew, as clocks
-    had drifted apart, the source had paused or the connection was lost. `seconds`: of signal. `payload_bytes`: of all
-    packets that were sent. `wire_bytes`: all that went to the controller with them, frames and requests included.
+    the host did not send, as they would have come too late. `streams`: more than one where it was begun again, as
+    clocks had drifted apart, the source had paused or the connection was lost. `seconds`: of signal. `payload_bytes`:
+    of all packets that were sent. `wire_bytes`: all that went to the controller with them, frames and requests
+    included.
     """
 
     status: Status
@@ -154,11 +155,21 @@ class LiveStream:
         self._wire_bytes_before = controller.bytes_sent
 
     @property
+    def stream(self) -> int:
+        """The number of the stream under way."""
+        return self._session.number
+
+    @property
+    def status(self) -> Status:
+        """The last status of the stream under way."""
+        return self._session.status
+
+    @property
     def begun(self) -> int:
         """How many streams have been begun."""
         return len(self.earlier) + 1
 
-    def begin_anew(self) -> None:
+    def begin_again(self) -> None:
         """Set up another stream in place of the one under way; its first packet will start it."""
         self.earlier.append(self.status)
         self._configure()
@@ -200,11 +211,15 @@ class LiveStream:
             self._encoder.configuration,
             b"" if self._model is None else image_hash(self._model.image),
         )
-        self.stream = (self.controller.request_status().stream + 1) % 256
-        configure = Configure(
-            self.stream, self.header.pack(), self.packet_samples, compensation=self._compensation, gain=self._gain
+        self._session = self.controller.run(
+            configure_steps(
+                self.controller,
+                self.header,
+                self.packet_samples,
+                compensation=self._compensation,
+                gain=self._gain,
+            )
         )
-        self.status = self.controller.request(configure, Status)
         self._link = Link(self.controller, self.stream)
         self.carried_bps = math.inf
         self._link.needed = self._needed_bps / 8 / LINK_SHARE
@@ -237,9 +252,8 @@ class LiveStream:
     def send_packets(self, packets: Sequence[bytes]) -> None:
         """Send packets at once, each in a frame of its own; Start goes with the first, so that none waits for it."""
         for packet in packets:
-            data = StreamData(self.stream, 0, (packet,))
             now_s = self._link.now_s(self.controller.clock())
-            self.controller.send(data)
+            self._session.send((packet,))
             start_bytes = frame_bytes(Start()) if self._plays_from_s is None else 0
             arrives_s = self._link.send(self.packets_sent, len(packet) + added_bytes(packet) + start_bytes, now_s)
             if self._plays_from_s is None:
@@ -251,7 +265,7 @@ class LiveStream:
             self.payload_bytes += len(packet)
 
     def send(self, samples: Signal) -> None:
-        """Code and send samples (n, channels), take in what has come; begin anew where the clocks are out of step."""
+        """Code and send samples (n, channels), take in what has come; begin again where the clocks are out of step."""
         start = 0
         while start < len(samples):
             end = start + self.left_samples
@@ -260,14 +274,14 @@ class LiveStream:
         self.keep_up()
 
     def keep_up(self) -> None:
-        """Take in what has come; begin anew where the clocks are out of step."""
+        """Take in what has come; begin again where the clocks are out of step."""
         self.poll(0)
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
         if out_of_step:
             self._refuse_floods()
         if out_of_step or self.status.state == State.WATCHDOG:
-            self.begin_anew()
+            self.begin_again()
 
     @property
     def left_samples(self) -> int:
@@ -335,13 +349,10 @@ class LiveStream:
         """Take in what the controller sends, waiting for it at most `timeout_s`."""
         if isinstance(self.controller.poll(timeout_s), Status):
             self._link.flushed()
-        status = self.controller.status
-        if status is None or status is self.status or status.stream != self.stream:
+        before = self.status
+        if (status := self._session.news()) is None:
             return
-        if status.state == State.FAULT:
-            raise ControllerError("the controller reports a fault of its hardware and has stopped")
-        lost = status.lost_packets - self.status.lost_packets
-        self.status = status
+        lost = status.lost_packets - before.lost_packets
         self._link.hear(status, self.packet_samples, self.controller.clock())
         if status.state == State.PLAYING and status.position:
             self._plays_from_s = status.device_time_us / 1e6 - status.position / self.format.rate_hz
@@ -360,9 +371,10 @@ class LiveStream:
     def say_end(self) -> None:
         """Tell the controller that what was sent is all, and do not wait until it has been played."""
         if self.packets_sent:
-            self.status = self.controller.request(EndStream(self.stream, self.packets_sent), Status)
+            self.controller.request(EndStream(self.stream, self.packets_sent), Status)
         else:
-            self.status = self.controller.stop()
+            self.controller.stop()
+        self._session.news()
         self._wire_bytes = self.controller.bytes_sent - self._wire_bytes_before
 
     def finish(self) -> LiveResult:
@@ -396,8 +408,7 @@ class LiveStream:
                 self.controller.ask_status()
                 ask_s = self.controller.clock() + _END_ASK_S
             self.controller.poll(_POLL_S)
-            if self.controller.status is not None and self.controller.status.stream == self.stream:
-                self.status = self.controller.status
+            self._session.news()
         raise ControllerError(
             f"the stream's end has not been played {_END_S:g} s after its time. Restart the controller."
         )
@@ -412,25 +423,20 @@ def play(
 ) -> LiveResult:
     """Stream blocks (n, channels), each as soon as the iterator yields it, to its end; return what happened.
 
-    Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken connection is opened anew
-    for `reconnect_s`, and the stream begun anew; where the source has kept blocks meanwhile, once more when it has
+    Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken connection is opened again
+    for `reconnect_s`, and the stream begun again; where the source has kept blocks meanwhile, once more when it has
     caught up. Raises as `LiveStream`.
     """
-    try:
+    with stopped_on_error(stream.controller):
         for block in blocks:
             try:
                 stream.send(block)
             except (TransportError, ConnectionLost):
                 stream.controller.reconnect(reconnect_s)
-                stream.begin_anew()
+                stream.begin_again()
             if progress is not None:
                 progress(stream.status)
         return stream.finish()
-    except BaseException:
-        # Where the controller is out of reach, its own watchdog stops it.
-        with contextlib.suppress(ControllerError, TransportError):
-            stream.controller.stop()
-        raise
 
 
 def paced(

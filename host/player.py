@@ -1,4 +1,4 @@
-"""Plays coded packets on a controller: fed under credit, watched, resumed after a pulled cable. No threads."""
+"""Plays coded packets on one controller or on many: fed under credit, watched, resumed after a pulled cable."""
 
 import bisect
 import contextlib
@@ -9,19 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
-from vibrocast.device_protocol.messages import CaptureData, Configure, Start, State, Status, StreamData, Tap, pack
+from vibrocast.device_protocol.messages import CaptureData, State, Status, StatusRequest, Tap
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
+from vibrocast.host.event_loop import Steps
+from vibrocast.host.stream_session import (
+    Capture,
+    StreamSession,
+    check_limits,
+    check_packet,
+    configure_steps,
+    max_packet_bytes,
+)
 
 # Longer than a busy computer keeps a program waiting, as a rule; all of it is delay between host and skin.
 BUFFER_S = 0.3
 RECONNECT_S = 10.0
 
 # Enough packets to make the frame's own bytes small, few enough that a lost frame costs little.
-_LARGEST_FRAME_PACKETS = 8
-_LONGEST_VARINT_BYTES = 5
-_LONGEST_STATUS_INTERVAL_S = 0.25
-_READ_S = 0.02
+_MAX_FRAME_PACKETS = 8
+_MAX_STATUS_INTERVAL_S = 0.25
+_MIN_WAIT_S = 0.001
 _SILENCE_S = 2.0
 _STALL_S = 5.0
 
@@ -44,7 +52,7 @@ class PlaybackResult:
     data waited in the controller. `wire_bytes_*`: all bytes of this playback on the transport. `underruns`,
     `lost_packets` and `reconnects` count over all of it; `status` is the last one. `decoded` (int16, stream rate) and
     `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture from packet `captured_from`
-    (counted over all loops) on: 0 unless a lost connection made the controller start anew; None if not asked for.
+    (counted over all loops) on: 0 unless a lost connection made the controller begin again; None if not required.
     """
 
     state: State
@@ -61,6 +69,18 @@ class PlaybackResult:
     dac_codes: NDArray[np.int16] | None
 
 
+@dataclass(frozen=True)
+class PlaybackSettings:
+    """How to play, as in `play`; `compensation`: whether the controller compensates its actuator's response."""
+
+    loops: int = 1
+    buffer_s: float = BUFFER_S
+    reconnect_s: float = RECONNECT_S
+    capture: bool = False
+    progress: Callable[[Progress], None] | None = None
+    compensation: bool = True
+
+
 def play(
     controller: Controller,
     header: StreamHeader,
@@ -68,8 +88,6 @@ def play(
     packet_samples: int,
     *,
     loops: int = 1,
-    gain: float = 1.0,
-    compensation: bool = True,
     buffer_s: float = BUFFER_S,
     reconnect_s: float = RECONNECT_S,
     capture: bool = False,
@@ -81,76 +99,68 @@ def play(
     plays, as far as its own buffer and credit go. `progress` is called in this thread whenever the controller reports,
     and may itself use the controller: `request` a Pause, Resume or Gain, or `stop` it; but no Loop, for which this host
     would send no data. Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken
-    connection is opened anew for `reconnect_s`; if the controller has given up meanwhile, playing (also what was
-    paused) goes on at the next refresh packet.
+    connection is opened again for `reconnect_s`; if the controller has given up meanwhile, playing (also what was
+    paused) goes on at the next random-access packet.
 
     Raises StreamError for packets that make no stream, or none that the controller takes, ControllerError,
     TransportError and MessageError.
     """
-    source = _Source(controller, header, packets, packet_samples, loops)
-    settings = _Settings(gain, compensation, buffer_s, capture, progress)
+    settings = PlaybackSettings(loops, buffer_s, reconnect_s, capture, progress)
+    return controller.run(play_steps(controller, header, packets, packet_samples, settings))
+
+
+def play_steps(
+    controller: Controller,
+    header: StreamHeader,
+    packets: Sequence[bytes],
+    packet_samples: int,
+    settings: PlaybackSettings,
+) -> Steps[PlaybackResult]:
+    """Play packets as `play` does, as steps of an event loop that may play on other controllers too."""
+    source = _Source(controller, header, packets, packet_samples, settings.loops)
     sent_before, received_before = controller.bytes_sent, controller.bytes_received
     started_s = controller.clock()
     reconnects, came_back_at = 0, -1
     try:
-        stretches = [_Stretch(controller, source, settings, 0)]
+        senders = [(yield from _begin_steps(controller, source, settings, 0))]
         while True:
-            last = stretches[-1]
+            last = senders[-1]
             try:
-                if last.step():
-                    break
+                yield from last.send_steps()
+                break
             except (TransportError, ConnectionLost) as cause:
                 if last.position <= came_back_at:
                     raise  # nothing was gained by coming back
                 came_back_at = last.position
-                controller.reconnect(reconnect_s)
+                yield from controller.reconnect_steps(settings.reconnect_s)
                 reconnects += 1
-                if not last.goes_on():
-                    stretches.append(_Stretch(controller, source, settings, last.refresh_to_go_on_from(cause)))
-        if capture:
-            last.read_captures_to_their_end()
+                if not (yield from last.goes_on_steps()):
+                    first = last.refresh_to_go_on_from(cause)
+                    senders.append((yield from _begin_steps(controller, source, settings, first)))
+        if settings.capture:
+            yield from last.read_captures_to_their_end_steps()
+    except GeneratorExit:
+        raise
     except BaseException:
         # Where the controller is out of reach, its own watchdog stops it.
         with contextlib.suppress(ControllerError, TransportError):
-            controller.stop()
+            yield from controller.stop_steps()
         raise
-    reports = sum(stretch.reports_playing for stretch in stretches)
+    reports = sum(sender.reports_playing for sender in senders)
     return PlaybackResult(
         state=last.status.state,
         status=last.status,
         seconds=controller.clock() - started_s,
-        buffered_s=sum(stretch.buffered_s_sum for stretch in stretches) / max(1, reports),
+        buffered_s=sum(sender.buffered_s_sum for sender in senders) / max(1, reports),
         wire_bytes_sent=controller.bytes_sent - sent_before,
         wire_bytes_received=controller.bytes_received - received_before,
-        underruns=sum(stretch.status.underruns for stretch in stretches),
-        lost_packets=sum(stretch.status.lost_packets for stretch in stretches),
+        underruns=sum(sender.status.underruns for sender in senders),
+        lost_packets=sum(sender.status.lost_packets for sender in senders),
         reconnects=reconnects,
         captured_from=last.first,
-        decoded=last.captured(Tap.DECODED) if capture else None,
-        dac_codes=last.captured(Tap.DAC) if capture else None,
+        decoded=last.captures[Tap.DECODED].samples() if settings.capture else None,
+        dac_codes=last.captures[Tap.DAC].samples() if settings.capture else None,
     )
-
-
-def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
-    """Raise StreamError, with the limit, if the controller cannot play a stream of these channels and this rate."""
-    limits = controller.description.limits
-    if channels > limits.channels:
-        raise StreamError(f"{channels} channels, the controller has {limits.channels}: leave some out of the recording")
-    if not limits.minimum_rate_hz <= rate_hz <= limits.maximum_rate_hz:
-        raise StreamError(
-            f"a stream of {rate_hz} Hz, the controller takes {limits.minimum_rate_hz} to {limits.maximum_rate_hz} Hz: "
-            "encode with another `stream_rate_hz`"
-        )
-
-
-def check_packet(controller: Controller, packet_samples: int) -> None:
-    """Raise ControllerError if the controller's buffer does not hold a packet of so many samples."""
-    buffer_samples = controller.description.limits.buffer_samples
-    if packet_samples > buffer_samples:
-        raise ControllerError(
-            f"a packet has {packet_samples} samples, the controller's buffer {buffer_samples}: "
-            "encode with shorter packets"
-        )
 
 
 class _Source:
@@ -164,7 +174,6 @@ class _Source:
         self, controller: Controller, header: StreamHeader, packets: Sequence[bytes], packet_samples: int, loops: int
     ) -> None:
         """Check the stream. Raises StreamError, and ControllerError for what never fits the controller."""
-        limits = controller.description.limits
         check_limits(controller, header.channels, header.rate_hz)
         if not packets or header.samples == 0:
             raise StreamError("the stream has no packets or no samples: there is nothing to play")
@@ -178,18 +187,16 @@ class _Source:
         if loops != 1 and header.samples is not None:
             self.packet_s = min(self.packet_s, header.samples / len(packets) / header.rate_hz)
         self._refreshes: list[int] = []
-        frame_bytes = len(pack(StreamData(0, 0, ()))) + 2 * _LONGEST_VARINT_BYTES
-        largest_bytes = min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - frame_bytes)
+        max_bytes = max_packet_bytes(controller.description.limits)
         for number, packet in enumerate(packets):
             sequence, refresh = packet_sequence(packet)
             if sequence != number:
                 raise StreamError(
-                    f"packet {number} says that it is {sequence}: the stream has lost packets, get it anew"
+                    f"packet {number} says that it is {sequence}: the stream has lost packets, get it again"
                 )
-            if len(packet) > largest_bytes:
+            if len(packet) > max_bytes:
                 raise ControllerError(
-                    f"packet {number} has {len(packet)} bytes, the controller takes {largest_bytes}: "
-                    "encode at a lower rate"
+                    f"packet {number} has {len(packet)} bytes, the controller takes {max_bytes}: encode at a lower rate"
                 )
             if refresh:
                 self._refreshes.append(number)
@@ -210,115 +217,115 @@ class _Source:
         return refresh if self.end is None or refresh < self.end else None
 
 
-@dataclass(frozen=True)
-class _Settings:
-    """How to play; as in `play`."""
+def _begin_steps(controller: Controller, source: _Source, settings: PlaybackSettings, first: int) -> Steps["_Sender"]:
+    """Set up and start the stream from packet `first` on, a random-access packet; return who sends it."""
+    limits = controller.description.limits
+    # What is played and the next one, however long packets are, where the controller has room for it; and one more
+    # where the packet at the end of an iteration may be cut to almost nothing.
+    min_packets = 3 if source.packet_s < source.packet_samples / source.header.rate_hz else 2
+    ahead_packets = max(min_packets, int(settings.buffer_s / source.packet_s))
+    buffer_packets = min(ahead_packets, limits.buffer_samples // source.packet_samples)
+    iteration, first_packet = divmod(first, len(source.packets))
+    session = yield from configure_steps(
+        controller,
+        source.header,
+        buffer_packets * source.packet_samples,
+        packets=len(source.packets),
+        first_packet=first_packet,
+        loops=source.loops - iteration if source.loops else 0,
+        compensation=settings.compensation,
+    )
+    yield from session.start_steps()
+    return _Sender(session, source, settings, first, ahead_packets, buffer_packets)
 
-    gain: float
-    compensation: bool
-    buffer_s: float
-    capture: bool
-    progress: Callable[[Progress], None] | None
 
+class _Sender:
+    """Sends what is played under one Configure, from packet `first` on.
 
-class _Stretch:
-    """What is played under one Configure, from packet `first` on.
-
-    `status`: the last one. `reports_playing`, `buffered_s_sum`: how many came while it played, and the sum of the time
-    that data waited in the controller then.
+    `reports_playing`, `buffered_s_sum`: how many Status came while it played, and the sum of the time that data waited
+    in the controller then. `captures`: what has been read back.
     """
 
-    def __init__(self, controller: Controller, source: _Source, settings: _Settings, first: int) -> None:
-        """Set the stream up and start it."""
-        self._controller = controller
+    def __init__(
+        self,
+        session: StreamSession,
+        source: _Source,
+        settings: PlaybackSettings,
+        first: int,
+        ahead_packets: int,
+        buffer_packets: int,
+    ) -> None:
+        """`ahead_packets`: how many the controller is to hold; `buffer_packets`: as many of them as it has room for."""
+        self._session = session
+        self._controller = controller = session.controller
         self._source = source
         self._settings = settings
-        limits = controller.description.limits
-        # What is played and the next one, however long packets are, where the controller has room for it; and one more
-        # where the packet at the end of an iteration may be cut to almost nothing.
-        least_packets = 3 if source.packet_s < source.packet_samples / source.header.rate_hz else 2
-        self._ahead_packets = max(least_packets, int(settings.buffer_s / source.packet_s))
-        self._buffer_packets = min(self._ahead_packets, limits.buffer_samples // source.packet_samples)
+        self._ahead_packets = ahead_packets
         # Waiting for a full frame must not empty the buffer.
-        self._frame_packets = max(1, min(_LARGEST_FRAME_PACKETS, self._buffer_packets // 4))
+        self._frame_packets = max(1, min(_MAX_FRAME_PACKETS, buffer_packets // 4))
         # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
-        self._status_interval_s = min(
-            _LONGEST_STATUS_INTERVAL_S, limits.watchdog_ms / 4000, self._buffer_packets * source.packet_s / 2
-        )
+        watchdog_ms = controller.description.limits.watchdog_ms
+        self._status_interval_s = min(_MAX_STATUS_INTERVAL_S, watchdog_ms / 4000, buffer_packets * source.packet_s / 2)
         self._ask_s = self._free_s = 0.0
         self._asked_tap: Tap | None = None
         self.reports_playing, self.buffered_s_sum = 0, 0.0
-        self._captures: dict[Tap, list[NDArray[np.int16]]] = {tap: [] for tap in Tap}
-        self._captured_samples = dict.fromkeys(Tap, 0)
-        iteration, first_packet = divmod(first, len(source.packets))
-        self._base = iteration * len(source.packets)  # where the controller's positions begin
+        self.captures = {tap: Capture(controller, tap, source.header.channels) for tap in Tap}
+        self._base = first - first % len(source.packets)  # where the controller's positions begin
         self.first = self._next = first
-        self._stream = (controller.request_status().stream + 1) % 256
-        configure = Configure(
-            stream=self._stream,
-            header=source.header.pack(),
-            prebuffer_samples=self._buffer_packets * source.packet_samples,
-            packets=len(source.packets),
-            first_packet=first_packet,
-            loops=source.loops - iteration if source.loops else 0,
-            compensation=settings.compensation,
-            gain=settings.gain,
-        )
-        self.status = controller.request(configure, Status)
-        self._credit = self.status.credit_until
         self._furthest = self.status.position
         self._noted_s = self._moved_s = controller.clock()
-        controller.request(Start(), Status)
+
+    @property
+    def status(self) -> Status:
+        """The last one."""
+        return self._session.status
 
     @property
     def position(self) -> int:
         """Where the controller was when it last reported, counted over all loops."""
         return self._base * self._source.packet_samples + self.status.position
 
-    def step(self) -> bool:
-        """Send a frame if there is credit, take in what came; return whether the playback has ended."""
-        now_s = self._controller.clock()
-        if now_s - self._noted_s > _SILENCE_S:
-            raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s. Check that it has power.")
-        if now_s - self._moved_s > _STALL_S:
-            raise ControllerError(f"the controller's position has not moved for {_STALL_S:g} s. Restart it.")
-        data = self._next_data()
-        if data is not None:
-            self._controller.send(data)
-        if now_s >= self._free_s:
-            self._ask(now_s)
-        answer = self._controller.poll(0 if data is not None else min(_READ_S, self._status_interval_s))
-        if answer is not None:
-            self._free_s = now_s
-        if isinstance(answer, CaptureData) and self._asked_tap is not None:
-            tap, self._asked_tap = self._asked_tap, None  # a second copy may follow
-            offset, channels = self._captured_samples[tap], self._source.header.channels
-            self._keep(self._controller.checked_capture(answer, tap, offset, channels), tap)
-            if not answer.data:
-                self._free_s = self._ask_s  # nothing new, as far as is known, before the next status
-        status = self._controller.status
-        if status is not None and status is not self.status and status.stream == self._stream:
-            self._note(status)
-            if self._settings.progress is not None:
-                self._settings.progress(self._progress())
-        return self.status.state in (State.FINISHED, State.STOPPED)
+    def send_steps(self) -> Steps[None]:
+        """Send what there is credit for and take in what comes, until the playback has ended."""
+        while self.status.state not in (State.FINISHED, State.STOPPED):
+            now_s = self._controller.clock()
+            if now_s - self._noted_s > _SILENCE_S:
+                raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s. Check that it has power.")
+            if now_s - self._moved_s > _STALL_S:
+                raise ControllerError(f"the controller's position has not moved for {_STALL_S:g} s. Restart it.")
+            has_sent = self._send_frame()
+            if now_s >= self._free_s:
+                self._ask(now_s)
+            answer = yield from self._controller.poll_steps(0.0 if has_sent else self._wait_s(now_s))
+            if answer is not None:
+                self._free_s = now_s = self._controller.clock()
+            if isinstance(answer, CaptureData) and self._asked_tap is not None:
+                tap, self._asked_tap = self._asked_tap, None  # a second copy may follow
+                self.captures[tap].take(answer)
+                if not answer.data:
+                    self._free_s = self._ask_s  # nothing new, as far as is known, before the next status
+            if self._session.news() is not None:
+                self._note()
+                if self._settings.progress is not None:
+                    self._settings.progress(self._progress())
 
-    def goes_on(self) -> bool:
-        """Take in what a controller that was out of reach is doing; return whether it still plays this stretch."""
-        status = self._controller.request_status()
-        if status.stream != self._stream:
+    def goes_on_steps(self) -> Steps[bool]:
+        """Take in what a controller that was out of reach is doing; return whether it still plays this stream."""
+        status = yield from self._controller.request_steps(StatusRequest(), Status)
+        if status.stream != self._session.number:
             return False
         if status.state in (State.ARMED, State.PLAYING, State.PAUSED, State.FINISHED, State.STOPPED):
             # What was under way when the connection broke may be lost; the controller drops what it has twice.
             self._next = min(self._next, self._base + status.position // self._source.packet_samples)
-            self._note(status)
+            self._session.news()
+            self._note()
             return True
         if status.state == State.WATCHDOG:
-            self.status = status
+            self._session.news()
         return False
 
     def refresh_to_go_on_from(self, cause: Exception) -> int:
-        """Return the first refresh packet that was not played. Raises ControllerError if there is none."""
+        """Return the first random-access packet that was not played. Raises ControllerError if there is none."""
         refresh = self._source.next_refresh(-(-self.position // self._source.packet_samples))
         if refresh is None:
             raise ControllerError(
@@ -327,39 +334,52 @@ class _Stretch:
             ) from cause
         return refresh
 
-    def read_captures_to_their_end(self) -> None:
+    def read_captures_to_their_end_steps(self) -> Steps[None]:
         """Read back what is left of the captures."""
         for tap, captured_by_now, rate_hz in self._taps():
             # The output comes to rest within a second; a longer capture is none of this stream.
-            while self._captured_samples[tap] < captured_by_now + rate_hz and self._read_capture(tap):
-                pass
+            while self.captures[tap].samples_read < captured_by_now + rate_hz:
+                if not (yield from self.captures[tap].read_steps()):
+                    break
 
-    def captured(self, tap: Tap) -> NDArray[np.int16]:
-        """Return what was read back: (samples, channels)."""
-        return np.concatenate(self._captures[tap])
-
-    def _next_data(self) -> StreamData | None:
-        """Return the next packets that credit and one frame have room for, and count them as sent."""
+    def _send_frame(self) -> bool:
+        """Send the next packets that credit and one frame have room for, if it is time; return whether it did."""
         source = self._source
         iteration, number = divmod(self._next, len(source.packets))
-        if source.end is not None and self._next >= source.end:
-            return None
-        sent = self._next - self._base
-        granted = min(self._credit // source.packet_samples, self._playing() + self._ahead_packets) - sent
-        if self.status.state == State.PLAYING and granted < min(self._frame_packets, len(source.packets) - number):
-            return None  # wait for a full frame
-        room_bytes = self._controller.description.limits.maximum_payload_bytes
-        room_bytes -= len(pack(StreamData(0, 0, ()))) + _LONGEST_VARINT_BYTES
-        chosen: list[bytes] = []
-        for packet in source.packets[number : number + min(self._frame_packets, max(0, granted))]:
-            room_bytes -= len(packet) + _LONGEST_VARINT_BYTES
-            if room_bytes < 0:
-                break
-            chosen.append(packet)
-        if not chosen:
-            return None
+        granted = min(self._credit_packets(), self._playing() + self._ahead_packets - (self._next - self._base))
+        if granted < (self._min_packets() if self.status.state == State.PLAYING else 1) or self._controller.is_sending:
+            return False
+        chosen = source.packets[number : number + min(self._frame_packets, granted)]
+        chosen = chosen[: self._session.fitting(chosen)]
         self._next += len(chosen)
-        return StreamData(self._stream, iteration - self._base // len(source.packets), tuple(chosen))
+        self._session.send(chosen, iteration - self._base // len(source.packets))
+        return True
+
+    def _min_packets(self) -> int:
+        """Return how many packets to wait for: a full frame, or the rest of the iteration."""
+        return min(self._frame_packets, len(self._source.packets) - self._next % len(self._source.packets))
+
+    def _credit_packets(self) -> int:
+        """Return how many packets are left to be sent and have credit."""
+        until = self._base + self._session.credit_until // self._source.packet_samples
+        return (until if self._source.end is None else min(until, self._source.end)) - self._next
+
+    def _wait_s(self, now_s: float) -> float:
+        """Return for how long there is nothing to send, unless something comes."""
+        until_s = min(
+            self._free_s if self._tap_to_read() is not None else max(self._free_s, self._ask_s),
+            self._noted_s + _SILENCE_S,
+        )
+        if self.status.state == State.PLAYING and not self._controller.is_sending:
+            packets = self._min_packets()
+            if self._credit_packets() >= packets:
+                playing = self._next - self._base + packets - self._ahead_packets
+                until_s = min(until_s, self._playing_at_s(playing))
+        return max(_MIN_WAIT_S, until_s - now_s)
+
+    def _playing_at_s(self, packet: int) -> float:
+        """Return when the controller, which plays, begins to play a packet, counted as in its positions."""
+        return self._noted_s + (packet - self.status.position / self._source.packet_samples) * self._source.packet_s
 
     def _playing(self) -> int:
         """Return the packet that the controller is playing by now, counted as in its positions."""
@@ -368,11 +388,9 @@ class _Stretch:
             packets += (self._controller.clock() - self._noted_s) / self._source.packet_s
         return int(packets)
 
-    def _note(self, status: Status) -> None:
-        """Take in a status of this stream."""
-        source = self._source
-        if status.state == State.FAULT:
-            raise ControllerError("the controller reports a fault of its hardware and has stopped")
+    def _note(self) -> None:
+        """Take in the last status of this stream."""
+        source, status = self._source, self.status
         if source.end is not None and self._base + status.position / source.packet_samples > source.end:
             raise ControllerError(
                 "the controller goes on beyond the end of the stream: restart it, unless this program sent it a Loop"
@@ -380,9 +398,7 @@ class _Stretch:
         if status.state == State.PAUSED or status.position > self._furthest:
             self._furthest = status.position
             self._moved_s = self._controller.clock()
-        self.status = status
         self._noted_s = self._controller.clock()
-        self._credit = max(self._credit, status.credit_until)
         if status.state == State.WATCHDOG:
             watchdog_ms = self._controller.description.limits.watchdog_ms
             raise ConnectionLost(f"the controller stopped because it heard nothing of this host for {watchdog_ms} ms")
@@ -391,7 +407,7 @@ class _Stretch:
             self.buffered_s_sum += source.seconds(status.buffered_samples)
         playing = self._base + status.position // source.packet_samples
         if playing > self._next:
-            # Too late for what lies between: the controller is silent until the next refresh packet, if there is one.
+            # Too late for what lies between: the controller is silent until the next random-access packet, if any.
             self._next = source.next_refresh(playing) or playing
 
     def _progress(self) -> Progress:
@@ -422,24 +438,15 @@ class _Stretch:
             self._ask_s = now_s + self._status_interval_s
             self._free_s = now_s + min(ANSWER_TIMEOUT_S, self._status_interval_s)
             self._controller.ask_status()
-            return
-        limit = self._controller.description.limits.capture_samples // 4
-        unread = {tap: captured_by_now - self._captured_samples[tap] for tap, captured_by_now, _ in self._taps()}
-        tap = max(unread, key=lambda tap: unread[tap])
-        if self._settings.capture and unread[tap] > limit:
+        elif (tap := self._tap_to_read()) is not None:
             self._asked_tap = tap
             self._free_s = now_s + ANSWER_TIMEOUT_S
-            self._controller.ask_capture(tap, self._captured_samples[tap], self._source.header.channels)
+            self._controller.ask_once(self.captures[tap].request())
 
-    def _read_capture(self, tap: Tap) -> bool:
-        """Read a frame of a capture; return whether there is more."""
-        channels = self._source.header.channels
-        room = self._controller.capture_room(channels)
-        return self._keep(self._controller.read_capture(tap, self._captured_samples[tap], room, channels), tap)
-
-    def _keep(self, captured: CaptureData, tap: Tap) -> bool:
-        """Keep what was asked for of a capture; return whether there is more."""
-        samples = np.frombuffer(captured.data, "<i2").astype(np.int16).reshape(-1, captured.channels)
-        self._captures[tap].append(samples)
-        self._captured_samples[tap] += len(samples)
-        return len(samples) > 0 and self._captured_samples[tap] < captured.end
+    def _tap_to_read(self) -> Tap | None:
+        """Return the tap whose capture would soon be longer than what is kept of it; None if neither."""
+        if not self._settings.capture:
+            return None
+        unread = {tap: captured_by_now - self.captures[tap].samples_read for tap, captured_by_now, _ in self._taps()}
+        tap = max(unread, key=lambda tap: unread[tap])
+        return tap if unread[tap] > self._controller.description.limits.capture_samples // 4 else None

@@ -150,7 +150,7 @@ def _start_trial(controller: Controller, wanted: ImageDescription) -> None:
 def _confirm(controller: Controller, wanted: ImageDescription) -> ImageDescription:
     """Keep the image that is on trial. Raises ControllerError if the controller does not."""
     controller.request(FlashConfirm(wanted.slot), FlashStatus)
-    controller.say_hello()
+    controller.open_session()
     if wanted not in controller.description.images:
         raise ControllerError(f"the controller did not keep the image in slot {wanted.slot}. Flash it again.")
     return wanted

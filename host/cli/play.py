@@ -11,7 +11,7 @@ import click
 from vibrocast import extras, progress, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
-from vibrocast.host import devices, player, profiles
+from vibrocast.host import devices, player, profiles, stream_session
 from vibrocast.host.cli import planned
 from vibrocast.host.cli.options import (
     INPUT,
@@ -132,10 +132,10 @@ def play(
     with devices.connect(address, runtime, actuator) as controller:
         # What the controller cannot play need not be encoded first.
         if isinstance(source, Stream):
-            player.check_limits(controller, source.header.channels, source.header.rate_hz)
+            stream_session.check_limits(controller, source.header.channels, source.header.rate_hz)
             stream, encoding = source, None
         else:
-            player.check_limits(controller, source.channels, quality["stream_rate_hz"])
+            stream_session.check_limits(controller, source.channels, quality["stream_rate_hz"])
             encoding = encoded(source, {**quality, "runtime": runtime}, live=True)
             stream = encoding.stream
         with progress.shown("playing") as update:

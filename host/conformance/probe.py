@@ -40,6 +40,7 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.conformance.line import Line
 from vibrocast.host.controller import SMALLEST_PAYLOAD_LIMIT_BYTES
+from vibrocast.host.stream_session import next_number
 
 # docs/protocol.md, "Sequence numbers" and "Flashing": so long a controller may take to answer, and to restart.
 ANSWER_S = 2.0
@@ -252,7 +253,7 @@ class Probe:
     def configuration(self, stream: Stream, **options: int | float | bool) -> Configure:
         """Return what sets up a stream under a number that none had before. Raises NotConforming, TransportError."""
         arguments = {"prebuffer_samples": 0, "packets": len(stream.packets), **options}
-        return Configure((self.status().stream + 1) % 256, stream.header.pack(), **arguments)  # type: ignore[arg-type]
+        return Configure(next_number(self.status().stream), stream.header.pack(), **arguments)  # type: ignore[arg-type]
 
     def feed(self, number: int, stream: Stream, packets: Iterable[bytes] | None = None, iteration: int = 0) -> None:
         """Send packets, in their order, of the stream set up under this number, all if not said, as credit allows.

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Limits, Tap
+from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Tap
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
+from vibrocast.host.stream_session import max_packet_bytes
 from vibrocast.output.actuator import ACTUATORS, Actuator
 
 RATE_HZ = 2800
@@ -29,8 +30,6 @@ Made = Callable[[int, int, str, float, float], textures.Recording]
 """Makes a signal of a rate in hertz, of so many channels, in a unit, with a peak value, for so many seconds."""
 # docs/protocol.md, "Credit"
 _MOST_PACKETS = 1024
-# Type, number, iteration and length before a packet that has a frame of its own.
-_FRAME_BYTES = 12
 
 
 def stream_for(
@@ -58,7 +57,7 @@ def stream_for(
     if buffered:
         seconds = min(seconds, 0.8 * limits.buffer_samples / rate_hz)
     peak = amplitude(hello.actuator, unit)
-    stream = coded(made_by or texture, codec_name, rate_hz, channels, unit, peak, seconds, _packet_bytes(limits))
+    stream = coded(made_by or texture, codec_name, rate_hz, channels, unit, peak, seconds, max_packet_bytes(limits))
     if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
         pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
     return stream
@@ -172,10 +171,6 @@ def known_actuator(description: ActuatorDescription) -> Actuator:
         pytest.skip(f"the actuator {description.name!r} is none whose DAC codes can be computed here")
     # The same actuator may hang on another DAC.
     return replace(ACTUATORS[description.name], dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
-
-
-def _packet_bytes(limits: Limits) -> int:
-    return min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - _FRAME_BYTES)
 
 
 def held_samples(hello: HelloResponse, stream: Stream) -> int:

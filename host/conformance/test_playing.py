@@ -32,6 +32,7 @@ from vibrocast.host.conformance.streams import (
     need_capture,
     stream_for,
 )
+from vibrocast.host.stream_session import next_number
 
 # Later than requests take to come, besides what the controller takes to answer them.
 _SOON_US = 400_000
@@ -161,7 +162,7 @@ def test_packets_are_sorted(probe: Probe, stream: Stream) -> None:
 def test_data_of_another_stream_is_dropped(probe: Probe, stream: Stream) -> None:
     """Data of another stream or of an iteration that there is not, and packets that cannot be read, are dropped."""
     number = probe.configure(stream).stream
-    probe.send_packets((number + 1) % 256, stream.packets)
+    probe.send_packets(next_number(number), stream.packets)
     probe.send_packets(number, stream.packets, iteration=1)
     probe.send_packets(number, stream.packets, iteration=0xFFFFFFFF)
     probe.send_packets(number, [b"", b"\xff" * 8])

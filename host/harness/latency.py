@@ -1,6 +1,5 @@
 """Measures the delay from a block's last sample at the host to the DAC, part by part, and the least that is stable."""
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +12,7 @@ from vibrocast.device_protocol.messages import State, Tap
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.harness.device_clock import ClockFit, DeviceClock
-from vibrocast.host.harness.read_back import read_capture
+from vibrocast.host.stream_session import read_capture, stopped_on_error
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import Drive
 from vibrocast.textures import Recording
@@ -113,7 +112,7 @@ def measure(
     clock = DeviceClock(controller)
     packets: list[bytes] = []
     times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent
-    try:
+    with stopped_on_error(controller):
         for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             awake_s = controller.clock()
             coded = stream.code(block)
@@ -126,10 +125,6 @@ def measure(
             if progress is not None:
                 progress(len(times_s) * stream.packet_samples / len(samples))
         result = stream.finish()
-    except BaseException:
-        with contextlib.suppress(Exception):
-            controller.stop()
-        raise
     fit = clock.fit()
     decoder = codec.decoder(stream.header.codec_identifier, stream.header.configuration, stream.header.channels)
     first, decoded = read_capture(controller, Tap.DECODED, stream.header.channels)

@@ -7,12 +7,12 @@ import numpy as np
 
 from vibrocast.codec import Signal, SignalFormat
 from vibrocast.codec.live_format import live_format
-from vibrocast.device_protocol.messages import State, StreamData, Tap, pack
+from vibrocast.device_protocol.messages import CaptureData, State, StreamData, Tap
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
 from vibrocast.host.harness.latency import looped
-from vibrocast.host.harness.read_back import oldest
 from vibrocast.host.player import BUFFER_S
+from vibrocast.host.stream_session import PACKET_OVERHEAD_BYTES, Capture, next_number, oldest_captured
 from vibrocast.textures import Recording
 
 THROUGHPUT_S = 1.0
@@ -21,7 +21,6 @@ CHANNELS = (1, 2, 4, 8, 16)
 RATES_HZ = (2800, 8000)
 
 _FRAMES_AT_ONCE = 8
-_LENGTH_BYTES = 5
 _READ_S = 0.01
 _START_S = 0.05  # from the first packet to its playing: time to send the others that fill the buffer
 _MIN_WAIT_S = 1e-6
@@ -76,20 +75,18 @@ def throughput(controller: Controller, texture: Recording, *, rate_hz: int = 280
     """
     _play(controller, texture, 1, rate_hz, 1.0)
     before = controller.request_status()
-    packet = bytes(
-        controller.description.limits.maximum_payload_bytes - len(pack(StreamData(0, 0, ()))) - _LENGTH_BYTES
-    )
-    data = StreamData((before.stream + 1) % 256, 0, (packet,))
+    packet = bytes(controller.description.limits.maximum_payload_bytes - PACKET_OVERHEAD_BYTES)
+    data = StreamData(next_number(before.stream), 0, (packet,))
     began_s, sent_before = controller.clock(), controller.bytes_sent
     while (seconds := controller.clock() - began_s) < THROUGHPUT_S:
         for _ in range(_FRAMES_AT_ONCE):
             controller.send(data)
         after = controller.request_status()
     sent = (controller.bytes_sent - sent_before) / seconds
-    offset = oldest(controller, Tap.DAC)
+    frame = Capture(controller, Tap.DAC, 1, oldest_captured(controller, Tap.DAC)).request()
     began_s, received_before = controller.clock(), controller.bytes_received
     while (seconds := controller.clock() - began_s) < THROUGHPUT_S:
-        controller.read_capture(Tap.DAC, offset, controller.capture_room(1), 1)
+        controller.request(frame, CaptureData)
     received = (controller.bytes_received - received_before) / seconds
     return Throughput(sent, received, after.bad_frames - before.bad_frames)
 

@@ -141,15 +141,13 @@ def play_sweep(
     with contextlib.nullcontext() if recorder is None else recorder(seconds + 2 * _AROUND_S) as finish:
         if finish is not None:
             controller.sleep(_AROUND_S)
-        played = player.play(
-            controller,
-            stream.header,
-            stream.packets,
-            stream.decoder().packet_samples,
+        settings = player.PlaybackSettings(
             compensation=compensation,
             capture=True,
             progress=progress and (lambda now: progress(now.position_s / seconds)),
         )
+        packet_samples = stream.decoder().packet_samples
+        played = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
         if played.underruns or played.lost_packets or played.dac_codes is None or played.decoded is None:
             raise ControllerError("the sweep was not played whole: use a machine that is less busy, or a shorter cable")
         if finish is None:

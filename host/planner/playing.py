@@ -27,11 +27,11 @@ from vibrocast.host import (
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.harness.bench_file import Bench, actuator_of, chosen, driven_actuator
 from vibrocast.host.harness.device_clock import DeviceClock
-from vibrocast.host.harness.read_back import read_capture
 from vibrocast.host.many import on_all
 from vibrocast.host.planner import band
 from vibrocast.host.planner.candidates import spqi
 from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
+from vibrocast.host.stream_session import read_capture, stopped_on_error
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.textures import Recording
 
@@ -221,7 +221,7 @@ def play_live(
     controller.frame_bytes.clear()
     ask_s = 0.0
     load = _Load(controller, stream.stream)
-    try:
+    with stopped_on_error(controller):
         for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             stream.send_packets(stream.code(block))
             if due_s >= ask_s:
@@ -230,10 +230,6 @@ def play_live(
             load.note()
             tell(stream.packets_sent * stream.packet_samples / len(samples))
         return stream.finish(), load.instructions_per_second
-    except BaseException:
-        with contextlib.suppress(Exception):
-            controller.stop()
-        raise
 
 
 def play_by_hand(

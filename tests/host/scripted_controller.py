@@ -70,7 +70,7 @@ class ScriptedController:
         self.answer: Callable[[Message], Message | None] = lambda message: None
         self.at_read: Callable[[], None] = lambda: None
         self.unplugged = False
-        self.largest_read_s = 1.0
+        self.largest_read_s = 0.02
         self.check_credit = True
         self.handled: list[Message] = []
         self.flash = bytearray()

@@ -27,6 +27,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import TRIES, ConnectionLost, Controller, ControllerError
+from vibrocast.host.stream_session import Capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.memory_link import MemoryLink
 
@@ -226,7 +227,7 @@ def test_capture_that_is_gone_is_an_error() -> None:
     controller = connect(scripted)
     scripted.answer = lambda message: CaptureData(Tap.DAC, 1, 500, 1500, b"")
     with pytest.raises(ControllerError, match="keeps the last 1000 samples"):
-        controller.read_capture(Tap.DAC, 0, 10, channels=1)
+        controller.run(Capture(controller, Tap.DAC, 1).read_steps())
 
 
 @given(st.lists(st.binary(max_size=300), max_size=20))

@@ -13,6 +13,8 @@ from vibrocast.device_protocol.messages import CaptureData, Tap
 from vibrocast.host import end_to_end
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.end_to_end import Outcome
+from vibrocast.host.event_loop import Steps
+from vibrocast.host.stream_session import Capture
 from vibrocast.output.actuator import LRA, PIEZO_STACK, Actuator
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -39,14 +41,14 @@ def test_every_pass_is_compared() -> None:
 
 @pytest.mark.parametrize("tap", Tap)
 def test_difference_in_the_last_pass_is_found(tap: Tap, monkeypatch: pytest.MonkeyPatch) -> None:
-    read = Controller.read_capture
+    take = Capture.take
 
-    def read_wrongly(controller: Controller, of: Tap, offset: int, count: int, channels: int) -> CaptureData:
-        captured = read(controller, of, offset, count, channels)
-        last = offset + len(captured.data) // 2 == captured.end
-        return replace(captured, data=captured.data[:-1] + b"\x55") if of == tap and last else captured
+    def take_wrongly(capture: Capture, captured: CaptureData) -> bool:
+        last = captured.offset + len(captured.data) // 2 == captured.end
+        damaged = replace(captured, data=captured.data[:-1] + b"\x55")
+        return take(capture, damaged if captured.tap == tap and last else captured)
 
-    monkeypatch.setattr(Controller, "read_capture", read_wrongly)
+    monkeypatch.setattr(Capture, "take", take_wrongly)
     report = play().report
     assert report.decoded_equals_offline is (tap != Tap.DECODED)
     assert report.dac_equals_offline is (tap != Tap.DAC)
@@ -86,14 +88,14 @@ def test_known_actuator_is_modelled_with_the_dac_that_its_controller_has(actuato
 def test_controller_with_an_impossible_actuator_is_refused(
     changes: dict[str, Any], reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    say_hello = Controller.say_hello
+    open_steps = Controller.open_session_steps
 
-    def say_wrongly(controller: Controller) -> None:
-        say_hello(controller)
+    def open_wrongly(controller: Controller) -> Steps[None]:
+        yield from open_steps(controller)
         hello = controller.description
         described = replace(hello.actuator, **({"name": "unheard of"} | changes))
         controller.description = replace(hello, actuator=described)
 
-    monkeypatch.setattr(Controller, "say_hello", say_wrongly)
+    monkeypatch.setattr(Controller, "open_session_steps", open_wrongly)
     with pytest.raises(ControllerError, match=reason):
         play()

@@ -13,8 +13,8 @@ from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
-from vibrocast.host.harness.read_back import read_capture
 from vibrocast.host.live import LiveStream
+from vibrocast.host.stream_session import read_capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink

@@ -130,7 +130,7 @@ def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(flaw: str)
     bad = ModelImage(model.codec_identifier, "bad", "1", "", payload()).pack()
     with pytest.raises(ControllerError, match=reason):
         flash(host, bad)
-    host.say_hello()
+    host.open_session()
     assert [image.state for image in host.description.images] == [SlotState.CONFIRMED, SlotState.EMPTY]
     still = running(host)
     assert still is not None and still.name == "tiny"

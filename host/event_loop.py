@@ -1,0 +1,219 @@
+"""One event loop in one thread for the work with one controller or with many, none of which waits for another."""
+
+import heapq
+import itertools
+import selectors
+from collections.abc import Callable, Generator, Hashable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from vibrocast.device_protocol.transports import TransportError
+
+_Result = TypeVar("_Result")
+_Key = TypeVar("_Key", bound=Hashable)
+
+Steps = Generator[float, bytes, _Result]
+"""Work in steps: each yields for how many seconds it waits at most, and gets the bytes that came, which may be none.
+
+A step that yields a Pause waits all that time, and reads nothing. What breaks a transport is raised at the yield.
+"""
+
+# So often the loop looks at transports that have no file to wait for, which are those in simulated time.
+_POLL_S = 0.002
+# The simulated clock counts microseconds.
+_SHORTEST_SLEEP_S = 1e-6
+
+
+class Pause(float):
+    """Seconds in which a step reads nothing, as its transport is broken."""
+
+
+class Reader(Protocol):
+    """Whom the steps work with: a `host.controller.Controller`."""
+
+    @property
+    def file(self) -> Any:
+        """What `selectors` can wait for, another object once it was opened again; None where there is none."""
+
+    @property
+    def is_sending(self) -> bool:
+        """Whether bytes wait to be written, which `read` does."""
+
+    @property
+    def clock(self) -> Callable[[], float]:
+        """The time in seconds."""
+
+    @property
+    def sleep(self) -> Callable[[float], None]:
+        """Lets time pass."""
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that came, waiting for them at most `timeout_s`. Raises TransportError."""
+
+
+@dataclass(eq=False)
+class _Member(Generic[_Key]):
+    """One of those that the loop serves.
+
+    `wait`: what its last step yielded. `due_s`: when it is over. `file`, `events`: what the loop waits for.
+    """
+
+    key: _Key
+    reader: Reader
+    steps: Steps[Any]
+    wait: float = 0.0
+    due_s: float = 0.0
+    file: Any = None
+    events: int = 0
+    ended: bool = False
+
+    @property
+    def pauses(self) -> bool:
+        """Whether nothing is to be read."""
+        return isinstance(self.wait, Pause)
+
+
+def run(reader: Reader, steps: Steps[_Result]) -> _Result:
+    """Do the work with one controller; return its result or raise its error."""
+    (result,) = run_all({None: (reader, steps)}).values()
+    if isinstance(result, Exception):
+        raise result
+    return result
+
+
+def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _Result | Exception]:
+    """Do the work with all controllers at once; return by key what each gave or raised.
+
+    All have the same clock. KeyboardInterrupt, and whatever else is no Exception, is raised in every step that waits;
+    the caller gets it when all have ended.
+    """
+    return _Loop[_Key, _Result](works).run()
+
+
+class _Loop(Generic[_Key, _Result]):
+    """`_due`: when members are due, the next first; those that have been served meanwhile are there more than once."""
+
+    def __init__(self, works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> None:
+        self._results: dict[_Key, _Result | Exception] = {}
+        self._members = [_Member(key, reader, steps) for key, (reader, steps) in works.items()]
+        self._left = len(self._members)
+        self._due: list[tuple[float, int, _Member[_Key]]] = []
+        self._number = itertools.count()
+        self._selector: selectors.BaseSelector | None = None
+        self._polled: set[_Member[_Key]] = set()
+        self._interrupt: BaseException | None = None
+
+    def run(self) -> dict[_Key, _Result | Exception]:
+        turn = self._serve_one
+        if len(self._members) != 1:
+            self._selector, turn = selectors.DefaultSelector(), self._serve_all
+        try:
+            for member in self._members:
+                if not member.ended:
+                    self._step(member, next, member.steps)
+            while self._left:
+                try:
+                    turn()
+                except BaseException as interrupt:  # while the loop waits
+                    self._interrupt_all(interrupt)
+        finally:
+            if self._selector is not None:
+                self._selector.close()
+        if self._interrupt is not None:
+            raise self._interrupt
+        return {member.key: self._results[member.key] for member in self._members}
+
+    def _serve_one(self) -> None:
+        """Wait for the only member, and serve it."""
+        (member,) = self._members
+        if member.pauses:
+            member.reader.sleep(member.wait)
+            self._step(member, member.steps.send, b"")
+        else:
+            self._read(member, member.wait, is_due=True)
+
+    def _serve_all(self) -> None:
+        """Wait until something comes or is due, and serve those whom it concerns."""
+        clock = self._members[0].reader.clock
+        while self._due and (self._due[0][2].ended or self._due[0][0] != self._due[0][2].due_s):
+            heapq.heappop(self._due)
+        for member in self._wait(max(0.0, self._due[0][0] - clock())):
+            if not (member.ended or member.pauses):
+                self._read(member, 0.0, is_due=False)
+        now_s = clock()
+        due = []
+        while self._due and self._due[0][0] <= now_s:
+            due_s, _, member = heapq.heappop(self._due)
+            if not member.ended and member.due_s == due_s:
+                due.append(member)
+        for member in due:
+            if not member.ended:
+                self._step(member, member.steps.send, b"")
+
+    def _wait(self, timeout_s: float) -> list[_Member[_Key]]:
+        """Return those whose files are ready, and all that have none, after `timeout_s` at most."""
+        assert self._selector is not None
+        if self._polled:
+            self._members[0].reader.sleep(min(max(timeout_s, _SHORTEST_SLEEP_S), _POLL_S) if timeout_s else 0.0)
+            timeout_s = 0.0
+        return [*self._polled, *(key.data for key, _ in self._selector.select(timeout_s))]
+
+    def _read(self, member: _Member[_Key], timeout_s: float, is_due: bool) -> None:
+        """Read what has come for a member, and do its next step unless it may wait on."""
+        was_sending = member.reader.is_sending
+        try:
+            data = member.reader.read(timeout_s)
+        except TransportError as error:
+            self._step(member, member.steps.throw, error)
+            return
+        if data or is_due or member.reader.is_sending != was_sending:
+            self._step(member, member.steps.send, data)
+
+    def _step(self, member: _Member[_Key], step: Callable[..., float], *arguments: Any) -> None:
+        """Do one step of a member; note when the next is due, or how it ended."""
+        try:
+            member.wait = step(*arguments)
+            member.due_s = member.reader.clock() + member.wait
+            if self._selector is not None:
+                heapq.heappush(self._due, (member.due_s, next(self._number), member))
+                self._watch(member)
+            return
+        except StopIteration as end:
+            self._results[member.key] = end.value
+        except Exception as error:  # of one controller: the others go on
+            self._results[member.key] = error
+        except BaseException as interrupt:
+            self._end(member)
+            if interrupt is not self._interrupt:
+                self._interrupt_all(interrupt)
+            return
+        self._end(member)
+
+    def _end(self, member: _Member[_Key]) -> None:
+        member.ended = True
+        self._left -= 1
+        if self._selector is not None:
+            self._watch(member)
+
+    def _interrupt_all(self, interrupt: BaseException) -> None:
+        """Raise an interruption in every step that waits; a second one ends the loop at once."""
+        if self._interrupt is not None:
+            raise interrupt
+        self._interrupt = interrupt
+        for member in self._members:
+            if not member.ended:
+                self._step(member, member.steps.throw, interrupt)
+
+    def _watch(self, member: _Member[_Key]) -> None:
+        """Have the selector wait for what a member now waits for."""
+        assert self._selector is not None
+        waits = not (member.ended or member.pauses)
+        file = member.reader.file if waits else None
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.reader.is_sending else 0)
+        if file is None or file is not member.file or events != member.events:
+            if member.file is not None:
+                self._selector.unregister(member.file)
+            if file is not None:
+                self._selector.register(file, events, member)
+            member.file, member.events = file, events
+            (self._polled.add if waits and file is None else self._polled.discard)(member)

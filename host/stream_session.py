@@ -1,0 +1,205 @@
+"""One stream on a controller, as every sender has it: configure, credit, packets, status, captures, stop."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
+from vibrocast.device_protocol.messages import (
+    CaptureData,
+    CaptureRead,
+    Configure,
+    Limits,
+    Start,
+    State,
+    Status,
+    StatusRequest,
+    StreamData,
+    Tap,
+)
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.event_loop import Steps
+
+# In front of a packet in a frame's payload: type and stream, the iteration, and the packet's length.
+_FIXED_BYTES, _MAX_VARINT_BYTES = 2, 5
+PACKET_OVERHEAD_BYTES = _FIXED_BYTES + 2 * _MAX_VARINT_BYTES
+"""What a frame's payload has in addition to its only packet, at most."""
+
+
+def next_number(stream: int) -> int:
+    """Return the number of the stream after this one."""
+    return (stream + 1) % 256
+
+
+def max_packet_bytes(limits: Limits) -> int:
+    """Return the size of the longest packet that a controller takes and a frame holds."""
+    return min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - PACKET_OVERHEAD_BYTES)
+
+
+def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
+    """Raise StreamError, with the limit, if the controller cannot play a stream of these channels and this rate."""
+    limits = controller.description.limits
+    if channels > limits.channels:
+        raise StreamError(f"{channels} channels, the controller has {limits.channels}: leave some out of the recording")
+    if not limits.minimum_rate_hz <= rate_hz <= limits.maximum_rate_hz:
+        raise StreamError(
+            f"a stream of {rate_hz} Hz, the controller takes {limits.minimum_rate_hz} to {limits.maximum_rate_hz} Hz: "
+            "encode with another `stream_rate_hz`"
+        )
+
+
+def check_packet(controller: Controller, packet_samples: int) -> None:
+    """Raise ControllerError if the controller's buffer does not hold a packet of so many samples."""
+    buffer_samples = controller.description.limits.buffer_samples
+    if packet_samples > buffer_samples:
+        raise ControllerError(
+            f"a packet has {packet_samples} samples, the controller's buffer {buffer_samples}: "
+            "encode with shorter packets"
+        )
+
+
+class StreamSession:
+    """A stream that a controller has been configured for, until the next Configure.
+
+    `number`: marks its data. `status`: its last one. `credit_until`: data that ends at or before this position may be
+    sent.
+    """
+
+    def __init__(self, controller: Controller, number: int, status: Status) -> None:
+        """Raises ControllerError for a controller in fault."""
+        self.controller = controller
+        self.number = number
+        self.credit_until = 0
+        self._take(status)
+
+    def send(self, packets: Sequence[bytes], iteration: int = 0) -> None:
+        """Send packets in one frame. Raises TransportError, MessageError."""
+        self.controller.send(StreamData(self.number, iteration, tuple(packets)))
+
+    def fitting(self, packets: Sequence[bytes]) -> int:
+        """Return how many packets, from the first on, one frame holds."""
+        left_bytes = self.controller.description.limits.maximum_payload_bytes - _FIXED_BYTES - _MAX_VARINT_BYTES
+        for count, packet in enumerate(packets):
+            left_bytes -= len(packet) + _MAX_VARINT_BYTES
+            if left_bytes < 0:
+                return count
+        return len(packets)
+
+    def start_steps(self, device_time_us: int = 0) -> Steps[None]:
+        """Start it at a device time, 0 = at once. Raises as `Controller.request_steps`."""
+        yield from self.controller.request_steps(Start(device_time_us), Status)
+
+    def news(self) -> Status | None:
+        """Take in the last Status that came; return it, None if there is no new one of this stream.
+
+        Raises ControllerError for a controller in fault.
+        """
+        status = self.controller.status
+        if status is None or status is self.status or status.stream != self.number:
+            return None
+        self._take(status)
+        return status
+
+    def _take(self, status: Status) -> None:
+        if status.state == State.FAULT:
+            raise ControllerError("the controller reports a fault of its hardware and has stopped")
+        self.status = status
+        self.credit_until = max(self.credit_until, status.credit_until)
+
+
+def configure_steps(
+    controller: Controller,
+    header: StreamHeader,
+    prebuffer_samples: int,
+    *,
+    packets: int = 0,
+    first_packet: int = 0,
+    loops: int = 1,
+    compensation: bool = True,
+    gain: float = 1.0,
+) -> Steps[StreamSession]:
+    """Set a stream up, under the number after the last one. Raises as `Controller.request_steps`."""
+    status = yield from controller.request_steps(StatusRequest(), Status)
+    configure = Configure(
+        stream=next_number(status.stream),
+        header=header.pack(),
+        prebuffer_samples=prebuffer_samples,
+        packets=packets,
+        first_packet=first_packet,
+        loops=loops,
+        compensation=compensation,
+        gain=gain,
+    )
+    return StreamSession(controller, configure.stream, (yield from controller.request_steps(configure, Status)))
+
+
+@contextlib.contextmanager
+def stopped_on_error(controller: Controller) -> Iterator[None]:
+    """Stop the controller first, whatever is raised inside, KeyboardInterrupt included."""
+    try:
+        yield
+    except BaseException:
+        # Where the controller is out of reach, its own watchdog stops it.
+        with contextlib.suppress(ControllerError, TransportError):
+            controller.stop()
+        raise
+
+
+class Capture:
+    """What a tap has captured of a stream, read back frame by frame.
+
+    `samples_read`: samples per channel, counted as the controller does, up to which it has been read.
+    """
+
+    def __init__(self, controller: Controller, tap: Tap, channels: int, first: int = 0) -> None:
+        """Read from sample `first` on."""
+        self.samples_read = first
+        self._controller, self._tap, self._channels = controller, tap, channels
+        self._pieces = [np.zeros((0, channels), np.int16)]
+        fixed_bytes = len(CaptureData(tap, channels, 0, 0, b"").body()) + 3
+        self._frame_samples = (controller.description.limits.maximum_payload_bytes - fixed_bytes) // (2 * channels)
+
+    def request(self) -> CaptureRead:
+        """Return the request for the next frame."""
+        return CaptureRead(self._tap, self.samples_read, self._frame_samples)
+
+    def take(self, answer: CaptureData) -> bool:
+        """Take in a frame; return whether there is more. Raises ControllerError if it is not the next one."""
+        if (answer.tap, answer.channels, answer.offset) != (self._tap, self._channels, self.samples_read):
+            raise ControllerError(
+                f"the controller has no {self._tap.name.lower()} capture from sample {self.samples_read} of "
+                f"{self._channels} channels: it keeps the last {self._controller.description.limits.capture_samples} "
+                "samples. Play without the read-back."
+            )
+        piece = np.frombuffer(answer.data, "<i2").astype(np.int16).reshape(-1, self._channels)
+        self._pieces.append(piece)
+        self.samples_read += len(piece)
+        return len(piece) > 0 and self.samples_read < answer.end
+
+    def read_steps(self) -> Steps[bool]:
+        """Read the next frame; return whether there is more. Raises as `take` and `Controller.request_steps`."""
+        return self.take((yield from self._controller.request_steps(self.request(), CaptureData)))
+
+    def samples(self) -> NDArray[np.int16]:
+        """Return all that was read: int16 (samples, channels)."""
+        return np.concatenate(self._pieces)
+
+
+def oldest_captured(controller: Controller, tap: Tap) -> int:
+    """Return the number of the first sample that a tap still has. Raises as `Controller.request`."""
+    return controller.request(CaptureRead(tap, 0, 1), CaptureData).offset
+
+
+def read_capture(controller: Controller, tap: Tap, channels: int) -> tuple[int, NDArray[np.int16]]:
+    """Return the number of the first sample that a tap still has, and all from there on: int16 (n, channels).
+
+    Raises as `Capture.read_steps`.
+    """
+    first = oldest_captured(controller, tap)
+    capture = Capture(controller, tap, channels, first)
+    while controller.run(capture.read_steps()):
+        pass
+    return first, capture.samples()
