@@ -221,6 +221,7 @@ class ThreadedTransport(_Closing):
         self._start()
 
     def _start(self) -> None:
+        self._ending = False
         self._error: TransportError | None = None
         self._received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._sent: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -234,6 +235,7 @@ class ThreadedTransport(_Closing):
     def _end(self) -> None:
         """End the threads, once what was written before has been sent; may be called again."""
         if self._threads:
+            self._ending = True
             self._sent.put(None)
             for thread in self._threads:
                 thread.join()
@@ -242,7 +244,7 @@ class ThreadedTransport(_Closing):
             self._signal.close()
 
     def _read_all(self) -> None:
-        while self._threads[1].is_alive():
+        while not self._ending:
             try:
                 data = self._transport.read(_THREAD_READ_S)
             except TransportError as error:

@@ -3,7 +3,8 @@
 import contextlib
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from vibrocast.device_protocol.transports import (
     libusb_backend,
     open_transport,
 )
-from vibrocast.host.controller import Controller
+from vibrocast.host.controller import Controller, ControllerError
 
 if TYPE_CHECKING:
     from vibrocast.output.actuator import Actuator
@@ -57,6 +58,31 @@ def connect(address: str, runtime: str | None = None, actuator: "Actuator | None
     """Open a session with the controller at `address`, as `reach` does. Raises TransportError and ControllerError."""
     with reach(address, runtime, actuator) as transport:
         yield Controller(transport)
+
+
+@contextlib.contextmanager
+def open_all(
+    sessions: Mapping[str, AbstractContextManager[Controller]],
+) -> Iterator[tuple[dict[str, Controller], dict[str, Exception]]]:
+    """Open sessions, such as `connect` gives; yield those that are open, and by name why others are not.
+
+    Controllers that fail while their sessions are closed are among the latter too, then.
+    """
+    controllers: dict[str, Controller] = {}
+    failures: dict[str, Exception] = {}
+    try:
+        for name, session in sessions.items():
+            try:
+                controllers[name] = session.__enter__()
+            except (ControllerError, TransportError) as error:
+                failures[name] = error
+        yield controllers, failures
+    finally:
+        for name in controllers:
+            try:
+                sessions[name].__exit__(None, None, None)
+            except (ControllerError, TransportError) as error:
+                failures[name] = error
 
 
 @contextlib.contextmanager

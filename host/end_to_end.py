@@ -1,10 +1,11 @@
 """Plays a coded stream on a device, reads back what it did, compares with the same computed here, and reports."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,18 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import player, uploader
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.devices import model_images
+from vibrocast.host.event_loop import run_all
 from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report, Touch
 from vibrocast.output.actuator import ACTUATORS, Actuator, Codes
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
+
+_Key = TypeVar("_Key", bound=Hashable)
 
 # Decoded samples of all channels and loops, positions that are not played included: 1.6 h at 2800 Hz. Computing the
 # same here takes about 80 bytes for each.
@@ -42,6 +47,20 @@ class Outcome:
     traces: tuple[Trace, ...]
 
 
+@dataclass(frozen=True)
+class Member:
+    """One of those who play a stream together: a session, and its address for the report.
+
+    `actuator`: the one that the controller works with, None = as it describes it; `skin_model`: the one that moves the
+    skin, None = the same.
+    """
+
+    controller: Controller
+    address: str
+    actuator: Actuator | None = None
+    skin_model: Actuator | None = None
+
+
 def play(
     controller: Controller,
     address: str,
@@ -53,35 +72,76 @@ def play(
     actuator: Actuator | None = None,
     skin_model: Actuator | None = None,
 ) -> Outcome:
-    """Play a stream to its end and compare what was decoded and what went to the DAC with the same computed here.
+    """Play a stream on one controller, as `play_together` does. Raises CodecError, and as `player.play`."""
+    member = Member(controller, address, actuator, skin_model)
+    tell = None if progress is None else lambda _, now: progress(now)
+    (outcome,) = play_together({None: member}, file_name, stream, encoding, loops, tell).values()
+    if isinstance(outcome, Exception):
+        raise outcome
+    return outcome
 
-    Both are read back from the controller, unless it captures nothing or there would be more than MAX_COMPARED_SAMPLES:
-    then nothing is compared, and the skin is computed from one pass. A simulated controller of this session is flashed
-    with the stream's model first.
+
+def play_together(
+    members: Mapping[_Key, Member],
+    file_name: str,
+    stream: Stream,
+    encoding: Encoding | None = None,
+    loops: int = 1,
+    progress: Callable[[_Key, player.Progress], None] | None = None,
+) -> dict[_Key, Outcome | Exception]:
+    """Play a stream to its end on all controllers at once; return by key what each did, or why it failed.
+
+    What was decoded and what went to the DAC is compared with the same computed here. Both are read back from the
+    controller, unless it captures nothing or there would be more than MAX_COMPARED_SAMPLES: then nothing is compared,
+    and the skin is computed from one pass. A simulated controller of this session gets the stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
-    another level (`Stream.with_gain`). `file_name` and `address` are for the report. `actuator`: the one that the
-    controller works with, None = as it describes it; `skin_model`: the one that moves the skin, None = the same.
-    Raises CodecError, and whatever `player.play` raises.
+    another level (`Stream.with_gain`). `file_name` is for the report. Raises CodecError.
     """
-    header, decoder = stream.header, stream.decoder()
-    if stream.image is not None:
-        uploader.provide(controller, address, stream.image)
-    hello = controller.description
-    actuator = actuator or actuator_model(hello.actuator)
-    skin_model = skin_model or actuator
+    offline, packet_samples = stream.decode_integers(), stream.decoder().packet_samples
+    outcomes: dict[_Key, Outcome | Exception] = {}
+    works = {}
+    for key, member in members.items():
+        try:
+            if stream.image is not None:
+                uploader.provide(member.controller, member.address, stream.image)
+            _drive_s(stream.header, member.actuator or actuator_model(member.controller.description.actuator))
+        except (ControllerError, TransportError) as error:
+            outcomes[key] = error
+            continue
+        captures = member.controller.description.limits.capture_samples > 0
+        settings = player.PlaybackSettings(
+            loops=loops,
+            capture=captures and loops * offline.size <= MAX_COMPARED_SAMPLES,
+            progress=progress and partial(progress, key),
+        )
+        works[key] = (
+            member.controller,
+            player.play_steps(member.controller, stream.header, stream.packets, packet_samples, settings),
+        )
+    for key, result in run_all(works).items():
+        outcomes[key] = (
+            result
+            if isinstance(result, Exception)
+            else _compared(members[key], file_name, stream, encoding, loops, offline, result)
+        )
+    return {key: outcomes[key] for key in members}
+
+
+def _compared(
+    member: Member,
+    file_name: str,
+    stream: Stream,
+    encoding: Encoding | None,
+    loops: int,
+    offline: NDArray[np.int16],
+    result: player.PlaybackResult,
+) -> Outcome:
+    """Return what a controller did, compared with the same computed here; `offline`: one pass, decoded here."""
+    header, decoder, hello = stream.header, stream.decoder(), member.controller.description
+    actuator = member.actuator or actuator_model(hello.actuator)
+    skin_model = member.skin_model or actuator
     drive_s = _drive_s(header, actuator)
-    offline = stream.decode_integers()
-    capture = controller.description.limits.capture_samples > 0 and loops * offline.size <= MAX_COMPARED_SAMPLES
-    result = player.play(
-        controller,
-        header,
-        stream.packets,
-        decoder.packet_samples,
-        loops=loops,
-        capture=capture,
-        progress=progress,
-    )
-    codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=loops if capture else 1)
+    codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=1 if result.decoded is None else loops)
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0
     played = result.decoded if result.decoded is not None else offline
@@ -118,7 +178,7 @@ def play(
         lost_packets=result.lost_packets,
         reconnects=result.reconnects,
         device=DeviceDescription(
-            address, hello.build, hello.hardware, f"{hello.major}.{hello.minor}", tuple(model_images(hello))
+            member.address, hello.build, hello.hardware, f"{hello.major}.{hello.minor}", tuple(model_images(hello))
         ),
         actuator=ActuatorUse(
             name=actuator.name,

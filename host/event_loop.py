@@ -31,6 +31,9 @@ class Pause(float):
 class Reader(Protocol):
     """Whom the steps work with: a `host.controller.Controller`."""
 
+    def make_selectable(self) -> None:
+        """Make that there is a `file`, if possible."""
+
     @property
     def file(self) -> Any:
         """What `selectors` can wait for, another object once it was opened again; None where there is none."""
@@ -107,6 +110,8 @@ class _Loop(Generic[_Key, _Result]):
         turn = self._serve_one
         if len(self._members) != 1:
             self._selector, turn = selectors.DefaultSelector(), self._serve_all
+            for member in self._members:
+                member.reader.make_selectable()
         try:
             for member in self._members:
                 if not member.ended:
@@ -153,10 +158,13 @@ class _Loop(Generic[_Key, _Result]):
     def _wait(self, timeout_s: float) -> list[_Member[_Key]]:
         """Return those whose files are ready, and all that have none, after `timeout_s` at most."""
         assert self._selector is not None
-        if self._polled:
-            self._members[0].reader.sleep(min(max(timeout_s, _SHORTEST_SLEEP_S), _POLL_S) if timeout_s else 0.0)
+        watches = bool(self._selector.get_map())
+        if timeout_s and (self._polled or not watches):
+            timeout_s = max(_SHORTEST_SLEEP_S, min(timeout_s, _POLL_S) if self._polled else timeout_s)
+            self._members[0].reader.sleep(timeout_s)
             timeout_s = 0.0
-        return [*self._polled, *(key.data for key, _ in self._selector.select(timeout_s))]
+        ready = self._selector.select(timeout_s) if watches else []
+        return [*self._polled, *(key.data for key, _ in ready)]
 
     def _read(self, member: _Member[_Key], timeout_s: float, is_due: bool) -> None:
         """Read what has come for a member, and do its next step unless it may wait on."""

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from studies.emulated_core import CORES, EmulatedCore, compile_core
-from vibrocast.host import hand, profiles
+from vibrocast.host import position_playback, profiles
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import PIEZO_STACK
 
@@ -98,7 +98,7 @@ def main() -> None:
     time_s = np.arange(round(SECONDS * rate_hz)) / rate_hz
     late_s = (rendering.HAND_DELAY_US + 2 * rendering.HAND_SMOOTHING_US) / 1e6
 
-    def rendered(movement: hand.Movement) -> NDArray[np.float64]:
+    def rendered(movement: position_playback.Movement) -> NDArray[np.float64]:
         positions = [
             (round(1e6 * at_s), round(1e6 * at_mm))
             for at_s, at_mm in zip(movement.times_s, movement.positions_mm, strict=True)
@@ -113,14 +113,14 @@ def main() -> None:
     axes = figure.subplots(len(SHOWN_MM_S) + 1, 1)
     settled = slice(round(SETTLED_S * rate_hz), None)
     for speed_mm_s in SPEEDS_MM_S:
-        made = rendered(hand.Movement(taken_s, speed_mm_s * taken_s))
+        made = rendered(position_playback.Movement(taken_s, speed_mm_s * taken_s))
         places_m = speed_mm_s / 1000 * (time_s - late_s)
         exact = resampled(period_um, places_m, header.rate_hz, BAND_PART * rate_hz / (speed_mm_s / 1000))
         rows.append((f"snr_db_at_{speed_mm_s}_mm_s", snr_db(made[settled], exact[settled])))
         if speed_mm_s in SHOWN_MM_S:
             title = f"{speed_mm_s} mm/s: SNR {rows[-1][1]:.0f} dB up to {BAND_PART * rate_hz:.0f} Hz"
             _draw(axes[SHOWN_MM_S.index(speed_mm_s)], time_s - SETTLED_S, made, exact, title)
-    turning = hand.Movement(taken_s, 2 - 50 * np.abs(taken_s - SETTLED_S - SHOWN_S / 2 + late_s))
+    turning = position_playback.Movement(taken_s, 2 - 50 * np.abs(taken_s - SETTLED_S - SHOWN_S / 2 + late_s))
     made = rendered(turning)
     places_m = np.interp(time_s - late_s, turning.times_s, turning.positions_mm) / 1000
     exact = resampled(period_um, places_m, header.rate_hz, BAND_PART * rate_hz / 0.05)

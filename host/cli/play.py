@@ -41,7 +41,7 @@ from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 
 if TYPE_CHECKING:
-    from vibrocast.host import hand
+    from vibrocast.host import position_playback
 
 SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
@@ -112,9 +112,9 @@ def play(
             raise click.UsageError("a profile under a hand has no report: drop --report.")
         if gain_db or actuator:
             raise click.UsageError("a profile under a hand has its own level and actuator: drop --gain-db, --actuator.")
-        from vibrocast.host import hand
+        from vibrocast.host import position_playback
 
-        movement = hand.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
+        movement = position_playback.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
         play_profile(file, address, movement, plot_path, runtime, choices)
         return
     unit = choices["unit"]
@@ -168,13 +168,13 @@ def play(
 def play_profile(
     file: Path,
     address: str,
-    movement: "hand.Movement",
+    movement: "position_playback.Movement",
     plot_path: Path | None,
     runtime: str | None,
     choices: dict[str, Any],
 ) -> None:
     """Play a height profile, or a spatial stream, under a moving hand; tell what was played, and draw it."""
-    from vibrocast.host import end_to_end, hand, picture
+    from vibrocast.host import end_to_end, picture, position_playback
 
     if file.suffix.lower() == ".vct":
         stream = coded_already(file, choices)
@@ -185,12 +185,12 @@ def play_profile(
     if not stream.header.spatial:
         raise BadInput(f"{file}: coded over time, not over position; encode the profile with --spatial")
     with devices.connect(address, runtime) as controller, progress.shown("playing") as update:
-        played = hand.play(controller, stream, movement, progress=update)
+        played = position_playback.play(controller, stream, movement, progress=update)
         actuator = end_to_end.actuator_model(controller.description.actuator)
-    expected = hand.computed(stream, played, actuator)
+    expected = position_playback.computed(stream, played, actuator)
     status, facts = played.status, stream.facts()
     if plot_path:
-        picture.draw(plot_path, f"{file.name} on {address}", *hand.pictured(played, expected, actuator))
+        picture.draw(plot_path, f"{file.name} on {address}", *position_playback.pictured(played, expected, actuator))
     show(
         {
             "played": f"{file.name}, {facts['length_mm']:.2f} mm, under a hand at up to "
@@ -201,7 +201,7 @@ def play_profile(
             "positions": f"{len(played.positions)} sent, {status.underruns} came too late, frames damaged "
             f"{played.damaged}",
             "DAC as computed": {**ANSWERS, False: "no, as where a position is lost"}[
-                hand.as_computed(played, expected, actuator)
+                position_playback.as_computed(played, expected, actuator)
             ],
         }
     )

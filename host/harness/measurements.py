@@ -3,7 +3,6 @@
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -12,10 +11,10 @@ import numpy as np
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.host import devices, player
 from vibrocast.host.controller import Controller
+from vibrocast.host.event_loop import run_all
 from vibrocast.host.harness import bench_file, fidelity, latency, load, response
 from vibrocast.host.harness.bench_file import Bench
 from vibrocast.host.harness.sensors import Recorder, recorder
-from vibrocast.host.many import on_all
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import render
 from vibrocast.textures import Recording
@@ -162,27 +161,25 @@ def together(bench: Bench) -> list[Together]:
     """
     stream = encode_recording(bench.scene()[0], live=True).stream
     offline, decoder = stream.decode_integers(), stream.decoder()
-    controllers = {each.name: each for each in bench.controllers}
-
-    def play(name: str, controller: Controller, check: Callable[[], None]) -> Together:
-        actuator = bench_file.driven_actuator(bench, controllers[name], controller.description.actuator)
+    sessions = {each.name: bench_file.connect(bench, each) for each in bench.controllers}
+    settings = player.PlaybackSettings(capture=True)
+    with devices.open_all(sessions) as (controllers, failures):
+        works = {
+            name: (each, player.play_steps(each, stream.header, stream.packets, decoder.packet_samples, settings))
+            for name, each in controllers.items()
+        }
+        results = run_all(works)
+    measured = []
+    for each in bench.controllers:
+        result = failures.get(each.name) or results[each.name]
+        if isinstance(result, Exception):
+            measured.append(Together(each.name, None, None, str(result)))
+            continue
+        actuator = bench_file.driven_actuator(bench, each, controllers[each.name].description.actuator)
         expected, _ = render(stream.header, offline, decoder.delay_samples, actuator)
-        result = player.play(
-            controller,
-            stream.header,
-            stream.packets,
-            decoder.packet_samples,
-            capture=True,
-            progress=lambda now: check(),
-        )
-        assert result.dac_codes is not None, "asked for"
-        return Together(name, bool(np.array_equal(result.dac_codes, expected)), result.underruns, None)
-
-    sessions = {name: partial(bench_file.connect, bench, each) for name, each in controllers.items()}
-    return [
-        Together(name, None, None, str(result)) if isinstance(result, Exception) else result
-        for name, result in on_all(sessions, play).items()
-    ]
+        assert result.dac_codes is not None, "required"
+        measured.append(Together(each.name, bool(np.array_equal(result.dac_codes, expected)), result.underruns, None))
+    return measured
 
 
 def device_facts(bench: Bench, controller: Controller) -> dict[str, Any]:

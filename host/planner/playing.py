@@ -18,16 +18,11 @@ from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import Position, State, StreamData, Tap
 from vibrocast.device_protocol.transports import Transport
 from vibrocast.evaluation import metrics
-from vibrocast.host import (
-    devices,
-    hand,
-    live,
-    uploader,
-)
+from vibrocast.host import devices, live, position_playback, uploader
+from vibrocast.host.concurrency import run_concurrently
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.harness.bench_file import Bench, actuator_of, chosen, driven_actuator
 from vibrocast.host.harness.device_clock import DeviceClock
-from vibrocast.host.many import on_all
 from vibrocast.host.planner import band
 from vibrocast.host.planner.candidates import spqi
 from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
@@ -166,7 +161,7 @@ def play(
 
     bench = plan.bench()
     sessions = {name: partial(opener, each.address, bench.actuator(name)) for name, each in playing.items()}
-    results = on_all(sessions, work)
+    results = run_concurrently(sessions, work)
     played: dict[str, Played] = {}
     for name, result in results.items():
         if isinstance(result, ControllerError) and len(playing) > 1:
@@ -238,7 +233,7 @@ def play_by_hand(
     length_mm: float,
     hand_speed_mm_s: float,
     tell: Callable[[float], None],
-) -> tuple[hand.Played, float | None]:
+) -> tuple[position_playback.Played, float | None]:
     """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
     controller.packets.clear()
     controller.frame_bytes.clear()
@@ -248,8 +243,8 @@ def play_by_hand(
         load.note()
         tell(part)
 
-    movement = hand.back_and_forth(length_mm, hand_speed_mm_s, 1)
-    return hand.play(controller, stream, movement, note), load.instructions_per_second
+    movement = position_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
+    return position_playback.play(controller, stream, movement, note), load.instructions_per_second
 
 
 class _Player:
@@ -285,7 +280,9 @@ class _Player:
         self._provide_model(texture)
         length_mm = 1e3 * len(recording.samples) / texture.rate
         result, instructions = play_by_hand(controller, stream, length_mm, texture.hand_speed_mm_s, tell)
-        as_computed = hand.as_computed(result, hand.computed(stream, result, self._driven), self._driven)
+        as_computed = position_playback.as_computed(
+            result, position_playback.computed(stream, result, self._driven), self._driven
+        )
         number = result.status.stream
         sent = controller.packets[number]
         # Told as if swept at the greatest speed, as in the forecast.

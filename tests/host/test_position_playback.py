@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from vibrocast import codec, textures
 from vibrocast.codec.stream import Stream
 from vibrocast.files import InputFileError
-from vibrocast.host import hand, profiles
+from vibrocast.host import position_playback, profiles
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output.actuator import PIEZO_STACK
@@ -89,15 +89,15 @@ def test_movements_that_cannot_be_read_are_refused(tmp_path: Path, text: str, re
     path = tmp_path / "hand.csv"
     path.write_text(text)
     with pytest.raises(InputFileError, match=reason):
-        hand.read_movement(path)
+        position_playback.read_movement(path)
 
 
 def test_movement_is_read_and_made(tmp_path: Path) -> None:
     path = tmp_path / "hand.csv"
     path.write_text("time_s,position_mm\n2,1\n2.5,3.5\n")
-    movement = hand.read_movement(path)
+    movement = position_playback.read_movement(path)
     assert (movement.seconds, movement.fastest_mm_s) == (0.5, 5.0)
-    strokes = hand.back_and_forth(20.0, 100.0, 2)
+    strokes = position_playback.back_and_forth(20.0, 100.0, 2)
     assert strokes.fastest_mm_s == pytest.approx(100.0, rel=1e-3)
     assert np.max(strokes.positions_mm) == pytest.approx(20.0, rel=1e-3)
     assert strokes.positions_mm[-1] == pytest.approx(0.0, abs=1e-6)
@@ -105,13 +105,13 @@ def test_movement_is_read_and_made(tmp_path: Path) -> None:
 
 def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(stream: Stream) -> None:
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
-    movement = hand.back_and_forth(10.0, 120.0, 1)
+    movement = position_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
         link = MemoryLink(SimulatedController(), FaultyLine(seed=4, lost=lost))
         with Controller(link, link.clock, link.sleep) as controller:
-            played = hand.play(controller, stream, movement)
-        expected = hand.computed(stream, played, PIEZO_STACK)
-        assert hand.as_computed(played, expected, PIEZO_STACK) is alike
+            played = position_playback.play(controller, stream, movement)
+        expected = position_playback.computed(stream, played, PIEZO_STACK)
+        assert position_playback.as_computed(played, expected, PIEZO_STACK) is alike
         first = PIEZO_STACK.dac_rate_hz // 20
         codes = played.dac_codes[first : len(expected.codes) - 2 * first, 0]
         assert np.corrcoef(codes, expected.codes[first : first + len(codes), 0])[0, 1] > 0.9
@@ -121,21 +121,21 @@ def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(s
 @pytest.mark.parametrize("drift_ppm", [-10_000, 10_000])
 def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: Stream, drift_ppm: int) -> None:
     times_s = np.arange(0, 4, 0.05)
-    movement = hand.Movement(times_s, 10 * np.sin(6 * times_s))
+    movement = position_playback.Movement(times_s, 10 * np.sin(6 * times_s))
     link = MemoryLink(SimulatedController(Settings(drift_ppm=drift_ppm)))
     with Controller(link, link.clock, link.sleep) as controller:
-        played = hand.play(controller, stream, movement)
-    expected = hand.computed(stream, played, PIEZO_STACK)
-    assert hand.as_computed(played, expected, PIEZO_STACK) is True
+        played = position_playback.play(controller, stream, movement)
+    expected = position_playback.computed(stream, played, PIEZO_STACK)
+    assert position_playback.as_computed(played, expected, PIEZO_STACK) is True
     assert played.status.underruns == 0
     other = replace(played, dac_codes=played.dac_codes + 1)
-    assert hand.as_computed(other, expected, PIEZO_STACK) is False
+    assert position_playback.as_computed(other, expected, PIEZO_STACK) is False
     late = replace(other, status=replace(played.status, underruns=1))
-    assert hand.as_computed(late, expected, PIEZO_STACK) is None
+    assert position_playback.as_computed(late, expected, PIEZO_STACK) is None
 
 
 def test_controllers_that_cannot_are_named(stream: Stream) -> None:
     for samples, reason in ((0, "newer firmware"), (100, "room for 100")):
         link = MemoryLink(SimulatedController(Settings(profile_samples=samples)))
         with Controller(link, link.clock, link.sleep) as controller, pytest.raises(ControllerError, match=reason):
-            hand.load(controller, stream)
+            position_playback.load(controller, stream)

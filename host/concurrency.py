@@ -17,7 +17,7 @@ class Interrupted(RuntimeError):
     """The work with all controllers has been interrupted."""
 
 
-def on_all(
+def run_concurrently(
     sessions: Mapping[str, Callable[[], AbstractContextManager[_Session]]],
     work: Callable[[str, _Session, Callable[[], None]], _Result],
 ) -> dict[str, _Result | Exception]:

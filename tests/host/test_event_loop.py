@@ -1,0 +1,142 @@
+"""One loop for many controllers: each plays bit for bit what was sent and fails alone; interruptions stop them all."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.transports import SerialTransport, Transport, TransportError, UsbTransport
+from vibrocast.host import player
+from vibrocast.host.controller import ConnectionLost, Controller
+from vibrocast.host.event_loop import Pause, Steps, run_all
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.output.rendering import render
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
+from vibrocast.simulated_device.serial_port import serial_port
+from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
+from vibrocast.textures import Recording
+
+CHANNELS = 4
+SECONDS = 1.5
+
+
+def noise() -> Stream:
+    samples = 5.0 * np.random.default_rng(1).standard_normal((round(SECONDS * 2800), CHANNELS))
+    return encode_recording(Recording(samples, 2800.0, "um", "noise"), setting={"step": 0.5}, live=True).stream
+
+
+def linked(count: int) -> tuple[dict[str, MemoryLink], dict[str, Controller]]:
+    """Return controllers in one simulated time."""
+    time = SimulatedTime()
+    links = {str(number): MemoryLink(SimulatedController(), time=time) for number in range(count)}
+    return links, {name: Controller(link, link.clock, link.sleep) for name, link in links.items()}
+
+
+def play_on(
+    controllers: dict[str, Controller],
+    stream: Stream,
+    fail: Callable[[str, player.Progress], None] = lambda name, now: None,
+    buffer_s: float = player.BUFFER_S,
+) -> dict[str, player.PlaybackResult | Exception]:
+    def steps(name: str) -> Steps[player.PlaybackResult]:
+        settings = player.PlaybackSettings(
+            buffer_s=buffer_s, reconnect_s=0.5, capture=True, progress=lambda now: fail(name, now)
+        )
+        packet_samples = stream.decoder().packet_samples
+        return player.play_steps(controllers[name], stream.header, stream.packets, packet_samples, settings)
+
+    return run_all({name: (controller, steps(name)) for name, controller in controllers.items()})
+
+
+def check_played(result: object, stream: Stream) -> None:
+    expected, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, PIEZO_STACK)
+    assert isinstance(result, player.PlaybackResult), result
+    assert result.underruns == result.lost_packets == 0
+    np.testing.assert_array_equal(result.dac_codes, expected)
+
+
+def test_of_five_controllers_three_play_on_while_one_is_unplugged_and_one_stops() -> None:
+    stream = noise()
+    links, controllers = linked(5)
+
+    def fail(name: str, now: player.Progress) -> None:
+        if name == "1" and now.position_s > 0.3:
+            links[name].unplug(60.0)
+        if name == "3" and now.position_s > 0.3:
+            raise RuntimeError("made up")
+
+    results = play_on(controllers, stream, fail)
+    assert list(results) == list(links)
+    assert isinstance(results["1"], TransportError)
+    assert isinstance(results["3"], RuntimeError)
+    assert controllers["3"].request_status().state == State.STOPPED
+    for name in ("0", "2", "4"):
+        check_played(results[name], stream)
+
+
+@pytest.mark.slow
+def test_of_usb_and_serial_ports_those_play_on_whose_controllers_are_there() -> None:
+    stream = noise()
+    with ExitStack() as stack:
+        ports = [stack.enter_context(UsbPort(SimulatedController())) for _ in range(5)]
+        usb = [stack.enter_context(UsbTransport(VENDOR_ID, PRODUCT_ID, port)) for port in ports]
+        terminals = [serial_port(SimulatedController()) for _ in range(3)]
+        for terminal in terminals:
+            stack.enter_context(terminal)
+        serial = [SerialTransport(terminal.name) for terminal in terminals]
+        transports: list[Transport] = [*usb, *serial]
+        controllers = {str(number): Controller(each) for number, each in enumerate(transports)}
+
+        def fail(name: str, now: player.Progress) -> None:
+            if name == "2" and now.position_s > 0.3:
+                ports[2].unplug()
+            if name == "4" and now.position_s > 0.3:
+                ports[4].keep_busy(60.0)
+
+        # So much is buffered for a computer that is busy with other tests.
+        results = play_on(controllers, stream, fail, buffer_s=1.0)
+        for controller in controllers.values():
+            controller.close()
+    assert isinstance(results["2"], TransportError)
+    assert isinstance(results["4"], ConnectionLost | TransportError)
+    for name in set(results) - {"2", "4"}:
+        check_played(results[name], stream)
+
+
+@pytest.mark.parametrize("at", ["0", "1"])
+def test_an_interruption_stops_every_controller(at: str) -> None:
+    _, controllers = linked(2)
+
+    def interrupt(name: str, now: player.Progress) -> None:
+        if name == at and now.position_s > 0.3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        play_on(controllers, noise(), interrupt)
+    assert [each.request_status().state for each in controllers.values()] == [State.STOPPED, State.STOPPED]
+
+
+def test_a_pause_reads_nothing_and_the_others_go_on() -> None:
+    links, controllers = linked(2)
+    order: list[str] = []
+
+    def pauses() -> Steps[None]:
+        links["0"].unplug(0.5)
+        yield Pause(1.0)
+        order.append("paused")
+
+    def polls() -> Steps[None]:
+        yield from controllers["1"].poll_steps(0.4)
+        order.append("polled")
+
+    run_all({"pauses": (controllers["0"], pauses()), "polls": (controllers["1"], polls())})
+    assert order == ["polled", "paused"]
+
+
+def test_nobody_is_served_at_once() -> None:
+    assert run_all({}) == {}
