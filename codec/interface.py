@@ -297,8 +297,8 @@ class Codec:
     `check_tables` raises CodecError for the payload of a model image that decoders do not take; None where no model
     brings tables. `needs_model`: no tables are built in. `built_in_tables`: returns those that are, where a model may
     take their place. `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of
-    RUNTIMES, and `runtime_of(tables)` which of them it is; both raise CodecError, None where there is no choice. `learned_transform(tables)` describes that of a
-    model; None where there is none.
+    RUNTIMES, and `runtime_of(tables)` which of them it is; both raise CodecError, None where there is no choice.
+    `learned_transform(tables)` describes that of a model; None where there is none.
     `library`: how the name of the file in PyAV's wheel begins that holds the decoder, "" where the file holds many
     codecs; None for a decoder that is not from there.
     """

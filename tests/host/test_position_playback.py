@@ -42,7 +42,7 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
 def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
     """Its limit at 400 Hz is one over time, as its threshold is, which is refused."""
     recording = profiles.recording_of(PROFILE)
-    snr_db = profiles.encode(recording, codec_name="dct", setting=setting).snr_db
+    snr_db = profiles.encode(recording, codec_name="dct", setting=setting).quality.snr_db
     assert snr_db is not None and snr_db > 13
     with pytest.raises(codec.CodecError, match="over time"):
         profiles.encode(recording, codec_name="dct", setting={"threshold": "on", "levels": 14})
