@@ -50,10 +50,6 @@ class Profile:
         pointer = ffi.cast("int16_t *", decoded.ctypes.data)
         library().vc_profile_load(self._profile.pointer, pointer, len(decoded))
 
-    def begin(self) -> None:
-        """State that the output is at rest: rendering fades in at the place where the hand then is."""
-        library().vc_profile_begin(self._profile.pointer)
-
     def position(self, time_us: int, position_nm: int) -> bool:
         """Take where the hand was at a time; dropped unless later than the last one and within 2^40 nm.
 

@@ -159,11 +159,6 @@ class Dac:
         )
 
     @property
-    def at_rest(self) -> bool:
-        """Whether the last code was 0 in all channels."""
-        return bool(library().vc_dac_at_rest(self._dac.pointer))
-
-    @property
     def recovery_samples(self) -> int:
         """DAC samples at rest after which another stream may begin as if none had been before."""
         return int(library().vc_dac_recovery_samples(self._dac.pointer))

@@ -25,9 +25,9 @@ class Settings:
 
     `drift_ppm`: how much faster than true time its clock runs. `runtime`: one of codec.RUNTIMES, which decodes models
     that leave the choice; None = as the image says. `position_sensor`: returns where the hand is, in nm, at the
-    controller's time, in us; None = the host says it. The other numbers are limits that hello tells: `channels`,
-    `buffer_samples`, `capture_samples` and `profile_samples` (of a height profile, of all channels together) can be
-    smaller than these, and not larger.
+    controller's time, in us; None = the host says it. The other numbers are limits that hello tells: `channels` at most
+    16; `buffer_samples`, `capture_samples` and `profile_samples` (of a height profile, of all channels together) at
+    most these.
     """
 
     actuator: Actuator = PIEZO_STACK
@@ -64,22 +64,22 @@ class Controller:
         self.settings = settings or Settings()
         ffi, self._library = firmware or (native_core.ffi, native_core.library())
         self._callbacks = Callbacks(ffi)
-        self._flash = FlashPort(ffi, flash or FlashMemory(FLASH_BYTES), self._callbacks)
         self._decoders = PythonDecoders(ffi, self._library, self.settings.runtime, self._callbacks)
         self.memory_bytes: int = self._library.vc_controller_size()
-        # Pages of it that are never written take no memory.
+        # Pages of it that nobody writes take no memory.
         self._memory = np.zeros(-(-self.memory_bytes // 8), np.int64)
         self._profile = np.zeros(-(-self._library.vc_controller_profile_size() // 8), np.int64)
         self._controller = ffi.cast("vc_controller *", self._memory.ctypes.data)
-        self._kept = self._make_settings(ffi), self._callbacks.make("vc_dac_sink", _sink(ffi, on_dac))
         self._sent = bytearray(_MAX_READ_BYTES)
         self._sent_pointer = ffi.from_buffer(self._sent)
         self._origin_us: int | None = None
         self._time_us = 0
-        controller_settings, sink = self._kept
-        self._library.vc_controller_init(
-            self._controller, controller_settings["settings"], self._flash.pointer, sink, ffi.NULL, self._time_us
-        )
+        flash_port = FlashPort(ffi, flash or FlashMemory(FLASH_BYTES), self._callbacks)
+        fields = self._settings_fields(ffi)
+        made = ffi.new("vc_controller_settings *", fields)
+        sink = self._callbacks.make("vc_dac_sink", _sink(ffi, on_dac))
+        self._kept = flash_port, fields, made, sink
+        self._library.vc_controller_init(self._controller, made, flash_port.pointer, sink, ffi.NULL, self._time_us)
         self._callbacks.pass_on()
 
     def receive(self, data: bytes, now_us: int) -> None:
@@ -105,25 +105,23 @@ class Controller:
         self._time_us = max(self._time_us, true_us + true_us * self.settings.drift_ppm // 1_000_000)
         return self._time_us
 
-    def _make_settings(self, ffi: Any) -> dict[str, Any]:
-        """Return the vc_controller_settings, "settings", and all that they point to."""
-        settings, position = self.settings, self.settings.position_sensor
-        kept = {
+    def _settings_fields(self, ffi: Any) -> dict[str, Any]:
+        """Return the fields of vc_controller_settings, which point to memory that must be kept."""
+        settings = self.settings
+        limits = settings.channels, settings.buffer_samples, settings.capture_samples, settings.profile_samples
+        fields = {
             "build": ffi.new("char[]", BUILD.encode()),
             "hardware": ffi.new("char[]", settings.hardware.encode()),
             "actuator": ffi.new("vc_actuator *", constants(settings.actuator)),
+            "watchdog_ms": settings.watchdog_ms,
             "profile": ffi.cast("vc_profile *", self._profile.ctypes.data),
-            "sizes": ffi.new(
-                "vc_sizes *",
-                (settings.channels, settings.buffer_samples, settings.capture_samples, settings.profile_samples),
-            ),
+            "sizes": ffi.new("vc_sizes *", limits),
             "callbacks": self._decoders.pointer,
         }
-        if position is not None:
-            read = position
-            kept["position"] = self._callbacks.make("vc_position_sensor", lambda context, now_us: read(now_us), 0)
-        made = ffi.new("vc_controller_settings *", {"watchdog_ms": settings.watchdog_ms, **kept})
-        return {"settings": made, **kept}
+        if settings.position_sensor is not None:
+            read = settings.position_sensor
+            fields["position"] = self._callbacks.make("vc_position_sensor", lambda context, now_us: read(now_us), 0)
+        return fields
 
 
 def _sink(ffi: Any, on_dac: Callable[[Codes], None] | None) -> Callable[..., None]:

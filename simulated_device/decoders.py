@@ -39,7 +39,7 @@ class PythonDecoders:
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             codec.check_tables(identifier, bytes(self._ffi.buffer(tables, length)))
         except CodecError as error:
-            return self._refuse(refusal, ErrorCode.IMAGE_REFUSED, error)
+            return self._reject(refusal, ErrorCode.IMAGE_REFUSED, error)
         return 0
 
     def _check(self, context: Any, coding: Any, refusal: Any) -> int:
@@ -52,7 +52,7 @@ class PythonDecoders:
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             decoder = self._make(coding)
         except CodecError as error:
-            return self._refuse(refusal, ErrorCode.UNKNOWN_CODEC, error)
+            return self._reject(refusal, ErrorCode.UNKNOWN_CODEC, error)
         coding.packet_samples, coding.delay_samples = decoder.packet_samples, decoder.delay_samples
         return 0
 
@@ -85,5 +85,5 @@ class PythonDecoders:
     def _tables(self, coding: Any) -> bytes | None:
         return bytes(self._ffi.buffer(coding.tables, coding.tables_length)) if coding.tables else None
 
-    def _refuse(self, refusal: Any, code: ErrorCode, error: CodecError) -> int:
+    def _reject(self, refusal: Any, code: ErrorCode, error: CodecError) -> int:
         return int(self._library.vc_refuse(refusal, code, str(error).encode()))

@@ -203,10 +203,10 @@ def test_number_of_the_last_request_opens_a_session_if_a_new_host_draws_it() -> 
 # ---- playing ----
 
 
-@pytest.mark.parametrize(("channels", "unit"), [(1, "um"), (2, "m/s^2"), (3, "full scale")])
+@pytest.mark.parametrize(("channels", "unit"), [(1, "um"), (2, "m/s^2"), (3, "full scale"), (16, "um")])
 def test_decoded_and_dac_are_bit_for_bit_those_computed_offline(channels: int, unit: str) -> None:
     played = stream(1.0, channels, unit)
-    bench = Bench()
+    bench = Bench(Settings(channels=channels))
     bench.start_all(played, gain=0.5)
     bench.run(1300)
     status = bench.status()
