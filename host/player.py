@@ -71,7 +71,10 @@ class PlaybackResult:
 
 @dataclass(frozen=True)
 class PlaybackSettings:
-    """How to play, as in `play`; `compensation`: whether the controller compensates its actuator's response."""
+    """How to play, as in `play`.
+
+    `compensation`: whether the controller compensates its actuator's response. `gain`: by which it multiplies.
+    """
 
     loops: int = 1
     buffer_s: float = BUFFER_S
@@ -79,6 +82,7 @@ class PlaybackSettings:
     capture: bool = False
     progress: Callable[[Progress], None] | None = None
     compensation: bool = True
+    gain: float = 1.0
 
 
 def play(
@@ -234,6 +238,7 @@ def _begin_steps(controller: Controller, source: _Source, settings: PlaybackSett
         first_packet=first_packet,
         loops=source.loops - iteration if source.loops else 0,
         compensation=settings.compensation,
+        gain=settings.gain,
     )
     yield from session.start_steps()
     return _Sender(session, source, settings, first, ahead_packets, buffer_packets)

@@ -26,14 +26,8 @@ def played(probe: Probe, stream: Stream, **options: int | float | bool) -> playe
     need_capture(probe.description)
     controller = Controller(probe.line, probe.line.clock, probe.line.sleep)
     packet_samples = stream.decoder().packet_samples
-    result = player.play(
-        controller,
-        stream.header,
-        stream.packets,
-        packet_samples,
-        capture=True,
-        **options,  # type: ignore[arg-type]
-    )
+    settings = player.PlaybackSettings(capture=True, **options)  # type: ignore[arg-type]
+    result = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
     if result.state != State.FINISHED or (result.underruns, result.lost_packets) != (0, 0):
         raise NotConforming(f"expected to play to the end without loss, came {result.status}")
     return result
