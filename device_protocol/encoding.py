@@ -1,6 +1,7 @@
 """Encodings that frames, messages and coded streams share: CRC-16 and numbers of variable length."""
 
 import binascii
+from functools import lru_cache
 
 
 def crc16(data: bytes, start: int = 0xFFFF) -> int:
@@ -11,6 +12,7 @@ def crc16(data: bytes, start: int = 0xFFFF) -> int:
     return binascii.crc_hqx(data, start)
 
 
+@lru_cache(maxsize=4096)
 def pack_varint(value: int) -> bytes:
     """Return `value` >= 0 as LEB128: seven bits a byte, lowest first, the top bit set on all but the last byte."""
     encoded = bytearray()
@@ -26,6 +28,8 @@ def unpack_varint(data: bytes, position: int, bits: int) -> tuple[int, int]:
 
     Raises ValueError if it is cut, or longer than `bits`; zeros above them count as well where they take more bytes.
     """
+    if bits >= 7 and position < len(data) and data[position] < 0x80:
+        return data[position], position + 1
     value = 0
     for index, byte in enumerate(data[position : position + -(-bits // 7)]):
         value |= (byte & 0x7F) << (7 * index)

@@ -1,5 +1,7 @@
 """Frames on the wire: a payload and its CRC-16, COBS-encoded, closed by a zero byte."""
 
+import struct
+
 from cobs import cobs
 
 from vibrocast.device_protocol.encoding import crc16
@@ -7,9 +9,9 @@ from vibrocast.device_protocol.encoding import crc16
 MAXIMUM_PAYLOAD_BYTES = 4096
 DELIMITER = b"\x00"
 
-_CRC_BYTES = 2
+_CRC = struct.Struct("<H")
 # COBS adds one byte, and one more for every 254 bytes (Cheshire and Baker, IEEE/ACM Trans. Networking 7(2), 1999).
-_OVERHEAD_BYTES = _CRC_BYTES + 1 + (MAXIMUM_PAYLOAD_BYTES + _CRC_BYTES) // 254
+_MAX_ENCODED_BYTES = MAXIMUM_PAYLOAD_BYTES + _CRC.size + 1 + (MAXIMUM_PAYLOAD_BYTES + _CRC.size) // 254
 
 
 class FrameError(ValueError):
@@ -23,7 +25,7 @@ def write_frame(payload: bytes) -> bytes:
     """
     if not 1 <= len(payload) <= MAXIMUM_PAYLOAD_BYTES:
         raise FrameError(f"a frame carries 1 to {MAXIMUM_PAYLOAD_BYTES} bytes, not {len(payload)}: send less at a time")
-    encoded: bytes = cobs.encode(payload + crc16(payload).to_bytes(_CRC_BYTES, "little"))
+    encoded: bytes = cobs.encode(payload + _CRC.pack(crc16(payload)))
     return encoded + DELIMITER
 
 
@@ -41,34 +43,38 @@ class FrameReader:
         """Take the bytes that arrived; return the payloads of the frames that they complete. Raises nothing."""
         payloads = []
         *closed, rest = data.split(DELIMITER)
-        for piece in closed:
-            self._keep(piece)
+        if closed and self._pending:
+            self._keep(closed[0])
+            closed[0] = bytes(self._pending)
+            self._pending.clear()
+        for encoded in closed:
             # Delimiters without anything between them are allowed: a sender may open with one to end earlier noise.
-            if self._pending:
-                payload = _payload(bytes(self._pending))
-                if payload is None:
-                    self.bad_frames += 1
-                else:
-                    payloads.append(payload)
-                self._pending.clear()
-        self._keep(rest)
+            if not encoded:
+                continue
+            payload = _payload(encoded)
+            if payload:
+                payloads.append(payload)
+            else:
+                self.bad_frames += 1
+        if rest:
+            self._keep(rest)
         return payloads
 
     def _keep(self, piece: bytes) -> None:
         # One byte more than the longest frame is kept, and marks the frame as too long.
-        room = MAXIMUM_PAYLOAD_BYTES + _OVERHEAD_BYTES + 1 - len(self._pending)
-        self._pending += piece[:room]
+        self._pending += piece[: _MAX_ENCODED_BYTES + 1 - len(self._pending)]
 
 
-def _payload(encoded: bytes) -> bytes | None:
-    """Return the payload between two delimiters, or None if it is damaged, empty or too long."""
-    if len(encoded) > MAXIMUM_PAYLOAD_BYTES + _OVERHEAD_BYTES:
-        return None
+def _payload(encoded: bytes) -> bytes:
+    """Return the payload between two delimiters, or nothing if it is damaged, empty or too long."""
+    if len(encoded) > _MAX_ENCODED_BYTES:
+        return b""
     try:
         decoded: bytes = cobs.decode(encoded)
     except cobs.DecodeError:
-        return None
-    payload, crc = decoded[:-_CRC_BYTES], decoded[-_CRC_BYTES:]
-    if not 1 <= len(payload) <= MAXIMUM_PAYLOAD_BYTES or crc16(payload) != int.from_bytes(crc, "little"):
-        return None
+        return b""
+    payload = decoded[: -_CRC.size]
+    # An empty payload is no frame, nor is a long one that COBS has encoded in another way.
+    if len(payload) > MAXIMUM_PAYLOAD_BYTES or not decoded.endswith(_CRC.pack(crc16(payload))):
+        return b""
     return payload

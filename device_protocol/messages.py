@@ -1,71 +1,94 @@
-"""Messages between host and controller: one frozen dataclass each, with its bytes (docs/protocol.md has the tables)."""
+"""Messages between host and controller: one dataclass each. Bytes, C sources and docs/protocol.md follow from them."""
 
-import math
 import struct
-from collections.abc import Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Annotated, ClassVar, NamedTuple, Self
 
-from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
+from vibrocast.device_protocol.layout import (
+    COUNTED_TEXT,
+    F32,
+    FACTOR,
+    FLAG,
+    I64,
+    MAX_VARINT_BYTES,
+    SHA256,
+    SHA256_BYTES,
+    U8,
+    U16,
+    U32,
+    U32_SINCE_1_1,
+    U64,
+    VARINT,
+    BadValueError,
+    Layout,
+    LayoutError,
+    Rest,
+    RestItems,
+    RestText,
+    Tag,
+)
 
 PROTOCOL_MAJOR = 1
 PROTOCOL_MINOR = 1
 
-# A sequence number of 0 marks what nobody asked for: a notification.
 NOTIFICATION = 0
+"""The sequence number of a message that answers no request."""
 MAXIMUM_SEQUENCE = 0xFFFF
 
-_UNSEQUENCED_TYPES = range(0x40, 0x80)
-_SEQUENCE = struct.Struct("<BH")
-_TLV = struct.Struct("<BH")
-_VARINT_BITS = 32
-_Member = TypeVar("_Member", bound=IntEnum)
+FIRST_UNSEQUENCED = 0x40
+FIRST_FROM_CONTROLLER = 0x80
+SEQUENCED_HEAD = struct.Struct("<BH")
+PACKET_OVERHEAD_BYTES = 1 + 1 + 2 * MAX_VARINT_BYTES
+"""Bytes of a StreamData before its first packet, at most: type, stream, iteration, the packet's length."""
 
 
-class ErrorCode(IntEnum):
+class _Described(IntEnum):
+    """A number of the protocol with its row in docs/protocol.md."""
+
+    description: str
+
+    def __new__(cls, number: int, description: str = "") -> Self:
+        member = int.__new__(cls, number)
+        member._value_ = number
+        member.description = description
+        return member
+
+
+class ErrorCode(_Described):
     """Why a controller refused a request."""
 
-    UNKNOWN_MESSAGE = 1
-    MALFORMED = 2
-    UNSUPPORTED_VERSION = 3
-    HELLO_FIRST = 4
-    WRONG_STATE = 5
-    BAD_VALUE = 6
-    UNKNOWN_CODEC = 7
-    UNKNOWN_IMAGE = 8
-    BEYOND_LIMITS = 9
-    NO_SUCH_SLOT = 10
-    WRONG_HARDWARE = 11
-    IMAGE_REFUSED = 12
-    FLASH_FAILED = 13
+    UNKNOWN_MESSAGE = 1, "a message type that this version does not have"
+    MALFORMED = 2, "lengths or values that cannot be read"
+    UNSUPPORTED_VERSION = 3, "the other side's major version; the text names both"
+    HELLO_FIRST = 4, "no session yet, or the controller has restarted"
+    WRONG_STATE = 5, "not in this state, such as Start without Configure"
+    BAD_VALUE = (
+        6,
+        "a value that can be read and makes no sense, such as a tap that is not there, an unknown flag, "
+        "or a gain that is negative or not finite",
+    )
+    UNKNOWN_CODEC = 7, "the stream's codec, or its configuration, is not supported"
+    UNKNOWN_IMAGE = 8, "the stream names a model image that is not running here; the text names it"
+    BEYOND_LIMITS = 9, "rate, channels, packet or image size are more than the limits in hello"
+    NO_SUCH_SLOT = 10, "a slot number that is not there"
+    WRONG_HARDWARE = 11, "the image is for other hardware"
+    IMAGE_REFUSED = 12, "hash, CRC or contents of the image are wrong"
+    FLASH_FAILED = 13, "the flash did not take the data"
 
 
-class MessageError(ValueError):
-    """A message that cannot be packed, or bytes that are no message.
-
-    `sequence` is the sequence number to answer with (0: none could be read, or the type takes no answer) and `code`
-    the ErrorCode to answer.
-    """
-
-    def __init__(self, text: str, code: ErrorCode = ErrorCode.MALFORMED) -> None:
-        super().__init__(text)
-        self.sequence = NOTIFICATION
-        self.code = code
-
-
-class State(IntEnum):
+class State(_Described):
     """What the controller is doing with its stream."""
 
-    IDLE = 0
-    BUFFERING = 1
-    ARMED = 2
-    PLAYING = 3
-    PAUSED = 4
-    FINISHED = 5
-    STOPPED = 6
-    WATCHDOG = 7
-    FAULT = 8
+    IDLE = 0, "nothing configured"
+    BUFFERING = 1, "configured; takes data, waits for Start"
+    ARMED = 2, "started; waits for the device time and for the prebuffer"
+    PLAYING = 3, "time runs, whether there is data or not"
+    PAUSED = 4, "faded out, position held"
+    FINISHED = 5, "the end was played and the output is at rest"
+    STOPPED = 6, "by Stop"
+    WATCHDOG = 7, "ramped down because the host was silent"
+    FAULT = 8, "ramped down because of the hardware"
 
 
 class Tap(IntEnum):
@@ -85,47 +108,71 @@ class SlotState(IntEnum):
     CONFIRMED = 4
 
 
+class MessageError(ValueError):
+    """A message that cannot be packed, or bytes that are no message.
+
+    `sequence` is the sequence number to answer with (0: none could be read, or the type takes no answer) and `code`
+    the ErrorCode to answer.
+    """
+
+    def __init__(self, text: str, code: ErrorCode = ErrorCode.MALFORMED, sequence: int = NOTIFICATION) -> None:
+        super().__init__(text)
+        self.sequence = sequence
+        self.code = code
+
+
 class Message:
-    """A message with a fixed part, whose fields are the dataclass's own, and then TLVs that a reader may skip."""
+    """A message. `ANSWER`: what a controller answers it with; "" for its own messages.
+
+    Values are checked where a message is packed or unpacked. The dataclasses are not frozen: that would make
+    unpacking a Status twice as slow.
+    """
 
     TYPE: ClassVar[int]
-    FIXED: ClassVar[struct.Struct] = struct.Struct("<")
+    ANSWER: ClassVar[str] = ""
+    LAYOUT: ClassVar[Layout]
+    FIXED: ClassVar[struct.Struct]
+    HEAD: ClassVar[bytes]
+    """The header of a message without a sequence number; b"" for others."""
+
+    def __init_subclass__(cls) -> None:
+        cls.LAYOUT = Layout(cls)
+        cls.FIXED = cls.LAYOUT.fixed
+        cls.HEAD = bytes((cls.TYPE,)) if FIRST_UNSEQUENCED <= cls.TYPE < FIRST_FROM_CONTROLLER else b""
 
     def body(self) -> bytes:
-        """Return the bytes after the header. Raises MessageError for a value out of its field's range."""
-        return _pack(self.FIXED, *astuple(self))  # type: ignore[call-overload]
+        """Return the bytes after the header. Raises MessageError for a value that its field cannot hold."""
+        return pack(self)[len(self.HEAD) or SEQUENCED_HEAD.size :]
 
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError."""
-        values, rest = _unpack(cls.FIXED, body)
-        for _ in _tlvs(rest):
-            pass  # no tag is known here; only their lengths are checked
-        return cls(*values)
+
+def _message_error(kind: type[Message], error: LayoutError, sequence: int = NOTIFICATION) -> MessageError:
+    code = ErrorCode.BAD_VALUE if isinstance(error, BadValueError) else ErrorCode.MALFORMED
+    return MessageError(f"{kind.__name__}: {error}", code, sequence)
 
 
 # ---- from the host: requests ----
 
 
-@dataclass(frozen=True)
+@dataclass
 class Hello(Message):
     """Opens a session; the protocol version that the host speaks. Its layout is the same in every version."""
 
     TYPE = 0x01
-    FIXED = struct.Struct("<BB")
+    ANSWER = "HelloResponse"
 
-    major: int = PROTOCOL_MAJOR
-    minor: int = PROTOCOL_MINOR
+    major: U8 = PROTOCOL_MAJOR
+    minor: U8 = PROTOCOL_MINOR
 
 
-@dataclass(frozen=True)
+@dataclass
 class StatusRequest(Message):
     """Asks for a Status; also keeps the watchdog content."""
 
     TYPE = 0x02
+    ANSWER = "Status"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Configure(Message):
     """Sets up a stream; whatever played before is stopped first.
 
@@ -135,254 +182,174 @@ class Configure(Message):
     """
 
     TYPE = 0x03
-    FIXED = struct.Struct("<BBIIIHf")
-    COMPENSATION: ClassVar[int] = 0x01
-    HEADER_TAG: ClassVar[int] = 0x01
+    ANSWER = "Status"
 
-    stream: int
-    header: bytes
-    prebuffer_samples: int
-    packets: int = 0
-    first_packet: int = 0
-    loops: int = 1
-    compensation: bool = True
-    gain: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check_gain(self.gain)
-
-    def body(self) -> bytes:
-        """Return the bytes after the header."""
-        flags = self.COMPENSATION if self.compensation else 0
-        counts = (self.prebuffer_samples, self.packets, self.first_packet, self.loops)
-        return _pack(self.FIXED, self.stream, flags, *counts, self.gain) + _tlv(self.HEADER_TAG, self.header)
-
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError, also for a flag that is not known."""
-        (stream, flags, prebuffer_samples, packets, first_packet, loops, gain), rest = _unpack(cls.FIXED, body)
-        if flags & ~cls.COMPENSATION:
-            text = f"flags 0x{flags:02x} are asked for, only 0x{cls.COMPENSATION:02x} is known"
-            raise MessageError(text, ErrorCode.BAD_VALUE)
-        header = dict(_tlvs(rest)).get(cls.HEADER_TAG)
-        if header is None:
-            raise MessageError("the stream header is missing")
-        return cls(stream, header, prebuffer_samples, packets, first_packet, loops, bool(flags), gain)
+    stream: U8
+    compensation: FLAG = field(default=True, kw_only=True)
+    header: Annotated[bytes, Tag(0x01, "stream header, as at the head of a `.vct` file")]
+    prebuffer_samples: U32
+    packets: U32 = 0
+    first_packet: U32 = 0
+    loops: U16 = 1
+    gain: FACTOR = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class Start(Message):
     """Starts the configured stream at a device time; 0 or a time gone by = as soon as the prebuffer is there."""
 
     TYPE = 0x04
-    FIXED = struct.Struct("<Q")
+    ANSWER = "Status"
 
-    device_time_us: int = 0
+    device_time_us: U64 = 0
 
 
-@dataclass(frozen=True)
+@dataclass
 class Pause(Message):
     """Fades out and holds the position."""
 
     TYPE = 0x05
+    ANSWER = "Status"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Resume(Message):
     """Fades in where Pause held."""
 
     TYPE = 0x06
+    ANSWER = "Status"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Stop(Message):
     """Ramps down at once and drops the stream; valid in every state, before a hello as well."""
 
     TYPE = 0x07
+    ANSWER = "Status"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Loop(Message):
     """Sets the iterations of the stream, those already played counted; 0 = until stopped."""
 
     TYPE = 0x08
-    FIXED = struct.Struct("<H")
+    ANSWER = "Status"
 
-    loops: int
+    loops: U16
 
 
-@dataclass(frozen=True)
+@dataclass
 class Gain(Message):
     """Moves the gain to a new factor, along a ramp."""
 
     TYPE = 0x09
-    FIXED = struct.Struct("<f")
+    ANSWER = "Status"
 
-    gain: float
-
-    def __post_init__(self) -> None:
-        _check_gain(self.gain)
+    gain: FACTOR
 
 
-@dataclass(frozen=True)
+@dataclass
 class EndStream(Message):
     """States where a live stream ends: the number of its packets. Tells the end from an underrun."""
 
     TYPE = 0x0A
-    FIXED = struct.Struct("<BI")
+    ANSWER = "Status"
 
-    stream: int
-    packets: int
+    stream: U8
+    packets: U32
 
 
-@dataclass(frozen=True)
+@dataclass
 class CaptureRead(Message):
     """Asks for `count` captured samples per channel, from `offset` samples after the start of the stream."""
 
     TYPE = 0x0B
-    FIXED = struct.Struct("<BQH")
+    ANSWER = "CaptureData"
 
     tap: Tap
-    offset: int
-    count: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "tap", _member(Tap, self.tap))
+    offset: U64
+    count: U16
 
 
-@dataclass(frozen=True)
+@dataclass
 class FlashBegin(Message):
     """Announces a model image for a slot; the same image as before goes on where it was cut."""
 
     TYPE = 0x10
-    FIXED = struct.Struct("<BI32s")
-    HARDWARE_TAG: ClassVar[int] = 0x01
+    ANSWER = "FlashStatus"
 
-    slot: int
-    size_bytes: int
-    sha256: bytes
-    hardware: str
-
-    def __post_init__(self) -> None:
-        _check_sha256(self.sha256)
-
-    def body(self) -> bytes:
-        """Return the bytes after the header."""
-        return _pack(self.FIXED, self.slot, self.size_bytes, self.sha256) + _tlv(
-            self.HARDWARE_TAG, self.hardware.encode()
-        )
-
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError."""
-        (slot, size_bytes, sha256), rest = _unpack(cls.FIXED, body)
-        hardware = dict(_tlvs(rest)).get(cls.HARDWARE_TAG)
-        if hardware is None:
-            raise MessageError("the hardware is missing")
-        return cls(slot, size_bytes, sha256, _text(hardware))
+    slot: U8
+    size_bytes: U32
+    sha256: SHA256
+    hardware: Annotated[str, Tag(0x01, "hardware id (text)")]
 
 
-@dataclass(frozen=True)
+@dataclass
 class FlashData(Message):
     """A piece of the image; data is the rest of the message."""
 
     TYPE = 0x11
-    FIXED = struct.Struct("<BI")
+    ANSWER = "FlashStatus"
 
-    slot: int
-    offset: int
-    data: bytes
-
-    def body(self) -> bytes:
-        """Return the bytes after the header."""
-        return _pack(self.FIXED, self.slot, self.offset) + self.data
-
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError."""
-        (slot, offset), data = _unpack(cls.FIXED, body)
-        return cls(slot, offset, data)
+    slot: U8
+    offset: U32
+    data: Annotated[bytes, Rest("data")]
 
 
-@dataclass(frozen=True)
+@dataclass
 class FlashVerify(Message):
     """Asks the controller to read the slot back, hash it and compare."""
 
     TYPE = 0x12
-    FIXED = struct.Struct("<B")
+    ANSWER = "FlashStatus"
 
-    slot: int
+    slot: U8
 
 
-@dataclass(frozen=True)
+@dataclass
 class FlashActivate(Message):
     """Restarts the controller with a verified slot on trial: unless confirmed, the next restart falls back."""
 
     TYPE = 0x13
-    FIXED = struct.Struct("<B")
+    ANSWER = "FlashStatus, then a restart"
 
-    slot: int
+    slot: U8
 
 
-@dataclass(frozen=True)
+@dataclass
 class FlashConfirm(Message):
     """Keeps the slot that is on trial."""
 
     TYPE = 0x14
-    FIXED = struct.Struct("<B")
+    ANSWER = "FlashStatus"
 
-    slot: int
+    slot: U8
 
 
 # ---- from the host: stream data, never answered ----
 
 
-@dataclass(frozen=True)
+@dataclass
 class StreamData(Message):
     """Packets of a stream, each as `coded_stream.packet_sequence` reads it; `iteration` counts loops from 0."""
 
     TYPE = 0x40
+    ANSWER = "none"
 
-    stream: int
-    iteration: int
-    packets: tuple[bytes, ...]
-
-    def body(self) -> bytes:
-        """Return the bytes after the type."""
-        if not 0 <= self.stream <= 0xFF:
-            raise MessageError(f"stream {self.stream} is not in 0 to 255")
-        if not 0 <= self.iteration < 1 << _VARINT_BITS:
-            raise MessageError(f"iteration {self.iteration} is not in 0 to 2^{_VARINT_BITS} - 1")
-        pieces = [bytes([self.stream]), pack_varint(self.iteration)]
-        for packet in self.packets:
-            pieces += [pack_varint(len(packet)), packet]
-        return b"".join(pieces)
-
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError."""
-        if not body:
-            raise MessageError("the stream is missing")
-        iteration, position = _unpack_varint(body, 1)
-        packets = []
-        while position < len(body):
-            length, position = _unpack_varint(body, position)
-            if length > len(body) - position:
-                raise MessageError(f"a packet of {length} bytes, {len(body) - position} are left")
-            packets.append(body[position : position + length])
-            position += length
-        return cls(body[0], iteration, tuple(packets))
+    stream: U8
+    iteration: VARINT
+    packets: Annotated[tuple[bytes, ...], RestItems("packets, each as length varint and bytes")]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Position(Message):
     """Where the hand was at a device time (0 = when the message comes), from any origin; for all channels."""
 
     TYPE = 0x41
-    FIXED = struct.Struct("<Qq")
+    ANSWER = "none"
 
-    device_time_us: int
-    position_nm: int
+    device_time_us: U64
+    position_nm: I64
 
 
 # ---- from the controller: responses, and notifications of the same layout ----
@@ -395,30 +362,15 @@ class Limits:
     `profile_samples`: of a height profile, of all channels together; 0, or left out by protocol 1.0: none.
     """
 
-    FIXED: ClassVar[struct.Struct] = struct.Struct("<HHIIBIIH")
-    PROFILE: ClassVar[struct.Struct] = struct.Struct("<I")
-
-    maximum_payload_bytes: int
-    maximum_packet_bytes: int
-    buffer_samples: int
-    capture_samples: int
-    channels: int
-    minimum_rate_hz: int
-    maximum_rate_hz: int
-    watchdog_ms: int
-    profile_samples: int = 0
-
-    def value(self) -> bytes:
-        """Return the bytes of the TLV. Raises MessageError."""
-        *fixed, profile_samples = astuple(self)
-        return _pack(self.FIXED, *fixed) + _pack(self.PROFILE, profile_samples)
-
-    @classmethod
-    def from_value(cls, value: bytes) -> Self:
-        """Return the limits in a TLV. Raises MessageError."""
-        fixed, rest = _unpack(cls.FIXED, value)
-        profile = _unpack(cls.PROFILE, rest)[0] if len(rest) >= cls.PROFILE.size else ()
-        return cls(*fixed, *profile)
+    maximum_payload_bytes: U16
+    maximum_packet_bytes: U16
+    buffer_samples: U32
+    capture_samples: U32
+    channels: U8
+    minimum_rate_hz: U32
+    maximum_rate_hz: U32
+    watchdog_ms: U16
+    profile_samples: U32_SINCE_1_1 = 0
 
 
 @dataclass(frozen=True)
@@ -429,99 +381,51 @@ class ActuatorDescription:
     `slew_volts_per_second`: 0 = not limited.
     """
 
-    FIXED: ClassVar[struct.Struct] = struct.Struct("<fffffBI")
+    name: Annotated[str, RestText("name")]
+    stroke_um: F32
+    volts: F32
+    lower_hz: F32
+    upper_hz: F32
+    slew_volts_per_second: F32
+    dac_bits: U8
+    dac_rate_hz: U32
 
-    name: str
-    stroke_um: float
-    volts: float
-    lower_hz: float
-    upper_hz: float
-    slew_volts_per_second: float
-    dac_bits: int
-    dac_rate_hz: int
+
+class CodecDescription(NamedTuple):
+    """A codec that the controller decodes."""
+
+    identifier: U8
+    name: Annotated[str, RestText("name")]
 
 
 @dataclass(frozen=True)
 class ImageDescription:
     """A slot and the model image in it; `sha256` is of the whole image."""
 
-    FIXED: ClassVar[struct.Struct] = struct.Struct("<BB32sB")
-
-    slot: int
+    slot: U8
     state: SlotState
-    sha256: bytes = bytes(32)
-    name: str = ""
-    version: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "state", _member(SlotState, self.state))
-        _check_sha256(self.sha256)
+    sha256: SHA256 = bytes(SHA256_BYTES)
+    name: COUNTED_TEXT = ""
+    version: Annotated[str, RestText("version")] = ""
 
 
-@dataclass(frozen=True)
+@dataclass
 class HelloResponse(Message):
-    """The controller's version, limits, actuator, codecs (identifier, name) and model images."""
+    """The controller's version, limits, actuator, codecs and model images."""
 
     TYPE = 0x80
-    FIXED = struct.Struct("<BB")
-    BUILD_TAG: ClassVar[int] = 0x01
-    HARDWARE_TAG: ClassVar[int] = 0x02
-    LIMITS_TAG: ClassVar[int] = 0x03
-    ACTUATOR_TAG: ClassVar[int] = 0x04
-    CODEC_TAG: ClassVar[int] = 0x05
-    IMAGE_TAG: ClassVar[int] = 0x06
 
-    build: str
-    hardware: str
-    limits: Limits
-    actuator: ActuatorDescription
-    codecs: tuple[tuple[int, str], ...]
-    images: tuple[ImageDescription, ...] = ()
-    major: int = PROTOCOL_MAJOR
-    minor: int = PROTOCOL_MINOR
-
-    def body(self) -> bytes:
-        """Return the bytes after the header."""
-        name, *numbers = astuple(self.actuator)
-        pieces = [
-            _pack(self.FIXED, self.major, self.minor),
-            _tlv(self.BUILD_TAG, self.build.encode()),
-            _tlv(self.HARDWARE_TAG, self.hardware.encode()),
-            _tlv(self.LIMITS_TAG, self.limits.value()),
-            _tlv(self.ACTUATOR_TAG, _pack(ActuatorDescription.FIXED, *numbers) + name.encode()),
-        ]
-        for identifier, codec_name in self.codecs:
-            pieces.append(_tlv(self.CODEC_TAG, _pack(struct.Struct("<B"), identifier) + codec_name.encode()))
-        for image in self.images:
-            image_name = image.name.encode()
-            fixed = _pack(ImageDescription.FIXED, image.slot, image.state, image.sha256, len(image_name))
-            pieces.append(_tlv(self.IMAGE_TAG, fixed + image_name + image.version.encode()))
-        return b"".join(pieces)
-
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError, also if a tag that must be there is missing."""
-        (major, minor), rest = _unpack(cls.FIXED, body)
-        tlvs = list(_tlvs(rest))
-        single = dict(tlvs)
-        for tag in (cls.BUILD_TAG, cls.HARDWARE_TAG, cls.LIMITS_TAG, cls.ACTUATOR_TAG):
-            if tag not in single:
-                raise MessageError(f"tag {tag} is missing")
-        numbers, name = _unpack(ActuatorDescription.FIXED, single[cls.ACTUATOR_TAG])
-        codecs = [_unpack(struct.Struct("<B"), value) for tag, value in tlvs if tag == cls.CODEC_TAG]
-        return cls(
-            build=_text(single[cls.BUILD_TAG]),
-            hardware=_text(single[cls.HARDWARE_TAG]),
-            limits=Limits.from_value(single[cls.LIMITS_TAG]),
-            actuator=ActuatorDescription(_text(name), *numbers),
-            codecs=tuple((identifier, _text(codec_name)) for (identifier,), codec_name in codecs),
-            images=tuple(_image(value) for tag, value in tlvs if tag == cls.IMAGE_TAG),
-            major=major,
-            minor=minor,
-        )
+    major: U8 = field(default=PROTOCOL_MAJOR, kw_only=True)
+    minor: U8 = field(default=PROTOCOL_MINOR, kw_only=True)
+    build: Annotated[str, Tag(0x01, "build (text)")]
+    hardware: Annotated[str, Tag(0x02, "hardware id (text)")]
+    limits: Annotated[Limits, Tag(0x03, "limits")]
+    actuator: Annotated[ActuatorDescription, Tag(0x04, "actuator")]
+    codecs: Annotated[tuple[CodecDescription, ...], Tag(0x05, "codec, one each")]
+    images: Annotated[tuple[ImageDescription, ...], Tag(0x06, "model image, one for each slot")] = ()
 
 
-@dataclass(frozen=True)
+@dataclass
 class Status(Message):
     """What the controller is doing: the response to most requests, and the notification that grants credit.
 
@@ -531,27 +435,23 @@ class Status(Message):
     """
 
     TYPE = 0x81
-    FIXED = struct.Struct("<BBQQQIIIIIIII")
 
     state: State
-    stream: int
-    device_time_us: int
-    position: int
-    credit_until: int
-    buffered_samples: int
-    bad_frames: int
-    underruns: int
-    lost_packets: int
-    compensation_clipped: int
-    voltage_limited: int
-    slew_limited: int
-    power_limited: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "state", _member(State, self.state))
+    stream: U8
+    device_time_us: U64
+    position: U64
+    credit_until: U64
+    buffered_samples: U32
+    bad_frames: U32
+    underruns: U32
+    lost_packets: U32
+    compensation_clipped: U32
+    voltage_limited: U32
+    slew_limited: U32
+    power_limited: U32
 
 
-@dataclass(frozen=True)
+@dataclass
 class CaptureData(Message):
     """Captured samples, int16 little-endian, channels interleaved, as the rest of the message.
 
@@ -560,68 +460,40 @@ class CaptureData(Message):
     """
 
     TYPE = 0x82
-    FIXED = struct.Struct("<BBQQ")
 
     tap: Tap
-    channels: int
-    offset: int
-    end: int
-    data: bytes
+    channels: U8
+    offset: U64
+    end: U64
+    data: Annotated[bytes, Rest("int16, channels interleaved")]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "tap", _member(Tap, self.tap))
+    def check(self) -> None:
+        """Raise LayoutError where the data are no whole number of samples of each channel."""
         if self.channels < 1 or len(self.data) % (2 * self.channels):
-            raise MessageError(f"{len(self.data)} bytes are no int16 samples of {self.channels} channels")
-
-    def body(self) -> bytes:
-        """Return the bytes after the header."""
-        return _pack(self.FIXED, self.tap, self.channels, self.offset, self.end) + self.data
-
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError."""
-        (tap, channels, offset, end), data = _unpack(cls.FIXED, body)
-        return cls(tap, channels, offset, end, data)
+            raise LayoutError(f"{len(self.data)} bytes are no int16 samples of {self.channels} channels")
 
 
-@dataclass(frozen=True)
+@dataclass
 class FlashStatus(Message):
     """Answers every flash request: what the slot holds, the offset that data must go on from, and, once it has been
     read back, the SHA-256 of it (zeros before)."""
 
     TYPE = 0x83
-    FIXED = struct.Struct("<BBI32s")
 
-    slot: int
+    slot: U8
     state: SlotState
-    next_offset: int
-    sha256: bytes = bytes(32)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "state", _member(SlotState, self.state))
-        _check_sha256(self.sha256)
+    next_offset: U32
+    sha256: SHA256 = bytes(SHA256_BYTES)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Error(Message):
     """A refusal: an ErrorCode (or a later one) and text for a person. Its layout is the same in every version."""
 
     TYPE = 0xFF
-    FIXED = struct.Struct("<H")
-    TEXT_TAG: ClassVar[int] = 0x01
 
-    code: int
-    text: str
-
-    def body(self) -> bytes:
-        """Return the bytes after the header."""
-        return _pack(self.FIXED, self.code) + _tlv(self.TEXT_TAG, self.text.encode())
-
-    @classmethod
-    def from_body(cls, body: bytes) -> Self:
-        """Return the message that `body` packed. Raises MessageError."""
-        (code,), rest = _unpack(cls.FIXED, body)
-        return cls(code, _text(dict(_tlvs(rest)).get(cls.TEXT_TAG, b"")))
+    code: U16
+    text: Annotated[str, Tag(0x01, "text")] = ""
 
 
 REQUESTS: tuple[type[Message], ...] = (
@@ -653,11 +525,15 @@ def pack(message: Message, sequence: int = NOTIFICATION) -> bytes:
 
     Raises MessageError for a value out of its field's range.
     """
-    if message.TYPE in _UNSEQUENCED_TYPES:
-        return bytes([message.TYPE]) + message.body()
-    if not 0 <= sequence <= MAXIMUM_SEQUENCE:
-        raise MessageError(f"sequence {sequence} is not in 0 to {MAXIMUM_SEQUENCE}")
-    return _SEQUENCE.pack(message.TYPE, sequence) + message.body()
+    head = message.HEAD
+    if not head:
+        if not 0 <= sequence <= MAXIMUM_SEQUENCE:
+            raise MessageError(f"sequence {sequence} is not in 0 to {MAXIMUM_SEQUENCE}")
+        head = SEQUENCED_HEAD.pack(message.TYPE, sequence)
+    try:
+        return head + message.LAYOUT.pack(message)
+    except LayoutError as error:
+        raise _message_error(type(message), error) from error
 
 
 def unpack(payload: bytes) -> tuple[int, Message]:
@@ -665,95 +541,19 @@ def unpack(payload: bytes) -> tuple[int, Message]:
 
     Raises MessageError with the sequence number and code that an answer needs.
     """
-    sequence = NOTIFICATION
+    if not payload:
+        raise MessageError("an empty message")
+    message_type, sequence, position = payload[0], NOTIFICATION, 1
+    if not FIRST_UNSEQUENCED <= message_type < FIRST_FROM_CONTROLLER:
+        position = SEQUENCED_HEAD.size
+        if len(payload) < position:
+            raise MessageError(f"a message of {len(payload)} bytes, at least {position} are needed")
+        sequence = payload[1] | payload[2] << 8
+    kind = MESSAGES.get(message_type)
+    if kind is None:
+        text = f"message type 0x{message_type:02x} is not known to protocol version {PROTOCOL_MAJOR}"
+        raise MessageError(text, ErrorCode.UNKNOWN_MESSAGE, sequence)
     try:
-        if not payload:
-            raise MessageError("an empty message")
-        message_type, body = payload[0], payload[1:]
-        if message_type not in _UNSEQUENCED_TYPES:
-            if len(payload) < _SEQUENCE.size:
-                raise MessageError(f"a message of {len(payload)} bytes, at least {_SEQUENCE.size} are needed")
-            _, sequence = _SEQUENCE.unpack_from(payload)
-            body = payload[_SEQUENCE.size :]
-        if message_type not in MESSAGES:
-            text = f"message type 0x{message_type:02x} is not known to protocol version {PROTOCOL_MAJOR}"
-            raise MessageError(text, ErrorCode.UNKNOWN_MESSAGE)
-        message = MESSAGES[message_type]
-        try:
-            return sequence, message.from_body(body)
-        except MessageError as error:
-            raise MessageError(f"{message.__name__}: {error}", error.code) from error
-    except MessageError as error:
-        error.sequence = sequence
-        raise
-
-
-def _tlv(tag: int, value: bytes) -> bytes:
-    return _pack(_TLV, tag, len(value)) + value
-
-
-def _tlvs(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield (tag, value) of each TLV. Raises MessageError where a length does not fit."""
-    position = 0
-    while position < len(data):
-        if len(data) - position < _TLV.size:
-            raise MessageError(f"{len(data) - position} bytes are left, too few for a tag and its length")
-        tag, length = _TLV.unpack_from(data, position)
-        position += _TLV.size
-        if length > len(data) - position:
-            raise MessageError(f"tag {tag} has {length} bytes, {len(data) - position} are left")
-        yield tag, data[position : position + length]
-        position += length
-
-
-def _unpack_varint(data: bytes, position: int) -> tuple[int, int]:
-    """Return the value and the position after it. Raises MessageError if it is cut or longer than 32 bits."""
-    try:
-        return unpack_varint(data, position, _VARINT_BITS)
-    except ValueError as error:
-        raise MessageError(str(error)) from error
-
-
-def _pack(layout: struct.Struct, *values: object) -> bytes:
-    try:
-        return layout.pack(*values)
-    except (struct.error, OverflowError) as error:
-        raise MessageError(str(error)) from error
-
-
-def _unpack(layout: struct.Struct, data: bytes) -> tuple[tuple[Any, ...], bytes]:
-    """Return the values of a fixed part and the bytes after it. Raises MessageError if the fixed part is cut."""
-    if len(data) < layout.size:
-        raise MessageError(f"{len(data)} bytes, at least {layout.size} are needed")
-    return layout.unpack_from(data), data[layout.size :]
-
-
-def _image(value: bytes) -> ImageDescription:
-    (slot, state, sha256, name_bytes), texts = _unpack(ImageDescription.FIXED, value)
-    if name_bytes > len(texts):
-        raise MessageError(f"an image's name of {name_bytes} bytes, {len(texts)} are left")
-    return ImageDescription(slot, state, sha256, _text(texts[:name_bytes]), _text(texts[name_bytes:]))
-
-
-def _text(data: bytes) -> str:
-    try:
-        return data.decode()
-    except UnicodeDecodeError as error:
-        raise MessageError("text that is not UTF-8") from error
-
-
-def _member(enumeration: type[_Member], value: int) -> _Member:
-    try:
-        return enumeration(value)
-    except ValueError as error:
-        raise MessageError(f"{value} is no {enumeration.__name__}", ErrorCode.BAD_VALUE) from error
-
-
-def _check_gain(gain: float) -> None:
-    if not (math.isfinite(gain) and gain >= 0):
-        raise MessageError(f"a gain of {gain} is not a finite factor of at least 0", ErrorCode.BAD_VALUE)
-
-
-def _check_sha256(sha256: bytes) -> None:
-    if len(sha256) != 32:
-        raise MessageError(f"a SHA-256 has 32 bytes, not {len(sha256)}")
+        return sequence, kind.LAYOUT.unpack(payload, position)
+    except LayoutError as error:
+        raise _message_error(kind, error, sequence) from error

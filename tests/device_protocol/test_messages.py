@@ -12,6 +12,7 @@ from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CaptureData,
     CaptureRead,
+    CodecDescription,
     Configure,
     EndStream,
     Error,
@@ -64,7 +65,7 @@ captures = st.integers(1, 4).flatmap(
 MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     Hello: st.builds(Hello, u8, u8),
     StatusRequest: st.just(StatusRequest()),
-    Configure: st.builds(Configure, u8, st.binary(max_size=300), u32, u32, u32, u16, st.booleans(), gains),
+    Configure: st.builds(Configure, u8, st.binary(max_size=300), u32, u32, u32, u16, gains, compensation=st.booleans()),
     Start: st.builds(Start, u64),
     Pause: st.just(Pause()),
     Resume: st.just(Resume()),
@@ -86,10 +87,10 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
         texts,
         limits,
         actuators,
-        st.lists(st.tuples(u8, texts)).map(tuple),
+        st.lists(st.builds(CodecDescription, u8, texts)).map(tuple),
         st.lists(images, max_size=3).map(tuple),
-        u8,
-        u8,
+        major=u8,
+        minor=u8,
     ),
     Status: st.builds(Status, states, u8, u64, u64, u64, u32, u32, u32, u32, u32, u32, u32, u32),
     CaptureData: captures,
@@ -172,14 +173,14 @@ def test_unknown_type_says_whom_to_answer() -> None:
         (b"\x01\x01\x00\x01", "Hello: 1 bytes"),
         (b"\x09\x01\x00\x00\x00\xc0\x7f", "finite"),
         (b"\x09\x01\x00\x00\x00\x80\xbf", "at least 0"),
-        (b"\x04\x01\x00" + bytes(8) + b"\x01\x05\x00ab", "tag 1 has 5 bytes"),
-        (b"\x04\x01\x00" + bytes(8) + b"\x01", "too few for a tag"),
-        (b"\x03\x01\x00" + bytes(20), "header is missing"),
+        (b"\x04\x01\x00" + bytes(8) + b"\x01\x05\x00ab", "field of 5 bytes, 2 are left"),
+        (b"\x04\x01\x00" + bytes(8) + b"\x01", "field of 3 bytes, 1 are left"),
+        (b"\x03\x01\x00" + bytes(20), "tag 1 is missing: stream header"),
         (b"\x03\x01\x00\x00\x80" + bytes(18), "flags 0x80"),
         (b"\x0b\x01\x00\x09" + bytes(10), "9 is no Tap"),
         (b"\x40\x01\x80\x80\x80\x80\x80\x01", "longer than 32 bits"),
-        (b"\x40\x01\x00\x05abc", "packet of 5 bytes"),
-        (b"\x40", "stream is missing"),
+        (b"\x40\x01\x00\x05abc", "item of 5 bytes, 3 are left"),
+        (b"\x40", "StreamData: 0 bytes, at least 1"),
         (b"\x82\x01\x00\x00\x02" + bytes(16) + b"abc", "3 bytes are no int16"),
         (b"\x80\x01\x00\x01\x00", "tag 1 is missing"),
         (b"\xff\x01\x00\x04\x00\x01\x01\x00\xff", "UTF-8"),
@@ -212,24 +213,94 @@ def test_sequence_out_of_range_is_not_packed() -> None:
         pack(Stop(), 65536)
 
 
-def test_longer_limits_of_a_later_version_are_read() -> None:
-    hello = HelloResponse(
-        "b", "h", Limits(1, 2, 3, 4, 5, 6, 7, 8, 9), ActuatorDescription("a", 1, 2, 3, 4, 5, 6, 7), ()
-    )
-    assert unpack(with_limits(hello, hello.limits.value() + b"xx"))[1] == hello
+HELLO = HelloResponse("b", "h", Limits(1, 2, 3, 4, 5, 6, 7, 8, 9), ActuatorDescription("a", 1, 2, 3, 4, 5, 6, 7), ())
+LIMITS = bytes.fromhex("0100 0200 03000000 04000000 05 06000000 07000000 0800 09000000")
 
 
-def test_limits_of_a_version_without_profiles_are_read() -> None:
-    hello = HelloResponse(
-        "b", "h", Limits(1, 2, 3, 4, 5, 6, 7, 8, 9), ActuatorDescription("a", 1, 2, 3, 4, 5, 6, 7), ()
-    )
-    without = replace(hello, limits=replace(hello.limits, profile_samples=0))
-    assert unpack(with_limits(hello, hello.limits.value()[: Limits.FIXED.size]))[1] == without
+@pytest.mark.parametrize(
+    ("value", "profile_samples"), [(LIMITS, 9), (LIMITS + b"xx", 9), (LIMITS[:-4], 0), (LIMITS[:-1], 0)]
+)
+def test_limits_of_other_minor_versions_are_read(value: bytes, profile_samples: int) -> None:
+    tag = struct.pack("<BH", 3, len(LIMITS)) + LIMITS
+    assert pack(HELLO).count(tag) == 1
+    payload = pack(HELLO).replace(tag, struct.pack("<BH", 3, len(value)) + value)
+    assert unpack(payload)[1] == replace(HELLO, limits=replace(HELLO.limits, profile_samples=profile_samples))
 
 
-def with_limits(hello: HelloResponse, value: bytes) -> bytes:
-    """Return the payload of a hello with other bytes as its limits."""
-    told = hello.limits.value()
-    tag = struct.pack("<BH", HelloResponse.LIMITS_TAG, len(told)) + told
-    assert pack(hello).count(tag) == 1
-    return pack(hello).replace(tag, struct.pack("<BH", HelloResponse.LIMITS_TAG, len(value)) + value)
+SHA256 = bytes(range(32))
+GOLDEN: list[tuple[Message, str]] = [
+    (Hello(1, 1), "0134120101"),
+    (StatusRequest(), "023412"),
+    (
+        Configure(7, b"VCT\x11", 280, packets=40, first_packet=4, loops=3, compensation=False, gain=0.5),
+        "033412070018010000280000000400000003000000003f01040056435411",
+    ),
+    (Configure(1, b"", 70_000), "033412010170110100000000000000000001000000803f010000"),
+    (Start(1 << 40), "0434120000000000010000"),
+    (Pause(), "053412"),
+    (Resume(), "063412"),
+    (Stop(), "073412"),
+    (Loop(258), "0834120201"),
+    (Gain(1.5), "0934120000c03f"),
+    (EndStream(7, 100_000), "0a341207a0860100"),
+    (CaptureRead(Tap.DAC, 1 << 33, 500), "0b3412010000000002000000f401"),
+    (
+        FlashBegin(1, 70_000, SHA256, "board é"),
+        "1034120170110100000102030405060708090a0b0c0d0e0f101112131415161718191a1b1c1d1e1f010800626f61726420c3a9",
+    ),
+    (FlashData(1, 4096, b"\x00data"), "11341201001000000064617461"),
+    (FlashVerify(1), "12341201"),
+    (FlashActivate(1), "13341201"),
+    (FlashConfirm(1), "14341201"),
+    (
+        StreamData(7, 300, (b"\x01\xaa", b"", bytes(130))),
+        "4007ac020201aa008201000000000000000000000000000000000000000000000000000000000000000000000000"
+        "00000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000"
+        "00000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000"
+        "0000",
+    ),
+    (Position(1 << 41, -1_234_567_890_123), "41000000000002000035fb048ee0feffff"),
+    (
+        HelloResponse(
+            build="b1",
+            hardware="hé",
+            limits=Limits(4096, 4084, 32768, 524288, 8, 100, 96000, 400, 65536),
+            actuator=ActuatorDescription("lra", 80.5, 150, 0, 270.25, 1000, 16, 48000),
+            codecs=(CodecDescription(1, "mdct"), CodecDescription(11, "parametric")),
+            images=(
+                ImageDescription(0, SlotState.CONFIRMED, SHA256, "oak", "1.0"),
+                ImageDescription(1, SlotState.EMPTY),
+            ),
+            major=1,
+            minor=1,
+        ),
+        "8034120101010200623102030068c3a9031b000010f40f0080000000000800086400000000770100900100000100"
+        "041c000000a14200001643000000000020874300007a441080bb00006c7261050500016d646374050b000b706172"
+        "616d65747269630629000004000102030405060708090a0b0c0d0e0f101112131415161718191a1b1c1d1e1f036f"
+        "616b312e300623000100000000000000000000000000000000000000000000000000000000000000000000",
+    ),
+    (
+        Status(State.WATCHDOG, 7, 1 << 40, 64, 6400, 320, 1, 2, 3, 4, 5, 6, 1 << 31),
+        "81341207070000000000010000400000000000000000190000000000004001000001000000020000000300000004"
+        "000000050000000600000000000080",
+    ),
+    (
+        CaptureData(Tap.DECODED, 2, 5, 1 << 34, b"\x01\x02\x03\x04"),
+        "82341200020500000000000000000000000400000001020304",
+    ),
+    (
+        FlashStatus(1, SlotState.VERIFIED, 70_000, SHA256),
+        "833412010270110100000102030405060708090a0b0c0d0e0f101112131415161718191a1b1c1d1e1f",
+    ),
+    (Error(300, "say hello first"), "ff34122c01010f007361792068656c6c6f206669727374"),
+]
+
+
+@pytest.mark.parametrize(("message", "packed"), GOLDEN, ids=lambda value: type(value).__name__)
+def test_bytes_stay_as_they_are(message: Message, packed: str) -> None:
+    assert pack(message, 0x1234).hex() == packed
+    assert unpack(bytes.fromhex(packed))[1] == message
+
+
+def test_every_message_has_golden_bytes() -> None:
+    assert {type(message) for message, _ in GOLDEN} == set(ALL)

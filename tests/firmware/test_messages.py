@@ -16,6 +16,7 @@ from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CaptureData,
     CaptureRead,
+    CodecDescription,
     Configure,
     EndStream,
     Error,
@@ -81,7 +82,8 @@ def in_python(message: Any) -> Message:
             counts = (configure.prebuffer_samples, configure.packets, configure.first_packet, configure.loops)
             gain = float_of(configure.gain_float_bits)
             header = piece_bytes(configure.header)
-            return Configure(configure.stream, header, *counts, bool(configure.compensation), gain)
+            compensation = bool(configure.compensation)
+            return Configure(configure.stream, header, *counts, gain, compensation=compensation)
         case Start.TYPE:
             return Start(body.start_us)
         case Loop.TYPE:
@@ -294,7 +296,7 @@ def test_hello_response(
     native.vc_put_hello_response(writer.pointer, sequence, filled)
     expected = HelloResponse(
         build, hardware, limits, ActuatorDescription(name, *floats, actuator.dac_bits, actuator.dac_rate_hz),
-        tuple(codecs), tuple(slots),
+        tuple(CodecDescription(*codec) for codec in codecs), tuple(slots),
     )  # fmt: skip
     assert writer.payload() == messages.pack(expected, sequence)
 

@@ -13,6 +13,7 @@ from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CaptureData,
     CaptureRead,
+    CodecDescription,
     Configure,
     Error,
     ErrorCode,
@@ -63,7 +64,7 @@ class ScriptedController:
             hardware="none",
             limits=Limits(512, 64, 200, 1000, 1, 100, 48_000, WATCHDOG_MS),
             actuator=ActuatorDescription("none", 80, 150, 0, 270, 0, 16, RATE_HZ),
-            codecs=((1, "mdct"),),
+            codecs=(CodecDescription(1, "mdct"),),
             images=(ImageDescription(0, SlotState.CONFIRMED), ImageDescription(1, SlotState.EMPTY)),
         )
         self.swallow: Callable[[Message], bool] = lambda message: False

@@ -1,0 +1,357 @@
+"""Wire types that annotate the fields of a class, and the layout of bytes that follows from them."""
+
+import math
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, Field, dataclass
+from enum import IntEnum
+from functools import cache
+from operator import attrgetter
+from typing import Annotated, Any, ClassVar, get_args, get_origin, get_type_hints
+
+from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
+
+VARINT_BITS = 32
+_MAX_VARINT = (1 << VARINT_BITS) - 1
+MAX_VARINT_BYTES = -(-VARINT_BITS // 7)
+SHA256_BYTES = 32
+TLV_HEAD = struct.Struct("<BH")
+"""Tag, and the length of the value."""
+
+
+class LayoutError(ValueError):
+    """Values that a layout cannot hold, or bytes that have another layout."""
+
+
+class BadValueError(LayoutError):
+    """A value of the right size that makes no sense."""
+
+
+def _factor(factor: float) -> float:
+    if not (math.isfinite(factor) and factor >= 0):
+        raise BadValueError(f"{factor} is not a finite factor of at least 0")
+    return factor
+
+
+def _sha256(sha256: bytes) -> bytes:
+    if len(sha256) != SHA256_BYTES:
+        raise LayoutError(f"a SHA-256 has {SHA256_BYTES} bytes, not {len(sha256)}")
+    return sha256
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A field of the fixed part. `name`: in docs/protocol.md. `code`: in `struct`. `check`: returns a valid value."""
+
+    name: str
+    code: str
+    check: Callable[[Any], Any] | None = None
+
+
+@dataclass(frozen=True)
+class Flag:
+    """A u8 of flags in the fixed part, of which only 0x01 is known. Others are bad values."""
+
+    code: str = "B"
+
+
+@dataclass(frozen=True)
+class Since:
+    """A number at the end of a class, which a minor version added: what lacks it has the default."""
+
+    version: str
+    fixed: Fixed
+    default: Any = 0
+
+    def pack(self, value: Any) -> bytes:
+        """Return the bytes of a value."""
+        return struct.pack("<" + self.fixed.code, value)
+
+    def unpack(self, data: bytes, position: int) -> tuple[Any, int]:
+        """Return the value and the position after it."""
+        layout = struct.Struct("<" + self.fixed.code)
+        if len(data) < position + layout.size:
+            return self.default, len(data)
+        return layout.unpack_from(data, position)[0], position + layout.size
+
+
+@dataclass(frozen=True)
+class Varint:
+    """LEB128 of at most VARINT_BITS bits."""
+
+    def pack(self, value: int) -> bytes:
+        """Return the bytes of a value. Raises LayoutError."""
+        if not 0 <= value <= _MAX_VARINT:
+            raise LayoutError(f"{value} is not in 0 to {_MAX_VARINT}")
+        return pack_varint(value)
+
+    def unpack(self, data: bytes, position: int) -> tuple[int, int]:
+        """Return the value and the position after it. Raises LayoutError."""
+        try:
+            return unpack_varint(data, position, VARINT_BITS)
+        except ValueError as error:
+            raise LayoutError(str(error)) from error
+
+
+@dataclass(frozen=True)
+class CountedText:
+    """A text after its length in a u8."""
+
+    def pack(self, value: str) -> bytes:
+        """Return the bytes of a text. Raises struct.error for a long one."""
+        text = value.encode()
+        return struct.pack("<B", len(text)) + text
+
+    def unpack(self, data: bytes, position: int) -> tuple[str, int]:
+        """Return the text and the position after it. Raises LayoutError."""
+        length = _take(data, position, 1)[0]
+        return _decode(str, _take(data, position + 1, length)), position + 1 + length
+
+
+@dataclass(frozen=True)
+class Rest:
+    """All bytes up to the end."""
+
+    description: str
+
+    def pack(self, value: Any) -> bytes:
+        """Return the bytes of a value."""
+        return bytes(value)
+
+    def unpack(self, data: bytes, position: int) -> tuple[Any, int]:
+        """Return the value and the position after it. Raises LayoutError."""
+        return data[position:], len(data)
+
+
+@dataclass(frozen=True)
+class RestText(Rest):
+    """A text up to the end."""
+
+    def pack(self, value: str) -> bytes:
+        """Return the bytes of a text."""
+        return value.encode()
+
+    def unpack(self, data: bytes, position: int) -> tuple[str, int]:
+        """Return the text and the position after it. Raises LayoutError."""
+        return _decode(str, data[position:]), len(data)
+
+
+@dataclass(frozen=True)
+class RestItems(Rest):
+    """Any number of bytes objects up to the end, each after its length as a varint."""
+
+    def pack(self, value: tuple[bytes, ...]) -> bytes:
+        """Return the bytes of the items."""
+        pieces: list[bytes] = []
+        for item in value:
+            pieces += (pack_varint(len(item)), item)
+        return b"".join(pieces)
+
+    def unpack(self, data: bytes, position: int) -> tuple[tuple[bytes, ...], int]:
+        """Return the items and the position after them. Raises LayoutError."""
+        items, end = [], len(data)
+        try:
+            while position < end:
+                length, position = unpack_varint(data, position, VARINT_BITS)
+                items.append(data[position : position + length])
+                position += length
+        except ValueError as error:
+            raise LayoutError(str(error)) from error
+        if position > end:
+            raise LayoutError(f"an item of {length} bytes, {len(items[-1])} are left")
+        return tuple(items), position
+
+
+@dataclass(frozen=True)
+class Tag:
+    """The value of a TLV: bytes, a text, an object with a layout; or a tuple of these, in one TLV each.
+
+    The TLV is required unless the field has a default or is a tuple.
+    """
+
+    number: int
+    description: str
+
+
+_U32 = Fixed("u32", "I")
+U8 = Annotated[int, Fixed("u8", "B")]
+U16 = Annotated[int, Fixed("u16", "H")]
+U32 = Annotated[int, _U32]
+U32_SINCE_1_1 = Annotated[int, Since("1.1", _U32)]
+FLAG = Annotated[bool, Flag()]
+U64 = Annotated[int, Fixed("u64", "Q")]
+I64 = Annotated[int, Fixed("i64", "q")]
+F32 = Annotated[float, Fixed("f32", "f")]
+FACTOR = Annotated[float, Fixed("f32", "f", _factor)]
+"""Finite and at least 0."""
+SHA256 = Annotated[bytes, Fixed(f"{SHA256_BYTES} bytes", f"{SHA256_BYTES}s", _sha256)]
+VARINT = Annotated[int, Varint()]
+COUNTED_TEXT = Annotated[str, CountedText()]
+
+Wire = Fixed | Flag | Since | Varint | CountedText | Rest | Tag
+
+
+@dataclass(frozen=True)
+class WireField:
+    """A field of a class: its name, its type in Python, how it lies on the wire, its default or MISSING."""
+
+    name: str
+    type: Any
+    wire: Wire
+    default: Any
+
+    @property
+    def item(self) -> Any:
+        """The type of the items of a tuple, or the type itself."""
+        return get_args(self.type)[0] if self.is_tuple else self.type
+
+    @property
+    def is_tuple(self) -> bool:
+        """Whether the field is a tuple."""
+        return get_origin(self.type) is tuple
+
+
+def wire_fields(owner: type) -> list[WireField]:
+    """Return the fields of a dataclass or named tuple as they lie on the wire.
+
+    The fixed part comes first, then the others, both in declaration order. An IntEnum is a u8.
+    """
+    fields = []
+    for name, hint in get_type_hints(owner, include_extras=True).items():
+        if get_origin(hint) is ClassVar:
+            continue
+        kind, wire = get_args(hint) if get_origin(hint) is Annotated else (hint, Fixed("u8", "B", _member_of(hint)))
+        default = getattr(owner, name, MISSING)
+        if isinstance(default, Field):
+            default = default.default
+        fields.append(WireField(name, kind, wire, default))
+    return sorted(fields, key=lambda field: not isinstance(field.wire, Fixed | Flag))
+
+
+def _member_of(enumeration: type[IntEnum]) -> Callable[[int], IntEnum]:
+    members = {int(member): member for member in enumeration}
+
+    def member(value: int) -> IntEnum:
+        try:
+            return members[value]
+        except KeyError:
+            raise BadValueError(f"{value} is no {enumeration.__name__}") from None
+
+    return member
+
+
+class Layout:
+    """The bytes of a class's objects: the fixed part, then the other fields.
+
+    Unless a field reaches up to the end, TLVs follow; or, with `skipped`, what a later minor version adds. A method
+    `check` of the class raises LayoutError where fields contradict each other.
+    """
+
+    def __init__(self, owner: type, *, skipped: bool = False) -> None:
+        self._owner = owner
+        fields = wire_fields(owner)
+        self._names = [field.name for field in fields if isinstance(field.wire, Fixed | Flag)]
+        self.fixed = struct.Struct("<" + "".join(f.wire.code for f in fields if isinstance(f.wire, Fixed | Flag)))
+        self._checks = [(i, f.wire.check) for i, f in enumerate(fields) if isinstance(f.wire, Fixed) and f.wire.check]
+        self._flags = [i for i, f in enumerate(fields) if isinstance(f.wire, Flag)]
+        self._parts = [(f.name, f.wire) for f in fields if not isinstance(f.wire, Fixed | Flag | Tag)]
+        self._tags = [(f, f.wire) for f in fields if isinstance(f.wire, Tag)]
+        self._check_all: Callable[[Any], None] | None = getattr(owner, "check", None)
+        self._has_tlvs = not skipped and not any(isinstance(field.wire, Rest) for field in fields)
+        self._get = attrgetter(*self._names) if self._names else None
+        self._has_one = len(self._names) == 1
+
+    def pack(self, value: Any) -> bytes:
+        """Return the bytes of an object. Raises LayoutError for a value that its field cannot hold."""
+        if self._check_all:
+            self._check_all(value)
+        fixed = self._get(value) if self._get else ()
+        if self._has_one:
+            fixed = (fixed,)
+        for index, check in self._checks:
+            check(fixed[index])
+        try:
+            packed = self.fixed.pack(*fixed)
+            for name, part in self._parts:
+                packed += part.pack(getattr(value, name))
+            for field, tag in self._tags:
+                found = getattr(value, field.name)
+                for item in found if field.is_tuple else (found,):
+                    encoded = _encode(field.item, item)
+                    packed += TLV_HEAD.pack(tag.number, len(encoded)) + encoded
+        except (struct.error, OverflowError) as error:
+            raise LayoutError(str(error)) from error
+        return packed
+
+    def unpack(self, data: bytes, position: int = 0) -> Any:
+        """Return the object whose bytes begin at `position`. Raises LayoutError, for values BadValueError."""
+        end = position + self.fixed.size
+        if len(data) < end:
+            raise LayoutError(f"{len(data) - position} bytes, at least {self.fixed.size} are needed")
+        fixed = [*self.fixed.unpack_from(data, position)]
+        for index in self._flags:
+            if fixed[index] > 1:
+                raise BadValueError(f"flags 0x{fixed[index]:02x} are set, only 0x01 is known")
+            fixed[index] = bool(fixed[index])
+        others: dict[str, Any] = {}
+        for name, part in self._parts:
+            others[name], end = part.unpack(data, end)
+        if self._has_tlvs and (self._tags or end < len(data)):
+            others |= self._unpack_tags(list(_tlvs(data, end)))
+        for index, check in self._checks:
+            fixed[index] = check(fixed[index])
+        if not others:
+            return self._owner(*fixed)
+        unpacked = self._owner(**dict(zip(self._names, fixed, strict=True)), **others)
+        if self._check_all:
+            self._check_all(unpacked)
+        return unpacked
+
+    def _unpack_tags(self, tlvs: list[tuple[int, bytes]]) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for field, tag in self._tags:
+            found = [value for number, value in tlvs if number == tag.number]
+            if field.is_tuple:
+                values[field.name] = tuple([_decode(field.item, value) for value in found])
+            elif found:
+                values[field.name] = _decode(field.type, found[-1])
+            elif field.default is MISSING:
+                raise LayoutError(f"tag {tag.number} is missing: {tag.description}")
+        return values
+
+
+@cache
+def _layout_of(owner: type) -> Layout:
+    """Return the layout of a class whose objects are values of TLVs: what a later version adds is skipped."""
+    return Layout(owner, skipped=True)
+
+
+def _encode(kind: Any, value: Any) -> bytes:
+    if kind is bytes:
+        return bytes(value)
+    return bytes(value.encode()) if kind is str else _layout_of(kind).pack(value)
+
+
+def _decode(kind: Any, data: bytes) -> Any:
+    if kind is bytes:
+        return data
+    if kind is not str:
+        return _layout_of(kind).unpack(data)
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise LayoutError("text that is not UTF-8") from error
+
+
+def _take(data: bytes, position: int, length: int) -> bytes:
+    if length > len(data) - position:
+        raise LayoutError(f"a field of {length} bytes, {len(data) - position} are left")
+    return data[position : position + length]
+
+
+def _tlvs(data: bytes, position: int) -> Iterator[tuple[int, bytes]]:
+    """Yield (tag, value) of each TLV from `position` on. Raises LayoutError where a length does not fit."""
+    while position < len(data):
+        tag, length = TLV_HEAD.unpack(_take(data, position, TLV_HEAD.size))
+        yield tag, _take(data, position + TLV_HEAD.size, length)
+        position += TLV_HEAD.size + length
