@@ -4,7 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 CORE := $(wildcard firmware/core/*.[ch] firmware/controller/*.[ch] firmware/ports/python/*.[ch])
 SOURCES := pyproject.toml hatch_build.py $(CORE)
-C_SOURCES := $(filter-out %_tables.c,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch])) $(wildcard tests/*/*.c)
+# Generated files need no layout.
+C_SOURCES := $(filter-out %_tables.c %/messages.c %/messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch])) $(wildcard tests/*/*.c)
 
 CHECKPOINTS ?= trained
 DATA ?= recordings

@@ -19,11 +19,11 @@ MAX_CONFIGURATION_BYTES = 255
 MAX_PACKET_BYTES = 65_535
 IMAGE_HASH_BYTES = 4
 
-_UNIT_BITS = 0x03
-_HAS_IMAGE_HASH = 0x04
-_LENGTH_UNKNOWN = 0x08
-_VARINT_BITS = 63
-_SEQUENCE_BITS = 32
+UNIT_BITS = 0x03
+HAS_IMAGE_HASH = 0x04
+LENGTH_UNKNOWN = 0x08
+VARINT_BITS = 63
+SEQUENCE_BITS = 32
 
 
 class StreamError(ValueError):
@@ -81,8 +81,8 @@ class StreamHeader:
     def pack(self) -> bytes:
         """Return the header's bytes."""
         flags = STREAM_UNITS.index(self.unit) | (self.channels - 1) << 4
-        flags |= _HAS_IMAGE_HASH if self.image_hash else 0
-        flags |= _LENGTH_UNKNOWN if self.samples is None else 0
+        flags |= HAS_IMAGE_HASH if self.image_hash else 0
+        flags |= LENGTH_UNKNOWN if self.samples is None else 0
         return b"".join(
             (
                 MAGIC,
@@ -111,25 +111,25 @@ class StreamHeader:
         flags = reader.take(1)[0]
         channels = (flags >> 4) + 1
         rate_hz = reader.varint()
-        samples = None if flags & _LENGTH_UNKNOWN else reader.varint()
+        samples = None if flags & LENGTH_UNKNOWN else reader.varint()
         gains = tuple(_unpack_gain(reader.take(2)) for _ in range(channels))
-        image_hash = reader.take(IMAGE_HASH_BYTES) if flags & _HAS_IMAGE_HASH else b""
+        image_hash = reader.take(IMAGE_HASH_BYTES) if flags & HAS_IMAGE_HASH else b""
         configuration = reader.take(reader.take(1)[0])
-        unit = STREAM_UNITS[flags & _UNIT_BITS]
+        unit = STREAM_UNITS[flags & UNIT_BITS]
         header = StreamHeader(codec_identifier, rate_hz, samples, unit, gains, configuration, image_hash)
         return header, reader.position
 
 
 def packet_sequence(packet: bytes) -> tuple[int, bool]:
     """Return the sequence number of a packet and whether it is a refresh. Raises StreamError on a malformed packet."""
-    sequence, refresh = divmod(_Reader(packet).varint(_SEQUENCE_BITS + 1), 2)
+    sequence, refresh = divmod(_Reader(packet).varint(SEQUENCE_BITS + 1), 2)
     return sequence, bool(refresh)
 
 
 def renumbered(packet: bytes, packets_before: int) -> bytes:
     """Return a packet with its sequence number moved by so many packets. Raises StreamError on a malformed packet."""
     reader = _Reader(packet)
-    head = reader.varint(_SEQUENCE_BITS + 1)
+    head = reader.varint(SEQUENCE_BITS + 1)
     return pack_varint(head + 2 * packets_before) + packet[reader.position :]
 
 
@@ -187,7 +187,7 @@ class _Reader:
         self.position = end
         return taken
 
-    def varint(self, bits: int = _VARINT_BITS) -> int:
+    def varint(self, bits: int = VARINT_BITS) -> int:
         try:
             value, self.position = unpack_varint(self.data, self.position, bits)
         except ValueError as error:

@@ -27,7 +27,8 @@ class BadValueError(LayoutError):
     """A value of the right size that makes no sense."""
 
 
-def _factor(factor: float) -> float:
+def check_factor(factor: float) -> float:
+    """Return a finite factor of at least 0. Raises BadValueError for others."""
     if not (math.isfinite(factor) and factor >= 0):
         raise BadValueError(f"{factor} is not a finite factor of at least 0")
     return factor
@@ -182,7 +183,7 @@ FLAG = Annotated[bool, Flag()]
 U64 = Annotated[int, Fixed("u64", "Q")]
 I64 = Annotated[int, Fixed("i64", "q")]
 F32 = Annotated[float, Fixed("f32", "f")]
-FACTOR = Annotated[float, Fixed("f32", "f", _factor)]
+FACTOR = Annotated[float, Fixed("f32", "f", check_factor)]
 """Finite and at least 0."""
 SHA256 = Annotated[bytes, Fixed(f"{SHA256_BYTES} bytes", f"{SHA256_BYTES}s", _sha256)]
 VARINT = Annotated[int, Varint()]

@@ -516,7 +516,8 @@ REQUESTS: tuple[type[Message], ...] = (
 )
 RESPONSES: tuple[type[Message], ...] = (HelloResponse, Status, CaptureData, FlashStatus, Error)
 
-ALL: tuple[type[Message], ...] = (*REQUESTS, StreamData, Position, *RESPONSES)
+FROM_HOST: tuple[type[Message], ...] = (*REQUESTS, StreamData, Position)
+ALL: tuple[type[Message], ...] = (*FROM_HOST, *RESPONSES)
 MESSAGES = {message.TYPE: message for message in ALL}
 
 

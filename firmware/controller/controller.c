@@ -79,7 +79,7 @@ static void put_status(vc_controller *controller, vc_frame_writer *writer, uint1
 {
     controller->last_report = status_of(controller);
     controller->reported = 1;
-    vc_put_status(writer, sequence, &controller->last_report);
+    vc_write_status(writer, sequence, &controller->last_report);
 }
 
 /* Frames that are not kept: errors and notifications. */
@@ -90,7 +90,7 @@ static void send_error(vc_controller *controller, uint16_t sequence, const vc_re
     uint8_t frame[SMALL_FRAME_BYTES];
     vc_frame_writer writer;
     vc_frame_begin(&writer, frame, sizeof frame);
-    vc_put_error(&writer, sequence, refusal);
+    vc_write_refusal(&writer, sequence, refusal);
     send(controller, frame, (uint32_t)vc_frame_end(&writer));
 }
 
@@ -218,6 +218,7 @@ static int put_capture(vc_controller *controller, const vc_capture_read *read, u
 {
     const vc_playback *playback = &controller->playback;
     uint64_t offset = read->offset;
+    vc_capture_data capture;
     vc_run runs[2];
     unsigned channels, room, run;
     if (!controller->configured)
@@ -225,16 +226,20 @@ static int put_capture(vc_controller *controller, const vc_capture_read *read, u
     channels = playback->header.output.channels;
     room = (VC_MAXIMUM_PAYLOAD_BYTES - VC_CAPTURE_DATA_HEAD_BYTES) / (2u * channels);
     vc_playback_captured(playback, read->tap, &offset, read->count < room ? read->count : room, runs);
-    vc_put_capture_data(writer, sequence, read->tap, (uint8_t)channels, offset, playback->captures[read->tap].end);
+    capture.tap = read->tap;
+    capture.channels = (uint8_t)channels;
+    capture.offset = offset;
+    capture.end = playback->captures[read->tap].end;
+    vc_write_capture_data(writer, sequence, &capture);
     for (run = 0; run < 2; run++)
-        vc_put_samples(writer, runs[run].samples, (size_t)runs[run].count * channels);
+        vc_frame_write_samples(writer, runs[run].samples, (size_t)runs[run].count * channels);
     return 0;
 }
 
 static int put_flash(vc_controller *controller, const vc_message *message, vc_frame_writer *writer, vc_refusal *refusal)
 {
     vc_image_store *images = &controller->images;
-    vc_flash_report report;
+    vc_flash_status report;
     int refused = 0;
     if (message->type == VC_FLASH_BEGIN || message->type == VC_FLASH_ACTIVATE)
         refused = refuse_while_active(controller, refusal);
@@ -248,17 +253,17 @@ static int put_flash(vc_controller *controller, const vc_message *message, vc_fr
         refused = vc_image_store_write(images, &message->body.flash_data, &report, refusal);
         break;
     case VC_FLASH_VERIFY:
-        refused = vc_image_store_verify(images, message->body.slot, &report, refusal);
+        refused = vc_image_store_verify(images, message->body.flash_verify.slot, &report, refusal);
         break;
     case VC_FLASH_ACTIVATE:
-        refused = vc_image_store_activate(images, message->body.slot, &report, refusal);
+        refused = vc_image_store_activate(images, message->body.flash_activate.slot, &report, refusal);
         break;
     default:
-        refused = vc_image_store_confirm(images, message->body.slot, &report, refusal);
+        refused = vc_image_store_confirm(images, message->body.flash_confirm.slot, &report, refusal);
         break;
     }
     if (!refused)
-        vc_put_flash_status(writer, message->sequence, &report);
+        vc_write_flash_status(writer, message->sequence, &report);
     return refused;
 }
 
@@ -279,7 +284,7 @@ static int carry_out(vc_controller *controller, const vc_message *message, vc_fr
         break;
     case VC_START:
         refused = refuse_outside(controller, IN(VC_STATE_BUFFERING), refusal);
-        start_us = message->body.start_us;
+        start_us = message->body.start.device_time_us;
         if (!refused)
             vc_playback_start(playback, start_us > controller->dac_free_us ? start_us : controller->dac_free_us,
                               controller->time_us);
@@ -300,12 +305,12 @@ static int carry_out(vc_controller *controller, const vc_message *message, vc_fr
     case VC_LOOP:
         refused = refuse_outside(controller, IN_STREAM, refusal);
         if (!refused)
-            refused = vc_playback_set_loops(playback, message->body.loops, refusal);
+            refused = vc_playback_set_loops(playback, message->body.loop.loops, refusal);
         break;
     case VC_GAIN:
         refused = refuse_outside(controller, IN_STREAM, refusal);
         if (!refused)
-            vc_playback_set_gain(playback, message->body.gain_float_bits);
+            vc_playback_set_gain(playback, message->body.gain.gain_float_bits);
         break;
     case VC_END_STREAM:
         refused = refuse_outside(controller, IN_STREAM, refusal);
@@ -332,8 +337,10 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     vc_hello_response hello;
     unsigned slot;
     memset(&hello, 0, sizeof hello);
-    hello.build = controller->settings->build;
-    hello.hardware = controller->settings->hardware;
+    hello.major = VC_PROTOCOL_MAJOR;
+    hello.minor = VC_PROTOCOL_MINOR;
+    hello.build = vc_text_piece(controller->settings->build);
+    hello.hardware = vc_text_piece(controller->settings->hardware);
     hello.limits.maximum_payload_bytes = VC_MAXIMUM_PAYLOAD_BYTES;
     hello.limits.maximum_packet_bytes = VC_MAXIMUM_PACKET_BYTES;
     hello.limits.buffer_samples = sizes.buffer_samples;
@@ -343,7 +350,7 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     hello.limits.maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
     hello.limits.watchdog_ms = controller->settings->watchdog_ms;
     hello.limits.profile_samples = sizes.profile_samples;
-    hello.actuator.name = actuator->name;
+    hello.actuator.name = vc_text_piece(actuator->name);
     hello.actuator.stroke_um_float_bits = actuator->stroke_um;
     hello.actuator.volts_float_bits = actuator->volts;
     hello.actuator.lower_hz_float_bits = actuator->lower_hz;
@@ -354,11 +361,14 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     vc_codecs_describe(codecs);
     hello.codecs = callbacks != NULL ? callbacks->codecs : codecs;
     hello.codec_count = callbacks != NULL ? callbacks->codec_count : VC_CODEC_COUNT;
-    for (slot = 0; slot < VC_SLOTS; slot++)
+    for (slot = 0; slot < VC_SLOTS; slot++) {
         vc_image_store_describe(&controller->images, slot, &images[slot]);
+        images[slot].name.length = vc_text_cut(images[slot].name, VC_IMAGE_TEXT_BYTES);
+        images[slot].version.length = vc_text_cut(images[slot].version, VC_IMAGE_TEXT_BYTES);
+    }
     hello.images = images;
     hello.image_count = VC_SLOTS;
-    vc_put_hello_response(writer, sequence, &hello);
+    vc_write_hello_response(writer, sequence, &hello);
 }
 
 /* ---- sessions ---- */
@@ -405,7 +415,7 @@ static void answer_error(vc_controller *controller, uint16_t sequence, const vc_
 {
     vc_frame_writer writer;
     begin_answer(controller, &writer);
-    vc_put_error(&writer, sequence, refusal);
+    vc_write_refusal(&writer, sequence, refusal);
     answer(controller, sequence, &writer);
 }
 
@@ -446,7 +456,7 @@ static void take_request(vc_controller *controller, const vc_message *message)
     begin_answer(controller, &writer);
     refused = carry_out(controller, message, &writer, &refusal);
     if (refused)
-        vc_put_error(&writer, message->sequence, &refusal);
+        vc_write_refusal(&writer, message->sequence, &refusal);
     answer(controller, message->sequence, &writer);
     if (message->type == VC_FLASH_ACTIVATE && !refused) {
         stop(controller);
@@ -462,11 +472,11 @@ static void handle(vc_controller *controller, vc_piece payload)
     vc_refusal refusal;
     vc_piece packet;
     int refused;
-    if (payload.bytes[0] >= VC_HELLO_RESPONSE)
+    if (payload.bytes[0] >= VC_FIRST_FROM_CONTROLLER)
         return;
     controller->heard_us = controller->time_us;
     refused = vc_message_read(&message, payload.bytes, payload.length, &refusal);
-    if (!refused && message.sequence == VC_NOTIFICATION && message.type < VC_STREAM_DATA)
+    if (!refused && message.sequence == VC_NOTIFICATION && message.type < VC_FIRST_UNSEQUENCED)
         refused = vc_refuse(&refusal, VC_MALFORMED, "a request needs a sequence number of 1 or more");
     if (refused && message.sequence == VC_NOTIFICATION) {
         if (outgoing_bytes(controller) < UNREAD_NOTIFICATIONS_BYTES)
@@ -478,12 +488,12 @@ static void handle(vc_controller *controller, vc_piece payload)
         greet(controller, message.sequence, &message.body.hello);
     } else if (message.type == VC_POSITION) {
         if (controller->configured && controller->settings->position == NULL)
-            vc_playback_position(playback, message.body.position.time_us, message.body.position.position_nm,
+            vc_playback_position(playback, message.body.position.device_time_us, message.body.position.position_nm,
                                  controller->time_us);
     } else if (message.type != VC_STREAM_DATA) {
         take_request(controller, &message);
     } else if (controller->configured && message.body.stream_data.stream == playback->stream) {
-        while (vc_next_packet(&message.body.stream_data.packets, &packet))
+        while (vc_next_item(&message.body.stream_data.packets, &packet))
             vc_playback_add(playback, message.body.stream_data.iteration, packet, controller->time_us);
     }
 }

@@ -25,7 +25,7 @@ void vc_codecs_describe(vc_codec_description *descriptions)
     unsigned i;
     for (i = 0; i < VC_CODEC_COUNT; i++) {
         descriptions[i].identifier = codecs[i]->identifier;
-        descriptions[i].name = codecs[i]->name;
+        descriptions[i].name = vc_text_piece(codecs[i]->name);
     }
 }
 

@@ -1,6 +1,8 @@
 /* Fields of what the host sends; see fields.h. */
 #include "fields.h"
 
+#include "protocol.h"
+
 void vc_fields_begin(vc_fields *fields, const uint8_t *bytes, size_t length)
 {
     fields->rest.bytes = bytes;
@@ -43,6 +45,16 @@ uint64_t vc_take_varint(vc_fields *fields, unsigned bits)
     }
     fields->cut = 1;
     return 0;
+}
+
+int vc_next_item(vc_piece *items, vc_piece *item)
+{
+    vc_fields fields = {*items, 0};
+    if (items->length == 0)
+        return 0;
+    *item = vc_take_piece(&fields, (size_t)vc_take_varint(&fields, VC_VARINT_BITS));
+    *items = fields.rest;
+    return 1;
 }
 
 uint64_t vc_number(const uint8_t *bytes, unsigned count)

@@ -15,6 +15,10 @@ typedef struct {
     const uint8_t *bytes;
     size_t length;
 } vc_piece;
+
+/* Takes the first item off items that were read, each after its length as a varint; returns 0 when there are no more.
+ */
+int vc_next_item(vc_piece *items, vc_piece *item);
 /* cffi: end */
 
 typedef struct {

@@ -70,18 +70,25 @@ void vc_frame_begin(vc_frame_writer *writer, uint8_t *frame, size_t capacity)
     writer->crc = VC_CRC16_START;
 }
 
-void vc_frame_put(vc_frame_writer *writer, const uint8_t *payload, size_t length)
+void vc_frame_write(vc_frame_writer *writer, const uint8_t *payload, size_t length)
 {
     vc_cobs_put(&writer->cobs, payload, length);
     writer->crc = vc_crc16(payload, length, writer->crc);
     writer->payload_bytes += length;
 }
 
-void vc_frame_put_number(vc_frame_writer *writer, uint64_t number, unsigned bytes)
+void vc_frame_write_number(vc_frame_writer *writer, uint64_t number, unsigned bytes)
 {
     uint8_t packed[sizeof number];
     vc_number_bytes(packed, number, bytes);
-    vc_frame_put(writer, packed, bytes);
+    vc_frame_write(writer, packed, bytes);
+}
+
+void vc_frame_write_samples(vc_frame_writer *writer, const int16_t *samples, size_t count)
+{
+    size_t i;
+    for (i = 0; i < count; i++)
+        vc_frame_write_number(writer, (uint16_t)samples[i], 2);
 }
 
 size_t vc_frame_end(vc_frame_writer *writer)

@@ -36,9 +36,11 @@ typedef struct {
 
 /* Begins a frame in frame[0..capacity), which must stay valid until the end. */
 void vc_frame_begin(vc_frame_writer *writer, uint8_t *frame, size_t capacity);
-void vc_frame_put(vc_frame_writer *writer, const uint8_t *payload, size_t length);
+void vc_frame_write(vc_frame_writer *writer, const uint8_t *payload, size_t length);
 /* A number of 1 to 8 bytes, little endian. */
-void vc_frame_put_number(vc_frame_writer *writer, uint64_t number, unsigned bytes);
+void vc_frame_write_number(vc_frame_writer *writer, uint64_t number, unsigned bytes);
+/* Numbers of two bytes, little endian. */
+void vc_frame_write_samples(vc_frame_writer *writer, const int16_t *samples, size_t count);
 /* Ends it; returns its bytes, or 0 where they do not fit, or the payload has not 1 to VC_MAXIMUM_PAYLOAD_BYTES. */
 size_t vc_frame_end(vc_frame_writer *writer);
 /* cffi: end */

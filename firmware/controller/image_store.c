@@ -236,7 +236,7 @@ static uint32_t next_offset(const vc_image_store *store, unsigned number)
     return store->slots[number].state == VC_SLOT_WRITING ? store->written[number] : 0;
 }
 
-static int tell(const vc_image_store *store, unsigned number, vc_flash_report *report)
+static int tell(const vc_image_store *store, unsigned number, vc_flash_status *report)
 {
     const vc_slot *slot = &store->slots[number];
     report->slot = (uint8_t)number;
@@ -246,7 +246,7 @@ static int tell(const vc_image_store *store, unsigned number, vc_flash_report *r
     return 0;
 }
 
-int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_report *report,
+int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_status *report,
                          vc_refusal *refusal)
 {
     const vc_flash *flash = store->flash;
@@ -276,7 +276,7 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
     return tell(store, begin->slot, report);
 }
 
-int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_report *report, vc_refusal *refusal)
+int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_status *report, vc_refusal *refusal)
 {
     const vc_flash *flash = store->flash;
     int refused = not_in_state(store, data->slot, VC_SLOT_WRITING, ": begin with FlashBegin", refusal);
@@ -308,7 +308,7 @@ static int check_image(vc_image_store *store, unsigned number, vc_refusal *refus
     return refused;
 }
 
-int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal)
+int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal)
 {
     vc_slot verified;
     int refused = not_in_state(store, number, VC_SLOT_WRITING, ": there is nothing new to verify", refusal);
@@ -322,7 +322,7 @@ int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_repor
     return set_slot(store, number, &verified) ? tell(store, number, report) : flash_failed(refusal);
 }
 
-int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal)
+int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal)
 {
     vc_slot trial;
     unsigned i;
@@ -337,7 +337,7 @@ int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_rep
     return set_slot(store, number, &trial) ? tell(store, number, report) : flash_failed(refusal);
 }
 
-int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal)
+int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal)
 {
     vc_slot slots[VC_SLOTS];
     unsigned i;

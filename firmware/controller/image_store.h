@@ -56,17 +56,17 @@ void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_im
  * erased may be empty. */
 
 /* Makes a slot ready for an image, or goes on with the one that it is taking. Erases a slot. */
-int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_report *report,
+int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_status *report,
                          vc_refusal *refusal);
 /* Programs data at the offset that is next; at any other, writes nothing. */
-int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_report *report,
+int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_status *report,
                          vc_refusal *refusal);
 /* Reads the slot back and checks all of it; an image that is refused leaves the slot empty. */
-int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal);
+int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal);
 /* Puts a verified slot on trial at the next boot. */
-int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal);
+int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal);
 /* Keeps the slot that runs on trial; the one confirmed before becomes verified. */
-int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_report *report, vc_refusal *refusal);
+int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal);
 /* cffi: end */
 
 #endif

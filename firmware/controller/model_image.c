@@ -12,14 +12,14 @@ int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t lengt
     unsigned layout, name_bytes, version_bytes, hardware_bytes;
     uint32_t payload_bytes;
     vc_fields_begin(&fields, data, length);
-    magic = vc_take_piece(&fields, 4);
+    magic = vc_take_piece(&fields, sizeof VC_IMAGE_MAGIC - 1);
     layout = (unsigned)vc_take_number(&fields, 1);
     image->codec = (uint8_t)vc_take_number(&fields, 1);
     name_bytes = (unsigned)vc_take_number(&fields, 1);
     version_bytes = (unsigned)vc_take_number(&fields, 1);
     hardware_bytes = (unsigned)vc_take_number(&fields, 1);
     payload_bytes = (uint32_t)vc_take_number(&fields, 4);
-    if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)"VCMI", 4))
+    if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)VC_IMAGE_MAGIC, magic.length))
         return vc_refuse(refusal, VC_IMAGE_REFUSED,
                          "this is no model image: flash a file that vibrocast packed as one");
     if (layout != VC_IMAGE_LAYOUT_VERSION)

@@ -3,9 +3,8 @@
 #define VIBROCAST_MODEL_IMAGE_H
 
 #include "fields.h"
+#include "protocol.h"
 #include "refusal.h"
-
-#define VC_IMAGE_LAYOUT_VERSION 1
 
 /* cffi: begin */
 /* Pieces point into the bytes that were read. Texts are UTF-8. */

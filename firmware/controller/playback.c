@@ -571,6 +571,7 @@ uint64_t vc_playback_free_us(const vc_playback *playback)
 void vc_playback_report(vc_playback *playback, vc_status_report *status)
 {
     const uint32_t pending = pending_samples(playback), packet_samples = playback->coding.packet_samples;
+    const vc_limit_counts *limited = vc_dac_counts(&playback->dac);
     if (playback->next * packet_samples > playback->position + pending)
         playback->position = playback->next * packet_samples - pending;
     status->state = (uint8_t)playback->state;
@@ -580,5 +581,8 @@ void vc_playback_report(vc_playback *playback, vc_status_report *status)
     status->buffered_samples = playback->buffer.count * packet_samples + pending;
     status->underruns = playback->underruns;
     status->lost_packets = playback->lost_packets;
-    status->limited = *vc_dac_counts(&playback->dac);
+    status->compensation_clipped = limited->compensation_clipped;
+    status->voltage_limited = limited->voltage_limited;
+    status->slew_limited = limited->slew_limited;
+    status->power_limited = limited->power_limited;
 }

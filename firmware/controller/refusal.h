@@ -2,29 +2,13 @@
 #ifndef VIBROCAST_REFUSAL_H
 #define VIBROCAST_REFUSAL_H
 
-#include "fields.h"
+#include "frames.h"
+#include "protocol.h"
 
 /* Fits, with what stands around it, in the smallest payload that the protocol allows. */
 #define VC_REFUSAL_TEXT_BYTES 200
 
 /* cffi: begin */
-/* docs/protocol.md, "Error codes". */
-enum vc_error_code {
-    VC_UNKNOWN_MESSAGE = 1,
-    VC_MALFORMED = 2,
-    VC_UNSUPPORTED_VERSION = 3,
-    VC_HELLO_FIRST = 4,
-    VC_WRONG_STATE = 5,
-    VC_BAD_VALUE = 6,
-    VC_UNKNOWN_CODEC = 7,
-    VC_UNKNOWN_IMAGE = 8,
-    VC_BEYOND_LIMITS = 9,
-    VC_NO_SUCH_SLOT = 10,
-    VC_WRONG_HARDWARE = 11,
-    VC_IMAGE_REFUSED = 12,
-    VC_FLASH_FAILED = 13
-};
-
 /* `text` is UTF-8, without a zero behind it; what does not fit is left out. */
 typedef struct {
     uint16_t code, length;
@@ -40,6 +24,9 @@ int vc_refuse_numbers(vc_refusal *refusal, enum vc_error_code code, const char *
 int vc_refusal_add(vc_refusal *refusal, const char *text);
 int vc_refusal_add_piece(vc_refusal *refusal, vc_piece text);
 int vc_refusal_add_hex(vc_refusal *refusal, const uint8_t *bytes, size_t length);
+
+/* Writes an Error into a frame that has begun. */
+void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal);
 /* cffi: end */
 
 #endif

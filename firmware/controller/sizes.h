@@ -3,6 +3,7 @@
 #define VIBROCAST_SIZES_H
 
 #include "profile_memory.h"
+#include "protocol.h"
 
 /* Channels of a stream. VC_MAX_CHANNELS bounds them too, and is what decoders set memory aside for. */
 #ifndef VC_CHANNELS
@@ -38,10 +39,12 @@
 
 /* Payload of a frame, both ways: 576, where what hello tells has room, to 4096. */
 #ifndef VC_MAXIMUM_PAYLOAD_BYTES
-#define VC_MAXIMUM_PAYLOAD_BYTES 4096
+#define VC_MAXIMUM_PAYLOAD_BYTES VC_PROTOCOL_PAYLOAD_BYTES
 #endif
-/* Type, stream, iteration and the packet's length stand before a packet in a frame's payload. */
-#define VC_MAXIMUM_PACKET_BYTES (VC_MAXIMUM_PAYLOAD_BYTES - 12)
+#define VC_MAXIMUM_PACKET_BYTES (VC_MAXIMUM_PAYLOAD_BYTES - VC_PACKET_OVERHEAD_BYTES)
+/* Bytes of an image's name, and of its version, in a HelloResponse: what its other parts leave of a payload when there
+ * are two slots and eight codecs, and build, hardware and actuator have the longest names that they may have. */
+#define VC_IMAGE_TEXT_BYTES ((VC_MAXIMUM_PAYLOAD_BYTES - 512) / 4)
 
 /* What waits for the host: a few answers, which it repeats its requests for. */
 #ifndef VC_OUTGOING_BYTES
@@ -56,8 +59,8 @@
 #if VC_CHANNELS < 1 || VC_CHANNELS > VC_MAX_CHANNELS
 #error "VC_CHANNELS: 1 to VC_MAX_CHANNELS"
 #endif
-#if VC_MAXIMUM_PAYLOAD_BYTES < 576 || VC_MAXIMUM_PAYLOAD_BYTES > 4096
-#error "VC_MAXIMUM_PAYLOAD_BYTES: 576 to 4096"
+#if VC_MAXIMUM_PAYLOAD_BYTES < 576 || VC_MAXIMUM_PAYLOAD_BYTES > VC_PROTOCOL_PAYLOAD_BYTES
+#error "VC_MAXIMUM_PAYLOAD_BYTES: 576 to VC_PROTOCOL_PAYLOAD_BYTES"
 #endif
 #if VC_BUFFER_BYTES < 4 * VC_MAXIMUM_PACKET_BYTES
 #error "VC_BUFFER_BYTES: room for four of the longest packets, or a host is kept waiting"

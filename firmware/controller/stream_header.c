@@ -3,11 +3,6 @@
 
 #include "common.h"
 
-#define UNIT_BITS 0x03u
-#define HAS_IMAGE_HASH 0x04u
-#define LENGTH_UNKNOWN 0x08u
-#define VARINT_BITS 63
-#define SEQUENCE_BITS 32
 #define INFINITE_GAIN 0x7F80u
 
 int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_refusal *refusal)
@@ -18,22 +13,23 @@ int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t 
     unsigned version_and_codec, flags, channel;
     vc_fields_begin(&fields, data, length);
     memset(header, 0, sizeof *header);
-    magic = vc_take_piece(&fields, 3);
+    magic = vc_take_piece(&fields, sizeof VC_STREAM_MAGIC - 1);
     version_and_codec = (unsigned)vc_take_number(&fields, 1);
-    if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)"VCT", 3))
-        return vc_refuse(refusal, VC_BAD_VALUE, "no stream header: it does not start with 'VCT'");
+    if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)VC_STREAM_MAGIC, magic.length))
+        return vc_refuse(refusal, VC_BAD_VALUE, "no stream header: it does not start with '" VC_STREAM_MAGIC "'");
     if (version_and_codec >> 4 != VC_STREAM_VERSION)
         return vc_refuse_numbers(refusal, VC_BAD_VALUE, "a stream of version #; this controller reads version #",
                                  version_and_codec >> 4, VC_STREAM_VERSION);
     header->codec = version_and_codec & 0x0Fu;
     flags = (unsigned)vc_take_number(&fields, 1);
-    header->output.unit = flags & UNIT_BITS;
+    header->output.unit = flags & VC_STREAM_UNIT_BITS;
     header->output.channels = (uint8_t)((flags >> 4) + 1);
-    rate_hz = vc_take_varint(&fields, VARINT_BITS);
-    header->samples = flags & LENGTH_UNKNOWN ? VC_LENGTH_UNKNOWN : vc_take_varint(&fields, VARINT_BITS);
+    rate_hz = vc_take_varint(&fields, VC_STREAM_VARINT_BITS);
+    header->samples =
+        flags & VC_STREAM_LENGTH_UNKNOWN ? VC_LENGTH_UNKNOWN : vc_take_varint(&fields, VC_STREAM_VARINT_BITS);
     for (channel = 0; channel < header->output.channels; channel++)
         header->output.gain[channel] = (uint16_t)vc_take_number(&fields, 2);
-    header->needs_image = (flags & HAS_IMAGE_HASH) != 0;
+    header->needs_image = (flags & VC_STREAM_HAS_IMAGE_HASH) != 0;
     hash = vc_take_piece(&fields, header->needs_image ? VC_IMAGE_HASH_BYTES : 0);
     configuration = vc_take_piece(&fields, (size_t)vc_take_number(&fields, 1));
     if (fields.cut)
@@ -65,7 +61,7 @@ int vc_packet_sequence(const uint8_t *packet, size_t length, uint32_t *sequence,
     vc_fields fields;
     uint64_t head;
     vc_fields_begin(&fields, packet, length);
-    head = vc_take_varint(&fields, SEQUENCE_BITS + 1);
+    head = vc_take_varint(&fields, VC_PACKET_SEQUENCE_BITS + 1);
     *sequence = (uint32_t)(head >> 1);
     *refresh = (int)(head & 1u);
     return fields.cut ? -1 : 0;

@@ -4,15 +4,10 @@
 
 #include "fields.h"
 #include "output.h"
+#include "protocol.h"
 #include "refusal.h"
 
-#define VC_STREAM_VERSION 1
-#define VC_STREAM_MAX_CHANNELS 16
-#define VC_STREAM_MAX_RATE_HZ 200000u
 #define VC_LENGTH_UNKNOWN UINT64_MAX
-#define VC_IMAGE_HASH_BYTES 4
-/* The unit of a height profile: um over position, the rate being in samples per metre. */
-#define VC_UNIT_PROFILE 3u
 
 /* cffi: begin */
 /* All that a decoder needs to know before the first packet; holds no pointers. */

@@ -73,7 +73,7 @@ static void receive(bench *test)
             at += vc_frame_reader_feed(test->host, bytes + at, count - at, &payload);
             if (payload.length == 0)
                 continue;
-            vc_fuzz_check(payload.length >= 3 && payload.bytes[0] >= VC_HELLO_RESPONSE, "no message of a controller");
+            vc_fuzz_check(payload.length >= 3 && payload.bytes[0] >= VC_FIRST_FROM_CONTROLLER, "no message of a controller");
             test->stops_answered += payload.bytes[0] == VC_STATUS && vc_number(payload.bytes + 1, 2) == LAST_STOP;
         }
     }
@@ -85,7 +85,7 @@ static void send(bench *test, const uint8_t *payload, size_t length)
     uint8_t frame[VC_FRAME_BYTES + 1] = {0}; /* a zero before it ends what came before */
     vc_frame_writer writer;
     vc_frame_begin(&writer, frame + 1, VC_FRAME_BYTES);
-    vc_frame_put(&writer, payload, length);
+    vc_frame_write(&writer, payload, length);
     vc_controller_receive(test->controller, frame, 1 + vc_frame_end(&writer), test->now_us);
     receive(test);
 }

@@ -72,7 +72,7 @@ static void carry_out(vc_image_store *store, const vc_flash *flash, const uint8_
     vc_piece rest = {record + 1, length - 1};
     vc_flash_begin begin = {(uint8_t)slot, 0, NULL, {NULL, 0}};
     vc_flash_data data = {(uint8_t)slot, 0, {NULL, 0}};
-    vc_flash_report report;
+    vc_flash_status report;
     vc_refusal refusal;
     vc_fields fields;
     uint8_t sha256[VC_SHA256_BYTES];

@@ -27,7 +27,7 @@ static void check_refusal(int code, const vc_refusal *refusal)
     vc_fuzz_check(code == refusal->code && code >= VC_UNKNOWN_MESSAGE && code <= VC_FLASH_FAILED, "no error code");
     vc_fuzz_check(text.length > 0 && vc_is_utf8(text), "an error without a text");
     vc_frame_begin(&writer, frame, sizeof frame);
-    vc_put_error(&writer, 1, refusal);
+    vc_write_refusal(&writer, 1, refusal);
     vc_fuzz_check(vc_frame_end(&writer) > 0, "an error that fits no frame");
 }
 
@@ -51,7 +51,7 @@ static void read_packets(const vc_stream_data *data)
     vc_piece packets = data->packets, packet;
     uint32_t sequence;
     int refresh;
-    while (vc_next_packet(&packets, &packet)) {
+    while (vc_next_item(&packets, &packet)) {
         touch(packet);
         (void)vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh);
     }
@@ -62,7 +62,7 @@ void vc_fuzz_messages(const uint8_t *data, size_t length)
     vc_message message;
     vc_refusal refusal;
     int code;
-    if (length > 0 && data[0] >= VC_HELLO_RESPONSE)
+    if (length > 0 && data[0] >= VC_FIRST_FROM_CONTROLLER)
         return;
     code = vc_message_read(&message, data, length, &refusal);
     if (code != 0)
@@ -93,7 +93,7 @@ void vc_fuzz_frames(const uint8_t *data, size_t length)
         if (payload.length == 0)
             continue;
         vc_frame_begin(&writer, frame, sizeof frame);
-        vc_frame_put(&writer, payload.bytes, payload.length);
+        vc_frame_write(&writer, payload.bytes, payload.length);
         vc_fuzz_check(vc_frame_end(&writer) > 0, "a payload that was read and cannot be written");
         vc_fuzz_messages(payload.bytes, payload.length);
     }

@@ -29,7 +29,7 @@ class CImageStore:
         self._check = self._callbacks.make("vc_payload_check", self._on_check, -1)
         self._hardware = ffi.new("char[]", hardware.encode())
         self._store, self._refusal = ffi.new("vc_image_store *"), ffi.new("vc_refusal *")
-        self._report = ffi.new("vc_flash_report *")
+        self._report = ffi.new("vc_flash_status *")
         native.vc_image_store_boot(self._store, self._flash.pointer, self._hardware, self._check, ffi.NULL)
         self._callbacks.pass_on()
 

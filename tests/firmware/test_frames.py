@@ -42,7 +42,7 @@ def c_frame(payload: bytes, capacity: int = 5000, pieces: int = 3) -> bytes:
     native.vc_frame_begin(writer, frame, capacity)
     edges = [len(payload) * piece // pieces for piece in range(pieces + 1)]
     for start, end in itertools.pairwise(edges):
-        native.vc_frame_put(writer, payload[start:end], end - start)
+        native.vc_frame_write(writer, payload[start:end], end - start)
     length = native.vc_frame_end(writer)
     return bytes(frame)[:length]
 
@@ -104,7 +104,7 @@ def test_payload_that_does_not_fit_is_refused(payload: bytes) -> None:
 def test_numbers_are_little_endian() -> None:
     frame, writer = ffi.new("uint8_t[]", 50), ffi.new("vc_frame_writer *")
     native.vc_frame_begin(writer, frame, 50)
-    native.vc_frame_put_number(writer, 0x0102030405060708, 8)
-    native.vc_frame_put_number(writer, 0xAABBCC, 2)
+    native.vc_frame_write_number(writer, 0x0102030405060708, 8)
+    native.vc_frame_write_number(writer, 0xAABBCC, 2)
     length: Any = native.vc_frame_end(writer)
     assert bytes(frame)[:length] == write_frame(b"\x08\x07\x06\x05\x04\x03\x02\x01\xcc\xbb")
