@@ -10,19 +10,7 @@ from enum import IntEnum
 from pathlib import Path
 
 from vibrocast.device_protocol import coded_stream, frames, layout, messages, model_image
-from vibrocast.device_protocol.layout import (
-    CountedText,
-    Fixed,
-    Flag,
-    Rest,
-    RestItems,
-    RestText,
-    Since,
-    Tag,
-    Varint,
-    WireField,
-    wire_fields,
-)
+from vibrocast.device_protocol.layout import Fixed, Flag, Part, Rest, Tag, WireField, wire_fields
 from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Message
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -133,7 +121,8 @@ def _in_c(field: WireField, struct: str) -> CField:
             size = layout.SHA256_BYTES
             read = [f"{place} = vc_take_piece(&fields, {size}).bytes;"]
             return CField([f"const uint8_t *{name};"], read, [f"write_sha256(writer, {place});"], [str(size)])
-        case Fixed(name=wire) | Since(fixed=Fixed(name=wire)):
+        case Fixed() | Part(name="added"):
+            wire = field.wire.name if isinstance(field.wire, Fixed) else "u32"
             kind, bits = _TYPES[wire], "_float_bits" * (wire == "f32")
             size = _NUMBERS[kind]
             cast = "" if kind == "uint64_t" else f"({kind})"
@@ -143,18 +132,18 @@ def _in_c(field: WireField, struct: str) -> CField:
         case Flag():
             read = ["flags = (unsigned)vc_take_number(&fields, 1);", f"{place} = (uint8_t)flags;"]
             return CField([f"uint8_t {name};"], read, [], [])
-        case Varint():
+        case Part(name="varint"):
             return CField(
                 [f"uint32_t {name};"], [f"{place} = (uint32_t)vc_take_varint(&fields, VC_VARINT_BITS);"], [], []
             )
-        case CountedText():
+        case Part(name="counted"):
             write = [f"vc_frame_write_number(writer, {place}.length, 1);", write_piece]
             return CField(piece, [], write, ["1", f"{place}.length"])
-        case RestText():
+        case Rest(name="text"):
             return CField(piece, [], [write_piece], [f"{place}.length"])
-        case RestItems():
+        case Rest(name="items"):
             return CField(piece, [f"{place} = take_items(&fields);"], [], [])
-        case Rest():
+        case Part():
             return CField(piece, [f"{place} = vc_take_piece(&fields, fields.rest.length);"], [], [])
         case Tag(number=number) if field.is_tuple:
             kind, count = _struct(field.item), f"{name.removesuffix('s')}_count"
@@ -432,11 +421,11 @@ def _cells(fields: list[WireField]) -> str:
                 cells.append(f"{field.name} {wire}")
             case Flag():
                 cells.append("flags u8")
-            case Varint():
+            case Part(name="varint"):
                 cells.append(f"{field.name} varint")
-            case Since(version=version, fixed=fixed):
-                cells.append(f"from version {version} on {field.name} {fixed.name}")
-            case CountedText():
+            case Part(name="added"):
+                cells.append(f"from version 1.1 on {field.name} u32")
+            case Part(name="counted"):
                 cells.append(f"{field.name}'s length u8, {field.name}")
             case Rest(description=description):
                 cells.append(f"then the {description}")

@@ -17,6 +17,7 @@ MAX_VARINT_BYTES = -(-VARINT_BITS // 7)
 SHA256_BYTES = 32
 TLV_HEAD = struct.Struct("<BH")
 """Tag, and the length of the value."""
+_U32 = struct.Struct("<I")
 
 
 class LayoutError(ValueError):
@@ -57,110 +58,20 @@ class Flag:
 
 
 @dataclass(frozen=True)
-class Since:
-    """A number at the end of a class, which a minor version added: what lacks it has the default."""
+class Part:
+    """A field behind the fixed part. `pack`: returns the bytes of a value. `unpack`: returns the value at a position of
+    the data, and the position after it. Both raise LayoutError."""
 
-    version: str
-    fixed: Fixed
-    default: Any = 0
-
-    def pack(self, value: Any) -> bytes:
-        """Return the bytes of a value."""
-        return struct.pack("<" + self.fixed.code, value)
-
-    def unpack(self, data: bytes, position: int) -> tuple[Any, int]:
-        """Return the value and the position after it."""
-        layout = struct.Struct("<" + self.fixed.code)
-        if len(data) < position + layout.size:
-            return self.default, len(data)
-        return layout.unpack_from(data, position)[0], position + layout.size
+    name: str
+    pack: Callable[[Any], bytes]
+    unpack: Callable[[bytes, int], tuple[Any, int]]
 
 
 @dataclass(frozen=True)
-class Varint:
-    """LEB128 of at most VARINT_BITS bits."""
-
-    def pack(self, value: int) -> bytes:
-        """Return the bytes of a value. Raises LayoutError."""
-        if not 0 <= value <= _MAX_VARINT:
-            raise LayoutError(f"{value} is not in 0 to {_MAX_VARINT}")
-        return pack_varint(value)
-
-    def unpack(self, data: bytes, position: int) -> tuple[int, int]:
-        """Return the value and the position after it. Raises LayoutError."""
-        try:
-            return unpack_varint(data, position, VARINT_BITS)
-        except ValueError as error:
-            raise LayoutError(str(error)) from error
-
-
-@dataclass(frozen=True)
-class CountedText:
-    """A text after its length in a u8."""
-
-    def pack(self, value: str) -> bytes:
-        """Return the bytes of a text. Raises struct.error for a long one."""
-        text = value.encode()
-        return struct.pack("<B", len(text)) + text
-
-    def unpack(self, data: bytes, position: int) -> tuple[str, int]:
-        """Return the text and the position after it. Raises LayoutError."""
-        length = _take(data, position, 1)[0]
-        return _decode(str, _take(data, position + 1, length)), position + 1 + length
-
-
-@dataclass(frozen=True)
-class Rest:
-    """All bytes up to the end."""
+class Rest(Part):
+    """A field that reaches up to the end."""
 
     description: str
-
-    def pack(self, value: Any) -> bytes:
-        """Return the bytes of a value."""
-        return bytes(value)
-
-    def unpack(self, data: bytes, position: int) -> tuple[Any, int]:
-        """Return the value and the position after it. Raises LayoutError."""
-        return data[position:], len(data)
-
-
-@dataclass(frozen=True)
-class RestText(Rest):
-    """A text up to the end."""
-
-    def pack(self, value: str) -> bytes:
-        """Return the bytes of a text."""
-        return value.encode()
-
-    def unpack(self, data: bytes, position: int) -> tuple[str, int]:
-        """Return the text and the position after it. Raises LayoutError."""
-        return _decode(str, data[position:]), len(data)
-
-
-@dataclass(frozen=True)
-class RestItems(Rest):
-    """Any number of bytes objects up to the end, each after its length as a varint."""
-
-    def pack(self, value: tuple[bytes, ...]) -> bytes:
-        """Return the bytes of the items."""
-        pieces: list[bytes] = []
-        for item in value:
-            pieces += (pack_varint(len(item)), item)
-        return b"".join(pieces)
-
-    def unpack(self, data: bytes, position: int) -> tuple[tuple[bytes, ...], int]:
-        """Return the items and the position after them. Raises LayoutError."""
-        items, end = [], len(data)
-        try:
-            while position < end:
-                length, position = unpack_varint(data, position, VARINT_BITS)
-                items.append(data[position : position + length])
-                position += length
-        except ValueError as error:
-            raise LayoutError(str(error)) from error
-        if position > end:
-            raise LayoutError(f"an item of {length} bytes, {len(items[-1])} are left")
-        return tuple(items), position
 
 
 @dataclass(frozen=True)
@@ -174,22 +85,89 @@ class Tag:
     description: str
 
 
-_U32 = Fixed("u32", "I")
+def _pack_varint(value: int) -> bytes:
+    if not 0 <= value <= _MAX_VARINT:
+        raise LayoutError(f"{value} is not in 0 to {_MAX_VARINT}")
+    return pack_varint(value)
+
+
+def _unpack_varint(data: bytes, position: int) -> tuple[int, int]:
+    try:
+        return unpack_varint(data, position, VARINT_BITS)
+    except ValueError as error:
+        raise LayoutError(str(error)) from error
+
+
+def _pack_counted(text: str) -> bytes:
+    encoded = text.encode()
+    return struct.pack("<B", len(encoded)) + encoded
+
+
+def _unpack_counted(data: bytes, position: int) -> tuple[str, int]:
+    length = _take(data, position, 1)[0]
+    return _decode(str, _take(data, position + 1, length)), position + 1 + length
+
+
+def _unpack_added(data: bytes, position: int) -> tuple[int, int]:
+    if len(data) < position + _U32.size:
+        return 0, len(data)
+    return _U32.unpack_from(data, position)[0], position + _U32.size
+
+
+def _pack_items(items: tuple[bytes, ...]) -> bytes:
+    pieces: list[bytes] = []
+    for item in items:
+        pieces += (pack_varint(len(item)), item)
+    return b"".join(pieces)
+
+
+def _unpack_items(data: bytes, position: int) -> tuple[tuple[bytes, ...], int]:
+    items, end = [], len(data)
+    try:
+        while position < end:
+            length, position = unpack_varint(data, position, VARINT_BITS)
+            items.append(data[position : position + length])
+            position += length
+    except ValueError as error:
+        raise LayoutError(str(error)) from error
+    if position > end:
+        raise LayoutError(f"an item of {length} bytes, {len(items[-1])} are left")
+    return tuple(items), position
+
+
+def rest(description: str) -> Rest:
+    """Return a field of bytes up to the end."""
+    return Rest("bytes", bytes, lambda data, position: (data[position:], len(data)), description)
+
+
+def rest_text(description: str) -> Rest:
+    """Return a field of text up to the end."""
+    return Rest("text", str.encode, lambda data, position: (_decode(str, data[position:]), len(data)), description)
+
+
+def rest_items(description: str) -> Rest:
+    """Return a field of bytes objects up to the end, each after its length as a varint."""
+    return Rest("items", _pack_items, _unpack_items, description)
+
+
 U8 = Annotated[int, Fixed("u8", "B")]
 U16 = Annotated[int, Fixed("u16", "H")]
-U32 = Annotated[int, _U32]
-U32_SINCE_1_1 = Annotated[int, Since("1.1", _U32)]
-FLAG = Annotated[bool, Flag()]
+U32 = Annotated[int, Fixed("u32", "I")]
 U64 = Annotated[int, Fixed("u64", "Q")]
 I64 = Annotated[int, Fixed("i64", "q")]
 F32 = Annotated[float, Fixed("f32", "f")]
+FLAG = Annotated[bool, Flag()]
 FACTOR = Annotated[float, Fixed("f32", "f", check_factor)]
 """Finite and at least 0."""
 SHA256 = Annotated[bytes, Fixed(f"{SHA256_BYTES} bytes", f"{SHA256_BYTES}s", _sha256)]
-VARINT = Annotated[int, Varint()]
-COUNTED_TEXT = Annotated[str, CountedText()]
+VARINT = Annotated[int, Part("varint", _pack_varint, _unpack_varint)]
+"""LEB128 of at most VARINT_BITS bits."""
+COUNTED_TEXT = Annotated[str, Part("counted", _pack_counted, _unpack_counted)]
+"""A text after its length in a u8."""
+ADDED_U32 = Annotated[int, Part("added", _U32.pack, _unpack_added)]
+"""The last field of a class, which version 1.1 added: 0 where it is missing."""
 
-Wire = Fixed | Flag | Since | Varint | CountedText | Rest | Tag
+Wire = Fixed | Flag | Part | Tag
 
 
 @dataclass(frozen=True)
@@ -255,7 +233,7 @@ class Layout:
         self.fixed = struct.Struct("<" + "".join(f.wire.code for f in fields if isinstance(f.wire, Fixed | Flag)))
         self._checks = [(i, f.wire.check) for i, f in enumerate(fields) if isinstance(f.wire, Fixed) and f.wire.check]
         self._flags = [i for i, f in enumerate(fields) if isinstance(f.wire, Flag)]
-        self._parts = [(f.name, f.wire) for f in fields if not isinstance(f.wire, Fixed | Flag | Tag)]
+        self._parts = [(f.name, f.wire) for f in fields if isinstance(f.wire, Part)]
         self._tags = [(f, f.wire) for f in fields if isinstance(f.wire, Tag)]
         self._check_all: Callable[[Any], None] | None = getattr(owner, "check", None)
         self._has_tlvs = not skipped and not any(isinstance(field.wire, Rest) for field in fields)

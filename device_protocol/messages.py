@@ -6,6 +6,7 @@ from enum import IntEnum
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 from vibrocast.device_protocol.layout import (
+    ADDED_U32,
     COUNTED_TEXT,
     F32,
     FACTOR,
@@ -17,16 +18,15 @@ from vibrocast.device_protocol.layout import (
     U8,
     U16,
     U32,
-    U32_SINCE_1_1,
     U64,
     VARINT,
     BadValueError,
     Layout,
     LayoutError,
-    Rest,
-    RestItems,
-    RestText,
     Tag,
+    rest,
+    rest_items,
+    rest_text,
 )
 
 PROTOCOL_MAJOR = 1
@@ -122,14 +122,14 @@ class MessageError(ValueError):
 
 
 class Message:
-    """A message. `ANSWER`: what a controller answers it with; "" for its own messages.
+    """A message. `ANSWER`: what a controller answers a host's message with.
 
     Values are checked where a message is packed or unpacked. The dataclasses are not frozen: that would make
     unpacking a Status twice as slow.
     """
 
     TYPE: ClassVar[int]
-    ANSWER: ClassVar[str] = ""
+    ANSWER: ClassVar[str] = "Status"
     LAYOUT: ClassVar[Layout]
     FIXED: ClassVar[struct.Struct]
     HEAD: ClassVar[bytes]
@@ -169,7 +169,6 @@ class StatusRequest(Message):
     """Asks for a Status; also keeps the watchdog content."""
 
     TYPE = 0x02
-    ANSWER = "Status"
 
 
 @dataclass
@@ -182,7 +181,6 @@ class Configure(Message):
     """
 
     TYPE = 0x03
-    ANSWER = "Status"
 
     stream: U8
     compensation: FLAG = field(default=True, kw_only=True)
@@ -199,7 +197,6 @@ class Start(Message):
     """Starts the configured stream at a device time; 0 or a time gone by = as soon as the prebuffer is there."""
 
     TYPE = 0x04
-    ANSWER = "Status"
 
     device_time_us: U64 = 0
 
@@ -209,7 +206,6 @@ class Pause(Message):
     """Fades out and holds the position."""
 
     TYPE = 0x05
-    ANSWER = "Status"
 
 
 @dataclass
@@ -217,7 +213,6 @@ class Resume(Message):
     """Fades in where Pause held."""
 
     TYPE = 0x06
-    ANSWER = "Status"
 
 
 @dataclass
@@ -225,7 +220,6 @@ class Stop(Message):
     """Ramps down at once and drops the stream; valid in every state, before a hello as well."""
 
     TYPE = 0x07
-    ANSWER = "Status"
 
 
 @dataclass
@@ -233,7 +227,6 @@ class Loop(Message):
     """Sets the iterations of the stream, those already played counted; 0 = until stopped."""
 
     TYPE = 0x08
-    ANSWER = "Status"
 
     loops: U16
 
@@ -243,7 +236,6 @@ class Gain(Message):
     """Moves the gain to a new factor, along a ramp."""
 
     TYPE = 0x09
-    ANSWER = "Status"
 
     gain: FACTOR
 
@@ -253,7 +245,6 @@ class EndStream(Message):
     """States where a live stream ends: the number of its packets. Tells the end from an underrun."""
 
     TYPE = 0x0A
-    ANSWER = "Status"
 
     stream: U8
     packets: U32
@@ -293,7 +284,7 @@ class FlashData(Message):
 
     slot: U8
     offset: U32
-    data: Annotated[bytes, Rest("data")]
+    data: Annotated[bytes, rest("data")]
 
 
 @dataclass
@@ -338,7 +329,7 @@ class StreamData(Message):
 
     stream: U8
     iteration: VARINT
-    packets: Annotated[tuple[bytes, ...], RestItems("packets, each as length varint and bytes")]
+    packets: Annotated[tuple[bytes, ...], rest_items("packets, each as length varint and bytes")]
 
 
 @dataclass
@@ -370,7 +361,7 @@ class Limits:
     minimum_rate_hz: U32
     maximum_rate_hz: U32
     watchdog_ms: U16
-    profile_samples: U32_SINCE_1_1 = 0
+    profile_samples: ADDED_U32 = 0
 
 
 @dataclass(frozen=True)
@@ -381,7 +372,7 @@ class ActuatorDescription:
     `slew_volts_per_second`: 0 = not limited.
     """
 
-    name: Annotated[str, RestText("name")]
+    name: Annotated[str, rest_text("name")]
     stroke_um: F32
     volts: F32
     lower_hz: F32
@@ -395,7 +386,7 @@ class CodecDescription(NamedTuple):
     """A codec that the controller decodes."""
 
     identifier: U8
-    name: Annotated[str, RestText("name")]
+    name: Annotated[str, rest_text("name")]
 
 
 @dataclass(frozen=True)
@@ -406,7 +397,7 @@ class ImageDescription:
     state: SlotState
     sha256: SHA256 = bytes(SHA256_BYTES)
     name: COUNTED_TEXT = ""
-    version: Annotated[str, RestText("version")] = ""
+    version: Annotated[str, rest_text("version")] = ""
 
 
 @dataclass
@@ -465,7 +456,7 @@ class CaptureData(Message):
     channels: U8
     offset: U64
     end: U64
-    data: Annotated[bytes, Rest("int16, channels interleaved")]
+    data: Annotated[bytes, rest("int16, channels interleaved")]
 
     def check(self) -> None:
         """Raise LayoutError where the data are no whole number of samples of each channel."""
@@ -496,28 +487,10 @@ class Error(Message):
     text: Annotated[str, Tag(0x01, "text")] = ""
 
 
-REQUESTS: tuple[type[Message], ...] = (
-    Hello,
-    StatusRequest,
-    Configure,
-    Start,
-    Pause,
-    Resume,
-    Stop,
-    Loop,
-    Gain,
-    EndStream,
-    CaptureRead,
-    FlashBegin,
-    FlashData,
-    FlashVerify,
-    FlashActivate,
-    FlashConfirm,
-)
-RESPONSES: tuple[type[Message], ...] = (HelloResponse, Status, CaptureData, FlashStatus, Error)
-
-FROM_HOST: tuple[type[Message], ...] = (*REQUESTS, StreamData, Position)
-ALL: tuple[type[Message], ...] = (*FROM_HOST, *RESPONSES)
+ALL: tuple[type[Message], ...] = tuple(Message.__subclasses__())
+REQUESTS = tuple(message for message in ALL if message.TYPE < FIRST_UNSEQUENCED)
+FROM_HOST = tuple(message for message in ALL if message.TYPE < FIRST_FROM_CONTROLLER)
+RESPONSES = tuple(message for message in ALL if message.TYPE >= FIRST_FROM_CONTROLLER)
 MESSAGES = {message.TYPE: message for message in ALL}
 
 
