@@ -63,15 +63,15 @@ def bring_to(probe: Probe, state: State, live: bool = False) -> Status:
 def test_requests_in_the_wrong_state_are_refused(probe: Probe, state: State) -> None:
     """In {state}, each request that the table does not allow there is answered WRONG_STATE and changes nothing."""
     before = bring_to(probe, state)
-    allowed: dict[Message, tuple[State, ...]] = {
-        Start(): (State.BUFFERING,),
-        Pause(): (State.PLAYING,),
-        Resume(): (State.PAUSED,),
-        Loop(1): _TAKES_DATA,
-        Gain(0.5): _TAKES_DATA,
-        EndStream(before.stream, 1): _TAKES_DATA,
-    }
-    for request, states in allowed.items():
+    allowed: tuple[tuple[Message, tuple[State, ...]], ...] = (
+        (Start(), (State.BUFFERING,)),
+        (Pause(), (State.PLAYING,)),
+        (Resume(), (State.PAUSED,)),
+        (Loop(1), _TAKES_DATA),
+        (Gain(0.5), _TAKES_DATA),
+        (EndStream(before.stream, 1), _TAKES_DATA),
+    )
+    for request, states in allowed:
         if state not in states:
             probe.refused(request, ErrorCode.WRONG_STATE)
     in_state(probe.status(), state, "after requests in the wrong state")
