@@ -70,7 +70,7 @@ class StreamHeader:
 
     @property
     def spatial(self) -> bool:
-        """Whether it is of a height profile, to be rendered by the position of the hand."""
+        """Whether it is of a height profile, to be rendered by position."""
         return self.unit == PROFILE_UNIT
 
     @property
@@ -121,13 +121,13 @@ class StreamHeader:
 
 
 def packet_sequence(packet: bytes) -> tuple[int, bool]:
-    """Return the sequence number of a packet and whether it is a refresh. Raises StreamError on a malformed packet."""
-    sequence, refresh = divmod(_Reader(packet).varint(SEQUENCE_BITS + 1), 2)
-    return sequence, bool(refresh)
+    """Return a packet's sequence number and whether decoding can begin there. Raises StreamError on a malformed one."""
+    sequence, random_access = divmod(_Reader(packet).varint(SEQUENCE_BITS + 1), 2)
+    return sequence, bool(random_access)
 
 
 def renumbered(packet: bytes, packets_before: int) -> bytes:
-    """Return a packet with its sequence number moved by so many packets. Raises StreamError on a malformed packet."""
+    """Return a packet with its sequence number moved by `packets_before`. Raises StreamError on a malformed packet."""
     reader = _Reader(packet)
     head = reader.varint(SEQUENCE_BITS + 1)
     return pack_varint(head + 2 * packets_before) + packet[reader.position :]
@@ -163,11 +163,13 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
         (crc,) = struct.unpack("<H", reader.take(2))
         if crc != crc16(packet, head_crc):
             raise StreamError(f"damaged coded stream: packet {len(packets)} fails its checksum; copy the file again")
-        sequence, refresh = packet_sequence(packet)
+        sequence, random_access = packet_sequence(packet)
         if sequence != len(packets):
             raise StreamError(f"damaged coded stream: packet {len(packets)} is missing; copy the file again")
-        if sequence == 0 and not refresh:
-            raise StreamError("damaged coded stream: its first packet is no refresh packet; encode the recording again")
+        if sequence == 0 and not random_access:
+            raise StreamError(
+                "damaged coded stream: its first packet is no random-access packet; encode the recording again"
+            )
         packets.append(packet)
     return header, packets
 

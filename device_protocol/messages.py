@@ -56,7 +56,7 @@ class _Described(IntEnum):
 
 
 class ErrorCode(_Described):
-    """Why a controller refused a request."""
+    """Why a controller rejected a request."""
 
     UNKNOWN_MESSAGE = 1, "a message type that this version does not have"
     MALFORMED = 2, "lengths or values that cannot be read"
@@ -176,7 +176,7 @@ class Configure(Message):
     """Sets up a stream; whatever played before is stopped first.
 
     `stream`: 0-255, chosen by the host, marks this stream's data. `packets`: packets in one iteration, 0 = unknown
-    (live). `first_packet`: the refresh packet that playing begins with. `loops`: iterations, 0 = until stopped.
+    (live). `first_packet`: the random-access packet that playing begins with. `loops`: iterations, 0 = until stopped.
     `gain`: factor on the signal. `header`: the bytes of `coded_stream.StreamHeader`.
     """
 
@@ -299,7 +299,7 @@ class FlashVerify(Message):
 
 @dataclass
 class FlashActivate(Message):
-    """Restarts the controller with a verified slot on trial: unless confirmed, the next restart falls back."""
+    """Restarts the controller to test a verified slot: unless it is confirmed, the next restart reverts it."""
 
     TYPE = 0x13
     ANSWER = "FlashStatus, then a restart"
@@ -309,7 +309,7 @@ class FlashActivate(Message):
 
 @dataclass
 class FlashConfirm(Message):
-    """Keeps the slot that is on trial."""
+    """Keeps the slot that is being tested."""
 
     TYPE = 0x14
     ANSWER = "FlashStatus"
@@ -334,7 +334,7 @@ class StreamData(Message):
 
 @dataclass
 class Position(Message):
-    """Where the hand was at a device time (0 = when the message comes), from any origin; for all channels."""
+    """Where the hand or tool was at a device time (0 = when the message comes), from any origin; for all channels."""
 
     TYPE = 0x41
     ANSWER = "none"
@@ -446,7 +446,7 @@ class Status(Message):
 class CaptureData(Message):
     """Captured samples, int16 little-endian, channels interleaved, as the rest of the message.
 
-    `offset` is the first sample's (later than asked if the controller no longer has that one), `end` the number
+    `offset` is the first sample's (later than requested if the controller no longer has that one), `end` the number
     captured since the stream started.
     """
 
@@ -479,7 +479,7 @@ class FlashStatus(Message):
 
 @dataclass
 class Error(Message):
-    """A refusal: an ErrorCode (or a later one) and text for a person. Its layout is the same in every version."""
+    """A rejection: an ErrorCode (or a later one) and text for a person. Its layout is the same in every version."""
 
     TYPE = 0xFF
 

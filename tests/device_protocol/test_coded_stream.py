@@ -47,7 +47,7 @@ def test_header_states_its_own_length(header: StreamHeader, following: bytes) ->
 
 
 @given(st.binary(max_size=100))
-def test_any_bytes_are_read_or_refused(data: bytes) -> None:
+def test_any_bytes_are_read_or_rejected(data: bytes) -> None:
     for start in (b"", b"VCT\x11"):
         try:
             header, packets = unpack_file(start + data)
@@ -81,7 +81,7 @@ def test_missing_packet_is_found() -> None:
 
 
 @pytest.mark.parametrize("gain", [0.0, -1.0, math.inf, math.nan, 1.001, 1e39, 1e-46])
-def test_gain_that_cannot_be_stored_is_refused(gain: float) -> None:
+def test_gain_that_cannot_be_stored_is_rejected(gain: float) -> None:
     with pytest.raises(StreamError, match="gain"):
         StreamHeader(1, 2800, None, "um", (gain,), b"")
 
@@ -98,23 +98,23 @@ def test_golden_file() -> None:
     assert data.hex() == "56435411" + "01" + "f015" + "bc05" + "2040" + "02" + "0102" + "03" + "01aabb" + "f332"
 
 
-def test_first_packet_without_refresh_is_refused() -> None:
-    with pytest.raises(StreamError, match="no refresh packet"):
+def test_first_packet_without_random_access_is_rejected() -> None:
+    with pytest.raises(StreamError, match="no random-access packet"):
         unpack_file(pack_file(HEADER, [pack_varint(0) + b"payload"]))
 
 
 @pytest.mark.parametrize("packets", [[b""], [bytes(65_536)]])
-def test_packet_that_cannot_be_stored_is_refused(packets: list[bytes]) -> None:
+def test_packet_that_cannot_be_stored_is_rejected(packets: list[bytes]) -> None:
     with pytest.raises(StreamError, match="1 to 65535"):
         pack_file(HEADER, packets)
 
 
 @given(st.integers(0, 2**32 - 1), st.booleans())
-def test_packet_sequence(sequence: int, refresh: bool) -> None:
-    assert packet_sequence(pack_varint(2 * sequence + refresh) + b"payload") == (sequence, refresh)
+def test_packet_sequence(sequence: int, random_access: bool) -> None:
+    assert packet_sequence(pack_varint(2 * sequence + random_access) + b"payload") == (sequence, random_access)
 
 
 @pytest.mark.parametrize("head", [b"", pack_varint(2**33), pack_varint(2**35), b"\x81\x80\x80\x80\x80\x00"])
-def test_packet_sequence_that_no_decoder_takes_is_refused(head: bytes) -> None:
+def test_packet_sequence_that_no_decoder_takes_is_rejected(head: bytes) -> None:
     with pytest.raises(StreamError):
         packet_sequence(head)

@@ -22,6 +22,6 @@ def test_varint_round_trip(bits: int, data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("data", [pack_varint(2**32), pack_varint(2**35), b"\x81\x80\x80\x80\x80\x00", b"", b"\x80"])
-def test_varint_that_is_cut_or_too_long_is_refused(data: bytes) -> None:
+def test_varint_that_is_cut_or_too_long_is_rejected(data: bytes) -> None:
     with pytest.raises(ValueError, match="longer than 32 bits"):
         unpack_varint(data, 0, 32)

@@ -31,7 +31,7 @@ def test_every_size_fits(size: int, byte: bytes) -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", bytes(MAXIMUM_PAYLOAD_BYTES + 1)])
-def test_payload_that_does_not_fit_is_refused(payload: bytes) -> None:
+def test_payload_that_does_not_fit_is_rejected(payload: bytes) -> None:
     with pytest.raises(FrameError, match="send less"):
         write_frame(payload)
 

@@ -1,4 +1,4 @@
-"""Messages: round trip of every type, unknown tags, lengths and values that must be refused, fuzz."""
+"""Messages: round trip of every type, unknown tags, lengths and values that must be rejected, fuzz."""
 
 import struct
 from dataclasses import replace
@@ -121,7 +121,7 @@ def test_unknown_tags_are_skipped(message: Message, value: bytes) -> None:
 
 
 @given(any_message, st.data())
-def test_cut_messages_are_read_or_refused(message: Message, data: st.DataObject) -> None:
+def test_cut_messages_are_read_or_rejected(message: Message, data: st.DataObject) -> None:
     payload = pack(message, 5)
     cut = payload[: data.draw(st.integers(0, len(payload) - 1))]
     try:
@@ -138,7 +138,7 @@ def test_cut_messages_are_read_or_refused(message: Message, data: st.DataObject)
         st.tuples(st.sampled_from(ALL), st.binary(max_size=150)).map(lambda pair: bytes([pair[0].TYPE]) + pair[1]),
     )
 )
-def test_fuzz_is_read_or_refused(payload: bytes) -> None:
+def test_fuzz_is_read_or_rejected(payload: bytes) -> None:
     try:
         sequence, message = unpack(payload)
     except MessageError as error:
@@ -186,7 +186,7 @@ def test_unknown_type_says_whom_to_answer() -> None:
         (b"\xff\x01\x00\x04\x00\x01\x01\x00\xff", "UTF-8"),
     ],
 )
-def test_bad_bytes_are_refused_with_the_reason(payload: bytes, reason: str) -> None:
+def test_bad_bytes_are_rejected_with_the_reason(payload: bytes, reason: str) -> None:
     with pytest.raises(MessageError, match=reason):
         unpack(payload)
 

@@ -35,7 +35,7 @@ def test_cut_or_longer_is_noticed(image: ModelImage, data: st.DataObject) -> Non
 
 
 @given(st.binary().map(lambda data: b"VCMI\x01" + data))
-def test_fuzz_is_refused(data: bytes) -> None:
+def test_fuzz_is_rejected(data: bytes) -> None:
     with pytest.raises(ModelImageError):
         ModelImage.unpack(data)
 

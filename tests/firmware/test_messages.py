@@ -137,7 +137,7 @@ from_host = any_message.filter(lambda message: message.TYPE < HelloResponse.TYPE
 
 
 @given(from_host, st.data())
-def test_reads_or_refuses_damaged_messages_as_python(message: Message, data: st.DataObject) -> None:
+def test_reads_or_rejects_damaged_messages_as_python(message: Message, data: st.DataObject) -> None:
     payload = bytearray(messages.pack(message, 5))
     place = data.draw(st.integers(0, len(payload) - 1))
     check_read_as_in_python(bytes(payload[:place]))
@@ -148,12 +148,12 @@ def test_reads_or_refuses_damaged_messages_as_python(message: Message, data: st.
 
 
 @given(st.integers(0, HelloResponse.TYPE - 1), st.binary(max_size=80))
-def test_reads_or_refuses_any_bytes_as_python(message_type: int, body: bytes) -> None:
+def test_reads_or_rejects_any_bytes_as_python(message_type: int, body: bytes) -> None:
     check_read_as_in_python(bytes([message_type]) + body)
 
 
 @given(st.sampled_from(FROM_HOST), st.binary(max_size=100))
-def test_reads_or_refuses_any_body_as_python(message_type: type[Message], body: bytes) -> None:
+def test_reads_or_rejects_any_body_as_python(message_type: type[Message], body: bytes) -> None:
     check_read_as_in_python(bytes([message_type.TYPE]) + body)
 
 
@@ -170,7 +170,7 @@ def test_takes_the_gains_that_python_takes(bits: int) -> None:
     check_read_as_in_python(b"\x03\x05\x00" + bytes(16) + struct.pack("<I", bits) + b"\x01\x00\x00")
 
 
-def test_empty_message_is_refused() -> None:
+def test_empty_message_is_rejected() -> None:
     check_read_as_in_python(b"")
 
 

@@ -34,7 +34,7 @@ def test_reads_every_image(image: ModelImage) -> None:
 
 
 @given(images, st.data())
-def test_reads_or_refuses_damaged_images_as_python(image: ModelImage, data: st.DataObject) -> None:
+def test_reads_or_rejects_damaged_images_as_python(image: ModelImage, data: st.DataObject) -> None:
     packed = bytearray(image.pack())
     place = data.draw(st.integers(0, len(packed) - 1))
     check_read_as_in_python(bytes(packed[:place]))
@@ -45,7 +45,7 @@ def test_reads_or_refuses_damaged_images_as_python(image: ModelImage, data: st.D
 
 
 @given(st.binary(max_size=60))
-def test_reads_or_refuses_any_bytes_as_python(data: bytes) -> None:
+def test_reads_or_rejects_any_bytes_as_python(data: bytes) -> None:
     for start in (b"", b"VCMI\x01", b"VCMI\x01\x01\x02\x01\x03\x05\0\0\0"):
         check_read_as_in_python(start + data)
         check_read_as_in_python(with_crc(start + data))

@@ -43,7 +43,7 @@ def test_reads_every_header(header: StreamHeader) -> None:
 
 
 @given(headers, st.data())
-def test_reads_or_refuses_damaged_headers_as_python(header: StreamHeader, data: st.DataObject) -> None:
+def test_reads_or_rejects_damaged_headers_as_python(header: StreamHeader, data: st.DataObject) -> None:
     packed = bytearray(header.pack())
     place = data.draw(st.integers(0, len(packed) - 1))
     check_read_as_in_python(bytes(packed[:place]))
@@ -53,7 +53,7 @@ def test_reads_or_refuses_damaged_headers_as_python(header: StreamHeader, data: 
 
 
 @given(st.binary(max_size=60))
-def test_reads_or_refuses_any_bytes_as_python(data: bytes) -> None:
+def test_reads_or_rejects_any_bytes_as_python(data: bytes) -> None:
     for start in (b"", b"VCT\x11", b"VCT\x11\x08\xf0\x15"):
         check_read_as_in_python(start + data)
 
