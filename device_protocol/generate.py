@@ -4,14 +4,15 @@ Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from textwrap import wrap
 
 from vibrocast.device_protocol import coded_stream, frames, layout, messages, model_image
 from vibrocast.device_protocol.layout import Fixed, Flag, Part, Rest, Tag, WireField, wire_fields
-from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Message
+from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Described, Message
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "protocol.md"
@@ -103,12 +104,12 @@ def _struct(owner: type) -> str:
 @dataclass
 class CField:
     """A field in C: members of its struct; statements that take it from `fields` into the struct at `place`, and that
-    write it from there; its bytes in a value, a sum, without tag."""
+    write it from there; the terms of its bytes in a value."""
 
     members: list[str]
-    read: list[str]
-    write: list[str]
-    size: list[str]
+    read: Sequence[str] = ()
+    write: Sequence[str] = ()
+    size: Sequence[str] = ()
 
 
 def _in_c(field: WireField, struct: str) -> CField:
@@ -131,38 +132,51 @@ def _in_c(field: WireField, struct: str) -> CField:
             return CField([f"{kind} {name}{bits};"], read, write, [str(size)])
         case Flag():
             read = ["flags = (unsigned)vc_take_number(&fields, 1);", f"{place} = (uint8_t)flags;"]
-            return CField([f"uint8_t {name};"], read, [], [])
+            return CField([f"uint8_t {name};"], read)
         case Part(name="varint"):
-            return CField(
-                [f"uint32_t {name};"], [f"{place} = (uint32_t)vc_take_varint(&fields, VC_VARINT_BITS);"], [], []
-            )
+            return CField([f"uint32_t {name};"], [f"{place} = (uint32_t)vc_take_varint(&fields, VC_VARINT_BITS);"])
         case Part(name="counted"):
             write = [f"vc_frame_write_number(writer, {place}.length, 1);", write_piece]
-            return CField(piece, [], write, ["1", f"{place}.length"])
+            return CField(piece, write=write, size=["1", f"{place}.length"])
         case Rest(name="text"):
-            return CField(piece, [], [write_piece], [f"{place}.length"])
+            return CField(piece, write=[write_piece], size=[f"{place}.length"])
         case Rest(name="items"):
-            return CField(piece, [f"{place} = take_items(&fields);"], [], [])
+            return CField(piece, [f"{place} = take_items(&fields);"])
         case Part():
-            return CField(piece, [f"{place} = vc_take_piece(&fields, fields.rest.length);"], [], [])
+            return CField(piece, [f"{place} = vc_take_piece(&fields, fields.rest.length);"])
         case Tag(number=number) if field.is_tuple:
             kind, count = _struct(field.item), f"{name.removesuffix('s')}_count"
             loop = f"for (i = 0; i < {struct}{count}; i++)"
             write = [loop, f"    write_{_snake(field.item)}(writer, {number}, &{place}[i]);"]
-            return CField([f"const {kind} *{name};", f"unsigned {count};"], [], write, [])
+            return CField([f"const {kind} *{name};", f"unsigned {count};"], write=write)
         case Tag(number=number) if field.item in _NESTED:
             write = [f"write_{_snake(field.item)}(writer, {number}, &{place});"]
-            return CField([f"{_struct(field.item)} {name};"], [], write, [])
+            return CField([f"{_struct(field.item)} {name};"], write=write)
         case Tag(number=number):
             read = [f"value = &{place};", f"tag = {number};"]
-            return CField(piece, read, [f"write_tag(writer, {number}, {place}.length);", write_piece], [])
+            return CField(piece, read, [f"write_tag(writer, {number}, {place}.length);", write_piece])
+
+
+def _fields(owner: type) -> list[WireField]:
+    """Return the fields of a class but for the samples of a CaptureData, which the caller writes."""
+    return [field for field in wire_fields(owner) if owner is not messages.CaptureData or field.name != "data"]
+
+
+def _statements(owner: type, struct: str, direction: str) -> list[str]:
+    """Return the statements that `read` or `write` the fields of a class."""
+    statements: list[str] = []
+    for field in _fields(owner):
+        found = getattr(_in_c(field, struct), direction)
+        if not found:
+            raise NotImplementedError(f"{owner.__name__}.{field.name}: state in _in_c how C is to {direction} it")
+        statements += found
+    return statements
 
 
 def _structure(owner: type) -> str:
-    # The caller writes the samples of a CaptureData.
-    fields = [field for field in wire_fields(owner) if owner is not messages.CaptureData or field.name != "data"]
-    members = [f"    {member}" for field in fields for member in _in_c(field, "").members]
-    return _joined(["typedef struct {", *members, f"}} {_struct(owner)};", ""])
+    members = [f"    {member}" for field in _fields(owner) for member in _in_c(field, "").members]
+    about = wrap(f"/* {' '.join((owner.__doc__ or '').split())} */", 120, subsequent_indent=" * ")
+    return _joined([*about, "typedef struct {", *members, f"}} {_struct(owner)};", ""])
 
 
 # ---- messages.h and messages.c ----
@@ -343,24 +357,16 @@ def _writer(message: type[Message]) -> str:
 
 
 def _writing(message: type[Message]) -> str:
-    fields = wire_fields(message)
-    index = ["unsigned i;"] if any(field.is_tuple for field in fields) else []
+    index = ["unsigned i;"] if any(field.is_tuple for field in wire_fields(message)) else []
     head = f"write_head(writer, VC_{_snake(message).upper()}, sequence);"
-    return _function(_writer(message), [*index, head, *_statements(fields, "message->")])
+    return _function(_writer(message), [*index, head, *_statements(message, "message->", "write")])
 
 
 def _writing_nested(owner: type) -> str:
-    fields = wire_fields(owner)
-    size = " + ".join(term for field in fields for term in _in_c(field, "value->").size)
+    size = " + ".join(term for field in wire_fields(owner) for term in _in_c(field, "value->").size)
     parameters = f"vc_frame_writer *writer, uint8_t tag, const {_struct(owner)} *value"
-    return _function(
-        f"static void write_{_snake(owner)}({parameters})",
-        [f"write_tag(writer, tag, {size});", *_statements(fields, "value->")],
-    )
-
-
-def _statements(fields: list[WireField], struct: str) -> list[str]:
-    return [line for field in fields for line in _in_c(field, struct).write]
+    statements = [f"write_tag(writer, tag, {size});", *_statements(owner, "value->", "write")]
+    return _function(f"static void write_{_snake(owner)}({parameters})", statements)
 
 
 def _function(declaration: str, statements: list[str]) -> str:
@@ -373,7 +379,6 @@ def _function(declaration: str, statements: list[str]) -> str:
 def page(text: str) -> str:
     """Return the protocol's page with its tables between the markers."""
     heads = ("type", "message", "fixed part", "TLVs or rest")
-    meanings = {name: [(str(int(m)), m.name, m.description) for m in kind] for name, kind in _DESCRIBED.items()}
     values = [
         (f"0x{field.wire.number:02x} {field.wire.description.split(',')[0]}", _cells(wire_fields(field.item)))
         for field in wire_fields(messages.HelloResponse)
@@ -383,8 +388,8 @@ def page(text: str) -> str:
         "requests": _table((*heads, "answer"), [(*_message_row(message), message.ANSWER) for message in FROM_HOST]),
         "responses": _table(heads, [_message_row(message) for message in RESPONSES]),
         "values": _table(("tag", "value"), values),
-        "errors": _table(("code", "name", "meaning"), meanings["errors"]),
-        "states": _table(("number", "state", "meaning"), meanings["states"]),
+        "errors": _table(("code", "name", "meaning"), _meanings(messages.ErrorCode)),
+        "states": _table(("number", "state", "meaning"), _meanings(messages.State)),
     }
     for name, table in tables.items():
         before, marker, rest = text.partition(f"<!-- generated: {name} -->\n")
@@ -397,12 +402,13 @@ def page(text: str) -> str:
     return text
 
 
-_DESCRIBED = {"errors": messages.ErrorCode, "states": messages.State}
-
-
 def _table(heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     lines = ["".join(f"| {cell} " if cell else "| " for cell in row) + "|" for row in (heads, *rows)]
     return _joined([lines[0], "|---" * len(heads) + "|", *lines[1:]])
+
+
+def _meanings(members: Iterable[Described]) -> list[tuple[str, str, str]]:
+    return [(str(member.value), member.name, member.description) for member in members]
 
 
 def _message_row(message: type[Message]) -> tuple[str, str, str, str]:

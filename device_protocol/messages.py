@@ -43,7 +43,7 @@ PACKET_OVERHEAD_BYTES = 1 + 1 + 2 * MAX_VARINT_BYTES
 """Bytes of a StreamData before its first packet, at most: type, stream, iteration, the packet's length."""
 
 
-class _Described(IntEnum):
+class Described(IntEnum):
     """A number of the protocol with its row in docs/protocol.md."""
 
     description: str
@@ -55,7 +55,7 @@ class _Described(IntEnum):
         return member
 
 
-class ErrorCode(_Described):
+class ErrorCode(Described):
     """Why a controller rejected a request."""
 
     UNKNOWN_MESSAGE = 1, "a message type that this version does not have"
@@ -77,7 +77,7 @@ class ErrorCode(_Described):
     FLASH_FAILED = 13, "the flash did not take the data"
 
 
-class State(_Described):
+class State(Described):
     """What the controller is doing with its stream."""
 
     IDLE = 0, "nothing configured"

@@ -26,9 +26,7 @@ from vibrocast.device_protocol.messages import (
     Message,
     MessageError,
     SlotState,
-    State,
     Status,
-    Tap,
 )
 
 STRUCTS = {
@@ -233,14 +231,6 @@ def test_texts_of_refusals(first: int, second: int, data: bytes) -> None:
     native.vc_refuse_numbers(refusal, 9, b"# of #: ", first, second)
     assert native.vc_refusal_add_hex(refusal, data, len(data)) == 9
     assert refusal_text(refusal) == f"{first} of {second}: {data.hex()}"
-
-
-def test_numbers_of_states_taps_and_slot_states_are_those_of_python() -> None:
-    for prefix, enumeration in (("VC_STATE_", State), ("VC_TAP_", Tap), ("VC_SLOT_", SlotState)):
-        for member in enumeration:
-            assert getattr(native, prefix + member.name) == member
-    for code in messages.ErrorCode:
-        assert getattr(native, "VC_" + code.name) == code
 
 
 def test_longest_hello_response_fits_the_smallest_payload() -> None:
