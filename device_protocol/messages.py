@@ -39,8 +39,10 @@ MAXIMUM_SEQUENCE = 0xFFFF
 FIRST_UNSEQUENCED = 0x40
 FIRST_FROM_CONTROLLER = 0x80
 SEQUENCED_HEAD = struct.Struct("<BH")
-PACKET_OVERHEAD_BYTES = 1 + 1 + 2 * MAX_VARINT_BYTES
-"""Bytes of a StreamData before its first packet, at most: type, stream, iteration, the packet's length."""
+STREAM_DATA_HEAD_BYTES = 1 + 1 + MAX_VARINT_BYTES
+"""Bytes of a StreamData before its packets, at most: type, stream, iteration."""
+PACKET_OVERHEAD_BYTES = STREAM_DATA_HEAD_BYTES + MAX_VARINT_BYTES
+"""Bytes of a StreamData in addition to its only packet, at most."""
 
 
 class Described(IntEnum):
@@ -362,6 +364,11 @@ class Limits:
     maximum_rate_hz: U32
     watchdog_ms: U16
     profile_samples: ADDED_U32 = 0
+
+    @property
+    def sendable_packet_bytes(self) -> int:
+        """Bytes of the longest packet that a frame carries to this controller."""
+        return min(self.maximum_packet_bytes, self.maximum_payload_bytes - PACKET_OVERHEAD_BYTES)
 
 
 @dataclass(frozen=True)

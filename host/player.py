@@ -19,7 +19,6 @@ from vibrocast.host.stream_session import (
     check_limits,
     check_packet,
     configure_steps,
-    max_packet_bytes,
 )
 
 # Longer than a busy computer keeps a program waiting, as a rule; all of it is delay between host and skin.
@@ -191,7 +190,7 @@ class _Source:
         if loops != 1 and header.samples is not None:
             self.packet_s = min(self.packet_s, header.samples / len(packets) / header.rate_hz)
         self._refreshes: list[int] = []
-        max_bytes = max_packet_bytes(controller.description.limits)
+        max_bytes = controller.description.limits.sendable_packet_bytes
         for number, packet in enumerate(packets):
             sequence, refresh = packet_sequence(packet)
             if sequence != number:

@@ -15,7 +15,7 @@ from vibrocast.device_protocol.messages import Position, State, Status, Tap
 from vibrocast.files import InputFileError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.picture import Trace
-from vibrocast.host.stream_session import StreamSession, configure_steps, max_packet_bytes, read_capture
+from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import Actuator, Codes
 
@@ -130,7 +130,7 @@ def load(controller: Controller, stream: Stream) -> StreamSession:
         )
     packet_samples = stream.decoder().packet_samples
     session = controller.run(configure_steps(controller, header, 0, packets=len(stream.packets)))
-    max_bytes = max_packet_bytes(limits)
+    max_bytes = limits.sendable_packet_bytes
     if max(map(len, stream.packets)) > max_bytes:
         raise ControllerError(f"the controller takes packets of {max_bytes} bytes: encode at a lower quality")
     until_s = controller.clock() + _LOADING_S

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
+from vibrocast.device_protocol.layout import MAX_VARINT_BYTES
 from vibrocast.device_protocol.messages import (
+    STREAM_DATA_HEAD_BYTES,
     CaptureData,
     CaptureRead,
     Configure,
-    Limits,
     Start,
     State,
     Status,
@@ -23,20 +24,10 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import Steps
 
-# In front of a packet in a frame's payload: type and stream, the iteration, and the packet's length.
-_FIXED_BYTES, _MAX_VARINT_BYTES = 2, 5
-PACKET_OVERHEAD_BYTES = _FIXED_BYTES + 2 * _MAX_VARINT_BYTES
-"""What a frame's payload has in addition to its only packet, at most."""
-
 
 def next_number(stream: int) -> int:
     """Return the number of the stream after this one."""
     return (stream + 1) % 256
-
-
-def max_packet_bytes(limits: Limits) -> int:
-    """Return the size of the longest packet that a controller takes and a frame holds."""
-    return min(limits.maximum_packet_bytes, limits.maximum_payload_bytes - PACKET_OVERHEAD_BYTES)
 
 
 def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
@@ -81,9 +72,9 @@ class StreamSession:
 
     def fitting(self, packets: Sequence[bytes]) -> int:
         """Return how many packets, from the first on, one frame holds."""
-        left_bytes = self.controller.description.limits.maximum_payload_bytes - _FIXED_BYTES - _MAX_VARINT_BYTES
+        left_bytes = self.controller.description.limits.maximum_payload_bytes - STREAM_DATA_HEAD_BYTES
         for count, packet in enumerate(packets):
-            left_bytes -= len(packet) + _MAX_VARINT_BYTES
+            left_bytes -= len(packet) + MAX_VARINT_BYTES
             if left_bytes < 0:
                 return count
         return len(packets)

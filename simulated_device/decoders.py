@@ -20,7 +20,9 @@ class PythonDecoders:
         self._ffi, self._library, self._runtime = ffi, library, runtime
         self._decoder: Decoder | None = None
         names = [ffi.new("uint8_t[]", known.name.encode()) for known in codec.CODECS.values()]
-        named = [(known.identifier, (name, len(name))) for known, name in zip(codec.CODECS.values(), names, strict=True)]
+        named = [
+            (known.identifier, (name, len(name))) for known, name in zip(codec.CODECS.values(), names, strict=True)
+        ]
         functions = {
             "check_tables": callbacks.make(
                 "int(void *, uint8_t, const uint8_t *, size_t, vc_refusal *)", self._check_tables, -1

@@ -15,7 +15,6 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Tap
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
-from vibrocast.host.stream_session import max_packet_bytes
 from vibrocast.output.actuator import ACTUATORS, Actuator
 
 RATE_HZ = 2800
@@ -57,7 +56,7 @@ def stream_for(
     if buffered:
         seconds = min(seconds, 0.8 * limits.buffer_samples / rate_hz)
     peak = amplitude(hello.actuator, unit)
-    stream = coded(made_by or texture, codec_name, rate_hz, channels, unit, peak, seconds, max_packet_bytes(limits))
+    stream = coded(made_by or texture, codec_name, rate_hz, channels, unit, peak, seconds, limits.sendable_packet_bytes)
     if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
         pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
     return stream

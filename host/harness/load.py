@@ -7,12 +7,12 @@ import numpy as np
 
 from vibrocast.codec import Signal, SignalFormat
 from vibrocast.codec.live_format import live_format
-from vibrocast.device_protocol.messages import CaptureData, State, StreamData, Tap
+from vibrocast.device_protocol.messages import PACKET_OVERHEAD_BYTES, CaptureData, State, StreamData, Tap
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
 from vibrocast.host.harness.latency import looped
 from vibrocast.host.player import BUFFER_S
-from vibrocast.host.stream_session import PACKET_OVERHEAD_BYTES, Capture, next_number, oldest_captured
+from vibrocast.host.stream_session import Capture, next_number, oldest_captured
 from vibrocast.textures import Recording
 
 THROUGHPUT_S = 1.0

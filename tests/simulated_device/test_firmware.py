@@ -12,6 +12,7 @@ from tests.simulated_device.bench import Bench, stream
 from vibrocast.codec import mdct
 from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.messages import (
+    PACKET_OVERHEAD_BYTES,
     CaptureData,
     CaptureRead,
     Configure,
@@ -46,7 +47,7 @@ BOARD = {
     "VC_MAXIMUM_PAYLOAD_BYTES": 1024,
     "VC_RATE_RATIO": 4,
 }
-PACKET_BYTES = BOARD["VC_MAXIMUM_PAYLOAD_BYTES"] - 12
+PACKET_BYTES = BOARD["VC_MAXIMUM_PAYLOAD_BYTES"] - PACKET_OVERHEAD_BYTES
 
 
 def board() -> Bench:
