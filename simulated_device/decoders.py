@@ -19,10 +19,9 @@ class PythonDecoders:
     def __init__(self, ffi: Any, library: Any, runtime: str | None, callbacks: Callbacks) -> None:
         self._ffi, self._library, self._runtime = ffi, library, runtime
         self._decoder: Decoder | None = None
-        names = [ffi.new("uint8_t[]", known.name.encode()) for known in codec.CODECS.values()]
-        named = [
-            (known.identifier, (name, len(name))) for known, name in zip(codec.CODECS.values(), names, strict=True)
-        ]
+        names = {known.identifier: known.name.encode() for known in codec.CODECS.values()}
+        texts = [ffi.new("uint8_t[]", name) for name in names.values()]
+        named = [(number, (text, len(names[number]))) for number, text in zip(names, texts, strict=True)]
         functions = {
             "check_tables": callbacks.make(
                 "int(void *, uint8_t, const uint8_t *, size_t, vc_refusal *)", self._check_tables, -1
@@ -33,7 +32,7 @@ class PythonDecoders:
             "conceal": callbacks.make("void(void *, int16_t *)", self._conceal),
         }
         codecs = ffi.new("vc_codec_description[]", named)
-        self._kept = (names, functions, codecs)
+        self._kept = (texts, functions, codecs)
         self.pointer = ffi.new("vc_decoder_callbacks *", {"codecs": codecs, "codec_count": len(named), **functions})
 
     def _check_tables(self, context: Any, identifier: int, tables: Any, length: int, refusal: Any) -> int:
