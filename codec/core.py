@@ -6,12 +6,11 @@ from typing import Any, Self
 import numpy as np
 
 from vibrocast.codec.interface import CodecError, Decoded, check_channels
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""
-
-MAX_PACKET_BYTES = 65_535
 
 
 def check_made(status: int) -> None:

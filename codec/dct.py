@@ -13,16 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import (
-    MAX_PACKET_BYTES,
-    UNIT,
-    CoreDecoder,
-    does_not_fit,
-)
+from vibrocast.codec.core import UNIT, CoreDecoder, does_not_fit
 from vibrocast.codec.huffman import canonical_codes, code_lengths, pack_bits
 from vibrocast.codec.interface import (
     AUTO,
-    OVER_POSITION,
     Codec,
     CodecError,
     Framing,
@@ -33,12 +27,13 @@ from vibrocast.codec.interface import (
     Signal,
     SignalFormat,
     number,
-    varint,
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES, PROFILE_UNIT
+from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import ffi, library
 
 NAME = "dct"
@@ -195,7 +190,7 @@ class DctEncoder(PacketwiseEncoder):
             self._quantised(coefficients[channel], levels, self._smallest[channel], *ranges[channel], zeros)
             for channel in sounding
         ]
-        packet = varint(2 * self._sequence + 1) + stated_levels
+        packet = pack_varint(2 * self._sequence + 1) + stated_levels
         packet += b"".join(code.to_bytes(2, "little") for both in ranges for code in both)
         if values:
             coder = self._range_code if self._range_coded else _huffman_code
@@ -265,7 +260,7 @@ def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
 def _smallest(setting: Setting, signal_format: SignalFormat, block: int) -> list[float]:
     """Return S of the logarithmic quantiser for each channel, in the core's unit."""
     smallest = number(setting, "smallest")
-    if smallest == 0 and signal_format.unit not in ("um", OVER_POSITION):
+    if smallest == 0 and signal_format.unit not in ("um", PROFILE_UNIT):
         return [MIN_OF_RMS * rms * UNIT for rms in signal_format.rms]
     return [(smallest or MIN_HEIGHT_UM) * _coefficients_of(gain, block) for gain in signal_format.gains]
 

@@ -8,13 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import extras
-from vibrocast.codec.core import (
-    MAX_PACKET_BYTES,
-    UNIT,
-    CoreDecoder,
-    check_made,
-    does_not_fit,
-)
+from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
 from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, learned_transform, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
 from vibrocast.codec.interface import (
@@ -33,10 +27,11 @@ from vibrocast.codec.interface import (
     checked_parts,
     number,
     numbers,
-    varint,
 )
 from vibrocast.codec.mdct import LAMBDA, RATE_CONTROLLED, step_code
 from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
+from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "eva"
@@ -298,7 +293,7 @@ def configuration(
 ) -> bytes:
     """Return the codec's bytes in the stream header."""
     fields = np.array(list(zip(level_codes, quality_codes, strict=True)), _CHANNEL_FIELDS)
-    return varint(columns) + fields.tobytes() + RATE_CONTROLLED * rate_controlled
+    return pack_varint(columns) + fields.tobytes() + RATE_CONTROLLED * rate_controlled
 
 
 def level_of(code: int) -> float:

@@ -8,6 +8,8 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
+
 Signal = NDArray[np.float64]
 Decoded = NDArray[np.int16]
 Value: TypeAlias = float | str | tuple[float, ...]
@@ -16,8 +18,6 @@ Setting: TypeAlias = Mapping[str, Value]
 
 AUTO = "auto"
 """The value of a parameter that the codec chooses."""
-MAX_CHANNELS = 16
-"""Channels in one stream."""
 RUNTIMES = ("core", "onnx")
 """What can decode a learned codec: the integer core, or ONNX Runtime."""
 
@@ -129,21 +129,12 @@ def checked_parts(samples: Signal, channels: int, part_samples: int) -> Iterator
         yield np.clip(part, -1.0, 1.0)
 
 
-def varint(value: int) -> bytes:
-    """Return a number from 0 on as LEB128: seven bits a byte, the lowest first."""
-    return bytes((value,)) if value < 0x80 else bytes((value & 0x7F | 0x80,)) + varint(value >> 7)
-
-
-OVER_POSITION = "um over position"
-"""The unit of a height profile whose rate is in samples per metre: its frequencies are not those of a vibration."""
-
-
 @dataclass(frozen=True)
 class SignalFormat:
     """What an encoder is told before the samples come.
 
     `gains`: physical value, in `unit`, of full scale of each channel. `rms`: RMS value of each channel relative to
-    full scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or OVER_POSITION.
+    full scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or PROFILE_UNIT.
     """
 
     rate_hz: int

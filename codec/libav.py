@@ -24,11 +24,11 @@ from vibrocast.codec.interface import (
     checked_parts,
     number,
     reject_rate_control,
-    varint,
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
+from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
 
 LABEL_HZ = 8000
 """The rate that samples of every stream are passed off as: speech codecs have no other, the rest do not mind."""
@@ -143,7 +143,7 @@ class LibavEncoder:
         if not 1 <= self.packet_samples <= _MAX_PACKET_SAMPLES:
             raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {_MAX_PACKET_SAMPLES} are allowed")
         fields = (plan.delay_samples, plan.frame_samples, self._packet_frames, plan.frame_bytes)
-        self.configuration = b"".join(map(varint, fields))
+        self.configuration = b"".join(map(pack_varint, fields))
         self._contexts = [
             _open(library.encoder, "w", plan.options, sample_format=library.sample_format) for _ in range(channels)
         ]
@@ -203,8 +203,8 @@ class LibavEncoder:
         packets = []
         for start in range(0, count, size):
             frames = [frame for coded in self._frames for frame in coded[start : start + size]]
-            lengths = [b"" if self._plan.frame_bytes else varint(len(frame)) for frame in frames]
-            head = varint(2 * self._sequence + 1)
+            lengths = [b"" if self._plan.frame_bytes else pack_varint(len(frame)) for frame in frames]
+            head = pack_varint(2 * self._sequence + 1)
             packets.append(head + b"".join(part for pair in zip(lengths, frames, strict=True) for part in pair))
             self._sequence += 1
         self._frames = [coded[count:] for coded in self._frames]
@@ -239,7 +239,7 @@ class RateControlledWavpackEncoder(PacketwiseEncoder):
             plan = replace(self._plan, bits_per_sample=bits)
             encoder = LibavEncoder(self._library, plan, self._framing, self._channels)
             (packet,) = encoder.encode(samples) + encoder.finish()
-            return varint(2 * self._sequence + 1) + packet[1:]
+            return pack_varint(2 * self._sequence + 1) + packet[1:]
 
         trial = PacketTrial(samples, self._quantiser_offsets, self._quantiser_offset, code)
         self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, code)
@@ -350,14 +350,13 @@ class _Reader:
 
     def varint(self, bits: int = 16) -> int:
         """Take a LEB128 number of at most so many bits."""
-        value = shift = 0
-        while shift < bits:
-            (byte,) = self.take(1)
-            value |= (byte & 0x7F) << shift
-            shift += 7
-            if byte < 0x80 and value < 1 << bits:
-                return value
-        raise CodecError("a number in a packet or configuration is too large; it was damaged")
+        try:
+            value, self._position = unpack_varint(self._data, self._position, bits)
+        except ValueError as error:
+            raise CodecError(
+                "a number in a packet or configuration is cut short or too large; it was damaged"
+            ) from error
+        return value
 
 
 def _av() -> Any:

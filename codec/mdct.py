@@ -8,13 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import (
-    MAX_PACKET_BYTES,
-    UNIT,
-    CoreDecoder,
-    check_made,
-    does_not_fit,
-)
+from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -30,10 +24,11 @@ from vibrocast.codec.interface import (
     checked_parts,
     number,
     numbers,
-    varint,
     word,
 )
 from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
+from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "mdct"
@@ -76,7 +71,7 @@ def configuration(
     hop: int, packet_blocks: int, step_codes: Sequence[int], fill_code: int = 0, rate_controlled: bool = False
 ) -> bytes:
     """Return the codec's bytes in the stream header."""
-    head = varint(packet_blocks << 2 | HOPS.index(hop))
+    head = pack_varint(packet_blocks << 2 | HOPS.index(hop))
     steps = b"".join((fill_code << 11 | code).to_bytes(2, "little") for code in step_codes)
     return head + steps + RATE_CONTROLLED * rate_controlled
 

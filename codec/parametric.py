@@ -6,13 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import (
-    MAX_PACKET_BYTES,
-    UNIT,
-    CoreDecoder,
-    check_made,
-    does_not_fit,
-)
+from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -29,6 +23,7 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.mdct import HOPS, analysis_matrix
 from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "parametric"

@@ -21,9 +21,9 @@ from vibrocast.codec.interface import (
     check_channels,
     number,
     reject_rate_control,
-    varint,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.device_protocol.encoding import pack_varint
 
 GROUP = "vibrocast.codecs"
 IDENTIFIER = 15
@@ -168,7 +168,7 @@ class PluginEncoder(PacketwiseEncoder):
         except Exception as error:
             raise CodecError(f"the codec {self._plugin.name} failed: {type(error).__name__}: {error}") from error
         # Every packet is a refresh packet: bit 0.
-        head = varint(2 * self._sequence + 1)
+        head = pack_varint(2 * self._sequence + 1)
         self._sequence += 1
         return head + coded
 

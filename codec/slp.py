@@ -11,13 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import (
-    MAX_PACKET_BYTES,
-    UNIT,
-    CoreDecoder,
-    check_made,
-    does_not_fit,
-)
+from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -34,6 +28,7 @@ from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictor
 from vibrocast.codec.mdct import RATE_CONTROLLED
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "slp"

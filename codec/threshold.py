@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.interface import OVER_POSITION, CodecError
+from vibrocast.codec.interface import CodecError
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 
 TACTILE_BAND_HZ = (40.0, 800.0)
 """The Pacinian channel: S. J. Bolanowski et al., "Four channels mediate the mechanical aspects of touch", 1988."""
@@ -66,7 +67,7 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
     nearest row. An amplitude a of displacement is (2 pi F)^2 a of acceleration. Raises CodecError for a signal
     without a physical unit.
     """
-    if unit == OVER_POSITION:
+    if unit == PROFILE_UNIT:
         raise CodecError("the detection threshold is one over time, and a spatial stream has none; leave it off")
     if unit not in ("um", "m/s^2"):
         raise CodecError(

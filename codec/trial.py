@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from vibrocast.codec.core import MAX_PACKET_BYTES
 from vibrocast.codec.interface import CodecError, RateControl, Signal
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from vibrocast import codec
-from vibrocast.codec.interface import MAX_CHANNELS
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.coded_stream import UNITS
+from vibrocast.device_protocol.coded_stream import MAX_CHANNELS, UNITS
 from vibrocast.device_protocol.messages import HelloResponse, State
 from vibrocast.host import player
 from vibrocast.host.conformance.fixtures import section
