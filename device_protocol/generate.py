@@ -216,6 +216,7 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
 
 /* Write a message into a frame that has begun. After a CaptureData the caller writes its samples. */
 {_joined([f"{_writer(message)};" for message in RESPONSES])}
+void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal);
 /* cffi: end */
 
 #endif
@@ -317,7 +318,14 @@ static void write_sha256(vc_frame_writer *writer, const uint8_t *sha256)
     vc_frame_write(writer, sha256 != NULL ? sha256 : zeros, sizeof zeros);
 }}
 {_joined([_writing_nested(owner) for owner in _NESTED])}
-{_joined([_writing(message) for message in RESPONSES])}"""
+{_joined([_writing(message) for message in RESPONSES])}
+
+void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal)
+{{
+    const vc_error error = {{refusal->code, {{(const uint8_t *)refusal->text, refusal->length}}}};
+    vc_write_error(writer, sequence, &error);
+}}
+"""
 
 
 def _reading(message: type[Message]) -> str:

@@ -283,3 +283,9 @@ void vc_write_error(vc_frame_writer *writer, uint16_t sequence, const vc_error *
     write_tag(writer, 1, message->text.length);
     write_piece(writer, message->text);
 }
+
+void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal)
+{
+    const vc_error error = {refusal->code, {(const uint8_t *)refusal->text, refusal->length}};
+    vc_write_error(writer, sequence, &error);
+}

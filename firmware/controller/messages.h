@@ -238,6 +238,7 @@ void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message);
 void vc_write_flash_status(vc_frame_writer *writer, uint16_t sequence, const vc_flash_status *message);
 void vc_write_error(vc_frame_writer *writer, uint16_t sequence, const vc_error *message);
+void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal);
 /* cffi: end */
 
 #endif

@@ -2,7 +2,6 @@
 #include "refusal.h"
 
 #include "common.h"
-#include "messages.h"
 
 #define MAX_DIGITS 20 /* of 2^64 - 1 */
 
@@ -68,10 +67,4 @@ int vc_refuse(vc_refusal *refusal, enum vc_error_code code, const char *text)
     refusal->code = (uint16_t)code;
     refusal->length = 0;
     return vc_refusal_add(refusal, text);
-}
-
-void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal)
-{
-    const vc_error error = {refusal->code, {(const uint8_t *)refusal->text, refusal->length}};
-    vc_write_error(writer, sequence, &error);
 }

@@ -2,7 +2,7 @@
 #ifndef VIBROCAST_REFUSAL_H
 #define VIBROCAST_REFUSAL_H
 
-#include "frames.h"
+#include "fields.h"
 #include "protocol.h"
 
 /* Fits, with what stands around it, in the smallest payload that the protocol allows. */
@@ -24,9 +24,6 @@ int vc_refuse_numbers(vc_refusal *refusal, enum vc_error_code code, const char *
 int vc_refusal_add(vc_refusal *refusal, const char *text);
 int vc_refusal_add_piece(vc_refusal *refusal, vc_piece text);
 int vc_refusal_add_hex(vc_refusal *refusal, const uint8_t *bytes, size_t length);
-
-/* Writes an Error into a frame that has begun. */
-void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal);
 /* cffi: end */
 
 #endif
