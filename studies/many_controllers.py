@@ -1,0 +1,178 @@
+"""CPU time of one process that streams to many controllers: `python -m studies.many_controllers --out docs`."""
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.transports import SerialTransport
+from vibrocast.evaluation.page_parts import paragraphs, table
+from vibrocast.files import atomic_write
+from vibrocast.firmware.build import build
+from vibrocast.host import player
+from vibrocast.host.controller import Controller
+from vibrocast.host.event_loop import run_all
+from vibrocast.host.harness import measurements
+from vibrocast.textures import Recording
+
+KINDS = {
+    "firmware": "the firmware, a process each, which decodes and computes DAC codes",
+    "null": "controllers that only count packets, all in one process",
+}
+RATE_HZ = 2800
+PAGE = "many_controllers.md"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What streaming took. `host_share`: CPU time of this process for each second of playback, 1 = a core.
+
+    `controllers_share`: the same of all processes of the controllers together. `failed`: how many did not finish.
+    """
+
+    kind: str
+    controllers: int
+    channels: int
+    host_share: float
+    controllers_share: float
+    underruns: int
+    lost_packets: int
+    failed: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.controllers} controllers ({self.kind}) of {self.channels} channels: the host takes "
+            f"{self.host_share:.3f} of a core, the controllers {self.controllers_share:.3f}; underruns "
+            f"{self.underruns}, lost packets {self.lost_packets}, failed {self.failed}"
+        )
+
+
+def noise(channels: int, seconds: float) -> Stream:
+    """Return a coded stream of noise, a few kbit/s for each channel."""
+    samples = 5.0 * np.random.default_rng(1).standard_normal((round(seconds * RATE_HZ), channels))
+    return encode_recording(Recording(samples, float(RATE_HZ), "um", "noise"), live=True).stream
+
+
+def commands_of(kind: str, count: int, channels: int) -> list[list[str]]:
+    """Return the commands that run so many controllers, which may have to be compiled first."""
+    if kind == "firmware":
+        return [[str(build("host", {"VC_CHANNELS": channels, "VC_CAPTURE_SAMPLES": 0}))]] * count
+    return [[sys.executable, "-m", "studies.null_controllers", str(count)]]
+
+
+@contextlib.contextmanager
+def ports(commands: Sequence[Sequence[str]], count: int, cores: Sequence[int]) -> Iterator[list[str]]:
+    """Run so many controllers on some cores; yield the names of their serial ports."""
+    processes = []
+    try:
+        for command in commands:
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            processes.append(process)
+            if cores:
+                os.sched_setaffinity(process.pid, cores)
+        lines = count // len(commands)
+        yield [process.stdout.readline().strip() for process in processes for _ in range(lines) if process.stdout]
+    finally:
+        for process in processes:
+            process.communicate()
+
+
+def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: float) -> Measured:
+    """Stream to so many controllers at once, without reading back; this process on one core, theirs on the others."""
+    stream = noise(channels, seconds)
+    packet_samples = stream.decoder().packet_samples
+    settings = player.PlaybackSettings(buffer_s=buffer_s)
+    commands = commands_of(kind, count, channels)
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, cores[:1])
+    children_s = os.times().children_user + os.times().children_system
+    try:
+        with ports(commands, count, cores[1:]) as names, contextlib.ExitStack() as stack:
+            controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
+            works = {
+                number: (each, player.play_steps(each, stream.header, stream.packets, packet_samples, settings))
+                for number, each in enumerate(controllers)
+            }
+            began_s = time.process_time()
+            results = run_all(works).values()
+            took_s = time.process_time() - began_s
+    finally:
+        os.sched_setaffinity(0, cores)
+    children_s = os.times().children_user + os.times().children_system - children_s
+    for result in results:
+        if isinstance(result, Exception):
+            print(f"failed: {result}", file=sys.stderr)
+    played = [result for result in results if isinstance(result, player.PlaybackResult)]
+    return Measured(
+        kind,
+        count,
+        channels,
+        took_s / seconds,
+        children_s / seconds,
+        sum(result.underruns for result in played),
+        sum(result.lost_packets for result in played),
+        count - len(played),
+    )
+
+
+def page(rows: Sequence[Measured], seconds: float, buffer_s: float) -> str:
+    """Return the page with the table."""
+    return paragraphs(
+        "# Many controllers from one process",
+        f"One process with one thread streams {seconds:g} s of noise to all controllers at once, without reading back. "
+        f"It runs on one core of this machine ({measurements.machine()['processor']}, {os.cpu_count()} cores), and the "
+        f"controllers share the others. Each has {buffer_s:g} s of signal ahead. A share is CPU time per second of "
+        "playback: 1 is a whole core.",
+        table(
+            ("controllers", "count", "channels", "host's share", "controllers' share", "underruns", "lost", "failed"),
+            [
+                (
+                    KINDS[row.kind],
+                    str(row.controllers),
+                    str(row.channels),
+                    f"{row.host_share:.3f}",
+                    f"{row.controllers_share:.3f}",
+                    str(row.underruns),
+                    str(row.lost_packets),
+                    str(row.failed),
+                )
+                for row in rows
+            ],
+        ),
+        "A process of the firmware decodes and computes the DAC codes of all channels, so as many play without an "
+        "underrun as its cores can serve. Write this page with `python -m studies.many_controllers --out docs`; "
+        "`--help` lists the numbers that you can change.",
+    )
+
+
+def main() -> None:
+    """Measure, print a line for each, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--controllers", type=int, nargs="+", default=[1, 20, 50, 100])
+    parser.add_argument("--channels", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--buffer-s", type=float, default=player.BUFFER_S)
+    parser.add_argument("--kind", choices=KINDS, nargs="+", default=list(KINDS))
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    rows = []
+    for kind in options.kind:
+        for count in options.controllers:
+            rows.append(measure(kind, count, options.channels, options.seconds, options.buffer_s))
+            print(rows[-1], flush=True)
+    if options.out is not None:
+        with atomic_write(options.out / PAGE) as partial:
+            partial.write_text(page(rows, options.seconds, options.buffer_s), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
