@@ -3,7 +3,8 @@
 import contextlib
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
@@ -58,6 +59,16 @@ def connect(address: str, runtime: str | None = None, actuator: "Actuator | None
     """Open a session with the controller at `address`, as `reach` does. Raises TransportError and ControllerError."""
     with reach(address, runtime, actuator) as transport:
         yield Controller(transport)
+
+
+def unique_names(addresses: Sequence[str]) -> dict[str, str]:
+    """Return a name for each address, itself or with its number behind it where it is there again, and the address."""
+    counts: Counter[str] = Counter()
+    names = {}
+    for address in addresses:
+        counts[address] += 1
+        names[address if counts[address] == 1 else f"{address} ({counts[address]})"] = address
+    return names
 
 
 @contextlib.contextmanager

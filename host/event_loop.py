@@ -1,5 +1,6 @@
 """One event loop in one thread for the work with one controller or with many, none of which waits for another."""
 
+import contextlib
 import heapq
 import itertools
 import selectors
@@ -58,7 +59,8 @@ class Reader(Protocol):
 class _Member(Generic[_Key]):
     """One of those that the loop serves.
 
-    `wait`: what its last step yielded. `due_s`: when it is over. `file`, `events`: what the loop waits for.
+    `wait`: what its last step yielded. `due_s`: when it is over. `file`, its `descriptor`, `events`: what the loop
+    waits for.
     """
 
     key: _Key
@@ -67,6 +69,7 @@ class _Member(Generic[_Key]):
     wait: float = 0.0
     due_s: float = 0.0
     file: Any = None
+    descriptor: int | None = None
     events: int = 0
     ended: bool = False
 
@@ -218,10 +221,13 @@ class _Loop(Generic[_Key, _Result]):
         waits = not (member.ended or member.pauses)
         file = member.reader.file if waits else None
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.reader.is_sending else 0)
-        if file is None or file is not member.file or events != member.events:
-            if member.file is not None:
-                self._selector.unregister(member.file)
-            if file is not None:
-                self._selector.register(file, events, member)
-            member.file, member.events = file, events
-            (self._polled.add if waits and file is None else self._polled.discard)(member)
+        if file is not None and file is member.file and events == member.events:
+            return
+        if member.descriptor is not None:
+            self._selector.unregister(member.descriptor)
+        member.file, member.events, member.descriptor = file, events, None
+        if file is not None:
+            with contextlib.suppress(OSError):  # a closed port: reading it tells why
+                member.descriptor = file.fileno()
+                self._selector.register(member.descriptor, events, member)
+        (self._polled.add if waits and member.descriptor is None else self._polled.discard)(member)

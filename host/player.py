@@ -268,9 +268,10 @@ class _Sender:
         # Waiting for a full frame must not empty the buffer.
         self._frame_packets = max(1, min(_MAX_FRAME_PACKETS, buffer_packets // 4))
         # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
-        watchdog_ms = controller.description.limits.watchdog_ms
-        self._status_interval_s = min(_MAX_STATUS_INTERVAL_S, watchdog_ms / 4000, buffer_packets * source.packet_s / 2)
-        self._ask_s = self._free_s = 0.0
+        # A controller that tells its status as often need not be asked.
+        self._max_silence_s = controller.description.limits.watchdog_ms / 4000
+        self._status_interval_s = min(_MAX_STATUS_INTERVAL_S, self._max_silence_s, buffer_packets * source.packet_s / 2)
+        self._ask_s = self._free_s = self._sent_s = 0.0
         self._asked_tap: Tap | None = None
         self.reports_playing, self.buffered_s_sum = 0, 0.0
         self.captures = {tap: Capture(controller, tap, source.header.channels) for tap in Tap}
@@ -310,6 +311,7 @@ class _Sender:
                     self._free_s = self._ask_s  # nothing new, as far as is known, before the next status
             if self._session.news() is not None:
                 self._note()
+                self._ask_s = min(self._noted_s + self._status_interval_s, self._sent_s + self._max_silence_s)
                 if self._settings.progress is not None:
                     self._settings.progress(self._progress())
 
@@ -357,6 +359,7 @@ class _Sender:
         chosen = chosen[: self._session.fitting(chosen)]
         self._next += len(chosen)
         self._session.send(chosen, iteration - self._base // len(source.packets))
+        self._sent_s = self._controller.clock()
         return True
 
     def _min_packets(self) -> int:
@@ -439,7 +442,7 @@ class _Sender:
         Neither is waited for, so that a lost answer does not hold up the data.
         """
         if now_s >= self._ask_s:
-            self._ask_s = now_s + self._status_interval_s
+            self._sent_s, self._ask_s = now_s, now_s + self._status_interval_s
             self._free_s = now_s + min(ANSWER_TIMEOUT_S, self._status_interval_s)
             self._controller.ask_status()
         elif (tap := self._tap_to_read()) is not None:

@@ -85,6 +85,11 @@ class Report:
     decoded_equals_offline: bool | None
     dac_equals_offline: bool | None
 
+    @property
+    def differs(self) -> bool:
+        """Whether the controller decoded, or gave its DAC, something else than what is computed here."""
+        return False in (self.decoded_equals_offline, self.dac_equals_offline)
+
     def as_json(self) -> str:
         """Return the report as a JSON object, two spaces deep."""
         return json.dumps(asdict(self), indent=2, allow_nan=False) + "\n"

@@ -90,6 +90,14 @@ def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> s
     return value
 
 
+def checked_addresses(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
+    """Return addresses as `checked_address` does; raise click.BadParameter for a port that is given twice."""
+    for value in values:
+        if values.count(checked_address(ctx, param, value)) > 1 and value not in devices.SIMULATED:
+            raise click.BadParameter(f"{value} is given twice: a port has one controller.", ctx, param)
+    return values
+
+
 def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """Return one decorator for a group of options."""
 
@@ -104,13 +112,18 @@ def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Co
 POSITIVE = Finite(min=0, min_open=True)
 INPUT = click.Path(path_type=Path)
 
+_ADDRESSES = f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them."
 device_option = click.option(
+    "--device", "address", callback=checked_address, default="sim", show_default=True, help=_ADDRESSES
+)
+devices_option = click.option(
     "--device",
-    "address",
-    callback=checked_address,
-    default="sim",
+    "addresses",
+    callback=checked_addresses,
+    multiple=True,
+    default=("sim",),
     show_default=True,
-    help=f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them.",
+    help=f"{_ADDRESSES} Repeat it for several controllers at once.",
 )
 
 model_option = click.option(

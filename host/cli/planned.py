@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # what plans and measures takes a second to load, which other
 def read(path: Path, allowed: Sequence[str]) -> "Plan":
     """Read a plan for the command under way, which takes no option beside it but those.
 
-    The address of a --device replaces that of the plan's only controller. Raises PlanError, click.UsageError.
+    The addresses of --device replace those of the plan's controllers, in its order. Raises PlanError, click.UsageError.
     """
     from vibrocast.host.planner import plan_file
 
@@ -32,11 +32,17 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
             label = parameter.opts[-1] if isinstance(parameter, click.Option) else parameter.human_readable_name
             raise click.UsageError(f"the plan says how: drop {label}, or change {path}.")
     plan = plan_file.read_plan(path)
-    if context.get_parameter_source("address") != ParameterSource.COMMANDLINE:
+    option = "addresses" if "addresses" in context.params else "address"
+    if context.get_parameter_source(option) != ParameterSource.COMMANDLINE:
         return plan
-    if len(plan.controllers) > 1:
-        raise click.UsageError(f"{path} has {len(plan.controllers)} controllers: write their addresses there.")
-    return replace(plan, controllers=(replace(plan.controllers[0], address=context.params["address"]),))
+    addresses = context.params[option] if option == "addresses" else (context.params[option],)
+    if len(plan.controllers) != len(addresses):
+        raise click.UsageError(
+            f"{path} has {len(plan.controllers)} controllers, and --device is given {len(addresses)} times: give one "
+            "for each, in the plan's order, or write the addresses there."
+        )
+    pairs = zip(plan.controllers, addresses, strict=True)
+    return replace(plan, controllers=tuple(replace(each, address=address) for each, address in pairs))
 
 
 def play(
@@ -48,8 +54,12 @@ def play(
     """
     from vibrocast.host.planner import comparison, playing
 
+    failure: playing.PartlyPlayedError | None = None
     with progress.shown("playing") as update:
-        played = playing.play(plan, names, progress=update)
+        try:
+            played = playing.play(plan, names, progress=update)
+        except playing.PartlyPlayedError as error:
+            played, failure = error.played, error
     compared = comparison.rows(played)
     document = json.dumps([comparison.document(each) for each in played], indent=2, allow_nan=False)
     if report is not None:
@@ -59,7 +69,8 @@ def play(
         comparison.write_csv(table, compared)
     for line in [document] if as_json else map(plain, comparison.lines(compared)):
         click.echo(line)
-    if told := comparison.failures(played, compared):
+    told = comparison.failures(played, compared) + ([] if failure is None else [str(failure)])
+    if told:
         raise click.ClickException(plain("; ".join(told)))
 
 

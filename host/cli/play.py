@@ -1,8 +1,9 @@
 """The subcommand `play`: plays a recording, a .vct file or a plan on a controller, and tells how it went."""
 
+import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,8 @@ import click
 from vibrocast import extras, progress, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.files import atomic_write
 from vibrocast.host import devices, player, profiles, stream_session
 from vibrocast.host.cli import planned
 from vibrocast.host.cli.options import (
@@ -19,7 +22,7 @@ from vibrocast.host.cli.options import (
     BadInput,
     Finite,
     OutputFile,
-    device_option,
+    devices_option,
     plan_option,
     quality_of,
     quality_options,
@@ -41,7 +44,7 @@ from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 
 if TYPE_CHECKING:
-    from vibrocast.host import position_playback
+    from vibrocast.host import end_to_end, position_playback
 
 SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
@@ -51,7 +54,7 @@ ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 @click.command()
 @click.argument("file", type=INPUT, required=False)
 @plan_option
-@device_option
+@devices_option
 @click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
 @click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
@@ -76,7 +79,7 @@ ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 def play(
     file: Path | None,
     plan_path: Path | None,
-    address: str,
+    addresses: tuple[str, ...],
     loops: int,
     positions_path: Path | None,
     stroke_mm: float | None,
@@ -87,26 +90,31 @@ def play(
     actuator_name: str | None,
     **choices: Any,
 ) -> None:
-    """Play a recording or a .vct file on a controller.
+    """Play a recording or a .vct file on a controller, or on several at once.
+
+    With several --device, one that fails holds no other up; the command ends with a line for each.
 
     A height profile is played over time, as --hand-speed-mm-s passes it once, or by the position of a hand:
     --positions, or --stroke-mm with --hand-speed-mm-s as its highest speed.
 
     With --plan, play the texture that FILE names, or all, live and as planned, on the plan's controllers, or on
-    --device where it has one, and hold what is measured against the forecast: what is off by more than 10 % fails.
+    one --device for each of them, and hold what is measured against the forecast: what is off by more than 10 % fails.
     """
     from vibrocast.host import end_to_end, picture
 
     if plot_path is not None:
         extras.require("plot")
     if plan_path is not None:
-        plan = planned.read(plan_path, ("file", "address", "report_path"))
+        plan = planned.read(plan_path, ("file", "addresses", "report_path"))
         planned.play(plan, [str(file)] if file else [], report_path)
         return
     file = needed(file, "FILE")
     reject_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
-    runtime = devices.decoding_runtime(address, runtime)
+    # The firmware decodes by one of the runtimes alone: so do the others, to be compared with the same.
+    runtime = next(filter(None, [devices.decoding_runtime(address, runtime) for address in addresses]), runtime)
     actuator = None if actuator_name is None else actuator_files.find(actuator_name)
+    if len(addresses) > 1 and (positions_path or stroke_mm or plot_path):
+        raise click.UsageError("--positions, --stroke-mm and --plot are for one controller: give one --device.")
     if positions_path or stroke_mm:
         if report_path:
             raise click.UsageError("a profile under a hand has no report: drop --report.")
@@ -115,7 +123,7 @@ def play(
         from vibrocast.host import position_playback
 
         movement = position_playback.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
-        play_profile(file, address, movement, plot_path, runtime, choices)
+        play_profile(file, addresses[0], movement, plot_path, runtime, choices)
         return
     unit = choices["unit"]
     if file.suffix.lower() == ".vct":
@@ -129,39 +137,84 @@ def play(
         quality = quality_of(choices)
         source = textures.load_for_actuators(file, **choices)
     end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, unit)
-    with devices.connect(address, runtime, actuator) as controller:
+    names = devices.unique_names(addresses)
+    sessions = {name: devices.connect(address, runtime, actuator) for name, address in names.items()}
+    with devices.open_all(sessions) as (controllers, failures):
         # What the controller cannot play need not be encoded first.
-        if isinstance(source, Stream):
-            stream_session.check_limits(controller, source.header.channels, source.header.rate_hz)
-            stream, encoding = source, None
-        else:
-            stream_session.check_limits(controller, source.channels, quality["stream_rate_hz"])
-            encoding = encoded(source, {**quality, "runtime": runtime}, live=True)
-            stream = encoding.stream
-        with progress.shown("playing") as update:
-            tell = playing(update, stream.bits_per_second)
-            outcome = end_to_end.play(
-                controller,
-                address,
-                file.name,
-                stream.with_gain(gain_db),
-                encoding,
-                loops,
-                tell,
-                actuator=actuator if address in devices.WITH_ANY_ACTUATOR else None,
-                skin_model=actuator,
+        for name, controller in list(controllers.items()):
+            try:
+                if isinstance(source, Stream):
+                    stream_session.check_limits(controller, source.header.channels, source.header.rate_hz)
+                else:
+                    stream_session.check_limits(controller, source.channels, quality["stream_rate_hz"])
+            except StreamError as error:
+                failures[name] = error
+        members = {
+            name: end_to_end.Member(
+                controller, names[name], actuator if names[name] in devices.WITH_ANY_ACTUATOR else None, actuator
             )
+            for name, controller in controllers.items()
+            if name not in failures
+        }
+        outcomes: dict[str, end_to_end.Outcome | Exception] = {}
+        if members:
+            if isinstance(source, Stream):
+                stream, encoding = source, None
+            else:
+                encoding = encoded(source, {**quality, "runtime": runtime}, live=True)
+                stream = encoding.stream
+            stream = stream.with_gain(gain_db)
+            with progress.shown("playing") as update:
+                tell = playing(update, stream.bits_per_second)
+                outcomes = end_to_end.play_together(members, file.name, stream, encoding, loops, tell)
+    outcomes |= failures
+    if len(names) > 1:
+        tell_each({name: outcomes[name] for name in names}, report_path)
+        return
+    (outcome,) = outcomes.values()
+    if isinstance(outcome, Exception):
+        raise outcome
     if report_path:
         outcome.report.write(report_path)
     if plot_path:
-        picture.draw(plot_path, f"{file.name} on {address}", outcome.caption, outcome.traces)
+        picture.draw(plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
     show(summary(outcome.report))
     if outcome.report.touch.level_db <= 0:
         click.echo("warning: nobody would feel this: raise --gain-db, or check --unit and --full-scale", err=True)
-    if False in (outcome.report.decoded_equals_offline, outcome.report.dac_equals_offline):
+    if outcome.report.differs:
         raise ControllerError(
             "what the controller played is not what was sent: see the underruns and lost packets above, "
             "and try a shorter cable or a less busy machine; or the other --runtime, if the controller decodes by it"
+        )
+
+
+def tell_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_path: Path | None) -> None:
+    """Print a line for each of several controllers, and write their reports as a JSON list.
+
+    Raises ControllerError if one failed, or played something else than was sent.
+    """
+    reports = {name: each if isinstance(each, Exception) else each.report for name, each in outcomes.items()}
+    if report_path:
+        with atomic_write(report_path) as partial:
+            documents = [
+                {"device": {"address": name}, "error": str(each)} if isinstance(each, Exception) else asdict(each)
+                for name, each in reports.items()
+            ]
+            partial.write_text(json.dumps(documents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    show(
+        {
+            name: f"FAILED: {each}"
+            if isinstance(each, Exception)
+            else f"played {each.loops} time(s), underruns {each.underruns}, lost packets {each.lost_packets}, "
+            f"reconnects {each.reconnects}, decoded as sent {ANSWERS[each.decoded_equals_offline]}, "
+            f"DAC as computed {ANSWERS[each.dac_equals_offline]}"
+            for name, each in reports.items()
+        }
+    )
+    failed = [name for name, each in reports.items() if isinstance(each, Exception) or each.differs]
+    if failed:
+        raise ControllerError(
+            f"{len(failed)} of {len(reports)} controllers did not play what was sent: {', '.join(failed)}"
         )
 
 
@@ -216,16 +269,20 @@ def coded_already(file: Path, choices: dict[str, Any]) -> Stream:
     return read_stream(file, model.image if model else None)
 
 
-def playing(update: progress.Update, bits_per_second: float) -> Callable[[player.Progress], None]:
-    """Return what tells `update` of a playback: position, rate, buffer, underruns."""
+def playing(update: progress.Update, bits_per_second: float) -> Callable[[str, player.Progress], None]:
+    """Return what tells `update` of a playback on named controllers: mean position, rate, least buffer, underruns."""
+    latest: dict[str, player.Progress] = {}
 
-    def tell(now: player.Progress) -> None:
+    def tell(name: str, now: player.Progress) -> None:
+        latest[name] = now
+        position_s = sum(each.position_s for each in latest.values()) / len(latest)
         duration_s = now.duration_s or math.inf
         details = (
-            f"{now.position_s:.1f} of {duration_s:.1f} s  {bits_per_second / 1000:.2f} kbit/s  "
-            f"buffer {1000 * now.buffered_s:.0f} ms  underruns {now.status.underruns}"
+            f"{position_s:.1f} of {duration_s:.1f} s  {bits_per_second / 1000:.2f} kbit/s  "
+            f"buffer {1000 * min(each.buffered_s for each in latest.values()):.0f} ms  "
+            f"underruns {sum(each.status.underruns for each in latest.values())}"
         )
-        update(now.position_s / duration_s, details)
+        update(position_s / duration_s, details)
 
     return tell
 

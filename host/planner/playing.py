@@ -16,7 +16,7 @@ from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import Position, State, StreamData, Tap
-from vibrocast.device_protocol.transports import Transport
+from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.evaluation import metrics
 from vibrocast.host import devices, live, position_playback, uploader
 from vibrocast.host.concurrency import run_concurrently
@@ -130,6 +130,14 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
         yield CountingController(link, link.clock, link.sleep)
 
 
+class PartlyPlayedError(ControllerError):
+    """Controllers that failed, by name; `played`: the textures that the others have played."""
+
+    def __init__(self, text: str, code: int | None, played: list[Played]) -> None:
+        super().__init__(text, code)
+        self.played = played
+
+
 def play(
     plan: Plan,
     names: Sequence[str] = (),
@@ -140,8 +148,8 @@ def play(
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
 
     Controllers play at the same time, each its textures one after another; a simulated one is flashed with the models
-    that it lacks. Raises PlanError for what does not fit what is there, ControllerError with the name of the
-    controller that failed, and as `PlannedTexture.encode`.
+    that it lacks. Raises PlanError for what does not fit what is there, PartlyPlayedError where some of several
+    controllers failed, ControllerError, and as `PlannedTexture.encode`.
     """
     wanted = [plan.texture(name) for name in names] or list(plan.textures)
     mine = {each.name: [texture for texture in wanted if texture.controller == each.name] for each in plan.controllers}
@@ -163,13 +171,19 @@ def play(
     sessions = {name: partial(opener, each.address, bench.actuator(name)) for name, each in playing.items()}
     results = run_concurrently(sessions, work)
     played: dict[str, Played] = {}
+    failures: dict[str, ControllerError | TransportError] = {}
     for name, result in results.items():
-        if isinstance(result, ControllerError) and len(playing) > 1:
-            raise ControllerError(f"{name}: {result}", result.code) from result
-        if isinstance(result, Exception):
+        if isinstance(result, ControllerError | TransportError) and len(playing) > 1:
+            failures[name] = result
+        elif isinstance(result, Exception):
             raise result
-        played.update({each.texture.name: each for each in result})
-    return [played[texture.name] for texture in wanted]
+        else:
+            played.update({each.texture.name: each for each in result})
+    in_order = [played[texture.name] for texture in wanted if texture.name in played]
+    if failures:
+        code = next((error.code for error in failures.values() if isinstance(error, ControllerError)), None)
+        raise PartlyPlayedError("; ".join(f"{name}: {error}" for name, error in failures.items()), code, in_order)
+    return in_order
 
 
 class _Load:

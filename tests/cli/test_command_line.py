@@ -131,6 +131,34 @@ def test_play_reports_and_draws(device: str, texture: Path, tmp_path: Path) -> N
     assert plot_path.stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("missing", [[], ["--device", "serial:/dev/no-such-port"]])
+def test_several_controllers_play_at_once_though_one_is_missing(
+    missing: list[str], texture: Path, tmp_path: Path
+) -> None:
+    report_path = tmp_path / "reports.json"
+    devices = ["--device", "sim", "--device", "sim-usb", "--device", "sim"]
+    result = vibrocast("play", texture, *devices, *missing, "--report", report_path)
+    assert result.exit_code == len(missing) // 2, result.output
+    lines = [line for line in result.stdout.splitlines() if "DAC as computed yes" in line]
+    assert [line.split("  ")[0] for line in lines] == ["sim", "sim-usb", "sim (2)"]
+    reports = json.loads(report_path.read_text())
+    assert [report["device"]["address"] for report in reports] == ["sim", "sim-usb", "sim", *missing[1:]]
+    if missing:
+        assert "serial:/dev/no-such-port  FAILED: cannot open" in result.stdout
+        assert result.stderr.splitlines()[-1].startswith("error: 1 of 4 controllers"), result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--device", "serial:/dev/x", "--device", "serial:/dev/x"], "given twice"),
+        (["--device", "sim", "--device", "host", "--plot", "a.png"], "for one controller"),
+    ],
+)
+def test_what_several_controllers_cannot_do_is_rejected(arguments: list[str], reason: str, texture: Path) -> None:
+    assert reason in fails(2, "play", texture, *arguments)
+
+
 def test_report_page_explains_every_field() -> None:
     page = (ROOT / "docs" / "report.md").read_text()
     missing = [field.name for field in dataclasses.fields(Report) if f"`{field.name}" not in page]

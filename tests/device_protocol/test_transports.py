@@ -2,6 +2,7 @@
 
 import errno
 import os
+import select
 import tty
 from array import array
 from collections.abc import Iterator
@@ -12,7 +13,14 @@ import pytest
 import usb.backend
 import usb.core
 
-from vibrocast.device_protocol.transports import SerialTransport, TransportError, UsbTransport, open_transport
+from vibrocast.device_protocol.transports import (
+    SerialTransport,
+    ThreadedTransport,
+    TransportError,
+    UsbTransport,
+    open_transport,
+    selectable,
+)
 
 
 @pytest.fixture
@@ -85,6 +93,30 @@ def test_serial_port_that_takes_nothing_is_an_error_and_not_a_hang(
     monkeypatch.setattr("vibrocast.device_protocol.transports._WRITE_TIMEOUT_S", 0.05)
     with SerialTransport(pseudo_terminal[1]) as transport, pytest.raises(TransportError, match="took no data"):
         transport.write(bytes(1_000_000))
+
+
+def test_serial_port_keeps_what_its_controller_does_not_take_at_once(pseudo_terminal: tuple[int, str]) -> None:
+    controller, port = pseudo_terminal
+    data = bytes(range(256)) * 40
+    with SerialTransport(port) as transport:
+        written = 0
+        while not transport.unsent:
+            transport.write(data[:1024])
+            written += 1024
+        received = b""
+        while transport.unsent or len(received) < written:
+            received += os.read(controller, 4096)
+            assert transport.read(0) == b""
+        assert received == (data[:1024] * (written // 1024))
+
+
+def test_serial_port_whose_other_end_closes_is_an_error() -> None:
+    controller, port = os.openpty()
+    with SerialTransport(os.ttyname(port)) as transport:
+        os.close(port)
+        os.close(controller)
+        with pytest.raises(TransportError, match="broke off"):
+            transport.read(1.0)
 
 
 def descriptor(**fields: int) -> Any:
@@ -182,6 +214,36 @@ def test_usb_carries_every_byte_both_ways() -> None:
         transport.write(EVERY_BYTE)
         assert b"".join(transport.read(0) for _ in range(len(EVERY_BYTE) // 64)) == EVERY_BYTE
         assert transport.read(0) == b""
+
+
+def test_threads_give_a_usb_device_a_file_to_wait_for() -> None:
+    backend = MadeUpUsb()
+    with selectable(open_transport("usb:1209:0001", backend)) as transport:
+        assert isinstance(transport, ThreadedTransport)
+        for _ in range(2):
+            transport.write(EVERY_BYTE)
+            received = b""
+            while len(received) < len(EVERY_BYTE):
+                readable, _, _ = select.select([transport.file], [], [], 10.0)
+                assert readable
+                received += transport.read(0)
+            assert received == EVERY_BYTE
+            transport.reopen()
+        backend.fault, backend.plugged = errno.ENODEV, False
+        with pytest.raises(TransportError, match="cable"):
+            while True:
+                transport.read(1.0)
+        with pytest.raises(TransportError, match="cable"):
+            transport.write(b"x")
+        with pytest.raises(TransportError, match="Plug it in"):
+            transport.reopen()
+        backend.fault, backend.plugged = None, True
+        transport.reopen()
+
+
+def test_a_transport_that_has_a_file_needs_no_threads(pseudo_terminal: tuple[int, str]) -> None:
+    with SerialTransport(pseudo_terminal[1]) as transport:
+        assert selectable(transport) is transport
 
 
 def test_unplugged_usb_device_is_an_error_until_it_is_back() -> None:

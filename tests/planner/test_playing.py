@@ -53,6 +53,17 @@ def test_the_load_of_a_board_is_what_was_forecast(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_controller_that_fails_holds_no_other_up(tmp_path: Path) -> None:
+    plan = planned(tmp_path, texture=texture("wood", "left") + texture("ridges", "right"), controller=TWO, actuator=LRA)
+    left, right = plan.controllers
+    plan = replace(plan, controllers=(left, replace(right, address="serial:/dev/no-such-port")))
+    with pytest.raises(playing.PartlyPlayedError, match="right: cannot open") as failed:
+        playing.play(plan)
+    (played,) = failed.value.played
+    assert played.texture.name == "wood" and played.as_computed
+
+
+@pytest.mark.slow
 def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path) -> None:
     plan = planned(tmp_path, texture=texture("wood", "left") + texture("ridges", "right"), controller=TWO, actuator=LRA)
     played = playing.play(plan)
