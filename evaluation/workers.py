@@ -3,14 +3,12 @@
 import logging
 import multiprocessing
 import os
-import signal
+import pickle
 import socket
 import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from functools import partial
 from itertools import islice
 from typing import Any, TypeAlias, TypeVar
@@ -50,15 +48,31 @@ def cores() -> int:
 def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Outcomes[Key, Result]:
     """Yield the key of every piece with the result of its work, or the exception that ended it, as they are finished.
 
-    The work runs in so many processes, each on one core. Pieces are taken as they are needed.
+    The work runs in so many processes, each on one core. Pieces are taken as they are needed. No process is left
+    where the generator is closed.
     """
-    lost = yield from _in_a_pool(pieces, processes)
-    while lost:
-        # One of them has killed its process, and with it the pool. Which one is seen where each runs alone.
-        for piece in lost:
-            if (yield from _in_a_pool(iter([piece]), 1)):
-                yield piece[0], WorkerDiedError()
-        lost = yield from _in_a_pool(pieces, processes)
+    from pebble import ProcessExpired, ProcessPool
+
+    # A forked process would share the locks of threads that it does not have.
+    pool = ProcessPool(processes, initializer=_prepare_process, context=multiprocessing.get_context("spawn"))
+    try:
+        for piece, outcome in _outcomes(partial(pool.submit, _carried, None), pieces, lambda: 2 * processes):
+            yield piece[0], WorkerDiedError() if isinstance(outcome, ProcessExpired) else outcome
+    finally:
+        pool.stop()
+        pool.join()
+
+
+def _carried(work: Callable[[], Result]) -> Result:
+    """Return the result of work; raise its exception in a form that reaches the process that asked for it."""
+    try:
+        return work()
+    except Exception as error:
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:
+            raise RuntimeError(f"{type(error).__name__}: {error}") from None
+        raise
 
 
 def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Callable[[], str]) -> Outcomes[Key, Result]:
@@ -84,7 +98,7 @@ def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Call
     lost: list[Piece[Key, Result]] = []
     with client:
         executor = client.get_executor(pure=False)
-        for (piece, _), outcome in _outcomes(executor, same, lambda: 2 * _threads(client, address)):
+        for (piece, _), outcome in _outcomes(executor.submit, same, lambda: 2 * _threads(client, address)):
             if _is_of_another_version(outcome):
                 raise WorkersError(f"a Dask worker does not have this version of vibrocast: {outcome}")
             if _is_of_dask(outcome):
@@ -92,7 +106,7 @@ def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Call
             else:
                 yield piece[0], outcome
         # Some of these have killed their workers, others only waited there. Which, is seen where each runs alone.
-        for piece, outcome in _outcomes(executor, iter(lost), lambda: min(1, _threads(client, address))):
+        for piece, outcome in _outcomes(executor.submit, iter(lost), lambda: min(1, _threads(client, address))):
             yield piece[0], WorkerDiedError() if isinstance(outcome, distributed.KilledWorker) else outcome
 
 
@@ -130,46 +144,9 @@ def _threads(client: Any, address: str) -> int:
     return max(1, sum(threads.values()))
 
 
-def _in_a_pool(
-    pieces: Iterator[Piece[Key, Result]], processes: int
-) -> Generator[tuple[Key, Result | Exception], None, list[Piece[Key, Result]]]:
-    """Do as `on_cores` until a process dies; return the pieces then under way."""
-    lost: list[Piece[Key, Result]] = []
-
-    def until_one_is_lost() -> Iterator[Piece[Key, Result]]:
-        for piece in pieces:
-            yield piece
-            if lost:
-                return
-
-    with _pool(processes) as pool:
-        for piece, outcome in _outcomes(pool, until_one_is_lost(), lambda: 2 * processes):
-            if isinstance(outcome, BrokenProcessPool):
-                lost.append(piece)
-            else:
-                yield piece[0], outcome
-    return lost
-
-
-@contextmanager
-def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of processes, which are ended without delay where the block is left by an exception."""
-    others = set(multiprocessing.active_children())
-    # A forked process would share the locks of threads that it does not have.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, _prepare_process) as pool:
-        try:
-            yield pool
-        except BaseException:
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-            raise
-
-
 def _prepare_process() -> None:
-    """Keep a process to one core, leave Ctrl-C to the process that started it, and end with that."""
+    """Keep a process to one core, and end it with the process that started it."""
     os.environ.update(dict.fromkeys(_THREADS_OF_LIBRARIES, "1"))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -181,13 +158,15 @@ def _end_with_parent() -> None:
 
 
 def _outcomes(
-    executor: Executor, pieces: Iterator[Piece[Key, Result]], room: Callable[[], int]
+    submit: Callable[[Callable[[], Result]], Future[Result]],
+    pieces: Iterator[Piece[Key, Result]],
+    room: Callable[[], int],
 ) -> Iterator[tuple[Piece[Key, Result], Result | Exception]]:
     """Yield pieces with their outcomes; no more of them than `room` returns are under way at once."""
     running: dict[Future[Result], Piece[Key, Result]] = {}
     while True:
         for piece in islice(pieces, max(0, room() - len(running))):
-            running[_submitted(executor, piece[1])] = piece
+            running[submit(piece[1])] = piece
         if not running:
             return
         done, _ = wait(running, CHECK_S, FIRST_COMPLETED)
@@ -201,12 +180,3 @@ def _outcomes(
                 ) from error
             except Exception as error:
                 yield piece, error
-
-
-def _submitted(executor: Executor, work: Callable[[], Result]) -> Future[Result]:
-    try:
-        return executor.submit(work)
-    except BrokenProcessPool as error:
-        broken: Future[Result] = Future()
-        broken.set_exception(error)
-        return broken

@@ -159,5 +159,5 @@ def test_the_table_agrees_with_the_project() -> None:
             if own:
                 pending += groups[own]
             else:
-                brought.setdefault(name, set()).add(extra)
+                brought.setdefault({"pyelftools": "elftools"}.get(name, name), set()).add(extra)
     assert {module: set(named) for module, named in extras.EXTRAS.items()} == brought
