@@ -1,17 +1,49 @@
 """Actuators by name or from a TOML file."""
 
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 from vibrocast.files import InputFileError
 from vibrocast.output.actuator import ACTUATORS, Actuator
 from vibrocast.output.actuator_constants import constants
-from vibrocast.toml_tables import Table, read_toml
+from vibrocast.toml_tables import Table, Text, convert, located, one_of, read_toml, within
 
 
 class ActuatorFileError(InputFileError):
     """A file that describes no actuator; the message says what to correct."""
+
+
+class ActuatorTable(Table, frozen=True, kw_only=True):
+    """An entry of `[[actuators]]`: `model` with the numbers that differ from it, or all numbers; and where it is."""
+
+    model: Annotated[str, one_of(ACTUATORS)] | None = None
+    name: Text | None = None
+    stroke_um: Annotated[float, within(0.1, 20_000, "stroke from end to end in um")] | None = None
+    volts: Annotated[float, within(0.1, 2_000, "voltage range in V")] | None = None
+    corner_hz: Annotated[float, within(2, 5_000, "-3 dB frequency or resonance in Hz")] | None = None
+    quality: Annotated[float, within(0.1, 300, "Q of the resonance")] | None = None
+    slew_volts_per_second: Annotated[float, within(10, 1e9, "slew limit in V/s")] | None = None
+    volts_limit: Annotated[float, within(0.05, 2_000, "voltage limit from rest in V")] | None = None
+    power_limit: Annotated[float, within(1e-4, 1, "mean of the squared drive, full scale = 1")] | None = None
+    dac_bits: Annotated[int, within(8, 16, "bits of the DAC")] | None = None
+    dac_rate_hz: Annotated[int, within(100, 1_000_000, "rate of the DAC in Hz")] | None = None
+    maximum_boost: Annotated[float, within(1e-3, 1e3, "greatest gain of the compensation")] | None = None
+    controller: Text | None = None
+    channel: Annotated[int, within(1, 16, "channel of the controller")] | None = None
+
+    def actuator(self) -> Actuator:
+        """Return the actuator. Raises ValueError where a number is missing, or no controller can drive it."""
+        given = {key.name: value for key in fields(Actuator) if (value := getattr(self, key.name)) is not None}
+        values = {"quality": None, **(asdict(ACTUATORS[self.model]) if self.model else {}), **given}
+        if missing := [key.name for key in fields(Actuator) if key.default is MISSING and key.name not in values]:
+            raise ValueError(f"{missing[0]} is missing; give it, or a model that has it: {', '.join(ACTUATORS)}")
+        actuator = Actuator(**values)
+        try:
+            constants(actuator)
+        except (ValueError, OverflowError) as error:
+            raise ValueError(f"no controller can drive this actuator: {error}; correct its numbers") from error
+        return actuator
 
 
 def find(name_or_path: str | Path) -> Actuator:
@@ -27,38 +59,9 @@ def find(name_or_path: str | Path) -> Actuator:
         raise ActuatorFileError(
             f"{name_or_path}: no actuator of that name and no file; give one of {', '.join(ACTUATORS)}, or a TOML file"
         )
-    document = read_toml(path, "description of an actuator", ActuatorFileError)
-    entries = document.get("actuators", [document])
-    if not (isinstance(entries, list) and len(entries) == 1 and isinstance(entries[0], dict)):
-        raise ActuatorFileError(f"{path}: not one actuator; give a file with its keys, or with one table [[actuators]]")
-    # Where it is installed is no property of the actuator.
-    keys = {key: value for key, value in entries[0].items() if key not in ("controller", "channel")}
-    table = Table(path, "actuator", keys, ActuatorFileError)
-    found = of_table(table)
-    table.end()
-    return found
-
-
-def of_table(table: Table) -> Actuator:
-    """Take an actuator out of a table: `model`, or all of its numbers. Raises the table's error."""
-    model = table.word("model", ACTUATORS, None)
-    base = ACTUATORS[model] if model else None
-
-    def default(key: str) -> Any:
-        return getattr(base, key) if base else MISSING
-
-    required = ("stroke_um", "volts", "corner_hz", "slew_volts_per_second", "volts_limit", "power_limit")
-    given: dict[str, Any] = {key: table.number(key, default(key)) for key in required}
-    given["name"] = table.text("name", default("name"))
-    standard = {each.name: each.default for each in fields(Actuator)}
-    given["quality"] = table.number("quality", base.quality if base else None)
-    given["maximum_boost"] = table.number("maximum_boost", base.maximum_boost if base else standard["maximum_boost"])
-    given["dac_bits"] = table.whole("dac_bits", 8, 16, base.dac_bits if base else standard["dac_bits"])
-    rate_hz = base.dac_rate_hz if base else standard["dac_rate_hz"]
-    given["dac_rate_hz"] = table.whole("dac_rate_hz", 100, 1_000_000, rate_hz)
-    actuator = Actuator(**given)
-    try:
-        constants(actuator)
-    except (ValueError, OverflowError) as error:
-        raise table.reject(f"no controller can drive this actuator: {error}; correct its numbers") from error
-    return actuator
+    with located(path, ActuatorFileError):
+        document = read_toml(path, "description of an actuator")
+        entries = document.get("actuators", [document])
+        if not (isinstance(entries, list) and len(entries) == 1):
+            raise ValueError("not one actuator; give a file with its keys, or with one table [[actuators]]")
+        return convert(entries[0], ActuatorTable).actuator()

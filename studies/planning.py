@@ -151,7 +151,7 @@ def _loaded(trace: Trace, unit: str | None) -> Recording:
 
 def _scene(trace: Trace, recording: Recording, snr_db: float, delay_limit_ms: float | None, weights: Weights) -> Scene:
     """Return a scene of a piezo stack on a Cortex-M4F that asks for an SNR, and for a delay where one is given."""
-    controller = SceneController("controller", ADDRESS, CORE, CLOCK_HZ, None, None, 4, False)
+    controller = SceneController(name="controller", address=ADDRESS, core=CORE, clock_hz=CLOCK_HZ, channels=4)
     return Scene(
         path=trace.path,
         hand_speed_mm_s=(HAND_SPEED_MM_S, HAND_SPEED_MM_S),
@@ -159,7 +159,7 @@ def _scene(trace: Trace, recording: Recording, snr_db: float, delay_limit_ms: fl
         controllers=(controller,),
         actuators=(BenchActuator(PIEZO_STACK, "controller", None),),
         link=Link("simulated", None, 0.0),
-        asked=Asked(snr_db, None, None, False, True, None, delay_limit_ms),
+        asked=Asked(snr_db=snr_db, waveform=True, delay_limit_ms=delay_limit_ms),
         weights=weights,
         threshold_path=DETECTION_THRESHOLD,
     )

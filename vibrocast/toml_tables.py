@@ -1,149 +1,173 @@
-"""Reads the tables of a TOML file key by key, so that what is wrong is told with its file, table and key."""
+"""Reads TOML files into msgspec structs; an error is one line, with file, table, key, problem and action."""
 
 import math
+import re
 import tomllib
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import MISSING
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
-from vibrocast.files import InputFileError
+import msgspec
+from msgspec import Meta, inspect
 
 MAX_BYTES = 1 << 20
 _MAX_SHOWN = 80
 
+Given = TypeVar("Given")
+Kind = TypeVar("Kind")
+Text = Annotated[str, Meta(pattern=r"\A(?=.*\S)[^\x00-\x1f\x7f-\x9f\u2028\u2029]+\Z", description="a text in one line")]
 
-def read_toml(path: Path, kind: str, error: type[InputFileError]) -> dict[str, Any]:
-    """Return what a TOML file says; `kind`: what a person calls such a file.
 
-    Raises `error` for what is no such file, OSError where it cannot be read.
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A table of a TOML file; its `__post_init__` may check several keys together, and raises ValueError."""
+
+
+def one_of(words: Collection[str]) -> Meta:
+    """Return the constraint of a text that is one of some words."""
+    return Meta(pattern=rf"\A({'|'.join(map(re.escape, words))})\Z", description=f"one of {', '.join(words)}")
+
+
+def within(low: float, high: float, meaning: str = "") -> Meta:
+    """Return the constraint of a number in a range. `meaning`: of the number, with its unit, for errors."""
+    return Meta(ge=low, le=high, description=meaning or None)
+
+
+@contextmanager
+def located(place: object, error: type[ValueError]) -> Iterator[None]:
+    """Raise `error` in place of a ValueError of the block, `place` before its message."""
+    try:
+        yield
+    except ValueError as reason:
+        raise error(f"{place}: {reason}") from reason
+
+
+def read_toml(path: Path, name: str) -> dict[str, Any]:
+    """Return the content of a TOML file. `name`: of such a file, for errors.
+
+    Raises ValueError for any other file, OSError where it cannot be read.
     """
     if path.exists() and not path.is_file():
-        raise error(f"{path}: no file; give a {kind} in TOML")
+        raise ValueError(f"no file; give a {name} in TOML")
     if path.stat().st_size > MAX_BYTES:
-        raise error(f"{path}: longer than any {kind}; give another")
+        raise ValueError(f"longer than any {name}; give another file")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as reason:
-        raise error(f"{path}: not a TOML file: {reason}") from reason
+        raise ValueError(f"not a TOML file: {reason}") from reason
 
 
-class Table:
-    """A table of the file, whose values are taken out one by one; what is left at the end is a mistake.
+def convert(values: object, kind: type[Kind]) -> Kind:
+    """Return the content of a TOML file, or a part of it, as a struct. Raises ValueError, which names table and key."""
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as reason:
+        raise ValueError(_explained(str(reason), values, inspect.type_info(kind))) from reason
 
-    `where`: what the file calls it, such as "[[textures]] 1". `error`: what every method raises for a wrong value.
-    """
 
-    def __init__(self, path: Path, where: str, table: Mapping[str, Any], error: type[InputFileError]) -> None:
-        self.path = path
-        self._where = where
-        self._left = dict(table)
-        self._error = error
-        self._known: list[str] = []
+def read_each(kind: str, tables: Sequence[Given], read: Callable[[Given], Kind]) -> tuple[Kind, ...]:
+    """Return `read` of each table [[kind]]; a ValueError of it names the table."""
+    results = []
+    for number, table in enumerate(tables, 1):
+        with located(f"[[{kind}]] {number}", ValueError):
+            results.append(read(table))
+    return tuple(results)
 
-    def reject(self, what: str) -> InputFileError:
-        """Return the error that names the file and the table."""
-        return self._error(f"{self.path}: {self._where}: {what}")
 
-    def take(self, key: str, read: Callable[[Any], Any], expected: str, default: Any = MISSING) -> Any:
-        """Return a value as `read` makes it of what the file says; raise `error`, which says what is right."""
-        self._known.append(key)
-        if key not in self._left:
-            if default is MISSING:
-                raise self.reject(f"{key} is missing; it must be {expected}")
-            return default
-        value = self._left.pop(key)
-        try:
-            return read(value)
-        except (TypeError, ValueError) as reason:
-            raise self.reject(f"{key} must be {expected}, not {_shown(value)}") from reason
+def check_names(kind: str, names: Sequence[str]) -> None:
+    """Raise ValueError where two tables [[kind]] have the same name."""
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"two [[{kind}]] are named {twice[0]!r}; give each its own name")
 
-    def text(self, key: str, default: Any = MISSING) -> Any:
-        """Return a text that is not empty."""
-        return self.take(key, text, "a text in one line", default)
 
-    def number(self, key: str, default: Any = MISSING) -> Any:
-        """Return a positive number."""
-        return self.take(key, _positive, "a positive number", default)
+def _explained(reason: str, value: Any, node: inspect.Type) -> str:
+    """Return an error of msgspec, such as "Expected `int`, got `str` - at `$.a[0].b`", as a person can act on it."""
+    found = re.fullmatch(r"(.*) - at `\$(.*)`", reason, re.DOTALL)
+    problem, place = found.groups() if found else (reason, "")
+    steps = re.findall(r"\.(\w+)((?:\[\d+\])*)", place)
+    parents = steps[:-1] if problem.startswith(("Expected", "Number")) else steps
+    where = "".join(f"[[{name}]] {int(index[1:-1]) + 1}: " if index else f"[{name}]: " for name, index in parents)
+    fields = _fields(node)
+    for name, _ in parents:
+        fields = _fields(fields[name].type)
+    if parents != steps:
+        for part in re.findall(r"\w+", place):
+            value = value[int(part) if part.isdecimal() else part]
+        return where + _misfit(steps[-1][0], fields[steps[-1][0]].type, value)
+    if named := re.fullmatch(r"Object contains unknown field `(.*)`", problem, re.DOTALL):
+        near = get_close_matches(named[1], fields, 1)
+        meant = f"did you mean {near[0]}?" if near else f"choose from {', '.join(fields)}"
+        return f"{where}there is no key {_shown(named[1])[1:-1]}; {meant}"
+    if named := re.fullmatch(r"Object missing required field `(.*)`", problem):
+        return f"{where}{named[1]} is missing; it must be {_expected(named[1], fields[named[1]].type)}"
+    return where + problem
 
-    def within(self, key: str, low: float, high: float, meaning: str, default: Any = MISSING) -> Any:
-        """Return a number from `low` to `high`. `meaning`: what it is, so that a slip of units is seen at once."""
-        value = self.take(key, number, f"{meaning}, a number from {low:g} to {high:g}", default)
-        if value is not None and value is not default:
-            self.check(key, value, low, high, meaning)
-        return value
 
-    def check_given(self, key: str, low: float, high: float, meaning: str) -> None:
-        """Check a number that is still to be taken; what is none is left to whatever takes it."""
-        value = self._left.get(key)
-        if isinstance(value, (int, float)):
-            self.check(key, value, low, high, meaning)
+def _misfit(key: str, node: inspect.Type, value: Any) -> str:
+    """Return the error of a value that its type rejects; where another prefix of the unit would be right, say so."""
+    number = next((part for part in _parts(node) if isinstance(part, inspect.IntType | inspect.FloatType)), None)
+    if number is None or number.ge is None or number.le is None or not _is_number(value):
+        return f"{key} must be {_expected(key, node)}, not {_shown(value)}"
+    low, high = number.ge, number.le
+    meant = next((value * factor for factor in (1e3, 1e-3, 1e6, 1e-6) if low <= value * factor <= high), None)
+    slip = "" if meant is None else f"; are the units mixed up? {meant:.9g} would be possible"
+    return f"{key} = {value:.9g} is out of range: {', '.join([*_meanings(node)[-1:], _range(number)])}{slip}"
 
-    def check(self, key: str, value: float, low: float, high: float, meaning: str) -> None:
-        """Raise `error` for a value outside a range; where another prefix of the unit would bring it in, say so."""
-        if low <= value <= high:
-            return
-        meant = next((value * factor for factor in (1e3, 1e-3, 1e6, 1e-6) if low <= value * factor <= high), None)
-        slip = "" if meant is None else f"; are the units mixed up? {meant:.9g} would be possible"
-        raise self.reject(f"{key} = {value:.9g} is out of range: {meaning}, from {low:g} to {high:g}{slip}")
 
-    def whole(self, key: str, low: int, high: int, default: Any = MISSING) -> Any:
-        """Return a whole number in a range."""
-        return self.take(key, lambda value: _whole(value, low, high), f"a whole number from {low} to {high}", default)
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf
 
-    def switch(self, key: str, default: Any = MISSING) -> Any:
-        """Return true or false."""
-        return self.take(key, _switch, "true or false", default)
 
-    def word(self, key: str, words: Collection[str], default: Any = MISSING) -> Any:
-        """Return one of some words."""
-        return self.take(key, lambda value: _one_of(value, words), f"one of {', '.join(words)}", default)
+def _expected(key: str, node: inspect.Type) -> str:
+    """Return the values of a key in words."""
+    kinds = [part for part in _parts(node) if not isinstance(part, inspect.Metadata | inspect.NoneType)]
+    kinds = [part for part in kinds if not isinstance(part, inspect.UnionType)]
+    if isinstance(kinds[-1], inspect.StructType):
+        return f"a table: begin it with [{key}]" if len(kinds) == 1 else f"tables: begin each with [[{key}]]"
+    meanings = _meanings(node)[:1]
+    if len(kinds) == 1 and isinstance(kinds[0], inspect.IntType | inspect.FloatType):
+        return ", ".join([*meanings, _range(kinds[0])])
+    names = {inspect.BoolType: "true or false", inspect.StrType: "a text", inspect.DictType: "a table"}
+    return "".join(meanings) or names.get(type(kinds[0]), "a list")
 
-    def end(self) -> None:
-        """Raise `error` for a key that was not taken."""
-        for key in self._left:
-            raise self.reject(f"there is no key {key}; choose from {', '.join(self._known)}")
+
+def _meanings(node: inspect.Type) -> list[str]:
+    """Return the descriptions of a type and of its parts, the outermost first."""
+    notes = [part.extra_json_schema or {} for part in _parts(node) if isinstance(part, inspect.Metadata)]
+    return [note["description"] for note in notes if "description" in note]
+
+
+def _range(number: inspect.IntType | inspect.FloatType) -> str:
+    kind = "a whole number" if isinstance(number, inspect.IntType) else "a number"
+    limits = {"above": number.gt, "from": number.ge, "to": number.le}
+    return " ".join([kind, *(f"{word} {limit:g}" for word, limit in limits.items() if limit is not None)])
+
+
+def _fields(node: inspect.Type) -> dict[str, inspect.Field]:
+    """Return the keys of the table that a type stands for."""
+    return {
+        field.encode_name: field
+        for part in _parts(node)
+        if isinstance(part, inspect.StructType)
+        for field in part.fields
+    }
+
+
+def _parts(node: inspect.Type) -> Iterator[inspect.Type]:
+    """Yield a type and the types that it is made of, down to tables."""
+    yield node
+    if isinstance(node, inspect.UnionType):
+        inner = node.types
+    elif isinstance(node, inspect.VarTupleType):
+        inner = (node.item_type,)
+    else:
+        inner = (node.type,) if isinstance(node, inspect.Metadata) else ()
+    for part in inner:
+        yield from _parts(part)
 
 
 def _shown(value: Any) -> str:
-    """Return what a file says in a form short enough for an error."""
+    """Return a value in a form short enough for an error."""
     shown = repr(value)
     return shown if len(shown) <= _MAX_SHOWN else f"{shown[:_MAX_SHOWN]}..."
-
-
-def text(value: Any) -> str:
-    """Return a text that is not empty, without control characters. Raises TypeError."""
-    if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise TypeError(value)
-    return value
-
-
-def number(value: Any) -> float:
-    """Return a finite number. Raises ValueError."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
-        raise ValueError(value)
-    return float(value)
-
-
-def _positive(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-        raise ValueError(value)
-    return float(value)
-
-
-def _whole(value: Any, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(value)
-    return value
-
-
-def _switch(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(value)
-    return value
-
-
-def _one_of(value: Any, words: Collection[str]) -> str:
-    if not isinstance(value, str) or value not in words:
-        raise ValueError(value)
-    return value

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
+from msgspec import structs
 
 from vibrocast import models, progress
 from vibrocast.files import atomic_write
@@ -42,7 +43,7 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
             "for each, in the plan's order, or write the addresses there."
         )
     pairs = zip(plan.controllers, addresses, strict=True)
-    return replace(plan, controllers=tuple(replace(each, address=address) for each, address in pairs))
+    return replace(plan, controllers=tuple(structs.replace(each, address=address) for each, address in pairs))
 
 
 def play(

@@ -3,11 +3,13 @@
 import contextlib
 import json
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import MISSING, asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta, structs
 
 from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
@@ -15,14 +17,18 @@ from vibrocast.files import InputFileError
 from vibrocast.host import devices
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import actuator_model
-from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
+from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Recording
-from vibrocast.toml_tables import Table, read_toml, text
+from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
 
 SENSOR_KINDS = ("accelerometer", "laser")
 SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
+RateHz = Annotated[float, within(20, 1e7, "sample rate in Hz")]
+Unit = Annotated[str, one_of(textures.INPUT_UNITS)]
+Axis = Annotated[str, one_of(textures.AXES)]
+Reduction = Annotated[str, one_of(textures.REDUCTIONS)]
 DEFAULT_TEXTURE = "wood"
 
 
@@ -30,12 +36,22 @@ class BenchFileError(InputFileError):
     """A bench file that is wrong; the message names file, table and key, and says what to do."""
 
 
-@dataclass(frozen=True)
-class BenchController:
+_ADDRESS = rf"\A({'|'.join(map(re.escape, devices.SIMULATED))}|{devices.ADDRESS.pattern})\Z"
+_ADDRESSES = f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID"
+Address = Annotated[str, Meta(pattern=_ADDRESS, description=f"an address: {_ADDRESSES}")]
+
+
+FileNames = Annotated[
+    str | Annotated[tuple[str, ...], Meta(min_length=1)],
+    Meta(description="a file, a folder, or a list of files that are played together"),
+]
+
+
+class BenchController(Table, frozen=True):
     """A controller of the bench. `address`: as `host.devices.connect` takes it."""
 
-    name: str
-    address: str
+    name: Text
+    address: Address
 
 
 @dataclass(frozen=True)
@@ -47,26 +63,73 @@ class BenchActuator:
     channel: int | None
 
 
-@dataclass(frozen=True)
-class Sensor:
+class Sensor(Table, frozen=True, kw_only=True):
     """A sensor on an actuator, read by a program that records into a file.
 
-    `command`: program and arguments, with {file} and {seconds} to be filled in. `suffix`: of the file's name, one of
-    SUFFIXES. `rate_hz`, `unit` (one of textures.INPUT_UNITS), `axis`, `reduce`: as `textures.load` takes them.
+    `controller`: name; in a file, None = the only one. `command`: program and arguments, with {file} and {seconds} to
+    be filled in. `suffix`: of the file's name. `rate_hz`, `unit`, `axis`, `reduce`: as `textures.load` takes them.
     `sensitivity`: what one `unit` makes in the file's numbers, where full scale of a WAV file or of integers is 1.
     """
 
-    name: str
-    kind: str
-    controller: str
-    channel: int
-    command: tuple[str, ...]
-    suffix: str
-    rate_hz: float | None
-    unit: str | None
-    sensitivity: float | None
-    axis: str | None
-    reduce: str | None = None
+    name: Text
+    kind: Annotated[str, one_of(SENSOR_KINDS)]
+    controller: str | None = None
+    channel: Annotated[int, within(1, 16, "channel of the controller")] = 1
+    command: Annotated[tuple[str, ...], Meta(min_length=1, description="a list of a program and its arguments")]
+    suffix: Annotated[str, one_of(SUFFIXES)] = ".wav"
+    rate_hz: RateHz | None = None
+    unit: Unit | None = None
+    sensitivity: Annotated[float, Meta(gt=0, description="sensitivity per unit")] | None = None
+    axis: Axis | None = None
+    reduce: Reduction | None = None
+
+    def __post_init__(self) -> None:
+        named = {found for part in self.command for found in re.findall(r"\{(\w*)\}", part)}
+        if "file" not in named or named - set(SENSOR_PLACEHOLDERS) or not all(map(str.isprintable, self.command)):
+            raise ValueError("command must be a list of a program and its arguments, {file} among them, or {seconds}")
+        if self.sensitivity is not None and self.unit is None:
+            raise ValueError("sensitivity needs its unit: add unit, such as 'm/s^2'")
+
+
+class TextureTable(Table, frozen=True, kw_only=True):
+    """An entry of [[textures]]: a file, with what it does not state, or a generator with its parameters."""
+
+    file: FileNames | None = None
+    generate: Annotated[str, one_of(sorted(textures.GENERATORS))] | None = None
+    rate_hz: RateHz | None = None
+    full_scale: Annotated[float, within(1e-9, 1e9, "value of 1.0 in the file, in its unit")] | None = None
+    unit: Unit | None = None
+    axis: Axis | None = None
+    reduce: Reduction | None = None
+    key: Text | None = None
+    seconds: Annotated[float, within(0.05, 600, "duration in s")] | None = None
+    seed: Annotated[int, within(0, 2**32 - 1)] | None = None
+
+    def options(self) -> dict[str, Any]:
+        """Return the arguments of the generator, or of `textures.load`. Raises ValueError for keys of the other."""
+        if (self.file is None) == (self.generate is None):
+            raise ValueError("give either file or generate")
+        given = {key: getattr(self, key) for key in TextureTable.__struct_fields__[2:]}
+        given = {key: value for key, value in given.items() if value is not None}
+        allowed = ("rate_hz", "seconds", "seed") if self.generate else _KEYS_OF_FILES
+        if wrong := [key for key in given if key not in allowed]:
+            raise ValueError(f"{wrong[0]} does not go with {'generate' if self.generate else 'file'}; leave one out")
+        return given
+
+
+_KEYS_OF_FILES = ("rate_hz", "full_scale", "unit", "axis", "reduce", "key")
+
+
+class _BenchTexture(TextureTable, frozen=True, kw_only=True):
+    file: Text | None = None
+    hand_speed_mm_s: Annotated[float, within(1e-3, 1e4, "speed of the hand in mm/s")] | None = None
+
+
+class _BenchFile(Table, frozen=True, kw_only=True):
+    controllers: Annotated[tuple[BenchController, ...], Meta(min_length=1)]
+    actuators: tuple[ActuatorTable, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    textures: tuple[_BenchTexture, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,41 +160,51 @@ class Bench:
 
 def read_bench(path: Path) -> Bench:
     """Read a bench file. Raises BenchFileError, and OSError where it cannot be read."""
-    document = read_toml(path, "bench file", BenchFileError)
-    names: list[str] = []
-    readers = {
-        "controllers": _controller,
-        "actuators": lambda table: read_actuator(table, names),
-        "sensors": lambda table: _sensor(table, names),
-        "textures": _texture,
-    }
-    if unknown := sorted(set(document) - set(readers)):
-        raise BenchFileError(f"{path}: there is no {unknown[0]}; choose from {', '.join(readers)}")
-    read: dict[str, list[Any]] = {}
-    for kind, reader in readers.items():
-        tables = document.get(kind, [])
-        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-            raise BenchFileError(f"{path}: {kind} must be tables: begin each with [[{kind}]]")
-        read[kind] = [
-            reader(Table(path, f"[[{kind}]] {number}", table, BenchFileError)) for number, table in enumerate(tables, 1)
-        ]
-        names = names or [entry.name for entry in read["controllers"]]
-    if not names:
-        raise BenchFileError(f"{path}: names no controller; add [[controllers]] with a name and an address")
-    for kind in ("controllers", "sensors"):
-        names = [entry.name for entry in read[kind]]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise BenchFileError(f"{path}: two [[{kind}]] are named {twice[0]!r}; give each its own name")
-    for kind in ("actuators", "sensors"):
-        places: set[tuple[str, int | None]] = set()
-        for number, entry in enumerate(read[kind], 1):
-            place = (entry.controller, entry.channel)
-            if place in places:
-                raise BenchFileError(
-                    f"{path}: [[{kind}]] {number}: there is another one on that channel; leave one out"
-                )
-            places.add(place)
-    return Bench(**{kind: tuple(entries) for kind, entries in read.items()})
+    with located(path, BenchFileError):
+        file = convert(read_toml(path, "bench file"), _BenchFile)
+        names = [each.name for each in file.controllers]
+        check_names("controllers", names)
+        check_names("sensors", [each.name for each in file.sensors])
+        sensors = read_each(
+            "sensors", file.sensors, lambda each: structs.replace(each, controller=one_named(each.controller, names))
+        )
+        check_places("sensors", sensors)
+        loaders = read_each("textures", file.textures, partial(_loader, path.parent))
+        located_loaders = (
+            partial(_loaded, f"{path}: [[textures]] {number}", load) for number, load in enumerate(loaders, 1)
+        )
+        return Bench(file.controllers, read_actuators(file.actuators, names), sensors, tuple(located_loaders))
+
+
+def one_named(controller: str | None, names: list[str]) -> str:
+    """Return the name of a controller; None stands for the only one. Raises ValueError for any other."""
+    if controller is None and len(names) == 1:
+        return names[0]
+    if controller not in names:
+        words = f"must be one of {', '.join(names)}"
+        raise ValueError(
+            f"controller {words}, not {controller!r}" if controller else f"controller is missing; it {words}"
+        )
+    return controller
+
+
+def read_actuators(tables: Sequence[ActuatorTable], names: list[str]) -> tuple[BenchActuator, ...]:
+    """Return the actuators behind controllers of these names. Raises ValueError."""
+    actuators = read_each(
+        "actuators",
+        tables,
+        lambda each: BenchActuator(each.actuator(), one_named(each.controller, names), each.channel),
+    )
+    check_places("actuators", actuators)
+    return actuators
+
+
+def check_places(kind: str, entries: Sequence[BenchActuator | Sensor]) -> None:
+    """Raise ValueError for two entries on one channel."""
+    places = [(entry.controller, entry.channel) for entry in entries]
+    for number, place in enumerate(places):
+        if place in places[:number]:
+            raise ValueError(f"[[{kind}]] {number + 1}: there is another one on that channel; leave one out")
 
 
 def chosen(bench: Bench | None, device: str | None) -> Bench:
@@ -148,7 +221,8 @@ def chosen(bench: Bench | None, device: str | None) -> Bench:
     for each in bench.controllers:
         if device in (each.name, each.address):
             return replace(bench, controllers=(each, *(other for other in bench.controllers if other is not each)))
-    _check_address(device)
+    if not re.search(_ADDRESS, device):
+        raise BenchFileError(f"{device!r} is no controller: give a name in the bench file, or {_ADDRESSES}")
     return replace(bench, controllers=(BenchController(bench.first.name, device), *bench.controllers[1:]))
 
 
@@ -178,105 +252,22 @@ def driven_actuator(bench: Bench, controller: BenchController, description: Actu
     return actuator_model(description)
 
 
-def _check_address(address: str) -> str:
-    if address not in devices.SIMULATED and not devices.ADDRESS.fullmatch(address):
-        raise BenchFileError(
-            f"{address!r} is no controller: give a name in the bench file, {', '.join(devices.SIMULATED)}, "
-            "serial:PORT or usb:VID:PID"
-        )
-    return address
+def _loader(folder: Path, table: _BenchTexture) -> Callable[[], Recording]:
+    """Return the function that loads or generates a texture. Raises ValueError for a wrong table."""
+    options = table.options()
+    if table.hand_speed_mm_s is not None:
+        options["hand_speed_mm_s"] = table.hand_speed_mm_s
+    if table.generate is not None:
+        return partial(textures.GENERATORS[table.generate], **options)
+    file = folder / str(table.file)
+    if not file.exists():
+        raise ValueError(f"file {file} does not exist")
+    return partial(textures.load_for_actuators, file, **options)
 
 
-def _controller(table: Table) -> BenchController:
-    entry = BenchController(table.text("name"), table.take("address", read_address, "an address such as 'sim'"))
-    table.end()
-    return entry
-
-
-def _controller_of(table: Table, controllers: list[str]) -> str:
-    """Return the name of a controller; that of the only one if not given."""
-    return str(table.word("controller", controllers, controllers[0] if len(controllers) == 1 else MISSING))
-
-
-def read_actuator(table: Table, controllers: list[str]) -> BenchActuator:
-    """Return an actuator behind one of the controllers of these names, as its table says: see docs/harness.md."""
-    model = actuator_files.of_table(table)
-    entry = BenchActuator(model, _controller_of(table, controllers), table.whole("channel", 1, 16, None))
-    table.end()
-    return entry
-
-
-def _sensor(table: Table, controllers: list[str]) -> Sensor:
-    entry = Sensor(
-        name=table.text("name"),
-        kind=table.word("kind", SENSOR_KINDS),
-        controller=_controller_of(table, controllers),
-        channel=table.whole("channel", 1, 16, 1),
-        command=table.take("command", _command, "a list of a program and its arguments, {file} among them"),
-        suffix=table.word("suffix", SUFFIXES, ".wav"),
-        rate_hz=table.number("rate_hz", None),
-        unit=table.word("unit", textures.INPUT_UNITS, None),
-        sensitivity=table.number("sensitivity", None),
-        axis=table.word("axis", textures.AXES, None),
-        reduce=table.word("reduce", textures.REDUCTIONS, None),
-    )
-    if entry.sensitivity is not None and entry.unit is None:
-        raise table.reject("sensitivity needs its unit: add unit, such as 'm/s^2'")
-    table.end()
-    return entry
-
-
-def _texture(table: Table) -> Callable[[], Recording]:
-    """Return what loads or makes a texture: that, and a wrong table, raises BenchFileError."""
-    file = table.text("file", None)
-    if file is None:
-        make = textures.GENERATORS[table.word("generate", sorted(textures.GENERATORS))]
-        options = {
-            "seconds": table.number("seconds", None),
-            "hand_speed_mm_s": table.number("hand_speed_mm_s", None),
-            "seed": table.whole("seed", 0, 2**32 - 1, None),
-        }
-        table.end()
-        return lambda: _loaded(
-            table, partial(make, **{key: value for key, value in options.items() if value is not None})
-        )
-    path = table.path.parent / file
-    if not path.exists():
-        raise table.reject(f"file {path} does not exist")
-    options = {
-        "rate_hz": table.number("rate_hz", None),
-        "unit": table.word("unit", textures.INPUT_UNITS, None),
-        "full_scale": table.number("full_scale", None),
-        "axis": table.word("axis", textures.AXES, None),
-        "reduce": table.word("reduce", textures.REDUCTIONS, None),
-        "key": table.text("key", None),
-        "hand_speed_mm_s": table.number("hand_speed_mm_s", None),
-    }
-    table.end()
-    return lambda: _loaded(table, partial(textures.load_for_actuators, path, **options))
-
-
-def _loaded(table: Table, load: Callable[[], Recording]) -> Recording:
-    try:
+def _loaded(place: object, load: Callable[[], Recording]) -> Recording:
+    with located(place, BenchFileError):
         return load()
-    except textures.TextureError as error:
-        raise table.reject(str(error)) from error
-
-
-def read_address(value: Any) -> str:
-    """Return an address as `host.devices.connect` takes it. Raises TypeError or BenchFileError."""
-    return _check_address(text(value))
-
-
-def _command(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or not value or not all(isinstance(part, str) and part for part in value):
-        raise TypeError(value)
-    if "\0" in "".join(value):
-        raise ValueError(value)
-    named = {found for part in value for found in re.findall(r"\{(\w*)\}", part)}
-    if "file" not in named or named - set(SENSOR_PLACEHOLDERS):
-        raise ValueError(value)
-    return tuple(value)
 
 
 def actuator_toml(actuator: Actuator, controller: str) -> str:

@@ -3,12 +3,13 @@
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, field, structs
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import Framing, Setting
@@ -23,13 +24,15 @@ from vibrocast.host.harness.bench_file import (
     Bench,
     BenchActuator,
     BenchController,
+    TextureTable,
     actuator_toml,
-    read_actuator,
-    read_address,
+    one_named,
+    read_actuators,
 )
-from vibrocast.host.planner.scene import Source, read_options
+from vibrocast.host.planner.scene import Source
+from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Profile, Recording
-from vibrocast.toml_tables import Table, number, read_toml
+from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
 
 FORMAT = 1
 MAX_RATE = 10_000_000
@@ -44,8 +47,10 @@ class PlanError(InputFileError):
     """A plan file that is wrong, or does not fit what is there; the message says what to do."""
 
 
-@dataclass(frozen=True)
-class Forecast:
+Figure = Annotated[float, within(-1e300, 1e300)]
+
+
+class Forecast(Table, frozen=True, kw_only=True):
     """What a plan says of a texture; measured when it was planned, on the texture itself, unless told otherwise.
 
     `payload_bps`, `wire_bps`: packets alone, and in their frames. `instructions_per_second`, `load_percent`,
@@ -56,21 +61,20 @@ class Forecast:
     skin, packet, codec, buffer, link and compensation together.
     """
 
-    payload_bps: float
-    wire_bps: float
-    instructions_per_second: float | None
-    load_percent: float | None
-    flash_bytes: int | None
-    ram_bytes: int | None
-    snr_db: float | None
-    spqi: float | None
-    third_octave_distance_db: float | None
-    error_over_threshold_db: float | None
-    delay_ms: float
+    payload_bps: Figure
+    wire_bps: Figure
+    instructions_per_second: Figure | None = None
+    load_percent: Figure | None = None
+    flash_bytes: int | None = None
+    ram_bytes: int | None = None
+    snr_db: Figure | None = None
+    spqi: Figure | None = None
+    third_octave_distance_db: Figure | None = None
+    error_over_threshold_db: Figure | None = None
+    delay_ms: Figure
 
 
-@dataclass(frozen=True)
-class PlannedTexture:
+class PlannedTexture(Table, frozen=True, kw_only=True):
     """How one texture is coded and sent.
 
     `hand_speed_mm_s`: under which a height profile is swept; of a profile over position, the greatest.
@@ -82,25 +86,34 @@ class PlannedTexture:
     None = of no matter.
     """
 
-    name: str
+    name: Text
     source: Source
     controller: str
-    hand_speed_mm_s: float
+    hand_speed_mm_s: Annotated[float, within(0, 1e6, "speed of the hand in mm/s")]
     over_position: bool
     codec: str
-    model: str | None
-    setting: Setting
-    rate: int
-    lowest: float
-    highest: float
-    packet_samples: int
-    refresh_packets: int
-    rate_mode: str
-    buffer_ms: float
+    model: Text | None = None
+    setting: Mapping[str, Any] = field(default_factory=dict)
+    rate: Annotated[int, within(1, MAX_RATE, "rate of the stream")]
+    lowest: Annotated[float, within(0, MAX_RATE, "lowest frequency worth coding")]
+    highest: Annotated[float, within(0, MAX_RATE, "highest frequency worth coding")]
+    packet_samples: Annotated[int, within(1, 1 << 20, "samples of a packet")]
+    refresh_packets: Annotated[int, within(0, 1 << 20, "packets between two refreshes")]
+    rate_mode: Annotated[str, one_of(RATE_MODES)]
+    buffer_ms: Annotated[float, within(0, MAX_BUFFER_MS, "margin of packets in ms")]
     forecast: Forecast
-    sha256: str | None = None
-    capped_rate_bps: float | None = None
-    packet_snr_db: float | None = None
+    sha256: Text | None = None
+    capped_rate_bps: Annotated[float, within(1, 1e9, "bits per second on the wire")] | None = None
+    packet_snr_db: Annotated[float, within(0, 120, "SNR of a packet in dB")] | None = None
+
+    def __post_init__(self) -> None:
+        if self.lowest >= self.rate / 2:
+            raise ValueError(f"lowest = {self.lowest:g} must be below half of rate = {self.rate}")
+        capped = self.rate_mode == CAPPED_MODE
+        if {self.capped_rate_bps is not None, self.packet_snr_db is not None} != {capped}:
+            raise ValueError(f"capped_rate_bps and packet_snr_db are of rate_mode = {CAPPED_MODE!r}, which needs both")
+        if capped and self.over_position:
+            raise ValueError(f"a profile over position has no rate to cap: rate_mode = {SETTING_MODE!r}")
 
     @property
     def target(self) -> RateTarget | None:
@@ -136,13 +149,10 @@ class PlannedTexture:
         return encode(prepared_recording, self.codec, self.setting, model, framing, self.over_position, self.target)
 
 
-@dataclass(frozen=True)
-class PlannedController:
+class PlannedController(BenchController, frozen=True):
     """A controller of the plan, by the name that its textures and actuators give; the rest as in the scene."""
 
-    name: str
-    address: str
-    clock_hz: float | None = None
+    clock_hz: Annotated[float, within(1e6, 5e9, "clock of the processor in Hz")] | None = None
 
 
 @dataclass(frozen=True)
@@ -235,7 +245,7 @@ def write_plan(path: Path, plan: Plan) -> None:
         _lines({"format": FORMAT, "scene": from_folder(plan.scene), "threshold": threshold}),
     ]
     for controller in plan.controllers:
-        parts.append("[[controllers]]\n" + _lines(asdict(controller)))
+        parts.append("[[controllers]]\n" + _lines(structs.asdict(controller)))
     for actuator in plan.actuators:
         channel = "" if actuator.channel is None else f"channel = {actuator.channel}\n"
         parts.append(actuator_toml(actuator.model, actuator.controller) + channel)
@@ -245,14 +255,14 @@ def write_plan(path: Path, plan: Plan) -> None:
             "name": texture.name,
             "file": [from_folder(file) for file in source.files] or None,
             "generate": source.kind,
-            **{f.name: getattr(texture, f.name) for f in fields(texture) if f.name not in _TABLES},
+            **{key: getattr(texture, key) for key in texture.__struct_fields__ if key not in _TABLES},
         }
         parts.append("[[textures]]\n" + _lines(values))
         for key, table in (("options", source.options), ("setting", texture.setting)):
             parts.append(f"[textures.{key}]\n" + _lines(table))
         forecast = {
             name: float(f"{value:.6g}") if isinstance(value, float) else value
-            for name, value in asdict(texture.forecast).items()
+            for name, value in structs.asdict(texture.forecast).items()
         }
         parts.append("[textures.forecast]\n" + _lines(forecast))
     with atomic_write(path) as partial:
@@ -268,97 +278,49 @@ def _lines(values: Mapping[str, Any]) -> str:
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items() if value is not None)
 
 
+class _PlanFile(Table, frozen=True, kw_only=True):
+    format: Annotated[int, within(FORMAT, FORMAT, "version of the format")]
+    scene: Text
+    threshold: Text | None = None
+    controllers: Annotated[tuple[PlannedController, ...], Meta(min_length=1)]
+    actuators: Annotated[tuple[ActuatorTable, ...], Meta(min_length=1)]
+    textures: Annotated[tuple[dict[str, Any], ...], Meta(min_length=1, description="tables [[textures]]")]
+
+
 def read_plan(path: Path) -> Plan:
     """Read a plan file. Raises PlanError, and OSError where it cannot be read."""
-    document = read_toml(path, "plan", PlanError)
-    lists = {key: document.pop(key, None) for key in ("controllers", "actuators", "textures")}
-    tables: dict[str, list[Table]] = {}
-    for kind, given in lists.items():
-        if not isinstance(given, list) or not given or not all(isinstance(table, dict) for table in given):
-            raise PlanError(f"{path}: a plan has tables [[{kind}]]; make it with `vibrocast plan`")
-        tables[kind] = [Table(path, f"[[{kind}]] {place}", table, PlanError) for place, table in enumerate(given, 1)]
-    head = Table(path, "the plan", document, PlanError)
-    head.whole("format", FORMAT, FORMAT)
-    scene = path.parent / head.text("scene")
-    threshold = head.text("threshold", None)
-    threshold_path = DETECTION_THRESHOLD if threshold is None else path.parent / threshold
-    head.end()
-    controllers = tuple(_controller(table) for table in tables["controllers"])
-    names = [controller.name for controller in controllers]
-    actuators = tuple(read_actuator(table, names) for table in tables["actuators"])
-    planned = tuple(_texture(table, names) for table in tables["textures"])
-    for kind, given_names in (("controllers", names), ("textures", [texture.name for texture in planned])):
-        if twice := sorted({name for name in given_names if given_names.count(name) > 1}):
-            raise PlanError(f"{path}: two [[{kind}]] are named {twice[0]!r}; give each its own name")
-    return Plan(scene, controllers, actuators, planned, threshold_path)
+    folder = path.parent
+    with located(path, PlanError):
+        file = convert(read_toml(path, "plan"), _PlanFile)
+        names = [controller.name for controller in file.controllers]
+        check_names("controllers", names)
+        planned = read_each("textures", file.textures, partial(_texture, folder, names))
+        check_names("textures", [texture.name for texture in planned])
+        return Plan(
+            folder / file.scene,
+            file.controllers,
+            read_actuators(file.actuators, names),
+            planned,
+            DETECTION_THRESHOLD if file.threshold is None else folder / file.threshold,
+        )
 
 
-def _controller(table: Table) -> PlannedController:
-    controller = PlannedController(
-        table.text("name"),
-        table.take("address", read_address, "an address such as 'sim'"),
-        table.number("clock_hz", None),
-    )
-    table.end()
-    return controller
+class _Source(Table, frozen=True):
+    file: tuple[str, ...] | None = None
+    generate: Annotated[str, one_of(sorted(textures.GENERATORS))] | None = None
+    options: dict[str, Any] = field(default_factory=dict)
 
 
-def _texture(table: Table, controllers: list[str]) -> PlannedTexture:
-    name = table.text("name")
-    files = table.take("file", _paths, "a list of files", ())
-    kind = table.word("generate", sorted(textures.GENERATORS), None)
-    if (not files) == (kind is None):
-        raise table.reject("give either file or generate")
-    options = table.take("options", dict, "a table of what the file or generator does not say", {})
-    codec_name = table.word("codec", sorted(codec.CODECS))
-    read = PlannedTexture(
-        name=name,
-        source=Source(
-            tuple(table.path.parent / file for file in files),
-            kind,
-            read_options(Table(table.path, f"options of {name}", options, PlanError), generated=not files),
-        ),
-        controller=table.word("controller", controllers),
-        hand_speed_mm_s=table.within("hand_speed_mm_s", 0, 1e6, "speed of the hand in mm/s"),
-        over_position=table.switch("over_position"),
-        codec=codec_name,
-        model=table.text("model", None),
-        setting=table.take("setting", partial(_setting, codec_name), f"a setting of {codec_name}", {}),
-        rate=table.whole("rate", 1, MAX_RATE),
-        lowest=table.within("lowest", 0, MAX_RATE, "lowest frequency worth coding"),
-        highest=table.within("highest", 0, MAX_RATE, "highest frequency worth coding"),
-        packet_samples=table.whole("packet_samples", 1, 1 << 20),
-        refresh_packets=table.whole("refresh_packets", 0, 1 << 20),
-        rate_mode=table.word("rate_mode", RATE_MODES),
-        buffer_ms=table.within("buffer_ms", 0, MAX_BUFFER_MS, "margin of packets in ms"),
-        forecast=table.take("forecast", _forecast, "the table that `vibrocast plan` wrote"),
-        sha256=table.text("sha256", None),
-        capped_rate_bps=table.within("capped_rate_bps", 1, 1e9, "bits per second on the wire", None),
-        packet_snr_db=table.within("packet_snr_db", 0, 120, "SNR of a packet in dB", None),
-    )
-    table.end()
-    if read.lowest >= read.rate / 2:
-        raise table.reject(f"lowest = {read.lowest:g} must be below half of rate = {read.rate}")
-    capped = read.rate_mode == CAPPED_MODE
-    if {read.capped_rate_bps is not None, read.packet_snr_db is not None} != {capped}:
-        raise table.reject(f"capped_rate_bps and packet_snr_db are of rate_mode = {CAPPED_MODE!r}, which needs both")
-    if capped and read.over_position:
-        raise table.reject(f"a profile over position has no rate to cap: rate_mode = {SETTING_MODE!r}")
-    return read
-
-
-def _forecast(value: Any) -> Forecast:
-    for each in value.values():
-        number(each)
-    return Forecast(**{**dict.fromkeys(field.name for field in fields(Forecast)), **value})
-
-
-def _setting(codec_name: str, value: Any) -> Setting:
-    given = {name: tuple(part) if isinstance(part, list) else part for name, part in value.items()}
-    return codec.CODECS[codec_name].complete(given)
-
-
-def _paths(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(file, str) and "\0" not in file for file in value):
-        raise TypeError(value)
-    return tuple(value)
+def _texture(folder: Path, controllers: list[str], table: dict[str, Any]) -> PlannedTexture:
+    """Return a texture of a plan. Raises ValueError."""
+    own = {key: table.pop(key) for key in _Source.__struct_fields__ if key in table}
+    read = convert(own, _Source)
+    with located("[options]", ValueError):
+        options = structs.replace(convert(read.options, TextureTable), file=read.file, generate=read.generate).options()
+    source = Source(tuple(folder / file for file in read.file or ()), read.generate, options)
+    texture = convert({"source": source, **table}, PlannedTexture)
+    one_named(texture.controller, controllers)
+    if texture.codec not in codec.CODECS:
+        raise ValueError(f"codec must be one of {', '.join(sorted(codec.CODECS))}, not {texture.codec!r}")
+    given = {name: tuple(part) if isinstance(part, list) else part for name, part in texture.setting.items()}
+    return structs.replace(texture, setting=codec.CODECS[texture.codec].complete(given))

@@ -1,24 +1,34 @@
 """The scene file: textures, hand speeds, actuators, controllers, link and targets, in TOML (docs/planning.md)."""
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta, structs
 
 from vibrocast import textures
-from vibrocast.codec import CodecError
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.device_protocol.transports import BAUD
 from vibrocast.files import InputFileError
-from vibrocast.host.harness.bench_file import BenchActuator, read_actuator, read_address
+from vibrocast.host.harness.bench_file import (
+    BenchActuator,
+    BenchController,
+    TextureTable,
+    one_named,
+    read_actuators,
+)
 from vibrocast.output.actuator import Actuator
+from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Profile, Recording, TextureError
-from vibrocast.textures.dataset import DatasetError, traces
+from vibrocast.textures.dataset import traces
 from vibrocast.textures.files import TEXT_SUFFIXES
 from vibrocast.textures.recording import MAX_CHANNELS
-from vibrocast.toml_tables import Table, number, read_toml
+from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/firmware.md)."""
@@ -36,59 +46,31 @@ HAND_SPEEDS_MM_S = (1.0, 2000.0)
 MAX_TRACKED_MM_S = 300.0
 """To which hand speed profiles are rendered by position (firmware/core/profile.h)."""
 
-# What a value of the file means, and the range that it can have: beyond it lies a slip of units.
-_CONTROLLER_RANGES = {
-    "clock_hz": (1e6, 5e9, "clock of the processor in Hz"),
-    "flash_bytes": (16_384, 2**40, "flash memory in bytes"),
-    "ram_bytes": (8_192, 2**40, "working memory in bytes"),
-}
-_TEXTURE_RANGES = {
-    "rate_hz": (20, 1e7, "sample rate in Hz"),
-    "full_scale": (1e-9, 1e9, "value of 1.0 in the file, in its unit"),
-    "seconds": (0.05, 600, "duration in s"),
-}
-_ACTUATOR_RANGES = {
-    "stroke_um": (0.1, 20_000, "stroke from end to end in um"),
-    "volts": (0.1, 2_000, "voltage range in V"),
-    "corner_hz": (2, 5_000, "-3 dB frequency or resonance in Hz"),
-    "quality": (0.1, 300, "Q of the resonance"),
-    "slew_volts_per_second": (10, 1e9, "slew limit in V/s"),
-    "volts_limit": (0.05, 2_000, "voltage limit from rest in V"),
-    "power_limit": (1e-4, 1, "mean of the squared drive, full scale = 1"),
-}
-_ASKED_RANGES = {
-    "snr_db": (0, 90, "signal-to-noise ratio in dB"),
-    "spqi": (0.01, 1, "SPQI, 1 for an exact copy"),
-    "third_octave_distance_db": (0.01, 60, "third-octave distance in dB, 0 for an exact copy"),
-    "rate_limit_bps": (50, 1e9, "bits per second on the wire, of one stream"),
-    "delay_limit_ms": (1, 10_000, "delay to the skin in ms"),
-}
-_SINGLE_TABLES = ("hand", "skin", "link", "asked", "weights")
-_TABLE_LISTS = ("textures", "controllers", "actuators")
-_WEIGHTS = ("per_kilobit_per_second", "per_million_instructions_per_second", "per_kilobyte", "per_millisecond")
-
 
 class SceneError(InputFileError):
     """A scene that is wrong; the message names file, table and key, and says what to do."""
 
 
-@dataclass(frozen=True)
-class SceneController:
+class SceneController(BenchController, frozen=True, kw_only=True):
     """A controller of the scene.
 
-    `address`: as `host.devices.connect` takes it. `core`: one of CORES, with its `clock_hz`; None = a computer, which
-    decodes every codec and whose load is not limited. `flash_bytes`, `ram_bytes`: None = not limited. `channels`:
-    actuators that it drives. `reads_position`: it knows where the hand is, by a sensor or from the host.
+    `core`: one of CORES, with its `clock_hz`; None = a computer, which decodes every codec and whose load is not
+    limited. `flash_bytes`, `ram_bytes`: None = not limited. `channels`: actuators that it drives. `reads_position`: it
+    knows where the hand is, by a sensor or from the host.
     """
 
-    name: str
-    address: str
-    core: str | None
-    clock_hz: float | None
-    flash_bytes: float | None
-    ram_bytes: float | None
-    channels: int
-    reads_position: bool
+    core: Annotated[str, one_of(CORES)] | None = None
+    clock_hz: Annotated[float, within(1e6, 5e9, "clock of the processor in Hz")] | None = None
+    flash_bytes: Annotated[float, within(16_384, 2**40, "flash memory in bytes")] | None = None
+    ram_bytes: Annotated[float, within(8_192, 2**40, "working memory in bytes")] | None = None
+    channels: Annotated[int, within(1, MAX_CHANNELS, "channels that it drives")]
+    reads_position: bool = False
+
+    def __post_init__(self) -> None:
+        if self.core is not None and self.clock_hz is None:
+            raise ValueError(f"core {self.core} needs its clock_hz, such as clock_hz = 168_000_000")
+        if self.core is None and self.clock_hz is not None:
+            raise ValueError(f"clock_hz needs the core that it drives: add core, one of {', '.join(CORES)}")
 
 
 @dataclass(frozen=True)
@@ -154,8 +136,7 @@ class SceneTexture:
         return 1 if isinstance(self.loaded, Profile) else self.loaded.channels
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(Table, frozen=True, kw_only=True):
     """What is asked of every texture. Of the first four, one is given.
 
     `snr_db`: of the decoded signal in the band worth coding, in its own unit, as `vibrocast play` tells it. `spqi`,
@@ -164,13 +145,34 @@ class Asked:
     `rate_limit_bps`: of the bytes on the wire, of each stream. `delay_limit_ms`: to the skin.
     """
 
-    snr_db: float | None
-    spqi: float | None
-    third_octave_distance_db: float | None
-    imperceptible: bool
-    waveform: bool
-    rate_limit_bps: float | None
-    delay_limit_ms: float | None
+    snr_db: Annotated[float, within(0, 90, "signal-to-noise ratio in dB")] | None = None
+    spqi: Annotated[float, within(0.01, 1, "SPQI, 1 for an exact copy")] | None = None
+    third_octave_distance_db: (
+        Annotated[float, within(0.01, 60, "third-octave distance in dB, 0 for an exact copy")] | None
+    ) = None
+    imperceptible: bool = False
+    waveform: bool | None = None
+    rate_limit_bps: Annotated[float, within(50, 1e9, "bits per second on the wire, of one stream")] | None = None
+    delay_limit_ms: Annotated[float, within(1, 10_000, "delay to the skin in ms")] | None = None
+
+    def __post_init__(self) -> None:
+        targets = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, key) is not None]
+        targets += ["imperceptible"] * self.imperceptible
+        if len(targets) != 1:
+            said = f"{' and '.join(targets)} are" if targets else "none is"
+            raise ValueError(
+                f"one quality must be asked, and {said} given: keep one of snr_db, spqi, third_octave_distance_db and "
+                "imperceptible = true (as little as nobody can feel)"
+            )
+        # SPQI takes another take of the same noise for no better than silence (docs/metrics.md).
+        blind = self.third_octave_distance_db is not None
+        if self.waveform is None:
+            structs.force_setattr(self, "waveform", not blind)
+        if not self.waveform and not blind:
+            raise ValueError(
+                f"waveform = false contradicts {targets[0]}, which no description meets: ask for "
+                "third_octave_distance_db, or leave waveform out"
+            )
 
     @property
     def measure(self) -> str:
@@ -179,14 +181,23 @@ class Asked:
         return next(given, "imperceptible")
 
 
-@dataclass(frozen=True)
-class Weights:
-    """What one unit of each cost counts; kilobytes are those of flash and RAM together."""
+Weight = Annotated[float, within(0, 1e6, "weight of one such unit")]
 
-    per_kilobit_per_second: float
-    per_million_instructions_per_second: float
-    per_kilobyte: float
-    per_millisecond: float
+
+class Weights(Table, frozen=True):
+    """What one unit of each cost counts; kilobytes are those of flash and RAM together.
+
+    By default 1 kbit/s counts as 10 million instructions a second, 100 kB, or 100 ms.
+    """
+
+    per_kilobit_per_second: Weight = 1.0
+    per_million_instructions_per_second: Weight = 0.1
+    per_kilobyte: Weight = 0.01
+    per_millisecond: Weight = 0.01
+
+    def __post_init__(self) -> None:
+        if not any(structs.astuple(self)):
+            raise ValueError("all weights are 0, so that nothing costs anything: give one above 0")
 
 
 @dataclass(frozen=True)
@@ -215,7 +226,7 @@ class Scene:
 
 
 # What is known of the controllers that need no hardware: core, clock, flash, RAM, channels (firmware/build.py).
-_KNOWN: Mapping[str, Mapping[str, Any]] = {
+_KNOWN: Mapping[str, dict[str, Any]] = {
     "sim": {"channels": 8},
     "sim-usb": {"channels": 8},
     "host": {"channels": 8},
@@ -224,52 +235,105 @@ _KNOWN: Mapping[str, Mapping[str, Any]] = {
     "cortex-m33": {"core": "M33", "clock_hz": 150e6, "channels": 4},
     "stm32f405": {"core": "M4F", "clock_hz": 168e6, "flash_bytes": 2**20, "ram_bytes": 192 * 1024, "channels": 2},
 }
-_LINK_OF = {"sim": "simulated", "sim-usb": "simulated", "host": "simulated"}
+
+
+class _Texture(TextureTable, frozen=True, kw_only=True):
+    name: Text | None = None
+    controller: str | None = None
+
+
+_SPEED = "speed of the hand in mm/s"
+
+
+class _Hand(Table, frozen=True):
+    # No tuple[float, float]: msgspec 0.22 crashes on a tuple of fixed length beside a number with limits.
+    speed_mm_s: Annotated[
+        Annotated[float, within(*HAND_SPEEDS_MM_S, _SPEED)]
+        | Annotated[
+            tuple[Annotated[float, within(0, HAND_SPEEDS_MM_S[1], _SPEED)], ...], Meta(min_length=2, max_length=2)
+        ],
+        Meta(description="a speed in mm/s, or the lowest and the highest: [20, 100]"),
+    ]
+
+    def __post_init__(self) -> None:
+        low, high = self.range
+        if low > high:
+            raise ValueError(f"speed_mm_s: the lowest speed, {low:g}, is above the highest, {high:g}; swap them")
+        if high < HAND_SPEEDS_MM_S[0]:
+            raise ValueError(f"speed_mm_s: the highest speed, {high:g}, is below {HAND_SPEEDS_MM_S[0]:g} mm/s")
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The lowest and the highest speed; a hand may rest."""
+        if isinstance(self.speed_mm_s, tuple):
+            return self.speed_mm_s[0], self.speed_mm_s[1]
+        return self.speed_mm_s, self.speed_mm_s
+
+
+class _Skin(Table, frozen=True):
+    threshold: Text | None = None
+
+
+class _Link(Table, frozen=True):
+    kind: Annotated[str, one_of(LINKS)] | None = None
+    baud: Annotated[float, within(1200, 2e7, "bits per second of the serial line")] | None = None
+    delay_ms: Annotated[float, within(0, 5_000, "delay one way in ms")] | None = None
+    bytes_per_second: Annotated[float, within(10, 1e10, "bytes per second that the link carries")] | None = None
+
+    def link(self, controllers: Sequence[SceneController]) -> Link:
+        """Return the link, with what is usual for these controllers. Raises ValueError."""
+        simulated = {controller.address for controller in controllers} <= set(_KNOWN)
+        kind = self.kind or ("simulated" if simulated else "serial")
+        if self.baud is not None and kind != "serial":
+            raise ValueError(f"[link]: baud is of a serial line, and this link is {kind}; leave one of them out")
+        if self.baud is not None and self.bytes_per_second is not None:
+            raise ValueError("[link]: baud and bytes_per_second both say what the link carries; leave one out")
+        carried = USB_BYTES_PER_SECOND.get(kind)
+        if kind == "serial":
+            carried = (self.baud or BAUD) / _BITS_PER_SERIAL_BYTE
+        delay_ms = LINK_DELAYS_MS[kind] if self.delay_ms is None else self.delay_ms
+        return Link(kind, self.bytes_per_second or carried, delay_ms)
+
+
+class _SceneFile(Table, frozen=True, kw_only=True):
+    textures: Annotated[tuple[_Texture, ...], Meta(min_length=1)]
+    controllers: Annotated[tuple[SceneController, ...], Meta(min_length=1)]
+    actuators: Annotated[tuple[ActuatorTable, ...], Meta(min_length=1)]
+    hand: _Hand
+    skin: _Skin = _Skin()
+    link: _Link = _Link()
+    asked: Asked
+    weights: Weights = Weights()
 
 
 def read_scene(path: Path) -> Scene:
     """Read a scene file and all of its textures. Raises SceneError, and OSError where the file cannot be read."""
-    document = read_toml(path, "scene", SceneError)
-    singles = {key: document.pop(key) for key in _SINGLE_TABLES if key in document}
-    for key, value in singles.items():
-        if not isinstance(value, dict):
-            raise SceneError(f"{path}: {key} must be a table: begin it with [{key}]")
-    if unknown := sorted(set(document) - set(_TABLE_LISTS)):
-        known = ", ".join((*_TABLE_LISTS, *_SINGLE_TABLES))
-        raise SceneError(f"{path}: there is no {unknown[0]}; choose from {known}")
-    tables: dict[str, list[Table]] = {}
-    for kind in _TABLE_LISTS:
-        given = document.get(kind, [])
-        if not isinstance(given, list) or not all(isinstance(table, dict) for table in given):
-            raise SceneError(f"{path}: {kind} must be tables: begin each with [[{kind}]]")
-        if not given:
-            raise SceneError(f"{path}: names no {kind}; add [[{kind}]]")
-        tables[kind] = [Table(path, f"[[{kind}]] {place}", table, SceneError) for place, table in enumerate(given, 1)]
-
-    def single(key: str) -> Table:
-        return Table(path, f"[{key}]", singles.get(key, {}), SceneError)
-
-    controllers = tuple(_controller(table) for table in tables["controllers"])
-    names = [controller.name for controller in controllers]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise SceneError(f"{path}: two [[controllers]] are named {twice[0]!r}; give each its own name")
-    link = _link(single("link"), controllers)
-    scene = Scene(
-        path=path,
-        hand_speed_mm_s=_hand_speeds(single("hand")),
-        textures=(),
-        controllers=controllers,
-        actuators=_actuators(tables["actuators"], controllers),
-        link=link,
-        asked=_asked(single("asked"), link),
-        weights=_weights(single("weights")),
-        threshold_path=_threshold(single("skin")),
-    )
-    found = [texture for table in tables["textures"] for texture in _textures(table, scene)]
-    all_names = [texture.name for texture in found]
-    if twice := sorted({name for name in all_names if all_names.count(name) > 1}):
-        raise SceneError(f"{path}: two [[textures]] are named {twice[0]!r}; give each its own name")
-    return replace(scene, textures=tuple(found))
+    with located(path, SceneError):
+        document = read_toml(path, "scene")
+        given = document.get("controllers")
+        for table in given if isinstance(given, list) else ():
+            if isinstance(table, dict):
+                table.update(_KNOWN.get(str(table.get("address")), {}) | table)
+        file = convert(document, _SceneFile)
+        names = [each.name for each in file.controllers]
+        check_names("controllers", names)
+        link = file.link.link(file.controllers)
+        _check_limits(file.asked, link)
+        scene = Scene(
+            path=path,
+            hand_speed_mm_s=file.hand.range,
+            textures=(),
+            controllers=file.controllers,
+            actuators=read_actuators(file.actuators, names),
+            link=link,
+            asked=file.asked,
+            weights=file.weights,
+            threshold_path=_threshold(path.parent, file.skin),
+        )
+        _check_channels(scene)
+        found = tuple(chain.from_iterable(read_each("textures", file.textures, partial(_textures, scene))))
+        check_names("textures", [texture.name for texture in found])
+        return replace(scene, textures=found)
 
 
 def together(recordings: list[Recording]) -> Recording:
@@ -290,227 +354,83 @@ def together(recordings: list[Recording]) -> Recording:
     return Recording(np.hstack(padded), first.rate_hz, first.unit, "+".join(each.name for each in recordings))
 
 
-def _controller(table: Table) -> SceneController:
-    name = table.text("name")
-    address = table.take("address", read_address, "an address such as 'sim'")
-    known = _KNOWN.get(address, {})
-    core = table.word("core", CORES, known.get("core"))
-    given = {
-        key: table.within(key, low, high, meaning, known.get(key))
-        for key, (low, high, meaning) in _CONTROLLER_RANGES.items()
-    }
-    channels = table.whole("channels", 1, MAX_CHANNELS, known.get("channels", MISSING))
-    controller = SceneController(
-        name, address, core, **given, channels=channels, reads_position=table.switch("reads_position", False)
-    )
-    table.end()
-    if core is not None and controller.clock_hz is None:
-        raise table.reject(f"core {core} needs its clock_hz, such as clock_hz = 168_000_000")
-    if core is None and controller.clock_hz is not None:
-        raise table.reject(f"clock_hz needs the core that it drives: add core, one of {', '.join(CORES)}")
-    return controller
-
-
-def _link(table: Table, controllers: tuple[SceneController, ...]) -> Link:
-    addresses = {controller.address for controller in controllers}
-    usual = "simulated" if addresses <= set(_KNOWN) else "serial"
-    kind = table.word("kind", LINKS, usual)
-    baud = table.within("baud", 1200, 2e7, "bits per second of the serial line", None)
-    delay_ms = table.within("delay_ms", 0, 5_000, "delay one way in ms", LINK_DELAYS_MS[kind])
-    given = table.within("bytes_per_second", 10, 1e10, "bytes per second that the link carries", None)
-    table.end()
-    if baud is not None and kind != "serial":
-        raise table.reject(f"baud is of a serial line, and this link is {kind}; leave one of them out")
-    if baud is not None and given is not None:
-        raise table.reject("baud and bytes_per_second both say what the link carries; leave one out")
-    if given is None and kind == "serial":
-        given = (baud or BAUD) / _BITS_PER_SERIAL_BYTE
-    return Link(kind, given if given is not None else USB_BYTES_PER_SECOND.get(kind), delay_ms)
-
-
-def _hand_speeds(table: Table) -> tuple[float, float]:
-    value = table.take("speed_mm_s", _one_or_two, "a speed in mm/s, or the least and the greatest: [20, 100]")
-    table.end()
-    low, high = value
-    meaning = "speed of the hand in mm/s"
-    table.check("speed_mm_s", high, *HAND_SPEEDS_MM_S, meaning)
-    if low != 0:  # a hand may rest
-        table.check("speed_mm_s", low, *HAND_SPEEDS_MM_S, meaning)
-    if low > high:
-        raise table.reject(f"speed_mm_s: the least speed, {low:g}, is above the greatest, {high:g}; swap them")
-    return low, high
-
-
-def _one_or_two(value: Any) -> tuple[float, float]:
-    if isinstance(value, list):
-        low, high = value
-        return number(low), number(high)
-    return number(value), number(value)
-
-
-def _actuators(tables: list[Table], controllers: tuple[SceneController, ...]) -> tuple[BenchActuator, ...]:
-    places: set[tuple[str, int | None]] = set()
-    actuators = []
-    for table in tables:
-        for key, (low, high, meaning) in _ACTUATOR_RANGES.items():
-            table.check_given(key, low, high, meaning)
-        entry = read_actuator(table, [controller.name for controller in controllers])
-        place = (entry.controller, entry.channel)
-        if place in places:
-            raise table.reject("there is another one on that channel; leave one out")
-        places.add(place)
-        controller = next(each for each in controllers if each.name == entry.controller)
-        if entry.channel is not None and entry.channel > controller.channels:
-            raise table.reject(f"channel {entry.channel}, but {controller.name} has {controller.channels} channels")
-        actuators.append(entry)
-    return tuple(actuators)
-
-
-def _asked(table: Table, link: Link) -> Asked:
-    given = {key: table.within(key, low, high, meaning, None) for key, (low, high, meaning) in _ASKED_RANGES.items()}
-    imperceptible = table.switch("imperceptible", False)
-    # SPQI takes another take of the same noise for no better than silence (docs/metrics.md).
-    blind = given["third_octave_distance_db"] is not None
-    waveform = table.switch("waveform", not blind)
-    table.end()
-    targets = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if given[key] is not None]
-    targets += ["imperceptible"] * imperceptible
-    if len(targets) != 1:
-        said = f"{' and '.join(targets)} are" if targets else "none is"
-        raise table.reject(
-            f"one quality must be asked, and {said} given: keep one of snr_db, spqi, third_octave_distance_db and "
-            "imperceptible = true (as little as nobody can feel)"
-        )
-    if not waveform and not blind:
-        raise table.reject(
-            f"waveform = false contradicts {targets[0]}, which no description meets: ask for third_octave_distance_db, "
-            "or leave waveform out"
-        )
-    asked = Asked(**given, imperceptible=imperceptible, waveform=waveform)
-    if asked.delay_limit_ms is not None and asked.delay_limit_ms <= link.delay_ms:
-        raise table.reject(
-            f"delay_limit_ms = {asked.delay_limit_ms:g} cannot be kept on a link of {link.delay_ms:g} ms: ask for "
-            "more, or give another link"
-        )
-    if asked.rate_limit_bps is not None and link.bytes_per_second is not None:
-        carried_bps = 8 * link.bytes_per_second
-        if asked.rate_limit_bps > carried_bps:
-            raise table.reject(
-                f"rate_limit_bps = {asked.rate_limit_bps:.9g} is above the {carried_bps:.9g} bit/s that the link "
-                "carries: ask for less, or give another link"
+def _check_channels(scene: Scene) -> None:
+    """Raise ValueError for an actuator on a channel that its controller does not have."""
+    for number, entry in enumerate(scene.actuators, 1):
+        channels = scene.controller(entry.controller).channels
+        if entry.channel is not None and entry.channel > channels:
+            raise ValueError(
+                f"[[actuators]] {number}: channel {entry.channel}, but {entry.controller} has {channels} channels"
             )
-    return asked
 
 
-def _weights(table: Table) -> Weights:
-    """Return the weights; not given, 1 kbit/s counts as 10 million instructions a second, 100 kB, or 100 ms."""
-    defaults = (1.0, 0.1, 0.01, 0.01)
-    given = {
-        key: table.within(key, 0, 1e6, "weight of one such unit", default)
-        for key, default in zip(_WEIGHTS, defaults, strict=True)
-    }
-    table.end()
-    if not any(given.values()):
-        raise table.reject("all weights are 0, so that nothing costs anything: give one above 0")
-    return Weights(**given)
+def _check_limits(asked: Asked, link: Link) -> None:
+    """Raise ValueError for a limit that the link cannot keep."""
+    if asked.delay_limit_ms is not None and asked.delay_limit_ms <= link.delay_ms:
+        raise ValueError(
+            f"[asked]: delay_limit_ms = {asked.delay_limit_ms:g} cannot be kept on a link of {link.delay_ms:g} ms: ask "
+            "for more, or give another link"
+        )
+    carried_bps = 8 * (link.bytes_per_second or math.inf)
+    if asked.rate_limit_bps is not None and asked.rate_limit_bps > carried_bps:
+        raise ValueError(
+            f"[asked]: rate_limit_bps = {asked.rate_limit_bps:.9g} is above the {carried_bps:.9g} bit/s that the link "
+            "carries: ask for less, or give another link"
+        )
 
 
-def _threshold(table: Table) -> Path:
-    file = table.text("threshold", None)
-    table.end()
-    path = DETECTION_THRESHOLD if file is None else table.path.parent / file
-    try:
+def _threshold(folder: Path, skin: _Skin) -> Path:
+    path = DETECTION_THRESHOLD if skin.threshold is None else folder / skin.threshold
+    with located("[skin]", ValueError):
         read_threshold(path)
-    except CodecError as error:
-        raise table.reject(str(error)) from error
     return path
 
 
-def read_options(table: Table, generated: bool) -> dict[str, Any]:
-    """Return what a table, which ends with it, says of a file or of a generated texture, as in Source.
-
-    Raises the table's error.
-    """
-    keys = ("seconds", "rate_hz") if generated else ("rate_hz", "full_scale")
-    options = {key: table.within(key, *_TEXTURE_RANGES[key], None) for key in keys}
-    if generated:
-        options["seed"] = table.whole("seed", 0, 2**32 - 1, None)
-        options["rate_hz"] = None if options["rate_hz"] is None else round(options["rate_hz"])
-    else:
-        options["unit"] = table.word("unit", textures.INPUT_UNITS, None)
-        options["axis"] = table.word("axis", textures.AXES, None)
-        options["reduce"] = table.word("reduce", textures.REDUCTIONS, None)
-        options["key"] = table.text("key", None)
-    table.end()
-    return {key: value for key, value in options.items() if value is not None}
-
-
-def _textures(table: Table, scene: Scene) -> list[SceneTexture]:
-    """Return the textures of a table: one, or all recordings of a folder."""
-    name = table.text("name", None)
-    files = table.take("file", _files, "a file, a folder, or a list of files that are played together", None)
-    kind = table.word("generate", sorted(textures.GENERATORS), None)
-    if (files is None) == (kind is None):
-        raise table.reject("give either file or generate")
-    names = [controller.name for controller in scene.controllers]
-    controller = table.word("controller", names, names[0] if len(names) == 1 else MISSING)
-    options = read_options(table, generated=files is None)
-    make = partial(_texture, table, scene, controller)
-    if files is None:
-        return [make(name or kind, Source((), kind, options))]
-    paths = [table.path.parent / file for file in files]
+def _textures(scene: Scene, table: _Texture) -> list[SceneTexture]:
+    """Return the textures of a table: one, or all recordings of a folder. Raises ValueError."""
+    controller = one_named(table.controller, [each.name for each in scene.controllers])
+    options = table.options()
+    make = partial(_texture, scene, controller)
+    if table.generate is not None:
+        return [make(table.name or table.generate, Source((), table.generate, options))]
+    files = (table.file,) if isinstance(table.file, str) else table.file or ()
+    paths = [scene.path.parent / file for file in files]
     if len(paths) == 1 and paths[0].is_dir():
-        try:
-            found = traces(paths[0])
-        except (DatasetError, OSError) as error:
-            raise table.reject(str(error)) from error
-        prefix = f"{name}/" if name else ""
-        return [make(prefix + trace.name, Source((trace.path,), None, options)) for trace in found]
+        prefix = f"{table.name}/" if table.name else ""
+        return [make(prefix + trace.name, Source((trace.path,), None, options)) for trace in traces(paths[0])]
     for path in paths:
         if not path.exists():
-            raise table.reject(f"file {path} does not exist; correct its name, which is found from the scene's folder")
-    return [make(name or "+".join(path.stem for path in paths), Source(tuple(paths), None, options))]
+            raise ValueError(f"file {path} does not exist; correct its name, which is found from the scene's folder")
+    return [make(table.name or "+".join(path.stem for path in paths), Source(tuple(paths), None, options))]
 
 
-def _texture(table: Table, scene: Scene, controller: str, name: str, source: Source) -> SceneTexture:
-    """Return a texture, loaded and checked against the controller that plays it."""
+def _texture(scene: Scene, controller: str, name: str, source: Source) -> SceneTexture:
+    """Return a texture, loaded and checked against the controller that plays it. Raises ValueError."""
     low, high = scene.hand_speed_mm_s
-    try:
-        texture = SceneTexture(name, source, controller, source.load(high))
-    except (TextureError, TypeError) as error:
-        raise table.reject(str(error)) from error
+    texture = SceneTexture(name, source, controller, source.load(high))
     plays = scene.controller(controller)
     if texture.channels > plays.channels:
-        raise table.reject(
+        raise ValueError(
             f"{name} has {texture.channels} channels, {controller} drives {plays.channels}: leave some out, or give "
             "another controller"
         )
     models = {each.channel for each in scene.actuators if each.controller == controller}
     if missing := [channel for channel in range(1, texture.channels + 1) if not {channel, None} & models]:
-        raise table.reject(
+        raise ValueError(
             f"{name} moves the actuator on channel {missing[0]} of {controller}, which the scene does not have: add it "
             "to [[actuators]]"
         )
     if isinstance(texture.loaded, Profile) and low != high and not plays.reads_position:
-        raise table.reject(
+        raise ValueError(
             f"{name} is a height profile, and the hand moves at {low:g} to {high:g} mm/s: only a controller that knows "
             f"where the hand is can play it (reads_position = true of {controller}); or give one speed"
         )
     if isinstance(texture.loaded, Profile) and plays.reads_position and high > MAX_TRACKED_MM_S:
-        raise table.reject(
+        raise ValueError(
             f"{name} is rendered by the hand's position up to {MAX_TRACKED_MM_S:g} mm/s, and the hand moves at up to "
             f"{high:g}: give a slower one"
         )
-    if isinstance(texture.loaded, Profile) and not plays.reads_position and high == 0:
-        raise table.reject(f"{name} is a height profile under a hand that rests: give a speed above 0")
     return texture
-
-
-def _files(value: Any) -> tuple[str, ...]:
-    files = value if isinstance(value, list) else [value]
-    if not files or not all(isinstance(file, str) and file.strip() and "\0" not in file for file in files):
-        raise TypeError(value)
-    return tuple(files)
 
 
 def _profile(path: Path) -> Profile | None:

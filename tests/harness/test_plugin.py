@@ -72,7 +72,7 @@ def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments
     [
         (["--vibrocast-device", "nowhere"], "*'nowhere' is no controller: give a name in the bench file, sim, *"),
         (["--vibrocast-bench", "missing.toml"], "*missing.toml*"),
-        (["--vibrocast-bench", "bench.toml"], "*bench.toml: names no controller; add ??controllers?? with*"),
+        (["--vibrocast-bench", "bench.toml"], "*bench.toml: controllers is missing*"),
     ],
 )
 def test_what_names_no_device_is_told_in_a_line(pytester: pytest.Pytester, arguments: list[str], message: str) -> None:

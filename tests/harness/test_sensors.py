@@ -13,7 +13,7 @@ from vibrocast.host.harness.sensors import SensorError, recorder
 
 def shell(command: str) -> Sensor:
     arguments = ("sh", "-c", command, "{file}")
-    return Sensor("it", "laser", "left", 1, arguments, ".wav", None, None, None, None)
+    return Sensor(name="it", kind="laser", controller="left", command=arguments)
 
 
 def has_ended(pid_file: Path) -> bool:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.planner.scenes import scene
 from vibrocast.host.planner.plan_file import (
@@ -20,7 +21,18 @@ from vibrocast.host.planner.plan_file import (
 from vibrocast.host.planner.scene import Source
 from vibrocast.textures import Recording
 
-FORECAST = Forecast(1000.5, 1200.0, None, 2.5, 30_000, 40_000, 12.25, 0.9, 3.0, -9.0, 45.5)
+FORECAST = Forecast(
+    payload_bps=1000.5,
+    wire_bps=1200.0,
+    load_percent=2.5,
+    flash_bytes=30_000,
+    ram_bytes=40_000,
+    snr_db=12.25,
+    spqi=0.9,
+    third_octave_distance_db=3.0,
+    error_over_threshold_db=-9.0,
+    delay_ms=45.5,
+)
 
 
 def plan(folder: Path) -> Plan:
@@ -55,7 +67,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert read.scene.resolve() == written.scene.resolve()
     assert replace(read, scene=written.scene) == written
     assert read.texture("wood").forecast == FORECAST
-    capped = replace(written.textures[0], rate_mode="capped", capped_rate_bps=2450, packet_snr_db=9.5)
+    capped = structs.replace(written.textures[0], rate_mode="capped", capped_rate_bps=2450, packet_snr_db=9.5)
     write_plan(tmp_path / "out" / "capped.toml", replace(written, textures=(capped,)))
     assert read_plan(tmp_path / "out" / "capped.toml").textures == (capped,)
     with pytest.raises(PlanError, match="the plan has no texture 'oak'; choose from wood"):
@@ -67,7 +79,7 @@ def test_a_plan_with_files_finds_them_from_its_folder(tmp_path: Path) -> None:
     source = Source((tmp_path / "in" / "oak.wav",), None, {"unit": "m/s^2"})
     (tmp_path / "out").mkdir()
     path = tmp_path / "out" / "plan.toml"
-    write_plan(path, replace(written, textures=(replace(written.textures[0], source=source),)))
+    write_plan(path, replace(written, textures=(structs.replace(written.textures[0], source=source),)))
     assert 'file = ["../in/oak.wav"]' in path.read_text()
     assert read_plan(path).textures[0].source.files[0].resolve() == source.files[0]
 
@@ -95,19 +107,19 @@ def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
     [
         ("rate = 1600", "rate = 40", "lowest = 30 must be below half of rate = 40"),
         ("buffer_ms = 10.0", "buffer_ms = 900000", "buffer_ms = 900000 is out of range"),
-        ("payload_bps = 1000.5", "payload_bps = inf", "forecast must be the table"),
-        ("[textures.options]", "[textures.options]\nfoo = 3", "options of wood: there is no key foo"),
+        ("payload_bps = 1000.5", "payload_bps = inf", "[forecast]: payload_bps must be a number"),
+        ("[textures.options]", "[textures.options]\nfoo = 3", "[[textures]] 1: [options]: there is no key foo"),
         ('codec = "mdct"', 'codec = "mp3"', "[[textures]] 1: codec must be one of amr-nb"),
-        ("rate = 1600", "rate = 0", "rate must be a whole number from 1 to"),
-        ("step = 0.7", "step = -1", "setting must be a setting of mdct"),
+        ("rate = 1600", "rate = 0", "rate = 0 is out of range: rate of the stream, a whole number from 1 to"),
+        ("step = 0.7", "step = -1", "step is -1; it must be a number from"),
         ("packet_samples = 64\n", "", "packet_samples is missing"),
         ('rate_mode = "setting"', 'rate_mode = "any"', "rate_mode must be one of setting"),
         ('rate_mode = "setting"', 'rate_mode = "capped"', "are of rate_mode = 'capped', which needs both"),
         ('rate_mode = "setting"', 'rate_mode = "setting"\npacket_snr_db = 9', "are of rate_mode = 'capped', which"),
-        ("payload_bps = 1000.5", 'payload_bps = "low"', "forecast must be the table that `vibrocast plan` wrote"),
-        ("format = 1", "format = 2", "format must be a whole number from 1 to 1"),
+        ("payload_bps = 1000.5", 'payload_bps = "low"', "[forecast]: payload_bps must be a number"),
+        ("format = 1", "format = 2", "format = 2 is out of range: version of the format"),
         ('controller = "one"\nhand', 'controller = "two"\nhand', "controller must be one of one, not 'two'"),
-        ("[[controllers]]", "[[computers]]", "a plan has tables [[controllers]]; make it with `vibrocast plan`"),
+        ("[[controllers]]", "[[computers]]", "there is no key computers; did you mean controllers?"),
         ("format = 1", "format = = 1", "not a TOML file"),
     ],
 )
@@ -126,7 +138,7 @@ def test_files_that_changed_after_planning_are_told(tmp_path: Path) -> None:
     file = tmp_path / "oak.csv"
     file.write_text("1\n2\n")
     source = Source((file,), None, {})
-    texture = replace(plan(tmp_path).textures[0], name="oak", source=source, sha256=source.sha256())
+    texture = structs.replace(plan(tmp_path).textures[0], name="oak", source=source, sha256=source.sha256())
     file.write_text("1\n3\n")
     with pytest.raises(PlanError, match=r"oak: .*oak.csv changed after this was planned; plan the scene again"):
         texture.recording()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.planner.scenes import CONTROLLER, scene
 from vibrocast import textures
@@ -107,8 +108,10 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
 def test_what_is_off_its_forecast_is_told_and_written(tmp_path: Path) -> None:
     plan = planned(tmp_path, controller=SIMULATED)
     (wood,) = plan.textures
-    wrong = replace(wood.forecast, wire_bps=1.2 * wood.forecast.wire_bps, snr_db=(wood.forecast.snr_db or 0) - 0.5)
-    played = playing.play(replace(plan, textures=(replace(wood, forecast=wrong),)))
+    wrong = structs.replace(
+        wood.forecast, wire_bps=1.2 * wood.forecast.wire_bps, snr_db=(wood.forecast.snr_db or 0) - 0.5
+    )
+    played = playing.play(replace(plan, textures=(structs.replace(wood, forecast=wrong),)))
     rows = comparison.rows(played)
     assert comparison.failures(played, rows) == ["wood: on the wire is -16.7 % off the forecast"]
     assert sum("OFF" in line for line in comparison.lines(rows)) == 1
@@ -129,8 +132,14 @@ def test_a_texture_that_is_over_at_once_has_no_delay_to_be_measured(tmp_path: Pa
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda texture: replace(texture, codec="opus", setting={}), "wood is planned for the codec opus, one decodes"),
-        (lambda texture: replace(texture, packet_samples=1 << 20), "packets of 1048576 samples, the buffer of one"),
+        (
+            lambda texture: structs.replace(texture, codec="opus", setting={}),
+            "wood is planned for the codec opus, one decodes",
+        ),
+        (
+            lambda texture: structs.replace(texture, packet_samples=1 << 20),
+            "packets of 1048576 samples, the buffer of one",
+        ),
     ],
 )
 def test_a_plan_for_another_controller_is_rejected(
