@@ -1,12 +1,12 @@
 """The cells of a benchmark, one trace at one setting of one codec: what they are, how each is measured."""
 
+import ast
 import hashlib
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
+from importlib.util import find_spec, resolve_name
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -19,24 +19,13 @@ from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.device_protocol import coded_stream
 from vibrocast.evaluation import cost, external, metrics, trained
 from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
+from vibrocast.firmware import native_core
 from vibrocast.models import Model
 
 DECIMALS = 6
 """Of a quality, so that the arithmetic of another machine gives the same file."""
 
 _LIBRARIES = ("vibrocast", "av", "numpy", "onnxruntime", "scipy", "vibromaf")
-_ROOT = Path(__file__).parents[1]
-_SOURCES = (
-    "codec/*.py",
-    "codec/data/*",
-    "device_protocol/coded_stream.py",
-    "device_protocol/model_image.py",
-    "codec/stream.py",
-    "evaluation/cells.py",
-    "evaluation/cost.py",
-    "evaluation/external.py",
-    "evaluation/metrics.py",
-)
 
 
 class BenchError(ValueError):
@@ -244,10 +233,46 @@ def coders(chosen: Sequence[Method]) -> dict[str, tuple[str, list[Model]]]:
 @cache
 def program_version() -> str:
     """Return what must be alike for figures to be: the versions of program and libraries, a hash of the sources."""
-    sources = hashlib.sha256()
-    for path in (path for pattern in _SOURCES for path in sorted(_ROOT.glob(pattern))):
-        sources.update(path.read_bytes())
-    return ", ".join([*(f"{name} {_version(name)}" for name in _LIBRARIES), f"sources {sources.hexdigest()[:12]}"])
+    versions = [f"{name} {_version(name)}" for name in _LIBRARIES]
+    return ", ".join([*versions, f"sources {digest_of(sources(__name__))[:12]}"])
+
+
+def sources(module: str) -> dict[str, Path]:
+    """Return the source files of a module, and of all modules of its package that it imports, also in functions.
+
+    By name; the package itself is left out, unless it is `module`. Files in folders `data` next to them are included.
+    """
+    package = module.partition(".")[0]
+    found: dict[str, Path] = {}
+    pending = {module}
+    while pending:
+        name = pending.pop()
+        try:
+            spec = find_spec(name)
+        except (ImportError, ValueError):  # a name in a module, or a module that cannot be imported
+            continue
+        if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+            continue
+        found[name] = path = Path(spec.origin)
+        found.update({f"{path.parent.name}/data/{file.name}": file for file in (path.parent / "data").glob("*")})
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            imported: list[str] = []
+            if isinstance(node, ast.Import):
+                imported = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                parent = resolve_name("." * node.level + (node.module or ""), spec.parent)
+                imported = [f"{parent}.{alias.name}" for alias in node.names]
+            parts = [each.split(".") for each in imported if each.startswith(f"{package}.")]
+            pending |= {".".join(each[:length]) for each in parts for length in range(2, len(each) + 1)} - set(found)
+    return found
+
+
+def digest_of(files: Mapping[str, Path]) -> str:
+    """Return a hash of files and of their names."""
+    digest = hashlib.sha256()
+    for name, path in sorted(files.items()):
+        digest.update(repr((name, path.read_bytes())).encode())
+    return digest.hexdigest()
 
 
 def _version(library: str) -> str:
@@ -259,21 +284,14 @@ def _version(library: str) -> str:
 
 @cache
 def _other_packages() -> str:
-    """Return a hash of the modules that other packages register as codecs, and of these packages' versions."""
-    digest = hashlib.sha256()
-    for point in sorted(plugins.registered(), key=lambda each: each.name):
-        with suppress(ImportError, ValueError):  # what cannot be loaded has no cells
-            spec = find_spec(point.module)
-            file = Path(spec.origin) if spec and spec.origin else Path()
-            digest.update(repr((point.name, point.dist and point.dist.version)).encode())
-            digest.update(file.read_bytes() if file.is_file() else b"")
-    return digest.hexdigest()
+    """Return what identifies the modules that other packages register as codecs, and of these packages' versions."""
+    points = sorted(plugins.registered(), key=lambda each: each.name)
+    return repr([(each.name, each.dist and each.dist.version, digest_of(sources(each.module))) for each in points])
 
 
 @cache
 def _core() -> str:
     """Return a hash of the compiled C core, whose bytes, unlike its results, differ from machine to machine."""
-    core = hashlib.sha256()
-    for path in sorted(_ROOT.glob("codec/vibrocast_core.*")):
-        core.update(path.read_bytes())
-    return core.hexdigest()
+    files = {path.name: path for path in Path(native_core.__file__).parent.glob("vibrocast_core.*")}
+    assert files, "the codecs need the core"
+    return digest_of(files)

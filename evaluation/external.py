@@ -8,15 +8,17 @@ import signal
 import subprocess
 import tempfile
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import soundfile
+from msgspec import Meta, structs
 from numpy.typing import NDArray
+
+from vibrocast.toml_tables import Table, convert, located, read_toml
 
 PEAK = 0.8
 """Peak of the WAV file that a program is given: many codecs clip or saturate nearer to full scale."""
@@ -33,6 +35,25 @@ Command = tuple[str, ...]
 
 class ProgramError(ValueError):
     """A list of programs that is wrong, or a program that failed; the message says why and what to do."""
+
+
+_COMMANDS = "a list of a program and its arguments, or a list of such lists"
+_Part = Annotated[str, Meta(pattern=r"\A[^\x00]*\Z")]
+_Commands = Annotated[
+    tuple[_Part | Annotated[tuple[_Part, ...], Meta(min_length=1)], ...], Meta(min_length=1, description=_COMMANDS)
+]
+
+
+class _ProgramTable(Table, frozen=True, kw_only=True):
+    encoder: _Commands
+    decoder: _Commands
+    settings: Annotated[tuple[str | int | float, ...], Meta(min_length=1, description="a list of texts or numbers")] = (
+        "",
+    )
+    label_rate_hz: Annotated[int, Meta(ge=1)] | None = None
+    delay_samples: Annotated[int, Meta(ge=0)] | None = None
+    coded_suffix: Annotated[str, Meta(pattern=r"\A\.\w+\Z", description="a text such as '.spx'")] = ".bin"
+    timeout_s: Annotated[float, Meta(ge=1)] = 60.0
 
 
 @dataclass(frozen=True)
@@ -71,11 +92,8 @@ def read_programs(path: Path) -> list[Program]:
 
     Raises ProgramError where it is no such file, OSError where it cannot be read.
     """
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ProgramError(f"{path}: not a TOML file: {error}") from error
-    return [_program(path, name, table) for name, table in tables.items()]
+    with located(path, ProgramError):
+        return [_program(path, name, table) for name, table in read_toml(path, "list of programs").items()]
 
 
 def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: int) -> Run:
@@ -107,72 +125,27 @@ def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: i
     return Run(aligned[:, None], size_bytes, encode_s, decode_s)
 
 
-def _program(path: Path, name: str, table: Any) -> Program:
-    """Return a program from its table. Raises ProgramError."""
-
-    def reject(what: str) -> ProgramError:
-        return ProgramError(f"{path}, [{name}]: {what}")
-
-    kinds: dict[str, tuple[Any, str]] = {
-        "encoder": (_commands, "a list of a program and its arguments, or a list of such lists"),
-        "decoder": (_commands, "a list of a program and its arguments, or a list of such lists"),
-        "settings": (_settings, "a list of texts or numbers"),
-        "label_rate_hz": (lambda value: _whole(value, 1), "a whole number from 1 up"),
-        "delay_samples": (lambda value: _whole(value, 0), "a whole number from 0 up"),
-        "coded_suffix": (_suffix, "a text such as '.spx'"),
-        "timeout_s": (lambda value: float(_whole(value, 1)), "a whole number from 1 up"),
-    }
-    if not isinstance(table, dict):
-        raise reject("it must be a table of its own")
-    fields: dict[str, Any] = {}
-    for key, value in table.items():
-        if key not in kinds:
-            raise reject(f"there is no key {key}; choose from {', '.join(kinds)}")
-        read, expected = kinds[key]
-        try:
-            fields[key] = read(value)
-        except (TypeError, ValueError) as error:
-            raise reject(f"{key} must be {expected}") from error
-    for key in ("encoder", "decoder"):
-        if key not in fields:
-            raise reject(f"{key} is missing; it must be {kinds[key][1]}")
-        named = {found for command in fields[key] for part in command for found in _PLACEHOLDER.findall(part)}
-        if unknown := sorted(named - set(_PLACEHOLDERS)):
-            raise reject(f"{key} has {{{unknown[0]}}}; choose from {', '.join(_PLACEHOLDERS)}")
-    return Program(name, path, **fields)
+def _program(path: Path, name: str, table: object) -> Program:
+    """Return a program from its table. Raises ValueError."""
+    with located(f"[{name}]", ValueError):
+        if not isinstance(table, dict):
+            raise ValueError(f"it must be a table of its own: begin it with [{name}]")
+        read = convert(table, _ProgramTable)
+        commands = {key: _commands(key, getattr(read, key)) for key in ("encoder", "decoder")}
+        settings = tuple(map(str, read.settings))
+        return Program(name, path, **{**structs.asdict(read), **commands, "settings": settings})
 
 
-def _commands(value: Any) -> tuple[Command, ...]:
-    commands = _listed(value)
-    if isinstance(commands[0], str):
-        commands = [commands]
-    if not all(isinstance(part, str) for command in commands for part in _listed(command)):
-        raise ValueError("no texts")
-    return tuple(tuple(command) for command in commands)
-
-
-def _settings(value: Any) -> tuple[str, ...]:
-    if not all(isinstance(part, (str, int, float)) for part in _listed(value)):
-        raise ValueError("no texts or numbers")
-    return tuple(str(part) for part in value)
-
-
-def _listed(value: Any) -> list[Any]:
-    if not isinstance(value, list) or not value:
-        raise ValueError("no list, or an empty one")
-    return value
-
-
-def _whole(value: Any, low: int) -> int:
-    if type(value) is not int or value < low:
-        raise ValueError("no whole number")
-    return value
-
-
-def _suffix(value: Any) -> str:
-    if not re.fullmatch(r"\.\w+", value):
-        raise ValueError("no suffix")
-    return str(value)
+def _commands(key: str, parts: tuple[str | Command, ...]) -> tuple[Command, ...]:
+    """Return the commands of a list of lists, or of one command's parts. Raises ValueError."""
+    texts = tuple(part for part in parts if isinstance(part, str))
+    commands = tuple(part for part in parts if not isinstance(part, str))
+    if texts and commands:
+        raise ValueError(f"{key} must be {_COMMANDS}")
+    named = {found for command in commands or (texts,) for part in command for found in _PLACEHOLDER.findall(part)}
+    if unknown := sorted(named - set(_PLACEHOLDERS)):
+        raise ValueError(f"{key} has {{{unknown[0]}}}; choose from {', '.join(_PLACEHOLDERS)}")
+    return commands or (texts,)
 
 
 def _run_commands(

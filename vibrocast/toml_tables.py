@@ -86,7 +86,7 @@ def _explained(reason: str, value: Any, node: inspect.Type) -> str:
     found = re.fullmatch(r"(.*) - at `\$(.*)`", reason, re.DOTALL)
     problem, place = found.groups() if found else (reason, "")
     steps = re.findall(r"\.(\w+)((?:\[\d+\])*)", place)
-    parents = steps[:-1] if problem.startswith(("Expected", "Number")) else steps
+    parents = steps[:-1] if problem.startswith(("Expected", "Number", "Invalid")) else steps
     where = "".join(f"[[{name}]] {int(index[1:-1]) + 1}: " if index else f"[{name}]: " for name, index in parents)
     fields = _fields(node)
     for name, _ in parents:
@@ -125,6 +125,8 @@ def _expected(key: str, node: inspect.Type) -> str:
     kinds = [part for part in kinds if not isinstance(part, inspect.UnionType)]
     if isinstance(kinds[-1], inspect.StructType):
         return f"a table: begin it with [{key}]" if len(kinds) == 1 else f"tables: begin each with [[{key}]]"
+    if isinstance(kinds[0], inspect.LiteralType):
+        return f"one of {', '.join(map(str, kinds[0].values))}"
     meanings = _meanings(node)[:1]
     if len(kinds) == 1 and isinstance(kinds[0], inspect.IntType | inspect.FloatType):
         return ", ".join([*meanings, _range(kinds[0])])

@@ -1,10 +1,10 @@
 """The subcommand `plan`: chooses how each texture of a scene is coded, writes the plan, and says why."""
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import click
+from msgspec import structs
 
 from vibrocast import extras, progress
 from vibrocast.host.cli.options import INPUT
@@ -38,7 +38,7 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
     page.write_tables(out, choices)
     page.draw(out / page.PICTURE, read, choices)
     if as_json and not plays:
-        click.echo(json.dumps({each.name: asdict(each.forecast) for each in planned.textures}, indent=2))
+        click.echo(json.dumps({each.name: structs.asdict(each.forecast) for each in planned.textures}, indent=2))
     if not as_json:
         for choice, texture in zip(choices, planned.textures, strict=True):
             for line in page.lines(choice, texture):

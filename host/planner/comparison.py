@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from msgspec import structs
+
 from vibrocast.files import atomic_write
 from vibrocast.host.planner.playing import Played
 
@@ -134,7 +136,7 @@ def document(played: Played) -> dict[str, Any]:
     return {
         "texture": texture.name,
         "controller": texture.controller,
-        "forecast": asdict(texture.forecast),
+        "forecast": structs.asdict(texture.forecast),
         "measured": asdict(played.measured),
         "underruns": played.underruns,
         "lost_packets": played.lost_packets,

@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from msgspec import structs
+
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.evaluation.points import write_rows
 from vibrocast.files import atomic_write
@@ -106,7 +108,7 @@ def _candidate_rows(choice: Choice) -> Iterator[CandidateRow]:
             candidate.meets,
             candidate == choice.chosen,
             "; ".join(["quality"] * (candidate.lack > 0) + [limit.key for limit in candidate.broken]),
-            **vars(candidate.forecast),
+            **structs.asdict(candidate.forecast),
         )
 
 

@@ -1,7 +1,10 @@
 """Tests of the benchmark: a run that is cut goes on to the same figures, and what fails costs only its cell."""
 
+import importlib
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -252,6 +255,41 @@ def test_what_decides_the_figures_is_in_the_key(monkeypatch: pytest.MonkeyPatch)
     assert replace(cell, recording=replace(recording, name="elsewhere")).key in keys
     monkeypatch.setattr(cells, "program_version", lambda: "another")
     assert cell.key not in keys
+
+
+def test_the_program_s_version_is_of_every_module_that_measures() -> None:
+    """Measure a cell in a new process, and compare the modules that it has loaded."""
+    code = """if True:
+        import sys
+        from vibrocast.evaluation.cells import Cell, methods
+        from vibrocast.textures.generate import wood
+        Cell("wood", wood(0, 0.1), methods(["mdct"])[0], {"step": 1.0}, 1).measure()
+        print(*(name for name in sys.modules if name.startswith("vibrocast.")))
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded, known = set(done.stdout.split()), cells.sources("vibrocast.evaluation.cells")
+    assert loaded <= set(known) and "vibrocast.codec.mdct" in loaded
+    assert "codec/data/detection_threshold.csv" in known
+    assert not any(name.startswith("vibrocast.host") for name in known)
+
+
+def test_a_module_that_is_changed_or_renamed_changes_the_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def written(**modules: str) -> str:
+        for name, text in modules.items():
+            (tmp_path / "measuring" / f"{name}.py").write_text(text)
+        importlib.invalidate_caches()
+        return cells.digest_of(cells.sources("measuring.start"))
+
+    (tmp_path / "measuring").mkdir()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    first = written(__init__="", start="def f():\n    from . import inner", inner="import measuring.last, os", last="1")
+    assert set(cells.sources("measuring.start")) == {"measuring.start", "measuring.inner", "measuring.last"}
+    assert written(last="2") != first == written(last="1")
+    assert written(unrelated="3") == first
+    renamed = written(inner="import measuring.renamed", renamed="1")
+    assert renamed != first and written(renamed="2") != renamed
 
 
 def test_two_at_once_leave_a_journal_of_both(folder: Path, results: Path, whole: dict[str, bytes]) -> None:

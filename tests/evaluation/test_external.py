@@ -221,7 +221,7 @@ BOTH = 'encoder = ["a", "{input}", "{output}"]\ndecoder = ["b", "{input}", "{out
         (f"[mine]\n{BOTH}label_rate_hz = 0", "label_rate_hz must be a whole number from 1"),
         (f"[mine]\n{BOTH}delay_samples = -1", "delay_samples must be a whole number from 0"),
         (f"[mine]\n{BOTH}delay_samples = true", "delay_samples must be a whole number from 0"),
-        (f"[mine]\n{BOTH}timeout_s = 'long'", "timeout_s must be a whole number"),
+        (f"[mine]\n{BOTH}timeout_s = 'long'", "timeout_s must be a number from 1, not 'long'"),
         (f"[mine]\n{BOTH}coded_suffix = '/x'", "coded_suffix must be a text such as"),
         (f"[mine]\n{BOTH}coded_suffix = 7", "coded_suffix must be a text such as"),
         ("[mine]\nencoder = 'a'\ndecoder = ['b']", "encoder must be a list of a program"),

@@ -1,5 +1,6 @@
 """The codec of another package, which the registry alone knows, in the benchmark, its page and the stability maps."""
 
+import sys
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
@@ -65,8 +66,10 @@ def test_a_cell_is_measured_again_where_its_module_changes(monkeypatch: pytest.M
 
     before = keys()
     assert keys() == before
-    monkeypatch.setattr(cells, "find_spec", lambda name: type("Spec", (), {"origin": str(tmp_path / "edited.py")}))
-    (tmp_path / "edited.py").write_text("# another")
+    for file in EXAMPLE.glob("vibrocast_haar*"):
+        (tmp_path / file.name).write_text(file.read_text() + "# another")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "vibrocast_haar")
     assert [old == new for old, new in zip(before, keys(), strict=True)] == [True, False]
     cells._other_packages.cache_clear()
 

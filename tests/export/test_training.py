@@ -2,7 +2,6 @@
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner, Result
+from msgspec.structs import replace
 
 from vibrocast import textures
 from vibrocast.export import checkpoint, configuration, training, training_data
@@ -275,13 +275,13 @@ def test_what_a_data_set_leaves_out_is_told_and_a_wrong_manifest_rejected(tmp_pa
     ("change", "reason"),
     [
         ('name = "tiny"', "name is missing"),
-        ("steps = 40", r"\[training\] step: no such key"),
-        ("width = 16", r"\[model\] width: 4 is not within 8 and 128"),
-        ("latents = 16", "'many' is no whole number"),
-        ("lambdas = [1, 30]", r"\[model\] lambdas"),
-        ('prior = "contexts"', "'hyper' is not one of factorised, contexts"),
-        ('kinds = ["rough", "taps", "wood"]', "kinds: no 'glass'"),
-        ("[generator]", r"held_back\] share: nan"),
+        ("steps = 40", r"\[training\]: there is no key step; did you mean steps\?"),
+        ("width = 16", r"\[model\]: width = 4 is out of range: a whole number from 8 to 128"),
+        ("latents = 16", "latents must be a whole number from 16 to 128, not 'many'"),
+        ("lambdas = [1, 30]", r"\[model\]: lambdas must rise"),
+        ('prior = "contexts"', "prior must be one of contexts, factorised, not 'hyper'"),
+        ('kinds = ["rough", "taps", "wood"]', "kinds must be one of grating, .*, not 'glass'"),
+        ("[generator]", r"\[held_back\]: share must be a number from 0.01 to 0.9, not nan"),
         ("[training]", "not a TOML file"),
         ("batch = 4", "not a TOML file"),
         ("validation_excerpts = 8", "not a TOML file"),
