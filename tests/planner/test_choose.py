@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.planner.scenes import ASKED, CONTROLLER, scene
 from vibrocast.host.planner.candidates import Workbench
@@ -85,11 +86,11 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
     value = 1.001 * float(told[1])  # four digits are told
     given: dict[str, Any] = {limit.split()[-1]: value}
     if limit.startswith("[asked]"):
-        mended = replace(read, asked=replace(read.asked, **given))
+        mended = replace(read, asked=structs.replace(read.asked, **given))
     elif limit.startswith("[link]"):
         mended = replace(read, link=replace(read.link, bytes_per_second=value))
     else:
-        mended = replace(read, controllers=(replace(read.controllers[0], **given),))
+        mended = replace(read, controllers=(structs.replace(read.controllers[0], **given),))
     assert choose(bench, mended).chosen.meets
 
 
