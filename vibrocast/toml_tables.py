@@ -1,6 +1,5 @@
 """Reads TOML files into msgspec structs; an error is one line, with file, table, key, problem and action."""
 
-import math
 import re
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -107,16 +106,17 @@ def _explained(reason: str, value: Any, node: inspect.Type) -> str:
 def _misfit(key: str, node: inspect.Type, value: Any) -> str:
     """Return the error of a value that its type rejects; where another prefix of the unit would be right, say so."""
     number = next((part for part in _parts(node) if isinstance(part, inspect.IntType | inspect.FloatType)), None)
-    if number is None or number.ge is None or number.le is None or not _is_number(value):
+    low, high = (number.ge, number.le) if number else (None, None)
+    if low is None or high is None or not _is_number(value) or low <= value <= high:
         return f"{key} must be {_expected(key, node)}, not {_shown(value)}"
-    low, high = number.ge, number.le
-    meant = next((value * factor for factor in (1e3, 1e-3, 1e6, 1e-6) if low <= value * factor <= high), None)
-    slip = "" if meant is None else f"; are the units mixed up? {meant:.9g} would be possible"
-    return f"{key} = {value:.9g} is out of range: {', '.join([*_meanings(node)[-1:], _range(number)])}{slip}"
+    meaning = _meanings(node)[-1:]
+    meant = [value * factor for factor in (1e3, 1e-3, 1e6, 1e-6) if low <= value * factor <= high]
+    slip = f"; are the units mixed up? {meant[0]:.9g} would be possible" if meaning and meant else ""
+    return f"{key} = {value:.9g} is out of range: {', '.join([*meaning, _range(number)])}{slip}"
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 def _expected(key: str, node: inspect.Type) -> str:
@@ -130,6 +130,8 @@ def _expected(key: str, node: inspect.Type) -> str:
     meanings = _meanings(node)[:1]
     if len(kinds) == 1 and isinstance(kinds[0], inspect.IntType | inspect.FloatType):
         return ", ".join([*meanings, _range(kinds[0])])
+    if isinstance(kinds[0], inspect.VarTupleType) and not meanings:
+        return f"a list, each {_expected(key, kinds[0].item_type)}"
     names = {inspect.BoolType: "true or false", inspect.StrType: "a text", inspect.DictType: "a table"}
     return "".join(meanings) or names.get(type(kinds[0]), "a list")
 
