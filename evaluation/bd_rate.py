@@ -36,6 +36,11 @@ class Scale:
     low: float
     high: float
 
+    @property
+    def name(self) -> str:
+        """The name without a unit."""
+        return self.label.split(",")[0]
+
     def curve(self, points: Iterable[Point]) -> list[tuple[float, float]]:
         """Return the rate and quality of the points that have this quality."""
         pairs = ((point.bits_per_sample, getattr(point, self.field)) for point in points)

@@ -1,7 +1,6 @@
 """The benchmark: every trace at every setting of every method, each measured once and kept in a journal."""
 
 import json
-import math
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -17,7 +16,6 @@ from vibrocast.files import atomic_write
 from vibrocast.textures.dataset import Trace
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
-_POINTS_JSON = "points.json"
 
 
 class Journal:
@@ -145,7 +143,7 @@ def results_folder(out: Path) -> Path:
     """
     results = out / "results"
     if not (results / JOURNAL).exists() and not _is_ours(results / "points.csv"):
-        for path in (out / PAGE, results / _POINTS_JSON, *(results / f"{name}.csv" for name in TABLES)):
+        for path in (out / PAGE, *(results / f"{name}.csv" for name in TABLES)):
             if path.exists():
                 raise BenchError(f"{path}: would be overwritten, but is not of a benchmark; choose another --out")
     results.mkdir(parents=True, exist_ok=True)
@@ -161,14 +159,7 @@ def _is_ours(points: Path) -> bool:
 
 
 def write(results: Path, measurements: Measurements) -> None:
-    """Write all figures into a folder as CSV, the points as JSON too, each file whole or not at all. Raises OSError."""
+    """Write all figures into a folder as CSV, each file whole or not at all. Raises OSError."""
     for name, kind in TABLES.items():
         with atomic_write(results / f"{name}.csv") as partial:
             write_rows(partial, getattr(measurements, name), kind)
-    with atomic_write(results / _POINTS_JSON) as partial:
-        points = measurements.points
-        records = [{**asdict(point), "bits_per_sample": point.bits_per_sample} for point in points]
-        # JSON has no infinity, the SNR of an exact copy.
-        infinities = {math.inf: "inf", -math.inf: "-inf"}
-        texts = [{name: infinities.get(value, value) for name, value in record.items()} for record in records]
-        partial.write_text(json.dumps(texts, indent=1, allow_nan=False) + "\n", encoding="utf-8")

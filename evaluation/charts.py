@@ -1,14 +1,15 @@
 """Charts of the tables of evaluation.comparison, to be read in grey print: every line and mark named beside it."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from statistics import fmean, median
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -16,17 +17,11 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from numpy.typing import ArrayLike, NDArray
 
 from vibrocast.evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from vibrocast.evaluation.comparison import (
-    MEAN,
-    TIMES,
-    Excess,
-    Mark,
-    MeanPoint,
-    RatioPoint,
-    TraceBdRate,
-)
+from vibrocast.evaluation.comparison import MEAN, TIMES
 from vibrocast.evaluation.labels import spread
-from vibrocast.evaluation.points import IMPORTED, MEASURED, Record
+from vibrocast.evaluation.points import IMPORTED, MEASURED
+from vibrocast.evaluation.tables import as_rows, write_table
+from vibrocast.pages import size
 
 WIDTH_IN, DPI = 8.0, 150
 FONT_POINTS = 8.5
@@ -64,17 +59,35 @@ COST_LABELS = {
 }
 
 
-class OfCodec(Record, Protocol):
-    """A row of a table that is of one codec."""
+@dataclass(frozen=True)
+class Chart:
+    """A chart of a page: the name of its files, its title, its rows, and the codecs that should have some."""
+
+    stem: str
+    title: str
+    table: pl.DataFrame
+    expected: tuple[str, ...] = ()
 
     @property
-    def codec(self) -> str: ...
+    def rows(self) -> int:
+        """How many rows are drawn."""
+        return len(self.table)
 
     @property
-    def source(self) -> str: ...
+    def missing(self) -> list[str]:
+        """The codecs that have no row."""
+        drawn = set(self.table["codec"])
+        return [codec for codec in self.expected if codec not in drawn]
 
-
-CodecRow = TypeVar("CodecRow", bound=OfCodec)
+    def write(self, folder: Path, plot: Callable[[Path, pl.DataFrame], None]) -> "Chart":
+        """Write the rows as CSV, and the chart of them if there are any; return itself. Raises OSError."""
+        write_table(folder / f"{self.stem}.csv", self.table)
+        image = folder / f"{self.stem}.png"
+        if self.rows:
+            plot(image, self.table)
+        else:
+            image.unlink(missing_ok=True)
+        return self
 
 
 @dataclass(frozen=True)
@@ -83,17 +96,17 @@ class _Label:
 
     x: float
     y: float
-    row: OfCodec
+    row: Any
     text: str
     heavy: bool = False
 
 
-def plot_quality_against_rate(path: Path, rows: Sequence[MeanPoint], scale: Scale, main: Sequence[str]) -> None:
+def plot_quality_against_rate(path: Path, table: pl.DataFrame, scale: Scale, main: Sequence[str]) -> None:
     """Draw mean curves: those measured, and below them those imported, beside the main ones again. Raises OSError.
 
     The main ones have their spread, the first of them is heavy.
     """
-    curves = by_codec(rows)
+    curves = by_codec(as_rows(table))
     measured = {codec: curve for codec, curve in curves.items() if curve[0].source != IMPORTED}
     imported = {codec: curve for codec, curve in curves.items() if codec in main or codec not in measured}
     groups = [group for group in (measured, imported) if not set(group) <= set(main)] or [curves]
@@ -125,9 +138,10 @@ def plot_quality_against_rate(path: Path, rows: Sequence[MeanPoint], scale: Scal
 
 
 def plot_quality_against_ratio(
-    path: Path, rows: Sequence[RatioPoint], scales: Sequence[Scale], every_trace: Sequence[str]
+    path: Path, table: pl.DataFrame, scales: Sequence[Scale], every_trace: Sequence[str]
 ) -> None:
     """Draw the mean curves, of some codecs every trace's points too, a panel for each quality. Raises OSError."""
+    rows = as_rows(table)
     codecs = list(by_codec(rows))
     figure = _figure([MIN_PANEL_IN] * len(scales), [name(row) for row in rows])
     panels = figure.subplots(len(scales), squeeze=False, sharex=True).ravel()
@@ -149,12 +163,13 @@ def plot_quality_against_ratio(
     figure.savefig(path)
 
 
-def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
+def plot_cost_points(path: Path, table: pl.DataFrame, scale: Scale) -> None:
     """Draw quality over each cost, a row of panels for each rate, with their Pareto fronts. Raises OSError.
 
     A mark's area is proportional to the bytes of decoder and model; it is hollow where they are not known, and a
     diamond where the figures are imported.
     """
+    rows = as_rows(table)
     rates, costs = sorted({row.bits_per_sample for row in rows}), list(dict.fromkeys(row.cost for row in rows))
     of_rates = [[row for row in rows if row.bits_per_sample == rate] for rate in rates]
     heights = [max(MIN_PANEL_IN / 2, LABEL_IN * len(by_codec(of_rate))) for of_rate in of_rates]
@@ -196,11 +211,12 @@ def plot_marks(path: Path, rows: Sequence[Mark], scale: Scale) -> None:
     figure.savefig(path)
 
 
-def plot_bd_rates(path: Path, rows: Sequence[TraceBdRate], scales: Sequence[Scale], kinds: Mapping[str, str]) -> None:
+def plot_bd_rates(path: Path, table: pl.DataFrame, scales: Sequence[Scale], kinds: Mapping[str, str]) -> None:
     """Draw a line of marks for each codec, a mark for each trace, its form by kind; a bar is the mean. Raises OSError.
 
     What is beyond FAR_PERCENT stands on the edge.
     """
+    rows = as_rows(table)
     codecs = by_codec(rows)
     forms = dict(zip(dict.fromkeys(kinds.get(row.trace, "") for row in rows), cycle(MARKERS), strict=False))
     height_in = 2 * LABEL_IN * len(codecs)
@@ -217,7 +233,7 @@ def plot_bd_rates(path: Path, rows: Sequence[TraceBdRate], scales: Sequence[Scal
                 mean = np.clip(fmean(row.percent for row in own), -FAR_PERCENT, FAR_PERCENT)
                 axes.plot([mean, mean], [place - 0.35, place + 0.35], color="black", linewidth=2)
         axes.axvline(0, color="black", linewidth=0.8)
-        axes.set_title(scale.label.split(",")[0], fontsize=FONT_POINTS, loc="left")
+        axes.set_title(scale.name, fontsize=FONT_POINTS, loc="left")
         axes.grid(axis="x", color="0.92")
         axes.set_axisbelow(True)
     panels[0].set_yticks(range(len(codecs)), [name(of_codec[0]) for of_codec in codecs.values()])
@@ -228,11 +244,12 @@ def plot_bd_rates(path: Path, rows: Sequence[TraceBdRate], scales: Sequence[Scal
     figure.savefig(path)
 
 
-def plot_excesses(path: Path, rows: Sequence[Excess]) -> None:
+def plot_rate_excesses(path: Path, table: pl.DataFrame) -> None:
     """Draw a map, traces by codecs, of the excess bits; darker is more, hatched has none. Raises OSError.
 
     Of more than MAX_NUMBERED_ROWS traces only some are named, and no number is written.
     """
+    rows = as_rows(table)
     codecs = dict(sorted(by_codec(rows).items(), key=lambda group: median(row.excess_percent for row in group[1])))
     traces = sorted({row.trace for row in rows})
     cells = np.full((len(traces), len(codecs)), np.nan)
@@ -260,39 +277,32 @@ def plot_excesses(path: Path, rows: Sequence[Excess]) -> None:
     figure.savefig(path)
 
 
-def by_codec(rows: Iterable[CodecRow]) -> dict[str, list[CodecRow]]:
+def by_codec(rows: Iterable[Any]) -> dict[str, list[Any]]:
     """Return rows by their codec, in their order."""
-    groups: dict[str, list[CodecRow]] = {}
+    groups: dict[str, list[Any]] = {}
     for row in rows:
         groups.setdefault(row.codec, []).append(row)
     return groups
 
 
-def name(row: OfCodec) -> str:
+def name(row: Any) -> str:
     """Return the name of a row's codec, and where its figures come from unless measured of a codec here."""
     return _short(row.codec) if row.source == MEASURED else f"{_short(row.codec)}, {row.source}"
 
 
-def _name_and_rate(row: MeanPoint) -> str:
+def _name_and_rate(row: Any) -> str:
     return name(row) if row.bits_per_sample <= MAX_RATE else f"{name(row)}: {row.bits_per_sample:.1f} bit/sample"
 
 
-def _name_and_bytes(row: Mark) -> str:
+def _name_and_bytes(row: Any) -> str:
     return name(row) if row.flash_bytes is None else f"{name(row)}, {size(row.flash_bytes)}"
 
 
-def size(count: int | None) -> str:
-    """Return a count of bytes in words; empty where it is None."""
-    if count is None:
-        return ""
-    return f"{count} B" if count < 1000 else f"{count / 1000:.3g} kB" if count < 1_000_000 else f"{count / 1e6:.3g} MB"
+def _cost(row: Any) -> float:
+    return float(max(row.value, TIME_FLOOR_S) if row.cost in TIMES else row.value)
 
 
-def _cost(row: Mark) -> float:
-    return max(row.value, TIME_FLOOR_S) if row.cost in TIMES else row.value
-
-
-def _mark_style(row: Mark, max_bytes: int) -> dict[str, Any]:
+def _mark_style(row: Any, max_bytes: int) -> dict[str, Any]:
     imported = row.source == IMPORTED
     least, largest = MARK_AREAS
     return {

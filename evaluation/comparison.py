@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
-from statistics import fmean, median
+from statistics import fmean
+from typing import Any
 
 import numpy as np
+import polars as pl
 
 from vibrocast import codec as codecs
 from vibrocast.evaluation.bd_rate import (
@@ -29,13 +31,14 @@ from vibrocast.evaluation.cost import CodecCost
 from vibrocast.evaluation.kinds import TraceKind
 from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
+from vibrocast.evaluation.tables import as_rows, columns, frame
 
 MEAN = "(mean)"
 ANCHORS = ("mdct", "slp", "vcpwq")
 """What others are compared with: the project's own codec, one of the kind that the EVA paper compares with, and the
 reference of IEEE 1918.1.1."""
 REFERENCE = "slp"
-"""The anchor of the EVA paper's kind, which learned codecs are held against."""
+"""The anchor of the EVA paper's kind, which learned codecs are compared with."""
 LEARNED_SCALES = (PSNR, ST_SIM_2800, SPQI)
 EQUAL_SNR_DB = 12.0
 NEEDED_SNR_DB = 10.0
@@ -54,150 +57,11 @@ TABLES = {
 }
 """The rows of each of Measurements' fields, which lie in a CSV file of this name."""
 _RATE_GRID = tuple(2 ** (eighth / 8) for eighth in range(-40, 41))
-
-
-@dataclass(frozen=True)
-class MeanPoint:
-    """Quality at a rate: mean over the traces, with the 10 and 90 % points of their spread.
-
-    Of a codec with one point for each trace, the rate is a mean as well.
-    """
-
-    codec: str
-    source: str
-    bits_per_sample: float
-    mean: float
-    low: float
-    high: float
-    traces: int
-
-
-@dataclass(frozen=True)
-class RatioPoint:
-    """Quality at a compression ratio against 16 bits per sample: a trace's point, or of trace MEAN the mean curve."""
-
-    quality: str
-    codec: str
-    source: str
-    trace: str
-    compression_ratio: float
-    value: float
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A codec at a fixed rate: its mean quality, what that costs, and whether no other measured one beats it in both.
-
-    `cost`: a field of CurveCost. `flash_bytes`: of decoder and model.
-    """
-
-    bits_per_sample: float
-    codec: str
-    source: str
-    quality: float
-    cost: str
-    value: float
-    flash_bytes: int | None
-    on_front: bool
-
-
-@dataclass(frozen=True)
-class Excess:
-    """Bits per sample of a trace at EQUAL_SNR_DB, and their excess over those of the codec that needs the fewest."""
-
-    trace: str
-    codec: str
-    source: str
-    bits_per_sample: float
-    excess_percent: float
-
-
-@dataclass(frozen=True)
-class _Pair:
-    """Whose rate is compared with whose, at which quality."""
-
-    quality: str
-    anchor: str
-    codec: str
-    source: str
-
-
-@dataclass(frozen=True)
-class TraceBdRate(BdRate, _Pair):
-    """The BD-rate of a codec relative to an anchor on one trace."""
-
-    trace: str
-
-
-@dataclass(frozen=True)
-class MeanBdRate(Summary, _Pair):
-    """The BD-rate of a codec relative to an anchor over the traces of a kind, "" for all of them.
-
-    `won`: the traces of which the codec needs fewer bits.
-    """
-
-    won: int
-    kind: str = ""
-
-
-@dataclass(frozen=True)
-class CurveCost:
-    """What a curve's codec costs near a rate, by a runtime that it has. None where not measured.
-
-    Times of codecs measured here are of one signal made of all traces, of others medians over the traces.
-    `real_time_factor`: seconds of encoding and decoding for each second of one channel.
-    """
-
-    codec: str
-    source: str
-    runtime: str
-    settings: int
-    setting: str
-    bits_per_sample: float | None
-    snr_db: float | None
-    encode_s_per_megasample: float | None
-    decode_s_per_megasample: float | None
-    real_time_factor: float | None
-    delay_ms: float | None
-    decoder_bytes: int | None
-    model_bytes: int | None
-    flash_bytes: int | None
-    peak_memory_bytes: int | None
-    width: int | None
-    note: str
-
-
-@dataclass(frozen=True)
-class Price:
-    """What one more decibel costs a measured codec near BITS_PER_SAMPLE.
-
-    `snr_db`: mean over the traces at that rate. `bytes_percent`: more bytes for one decibel more by a finer setting.
-    The others: for each decibel that it gains over `than`, the best of those that decode faster; None where it gains
-    none.
-    """
-
-    codec: str
-    runtime: str
-    snr_db: float
-    bytes_percent: float | None
-    than: str
-    gained_db: float | None
-    encode_s_per_megasample: float | None
-    decode_s_per_megasample: float | None
-    flash_bytes: float | None
-
-
-@dataclass(frozen=True)
-class Advice:
-    """Which measured codec to take for a need, and what it costs."""
-
-    need: str
-    codec: str
-    bits_per_sample: float
-    encode_s_per_megasample: float | None
-    decode_s_per_megasample: float | None
-    delay_ms: float | None
-    flash_bytes: int | None
+_CURVE_COSTS = (
+    *("codec", "source", "runtime", "settings", "setting", "bits_per_sample", "snr_db", *TIMES, "real_time_factor"),
+    *("delay_ms", "decoder_bytes", "model_bytes", "flash_bytes", "peak_memory_bytes", "width", "note"),
+)
+_PAIR = {"quality": pl.String, "anchor": pl.String, "codec": pl.String, "source": pl.String}
 
 
 @dataclass(frozen=True)
@@ -234,9 +98,16 @@ class Measurements:
         return by_codec_and_trace([*measured, *imported])
 
     @cached_property
+    def drawn(self) -> pl.DataFrame:
+        """The points of all curves, one a row, with `bits_per_sample`."""
+        points = [point for by_trace in self.curves.values() for some in by_trace.values() for point in some]
+        bits = pl.Series("bits_per_sample", [point.bits_per_sample for point in points], pl.Float64)
+        return frame(points, Point).with_columns(bits)
+
+    @cached_property
     def traces(self) -> list[str]:
         """The names of all traces."""
-        return sorted({trace for by_trace in self.curves.values() for trace in by_trace})
+        return sorted(self.drawn["trace"].unique())
 
     @cached_property
     def compared(self) -> list[str]:
@@ -244,9 +115,7 @@ class Measurements:
 
         A few samples, or a constant, have a file but no curve. Without any such trace, or figure of it, all count.
         """
-        points = [point for by_trace in self.curves.values() for some in by_trace.values() for point in some]
-        with_blocks = {point.trace for point in points if point.st_sim_8000 is not None}
-        return sorted(with_blocks) or self.traces
+        return sorted(self.drawn.drop_nulls("st_sim_8000")["trace"].unique()) or self.traces
 
     def source(self, codec: str) -> str:
         """Return where a codec's points come from: MEASURED, PROGRAM or IMPORTED."""
@@ -296,67 +165,60 @@ class Measurements:
             iter([*owners, *(name for name, known in codecs.CODECS.items() if codec in known.rate_point_sets)]), ""
         )
 
-    def delay_ms(self, codec: str) -> float | None:
-        """Return the median delay of a codec's points; None where none says."""
-        return _median(point.delay_ms for points in self.curves[codec].values() for point in points)
-
-    def timings_near(self, codec: str, bits_per_sample: float) -> dict[str, Timing]:
-        """Return for each timed trace of a codec the timing at the rate nearest to this one."""
-        bits = {
-            (point.trace, point.setting): point.bits_per_sample
-            for points in self.curves[codec].values()
-            for point in points
-        }
-        nearest: dict[str, tuple[float, Timing]] = {}
-        for timing in self._timings.get((codec, self.source(codec)), []):
-            if (timing.trace, timing.setting) in bits:
-                distance = abs(math.log2(bits[timing.trace, timing.setting] / bits_per_sample))
-                if timing.trace not in nearest or distance < nearest[timing.trace][0]:
-                    nearest[timing.trace] = distance, timing
-        return {trace: timing for trace, (_, timing) in nearest.items()}
+    @cached_property
+    def codec_costs(self) -> pl.DataFrame:
+        """What each curve's codec costs whatever the rate, a row for each curve; columns as in CodecCost."""
+        costs = [(codec, self.cost(codec)) for codec in self.curves]
+        kept = [replace(cost, codec=codec) for codec, cost in costs if cost]
+        flash = pl.Series("flash_bytes", [cost.flash_bytes for cost in kept], pl.Int64)
+        return frame(kept, CodecCost).with_columns(flash)
 
     @cached_property
-    def _timings(self) -> dict[tuple[str, str], list[Timing]]:
-        timings: dict[tuple[str, str], list[Timing]] = {}
-        for timing in self.timings:
-            timings.setdefault((timing.codec, timing.source), []).append(timing)
-        return timings
+    def timed(self) -> pl.DataFrame:
+        """The timings of all curves, each with the rate of its point."""
+        points = self.drawn.unique(["codec", "source", "trace", "setting"], keep="last", maintain_order=True)
+        keys = ["codec", "source", "trace", "setting"]
+        points = points.select(*keys, "bits_per_sample", "rate_hz")
+        return _with_real_time(frame(self.timings, Timing).join(points, on=keys, maintain_order="left"))
 
 
-def mean_curves(measurements: Measurements, scale: Scale) -> list[MeanPoint]:
+def mean_curves(measurements: Measurements, scale: Scale) -> pl.DataFrame:
     """Return the mean curve of each codec over the rates at which it has a value for every trace.
 
-    A codec that reaches an exact copy of every trace has a last point there, of infinite SNR.
+    Columns: `codec`, `source`, `bits_per_sample`, `mean`, the `low` and `high` end of the spread (10 and 90 %), and
+    `traces`, how many. A codec that reaches an exact copy of every trace has a last point there, of infinite SNR. Of a
+    codec with one point for each trace, the rate is a mean as well.
     """
-    rows = []
-    for codec in measurements.curves:
-        curves = measurements.everywhere(codec, scale)
-        if curves is not None:
-            source = measurements.source(codec)
-            rows += [MeanPoint(codec, source, *row, len(curves)) for row in _mean_curve(curves)]
-    return rows
+    found = [
+        (codec, measurements.source(codec), *point, len(curves))
+        for codec in measurements.curves
+        if (curves := measurements.everywhere(codec, scale)) is not None
+        for point in _mean_curve(curves)
+    ]
+    numbers = dict.fromkeys(("bits_per_sample", "mean", "low", "high"), pl.Float64)
+    return _table(found, {"codec": pl.String, "source": pl.String, **numbers, "traces": pl.Int64})
 
 
 def _mean_curve(curves: Sequence[Curve]) -> list[tuple[float, float, float, float]]:
     """Return rates with mean, low and high quality."""
     envelopes = [monotone_envelope(curve) for curve in curves]
-    rows = []
+    points = []
     if all(len(envelope) == 1 for envelope in envelopes):
         rates, values = zip(*(envelope[0] for envelope in envelopes), strict=True)
-        rows.append((fmean(rates), *_mean_and_spread(values)))
+        points.append((fmean(rates), *_mean_and_spread(values)))
     elif all(envelopes):
         lowest, highest = max(envelope[0][0] for envelope in envelopes), min(envelope[-1][0] for envelope in envelopes)
         grid = sorted({lowest, highest, *(rate for rate in _RATE_GRID if lowest < rate < highest)})
         columns = np.transpose([quality_at(curve, grid) for curve in curves])
-        rows += [
+        points += [
             (rate, *_mean_and_spread(values))
             for rate, values in zip(grid, columns, strict=True)
             if np.all(np.isfinite(values))
         ]
     copies = [[bits for bits, quality in curve if quality == math.inf] for curve in curves]
     if all(copies):
-        rows.append((fmean(map(min, copies)), math.inf, math.inf, math.inf))
-    return rows
+        points.append((fmean(map(min, copies)), math.inf, math.inf, math.inf))
+    return points
 
 
 def _mean_and_spread(values: Sequence[float]) -> tuple[float, float, float]:
@@ -364,44 +226,61 @@ def _mean_and_spread(values: Sequence[float]) -> tuple[float, float, float]:
     return float(np.mean(values)), float(low), float(high)
 
 
-def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> list[RatioPoint]:
-    """Return qualities over the compression ratio, of anchors and learned codecs: of every trace, and in the mean."""
-    rows = []
+def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> pl.DataFrame:
+    """Return qualities over the compression ratio against 16 bits per sample, of anchors and learned codecs.
+
+    Columns: `quality`, `codec`, `source`, `trace` (MEAN: of the mean curve), `compression_ratio`, `value`.
+    """
+    found = []
     for scale in scales:
         means = mean_curves(measurements, scale)
         for codec in dict.fromkeys([*measurements.anchors, *measurements.learned]):
-            source = measurements.source(codec)
-            pairs = [
-                *((trace, *pair) for trace, curve in measurements.of(codec, scale).items() for pair in curve),
-                *((MEAN, row.bits_per_sample, row.mean) for row in means if row.codec == codec),
-            ]
-            rows += [
-                RatioPoint(scale.field, codec, source, trace, 16 / bits, value)
+            pairs = [(trace, *pair) for trace, curve in measurements.of(codec, scale).items() for pair in curve]
+            pairs += [(MEAN, row.bits_per_sample, row.mean) for row in as_rows(means.filter(codec=codec))]
+            found += [
+                (scale.field, codec, measurements.source(codec), trace, 16 / bits, value)
                 for trace, bits, value in pairs
                 if math.isfinite(value)
             ]
-    return rows
+    text = dict.fromkeys(("quality", "codec", "source", "trace"), pl.String)
+    return _table(found, {**text, "compression_ratio": pl.Float64, "value": pl.Float64})
 
 
-def cost_marks(measurements: Measurements, scale: Scale, names: Sequence[str]) -> list[Mark]:
-    """Return each codec's mean quality at each of RATES with these of its costs, by each runtime that it has."""
-    rows = []
+def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) -> pl.DataFrame:
+    """Return each codec's mean quality at each of RATES with these of its costs, by each runtime that it has.
+
+    Columns: `bits_per_sample` (one of RATES), `codec`, `source`, `quality`, `cost` (a column of `curve_costs`), its
+    `value`, `flash_bytes`, and `on_front`: whether no other measured codec beats it in both quality and cost.
+    """
+    found = []
     for rate in RATES:
-        costs, means = curve_costs(measurements, rate), _means_at(measurements, scale, rate)
-        marks = [
-            Mark(rate, with_runtime(cost), cost.source, means[cost.codec], name, value, cost.flash_bytes, False)
-            for cost in costs
+        means = _means_at(measurements, scale, rate)
+        found += [
+            (rate, with_runtime(cost), cost.source, means[cost.codec], name, value, cost.flash_bytes)
+            for cost in as_rows(curve_costs(measurements, rate))
             if cost.codec in means
             for name in names
             if (value := getattr(cost, name)) is not None
         ]
-        rows += [replace(mark, on_front=_on_front(mark, marks)) for mark in marks]
-    return rows
+    columns = {"bits_per_sample": pl.Float64, "codec": pl.String, "source": pl.String, "quality": pl.Float64}
+    table = _table(found, {**columns, "cost": pl.String, "value": pl.Float64, "flash_bytes": pl.Int64})
+    points = as_rows(table)
+    return table.with_columns(on_front=pl.Series([_on_front(each, points) for each in points], dtype=pl.Boolean))
 
 
-def with_runtime(row: CurveCost | Price) -> str:
-    """Return the name of a curve, with what decodes it where there is a choice."""
-    return f"{row.codec} ({row.runtime})" if row.runtime else row.codec
+def _on_front(point: Any, points: Sequence[Any]) -> bool:
+    return point.source != IMPORTED and not any(
+        other.value <= point.value
+        and other.quality >= point.quality
+        and (other.value, other.quality) != (point.value, point.quality)
+        for other in points
+        if (other.bits_per_sample, other.cost) == (point.bits_per_sample, point.cost) and other.source != IMPORTED
+    )
+
+
+def with_runtime(row: Any) -> str:
+    """Return the name of a row's curve, with what decodes it where there is a choice."""
+    return f"{row.codec} ({row.runtime})" if row.runtime else str(row.codec)
 
 
 def _means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str, float]:
@@ -414,170 +293,159 @@ def _means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str
     return means
 
 
-def _on_front(mark: Mark, marks: Sequence[Mark]) -> bool:
-    rivals = (other for other in marks if other.cost == mark.cost and other.source != IMPORTED)
-    return mark.source != IMPORTED and not any(
-        other.value <= mark.value
-        and other.quality >= mark.quality
-        and (other.value, other.quality) != (mark.value, mark.quality)
-        for other in rivals
+def rate_excesses(measurements: Measurements) -> pl.DataFrame:
+    """Return what each codec needs on each trace at EQUAL_SNR_DB, compared with the trace's best codec.
+
+    Columns: `trace`, `codec`, `source`, `bits_per_sample`, and `excess_percent` over the codec that needs the fewest.
+    """
+    found = [
+        (trace, codec, measurements.source(codec), bits)
+        for trace in measurements.traces
+        for codec, by_trace in measurements.curves.items()
+        if math.isfinite(bits := float(bits_per_sample_at(SNR.curve(by_trace.get(trace, [])), EQUAL_SNR_DB)))
+    ]
+    text = dict.fromkeys(("trace", "codec", "source"), pl.String)
+    fewest = pl.col("bits_per_sample").min().over("trace")
+    return _table(found, {**text, "bits_per_sample": pl.Float64}).with_columns(
+        excess_percent=100 * (pl.col("bits_per_sample") / fewest - 1)
     )
 
 
-def excesses(measurements: Measurements) -> list[Excess]:
-    """Return what each codec needs on each trace at EQUAL_SNR_DB, compared with the trace's best codec."""
-    rows = []
-    for trace in measurements.traces:
-        bits = {
-            codec: float(bits_per_sample_at(SNR.curve(by_trace.get(trace, [])), EQUAL_SNR_DB))
-            for codec, by_trace in measurements.curves.items()
-        }
-        bits = {codec: value for codec, value in bits.items() if math.isfinite(value)}
-        rows += [
-            Excess(trace, codec, measurements.source(codec), value, 100 * (value / min(bits.values()) - 1))
-            for codec, value in bits.items()
-        ]
-    return rows
+def trace_bd_rates(measurements: Measurements) -> pl.DataFrame:
+    """Return the BD-rate of every codec relative to each anchor on every trace at every quality, as `pair_bd_rates`."""
+    anchors, codecs = measurements.anchors, measurements.curves
+    return pair_bd_rates(
+        measurements, [(scale, anchor, codec) for anchor in anchors for scale in SCALES for codec in codecs]
+    )
 
 
-def trace_bd_rates(measurements: Measurements) -> list[TraceBdRate]:
-    """Return the BD-rate of every codec relative to each anchor on every trace at every quality."""
-    return [
-        row
-        for anchor in measurements.anchors
-        for scale in SCALES
-        for codec in measurements.curves
+def pair_bd_rates(measurements: Measurements, pairs: Iterable[tuple[Scale, str, str]]) -> pl.DataFrame:
+    """Return the BD-rate of one codec relative to another, an anchor, on every trace at one quality, for all pairs.
+
+    Columns: `quality`, `anchor`, `codec` and its `source`, those of BdRate, and `trace`; none of a codec and itself.
+    """
+    found = [
+        (scale.field, anchor, codec, measurements.source(codec), *astuple(rate), trace)
+        for scale, anchor, codec in pairs
         if codec != anchor
-        for row in pair_bd_rates(measurements, anchor, codec, scale)
+        for trace, rate in bd_rates(measurements.of(anchor, scale), measurements.of(codec, scale), scale).items()
     ]
+    return _table(found, {**_PAIR, **columns(BdRate), "trace": pl.String})
 
 
-def pair_bd_rates(measurements: Measurements, anchor: str, codec: str, scale: Scale) -> list[TraceBdRate]:
-    """Return the BD-rate of one codec relative to another on every trace at one quality."""
-    pair = scale.field, anchor, codec, measurements.source(codec)
-    rates = bd_rates(measurements.of(anchor, scale), measurements.of(codec, scale), scale)
-    return [TraceBdRate(*pair, **asdict(rate), trace=trace) for trace, rate in rates.items()]
+def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -> pl.DataFrame:
+    """Sum up BD-rates over the traces, and over those of each kind, fewest bits first for each anchor and quality.
 
-
-def mean_bd_rates(rows: Iterable[TraceBdRate], kinds: Mapping[str, str] | None = None) -> list[MeanBdRate]:
-    """Sum up BD-rates over the traces, and over those of each kind, fewest bits first for each anchor and quality."""
-    groups: dict[tuple[str, str, str, str, str], list[TraceBdRate]] = {}
-    for row in rows:
-        for kind in ("", kinds[row.trace]) if kinds and row.trace in kinds else ("",):
-            groups.setdefault((row.quality, row.anchor, row.codec, row.source, kind), []).append(row)
+    Columns: those of the pair, of Summary, `won`: the traces of which the codec needs fewer bits, and `kind`, "" for
+    all traces.
+    """
+    kind = pl.col("trace").replace_strict(kinds or {}, default=None, return_dtype=pl.String)
+    of_kinds = rates.with_columns(kind=kind).drop_nulls("kind")
+    grouped = pl.concat([rates.with_columns(kind=pl.lit("")), of_kinds]).group_by(*_PAIR, "kind", maintain_order=True)
     scales = {scale.field: scale for scale in SCALES}
-    means = []
-    for (quality, anchor, codec, source, kind), rates in groups.items():
-        figures = asdict(summary(rates, scales[quality]))
-        won = sum(rate.percent < 0 for rate in rates)
-        means.append(
-            MeanBdRate(quality=quality, anchor=anchor, codec=codec, source=source, won=won, kind=kind, **figures)
+    found = [
+        (
+            *pair,
+            *astuple(summary([BdRate(*row) for row in some.select(*columns(BdRate)).rows()], scales[pair[0]])),
+            (some["percent"] < 0).sum(),
+            kind,
         )
-    order = {(row.anchor, row.quality): index for index, row in reversed(list(enumerate(means)))}
-    return sorted(means, key=lambda row: (order[row.anchor, row.quality], row.kind, row.mean))
-
-
-def rival_bd_rates(measurements: Measurements) -> list[MeanBdRate]:
-    """Return the BD-rate of every learned codec relative to every other curve, over all traces and of each kind."""
-    rows = [
-        row
-        for scale in LEARNED_SCALES
-        for learned in measurements.learned
-        for rival in measurements.curves
-        if rival != learned
-        for row in pair_bd_rates(measurements, rival, learned, scale)
+        for (*pair, kind), some in grouped
     ]
-    return mean_bd_rates(rows, measurements.kind_of)
+    table = _table(found, {**_PAIR, **columns(Summary), "won": pl.Int64, "kind": pl.String}).with_row_index("place")
+    first_place = pl.col("place").min().over("anchor", "quality")
+    return table.sort(first_place, "kind", "mean", maintain_order=True).drop("place")
 
 
-def curve_costs(measurements: Measurements, rate: float = BITS_PER_SAMPLE) -> list[CurveCost]:
-    """Return what each curve's codec costs near a rate, a row for each runtime that it has."""
-    rows = []
-    for codec in measurements.curves:
-        cost = _curve_cost(measurements, codec, rate)
-        speeds = [speed for speed in measurements.speeds if (speed.codec, speed.rate) == (codec, rate)]
-        rows += [_at_speed(measurements, cost, speed) for speed in speeds] or [cost]
-    return rows
+def rival_bd_rates(measurements: Measurements) -> pl.DataFrame:
+    """Return the mean BD-rate of every learned codec relative to every other curve, over all traces and each kind."""
+    learned, codecs = measurements.learned, measurements.curves
+    pairs = [(scale, rival, codec) for scale in LEARNED_SCALES for codec in learned for rival in codecs]
+    return mean_bd_rates(pair_bd_rates(measurements, pairs), measurements.kind_of)
 
 
-def _at_speed(measurements: Measurements, cost: CurveCost, speed: Speed) -> CurveCost:
-    rates_hz = [point.rate_hz for points in measurements.curves[cost.codec].values() for point in points]
-    seconds = speed.encode_s_per_megasample + speed.decode_s_per_megasample
-    return replace(
-        cost,
-        runtime=speed.runtime,
-        setting=speed.setting,
-        bits_per_sample=speed.bits_per_sample,
-        snr_db=speed.snr_db,
-        encode_s_per_megasample=speed.encode_s_per_megasample,
-        decode_s_per_megasample=speed.decode_s_per_megasample,
-        real_time_factor=seconds * rates_hz[0] / 1e6 if rates_hz and rates_hz[0] else None,
+def curve_costs(measurements: Measurements, rate: float = BITS_PER_SAMPLE) -> pl.DataFrame:
+    """Return what each curve's codec costs near a rate, a row for each runtime that it has; null where not measured.
+
+    Columns: `codec`, `source`, `runtime`, `settings` (how many), the `setting` and its `bits_per_sample` and `snr_db`,
+    TIMES, `real_time_factor` (seconds of encoding and decoding for each second of one channel), `delay_ms`, those of
+    CodecCost. Times of codecs measured here are of one signal made of all traces, of others medians over the traces.
+    """
+    speeds = frame([speed for speed in measurements.speeds if speed.rate == rate], Speed).drop("rate", "samples")
+    first_rate_hz = measurements.drawn.group_by("codec").agg(pl.first("rate_hz"))
+    speeds = _with_real_time(speeds.join(first_rate_hz, on="codec", maintain_order="left"))
+    costs = _costs_at(measurements, dict.fromkeys(measurements.curves, rate))
+    joined = costs.join(speeds, on="codec", how="left", suffix="_of_speed", maintain_order="left_right")
+    timed = ("setting", "bits_per_sample", *TIMES, "real_time_factor")
+    measured = pl.col("runtime").is_not_null()
+    return joined.with_columns(
+        pl.col("runtime").fill_null(""),
+        *(pl.when(measured).then(f"{name}_of_speed").otherwise(name).alias(name) for name in timed),
+    ).select(_CURVE_COSTS)
+
+
+def _costs_at(measurements: Measurements, rates: Mapping[str, float]) -> pl.DataFrame:
+    """Return what codecs cost, each at the rate given, by timings of single traces at the nearest setting."""
+    wanted = _table(rates.items(), {"codec": pl.String, "rate": pl.Float64})
+    nearest = (
+        measurements.timed.join(wanted, on="codec", maintain_order="left")
+        .with_columns(distance=(pl.col("bits_per_sample") / pl.col("rate")).log(2).abs())
+        .sort("distance", maintain_order=True)
+        .unique(["codec", "trace"], keep="first")
+        .group_by("codec")
+        .agg(pl.median("bits_per_sample", *TIMES, "real_time_factor"))
     )
-
-
-def _curve_cost(measurements: Measurements, codec: str, rate: float) -> CurveCost:
-    points = [point for points in measurements.curves[codec].values() for point in points]
-    timings = measurements.timings_near(codec, rate)
-    timed = {(timing.trace, timing.setting) for timing in timings.values()}
-    cost = measurements.cost(codec)
-    encode_s, decode_s = (_median(getattr(timing, name) for timing in timings.values()) for name in TIMES)
-    return CurveCost(
-        codec,
-        measurements.source(codec),
-        "",
-        len({point.setting for point in points}),
-        "",
-        _median(point.bits_per_sample for point in points if (point.trace, point.setting) in timed),
-        None,
-        encode_s,
-        decode_s,
-        _median(
-            timings[point.trace].real_time_factor(point.rate_hz)
-            for point in points
-            if point.trace in timings and point.rate_hz is not None
-        ),
-        measurements.delay_ms(codec),
-        cost.decoder_bytes if cost else None,
-        cost.model_bytes if cost else None,
-        cost.flash_bytes if cost else None,
-        cost.peak_memory_bytes if cost else None,
-        cost.width if cost else None,
-        cost.note if cost else "",
+    whole = measurements.drawn.group_by("codec").agg(
+        pl.first("source"), pl.n_unique("setting").cast(pl.Int64).alias("settings"), pl.median("delay_ms")
     )
+    table = wanted
+    for each in (whole, nearest, measurements.codec_costs):
+        table = table.join(each, on="codec", how="left", maintain_order="left")
+    return table.with_columns(pl.col("note").fill_null(""), setting=pl.lit(""))
 
 
-def prices(measurements: Measurements) -> list[Price]:
-    """Return what one more decibel costs each codec measured here, the fastest decoder first."""
+def marginal_costs(measurements: Measurements) -> pl.DataFrame:
+    """Return what one more decibel costs each codec measured here near BITS_PER_SAMPLE, the fastest decoder first.
+
+    Columns: `codec`, `runtime`, `snr_db` (mean over the traces), `bytes_percent` (more bytes for one decibel more by a
+    finer setting), and for each decibel that it gains over `than`, the best of those that decode faster, `gained_db`,
+    TIMES and `flash_bytes`; null where it gains none.
+    """
     means = _means_at(measurements, SNR, BITS_PER_SAMPLE)
-    rows = [row for row in curve_costs(measurements) if row.codec in means and row.source == MEASURED]
-    timed = [row for row in rows if row.decode_s_per_megasample is not None]
-    timed.sort(key=lambda row: row.decode_s_per_megasample or 0.0)
-    found: list[Price] = []
-    best: CurveCost | None = None
-    for row in timed:
+    costs = curve_costs(measurements).filter(pl.col("codec").is_in(list(means)), source=MEASURED)
+    names = (*TIMES, "flash_bytes")
+    found: list[tuple[object, ...]] = []
+    best: Any = None
+    for row in as_rows(costs.drop_nulls(TIMES[1]).sort(TIMES[1], maintain_order=True)):
         snr_db = means[row.codec]
         gained_db = None if best is None else snr_db - means[best.codec]
-        extras: list[float | None] = [None] * 3
-        if best is not None and gained_db is not None and gained_db > 0:
-            extras = [_per_decibel(row, best, name, gained_db) for name in (*TIMES, "flash_bytes")]
+        extra = [None if not gained_db or gained_db < 0 else _per_decibel(row, best, name, gained_db) for name in names]
         than = "" if best is None else with_runtime(best)
-        finer = _finer_percent(measurements, row.codec, snr_db)
-        found.append(Price(row.codec, row.runtime, snr_db, finer, than, gained_db, *extras))
+        found.append(
+            (row.codec, row.runtime, snr_db, _finer_percent(measurements, row.codec, snr_db), than, gained_db, *extra)
+        )
         if gained_db is None or gained_db > 0:
             best = row
-    return found
+    numbers = dict.fromkeys(("gained_db", *names), pl.Float64)
+    text = {
+        "codec": pl.String,
+        "runtime": pl.String,
+        "snr_db": pl.Float64,
+        "bytes_percent": pl.Float64,
+        "than": pl.String,
+    }
+    return _table(found, {**text, **numbers})
 
 
-def _per_decibel(row: CurveCost, than: CurveCost, name: str, gained_db: float) -> float | None:
+def _per_decibel(row: Any, than: Any, name: str, gained_db: float) -> float | None:
     more, less = getattr(row, name), getattr(than, name)
     return None if more is None or less is None else (more - less) / gained_db
 
 
 def _finer_percent(measurements: Measurements, codec: str, snr_db: float) -> float | None:
     """Return by how much a codec's bytes grow for one decibel more, around a mean SNR."""
-    curves = measurements.everywhere(codec, SNR) or []
     ratios = []
-    for curve in curves:
+    for curve in measurements.everywhere(codec, SNR) or []:
         below, above = bits_per_sample_at(curve, (snr_db - 0.5, snr_db + 0.5))
         ratios.append(float(above / below))
     return 100 * (fmean(ratios) - 1) if ratios and all(map(math.isfinite, ratios)) else None
@@ -598,56 +466,49 @@ def _bits_to_reach(curve: Curve, snr_db: float) -> float:
     return bits if math.isfinite(bits) else min((bits for bits, value in curve if value >= snr_db), default=math.inf)
 
 
-def advice(measurements: Measurements) -> list[Advice]:
-    """Return the measured codec that serves each need best; among equals the one with fewer bits."""
+def recommendations(measurements: Measurements) -> pl.DataFrame:
+    """Return the measured codec that serves each need best; among equals the one with fewer bits.
+
+    Columns: `need`, `codec`, `bits_per_sample`, TIMES, `delay_ms`, `flash_bytes`.
+    """
     measured = [codec for codec in measurements.curves if measurements.source(codec) != IMPORTED]
-    bits, copies = (
-        {codec: rate for codec, rate in bits_to_reach(measurements, snr_db).items() if codec in measured}
-        for snr_db in (NEEDED_SNR_DB, COPY_SNR_DB)
-    )
-    fewest = min(bits.values(), default=0.0)
-    costs = {codec: _curve_cost(measurements, codec, rate) for codec, rate in bits.items()}
-    decode_s = {codec: cost.decode_s_per_megasample for codec, cost in costs.items()}
-    encode_s = {codec: cost.encode_s_per_megasample for codec, cost in costs.items()}
-    delay_ms = {codec: cost.delay_ms for codec, cost in costs.items()}
-    flash_bytes = {codec: cost.flash_bytes for codec, cost in costs.items()}
+
+    def costs(rates: Mapping[str, float]) -> pl.DataFrame:
+        table = _costs_at(measurements, {codec: rate for codec, rate in rates.items() if codec in measured})
+        return table.with_columns(bits_per_sample="rate")
+
+    enough = costs(bits_to_reach(measurements, NEEDED_SNR_DB))
+    copies = costs(bits_to_reach(measurements, COPY_SNR_DB))
     snr = f"{NEEDED_SNR_DB:g} dB SNR or more"
-    # The words for a need, the rates of the codecs that it admits, and that of which the best has the least.
-    needs: list[tuple[str, Mapping[str, float], Mapping[str, float | None]]]
-    needs = [(f"the fewest bits at {snr}", bits, bits)]
+    needs = [(f"the fewest bits at {snr}", enough, "rate")]
     for factor in NEAR_FEWEST:
-        near = {codec: rate for codec, rate in bits.items() if rate <= factor * fewest}
-        needs += [
-            (f"the fastest decoder at {snr}, with at most {factor:g} times the fewest bits", near, decode_s),
-            (f"the fastest encoder at {snr}, with at most {factor:g} times the fewest bits", near, encode_s),
-        ]
-    needs += [
-        (f"the shortest delay at {snr}", bits, delay_ms),
-        (f"the smallest decoder and model, of those counted, at {snr}", bits, flash_bytes),
-    ]
+        near = enough.filter(pl.col("rate") <= factor * pl.col("rate").min())
+        with_few = f"at {snr}, with at most {factor:g} times the fewest bits"
+        needs += [(f"the fastest {name.partition('_')[0]}r {with_few}", near, name) for name in reversed(TIMES)]
+    needs.append((f"the shortest delay at {snr}", enough, "delay_ms"))
+    needs.append((f"the smallest decoder and model, of those counted, at {snr}", enough, "flash_bytes"))
     for scale in (SPQI, ST_SIM_2800):
         means = _means_at(measurements, scale, RATES[0])
-        at_rate = {codec: RATES[0] for codec in measured if codec in means}
-        needs.append(
-            (f"the best {scale.label} at {RATES[0]:g} bit/sample", at_rate, {codec: -means[codec] for codec in at_rate})
-        )
-    needs.append((f"a copy, of {COPY_SNR_DB:g} dB SNR or more, in the fewest bits", copies, copies))
-    return [chosen for need, rates, least in needs if (chosen := _least(measurements, need, rates, least)) is not None]
+        at_rate = costs(dict.fromkeys(means, RATES[0]))
+        loss = pl.col("codec").replace_strict(means, default=None, return_dtype=pl.Float64)
+        needs.append((f"the best {scale.label} at {RATES[0]:g} bit/sample", at_rate.with_columns(loss=-loss), "loss"))
+    needs.append((f"a copy, of {COPY_SNR_DB:g} dB SNR or more, in the fewest bits", copies, "rate"))
+    kept = ["need", "codec", "bits_per_sample", *TIMES, "delay_ms", "flash_bytes"]
+    chosen = [
+        table.drop_nulls(by).sort(by, "rate", "codec").head(1).with_columns(need=pl.lit(need))
+        for need, table, by in needs
+    ]
+    return pl.concat(each.select(kept) for each in chosen)
 
 
-def _least(
-    measurements: Measurements, need: str, rates: Mapping[str, float], least: Mapping[str, float | None]
-) -> Advice | None:
-    """Return the codec of the least value, at its rate; None where none has a value."""
-    ranked = [(value, rate, codec) for codec, rate in rates.items() if (value := least.get(codec)) is not None]
-    if not ranked:
-        return None
-    _, rate, codec = min(ranked)
-    cost = _curve_cost(measurements, codec, rate)
-    times = cost.encode_s_per_megasample, cost.decode_s_per_megasample
-    return Advice(need, codec, rate, *times, cost.delay_ms, cost.flash_bytes)
+def _with_real_time(table: pl.DataFrame) -> pl.DataFrame:
+    """Add the seconds of encoding and decoding for each second of one channel; null without a rate."""
+    # Not by polars: it divides by a constant with another last digit.
+    factors = [
+        (sum(times) * rate_hz / 1e6 if rate_hz else None) for *times, rate_hz in table.select(*TIMES, "rate_hz").rows()
+    ]
+    return table.with_columns(real_time_factor=pl.Series(factors, dtype=pl.Float64))
 
 
-def _median(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return median(known) if known else None
+def _table(found: Iterable[Sequence[object]], schema: Mapping[str, Any]) -> pl.DataFrame:
+    return pl.DataFrame(list(found), schema, orient="row")

@@ -1,22 +1,21 @@
-"""Labels beside a panel: as near to what they name as they fit without overlap."""
+"""Labels next to a panel: at the heights of what they name, moved apart where they would overlap."""
 
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
+def spread(targets: Sequence[float], heights: Sequence[float]) -> list[float]:
+    """Return the places of labels in a panel from 0 to 1: each at its target, or just above the label below.
 
-def spread(wanted: Sequence[float], rooms: Sequence[float]) -> NDArray[np.float64]:
-    """Return the heights of labels in a panel from 0 to 1, in the same order: nearest in squares to those wanted.
-
-    `wanted`: rising. `rooms`: how much of the panel each label takes; all shrink alike where they do not fit.
+    `targets`: rising. `heights`: how much of the panel each label takes; all shrink alike where they do not fit. Labels
+    that would leave the panel at the top move down, with those below them.
     """
-    if not len(wanted):
-        return np.zeros(0)
-    needed = np.asarray(rooms, np.float64)
-    needed = needed / max(1.0, float(needed.sum()))
-    # Rising heights, each at least half of both rooms above the one below.
-    centres = np.cumsum(needed) - needed / 2
-    slack = isotonic_regression(np.asarray(wanted) - centres).x
-    return np.asarray(np.clip(slack, 0, 1 - needed.sum()) + centres)
+    halves = [height / 2 / max(1.0, sum(heights)) for height in heights]
+    places: list[float] = []
+    bottom, top = 0.0, 1.0
+    for target, half in zip(targets, halves, strict=True):
+        places.append(max(target, bottom + half))
+        bottom = places[-1] + half
+    for index in reversed(range(len(places))):
+        places[index] = min(places[index], top - halves[index])
+        top = places[index] - halves[index]
+    return places

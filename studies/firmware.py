@@ -1,10 +1,10 @@
 """What decoding costs a microcontroller, counted in emulation: `python -m studies.firmware --out docs`."""
 
-import json
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -12,16 +12,14 @@ from typing import Any
 import click
 import numpy as np
 
+from studies import page
+from studies.page import write_rows
 from vibrocast import codec, extras, models
 from vibrocast.codec import CodedSignal, Signal
 from vibrocast.codec.live_format import live_format
 from vibrocast.codec.stream import as_stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.evaluation import trained
-from vibrocast.evaluation.page_parts import code, number, paragraphs, table
-from vibrocast.evaluation.points import write_rows
-from vibrocast.files import atomic_write
-from vibrocast.firmware.build import BuildError
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import live
 from vibrocast.host.harness.device_clock import DeviceClock
@@ -64,6 +62,8 @@ SMALL = {
 }
 """Buffers of a controller that plays streams as they come: half a second of 8 kHz, no captures."""
 _PORTABLE = {"DSP instructions": {}, "portable C": {"VC_PORTABLE": 1}}
+_KERNELS = tuple(reversed(_PORTABLE))
+"""As the page has them: the portable ones first."""
 _FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
 
 
@@ -334,240 +334,69 @@ def write_page(
     controller: Sequence[ControllerLoad],
     tables: Path = TABLES,
 ) -> None:
-    """Write OUT/firmware.md, its figures as JSON in OUT/results, and as CSV in `tables`. Raises OSError."""
-    results = out / "results"
-    results.mkdir(parents=True, exist_ok=True)
-    for stem, rows, kind in (
-        ("firmware_loads", loads, Load),
-        ("firmware_sizes", sizes, Size),
-        ("firmware_controller", controller, ControllerLoad),
-    ):
-        with atomic_write(tables / f"{stem}.csv") as path:
-            write_rows(path, rows, kind)
-    figures: dict[str, Sequence[Any]] = {"loads": loads, "sizes": sizes, "controller": controller}
-    with atomic_write(results / "firmware.json") as path:
-        listed = {name: [asdict(row) for row in rows] for name, rows in figures.items()}
-        path.write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
-    with atomic_write(out / "firmware.md") as path:
-        path.write_text(_page(loads, sizes, controller) + "\n", encoding="utf-8")
+    """Write OUT/firmware.md, and its figures as CSV in `tables`. Raises OSError."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_rows(tables / "firmware_loads.csv", loads, Load)
+    write_rows(tables / "firmware_sizes.csv", sizes, Size)
+    write_rows(tables / "firmware_controller.csv", controller, ControllerLoad)
+    page.write(out / "firmware.md", _page(loads, sizes, controller))
 
 
 def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> str:
-    return paragraphs(
-        "# Decoding on a microcontroller",
-        "What each decoder costs: instructions, load of the processor, flash, RAM, stack. Made by the command "
-        "below, on a computer with the extra `[firmware]`; nothing here has been timed on a board.",
-        "    python -m studies.firmware --out docs",
-        _method(loads),
-        _m4_section(loads),
-        _cores_section(loads),
-        _memory_section(loads, sizes),
-        _controller_section(controller),
-        "Rows: [firmware_loads.csv](../host/planner/data/firmware_loads.csv), "
-        "[firmware_sizes.csv](../host/planner/data/firmware_sizes.csv), "
-        "[firmware_controller.csv](../host/planner/data/firmware_controller.csv), "
-        "all as [JSON](results/firmware.json). "
-        "[firmware_decoding.csv](../host/planner/data/firmware_decoding.csv) has decoding at every length of block and "
-        "some qualities, from which `vibrocast plan` forecasts loads.",
+    cores = [name for name in CORES if name != "M4F"]
+    decoders = list(dict.fromkeys(load.decoder for load in loads))
+    return page.render(
+        "firmware",
+        textures=list(dict.fromkeys(load.texture for load in loads)),
+        rate_hz=RATE_HZ,
+        target_db=TARGET_DB,
+        decoders=[_on_m4(loads, decoder) for decoder in decoders],
+        cores=[{"name": name, "clock_mhz": CORES[name].clock_hz / 1e6} for name in cores],
+        by_core={decoder: [_load(loads, decoder, *cell) for cell in product(cores, _KERNELS)] for decoder in decoders},
+        memory={size.decoder: _memory(loads, sizes, size.decoder) for size in sizes},
+        profile_speed_mm_s=PROFILE_SPEED_MM_S,
+        board=BOARD,
+        profile_unit=PROFILE_UNIT,
+        controllers=[(load, CORES[BOARD_CORES[load.board]].clock_hz) for load in controller],
     )
 
 
-def _method(loads: Sequence[Load]) -> str:
-    kinds = list(dict.fromkeys(load.texture for load in loads))
-    return paragraphs(
-        f"The signals are {len(kinds)} generated textures ({', '.join(kinds)}) of one channel at {RATE_HZ} Hz, "
-        f"coded as they are streamed (packets of 128 samples, a refresh every 0.25 s) at {TARGET_DB:g} dB of SNR "
-        "or, where no setting comes near, the next better (`parametric`, which keeps no waveform, as finely as its "
-        "set of rate points goes). Each stream is decoded by the core as compiled for the processor "
-        "(`firmware/core` by ziglang, `-O2`), executed in Unicorn; the samples are those of the decoder "
-        "on the host, to the last bit, with DSP kernels and without, or the command fails. Given are means over "
-        "the textures, refreshes included.",
-        "A *load* is the part of the processor that one channel takes: instructions (or cycles) a sample times "
-        f"{RATE_HZ} Hz, divided by the clock. Instructions are counted exactly, but take a cycle at least, and "
-        "memory and branches more. So cycles of the Cortex-M4 are estimated too, by the timings of its Technical "
-        "Reference Manual (ARM DDI 0439, 3.3), from memory without wait states: a load takes 2 cycles, or 1 "
-        "behind another whose result it does not address by; a store 1, or 2 where its address is a sum of "
-        "registers; either one more where its address is the result of the instruction before; LDM, STM, PUSH "
-        "and POP 1 + N; LDRD and STRD 3; UDIV and SDIV, which take 2 to 12, 12; TBB and TBH 2; all else 1; "
-        "and a branch that is taken 2 more, of the 1 to 3 that the manual gives. Words across word bounds, 1 or 2 "
-        "cycles more, are not counted: with DSP kernels one in three of the loads in EVA's products, where a model's "
-        "weights lie so. On an STM32F405 the flash accelerator hides "
-        "most, not all, of the wait states at 168 MHz. An M7 can carry out two instructions at once, and an M33 "
-        "some; their loads, by instructions, say no more than that.",
+def _load(loads: Sequence[Load], decoder: str, core: str, kernels: str) -> dict[str, float]:
+    """Return what a decoder takes on a core, means over the textures: load in percent, by instructions and cycles."""
+    of = [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, core, kernels)]
+    to_percent = 100 * RATE_HZ / CORES[core].clock_hz
+    instructions = fmean(load.instructions for load in of)
+    return {
+        "instructions": instructions,
+        "load_percent": instructions * to_percent,
+        "max_percent": max(load.instructions for load in of) * to_percent,
+        "cycles_percent": fmean(load.cycles or 0.0 for load in of) * to_percent,
+        "bits_per_sample": fmean(load.bits_per_sample for load in of),
+        "stack_bytes": max(load.stack_bytes for load in of),
+    }
+
+
+def _on_m4(loads: Sequence[Load], decoder: str) -> dict[str, Any]:
+    portable, dsp = (_load(loads, decoder, "M4F", kernels) for kernels in _KERNELS)
+    limit_percent = LIMITS_PERCENT.get(decoder)
+    return {"decoder": decoder, "portable": portable, "dsp": dsp, "limit_percent": limit_percent}
+
+
+def _memory(loads: Sequence[Load], sizes: Sequence[Size], decoder: str) -> list[float]:
+    """Return bytes: code with portable and DSP kernels, image, state for each of CHANNELS, stack with both kernels."""
+    portable, dsp = (
+        next(size for size in sizes if (size.decoder, size.kernels) == (decoder, kernels)) for kernels in _KERNELS
     )
-
-
-def _m4_section(loads: Sequence[Load]) -> str:
-    clock_hz = CORES["M4F"].clock_hz
-    rows = []
-    for decoder in dict.fromkeys(load.decoder for load in loads):
-        dsp, portable = (
-            [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, "M4F", kernels)]
-            for kernels in _PORTABLE
-        )
-        limit = LIMITS_PERCENT.get(decoder)
-        greatest = max(100 * load.instructions * RATE_HZ / clock_hz for load in dsp)
-        by_cycles = _mean_load(dsp, _cycles, clock_hz)
-        rows.append(
-            (
-                code(decoder),
-                number(fmean(load.bits_per_sample for load in dsp)),
-                *_columns(portable, clock_hz),
-                *_columns(dsp, clock_hz),
-                _percent(greatest),
-                "" if limit is None else f"< {limit:g} %",
-                "" if limit is None else _verdict(greatest < limit, by_cycles < limit),
-            )
-        )
-    return paragraphs(
-        "## Cortex-M4F at 168 MHz",
-        "Portable C, and the kernels with DSP instructions (SMLAD and its kin, in "
-        "`firmware/core/eva_kernels_dsp.c`) that `eva` and the network of `mdct` use; the other codecs have none. "
-        "`eva` uses them in layers of a multiple of 16 channels, as all models that ship have; other layers take the "
-        "portable ones. *Greatest*: the texture that takes most, by instructions with DSP kernels; it must keep within "
-        "what is wanted, and so must the mean by cycles. To choose a codec, look at the DSP columns by cycles first: "
-        "they are nearest to what a board takes.",
-        table(
-            (
-                "decoder",
-                "bit/sample",
-                "portable: instructions/sample",
-                "load",
-                "load by cycles",
-                "DSP: instructions/sample",
-                "load",
-                "load by cycles",
-                "greatest",
-                "wanted",
-                "by instructions, by cycles",
-            ),
-            rows,
-        ),
-    )
-
-
-def _columns(loads: Sequence[Load], clock_hz: float) -> tuple[str, str, str]:
-    return (
-        f"{fmean(load.instructions for load in loads):.0f}",
-        _percent(_mean_load(loads, lambda load: load.instructions, clock_hz)),
-        _percent(_mean_load(loads, _cycles, clock_hz)),
-    )
-
-
-def _cycles(load: Load) -> float:
-    assert load.cycles is not None, "cycles are estimated for the M4"
-    return load.cycles
-
-
-def _mean_load(loads: Sequence[Load], cost: Callable[[Load], float], clock_hz: float) -> float:
-    """Return the mean load in percent."""
-    return 100 * fmean(map(cost, loads)) * RATE_HZ / clock_hz
-
-
-def _percent(value: float) -> str:
-    return f"{value:.2f} %"
-
-
-def _verdict(*met: bool) -> str:
-    return ", ".join("met" if one else "**missed**" for one in met)
-
-
-def _cores_section(loads: Sequence[Load]) -> str:
-    names = [name for name in CORES if name != "M4F"]
-    rows = []
-    for decoder in dict.fromkeys(load.decoder for load in loads):
-        cells = [code(decoder)]
-        for name in names:
-            for kernels in reversed(_PORTABLE):
-                of = [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, name, kernels)]
-                mean = fmean(load.instructions for load in of)
-                cells += [f"{mean:.0f}", _percent(100 * mean * RATE_HZ / CORES[name].clock_hz)]
-        rows.append(cells)
-    header = ["decoder"]
-    for name in names:
-        for kernels in ("portable", "DSP"):
-            header += [f"{name}, {kernels}: instructions/sample", f"load at {CORES[name].clock_hz / 1e6:g} MHz"]
-    return paragraphs("## Cortex-M7 and Cortex-M33", "By instructions.", table(header, rows))
-
-
-def _memory_section(loads: Sequence[Load], sizes: Sequence[Size]) -> str:
-    rows = []
-    for decoder in dict.fromkeys(size.decoder for size in sizes):
-        dsp, portable = (
-            next(size for size in sizes if (size.decoder, size.kernels) == (decoder, kernels)) for kernels in _PORTABLE
-        )
-        stack = [
-            max(
-                load.stack_bytes
-                for load in loads
-                if (load.decoder, load.core, load.kernels) == (decoder, "M4F", kernels)
-            )
-            for kernels in reversed(_PORTABLE)
-        ]
-        cells = (
-            *(portable.code_bytes, dsp.code_bytes, dsp.image_bytes),
-            *(dsp.state_1_bytes, dsp.state_2_bytes, dsp.state_4_bytes, *stack),
-        )
-        rows.append((code(decoder), *(f"{cell:,}" for cell in cells)))
-    return paragraphs(
-        "## Memory",
-        "Bytes on a Cortex-M4F. Code is all that one codec's decoder links, constants and the compiler's "
-        "arithmetic included; codecs in one controller share the context model's part of it. The image is what is "
-        "flashed of the model, without an ONNX graph. State is a decoder compiled for 1, 2 and 4 channels "
-        "(`VC_MAX_CHANNELS`). The stack is the most that was used while the textures were decoded.",
-        table(
-            (
-                *("decoder", "code, portable", "code, DSP", "image", "state, 1 channel", "2 channels", "4 channels"),
-                *("stack, portable", "stack, DSP"),
-            ),
-            rows,
-        ),
-    )
-
-
-def _controller_section(controller: Sequence[ControllerLoad]) -> str:
-    rows = []
-    for load in controller:
-        rest = load.instructions - load.decoding
-        profile = load.unit == PROFILE_UNIT
-        rows.append(
-            (
-                code(load.board),
-                load.unit,
-                "" if profile else str(load.rate_hz),
-                str(load.channels),
-                "" if profile else str(load.packet_samples),
-                f"{load.instructions / 1e6:.2f}",
-                _percent(100 * load.instructions / CORES[BOARD_CORES[load.board]].clock_hz),
-                f"{load.decoding / 1e6:.2f}",
-                f"{rest / 1e6:.2f}",
-                f"{load.flash_bytes:,}",
-                f"{load.ram_bytes:,}",
-            )
-        )
-    return paragraphs(
-        "## The whole controller",
-        "A texture coded by `mdct` and played live on the firmware, as `vibrocast play --plan` does, or a profile "
-        f"rendered under a hand that goes there and back, at {PROFILE_SPEED_MM_S:g} mm/s at most: messages, buffer, "
-        "decoding, and the output stage at the actuator's DAC rate, in millions of instructions a second; its "
-        "main loop is run every millisecond. *The rest*: all but decoding, of which most depends on channels, rate, "
-        "packets a second, and whether an acceleration is to be integrated. Flash and RAM: of the "
-        f"board's firmware (`{BOARD}`) but for its decoders, with the buffers of a small controller.",
-        table(
-            (
-                *("controller", "unit", "Hz", "channels", "samples in a packet", "all", "load", "decoding", "the rest"),
-                *("flash", "RAM"),
-            ),
-            rows,
-        ),
-    )
+    stacks = [_load(loads, decoder, "M4F", kernels)["stack_bytes"] for kernels in _KERNELS]
+    states = [dsp.state_1_bytes, dsp.state_2_bytes, dsp.state_4_bytes]
+    return [portable.code_bytes, dsp.code_bytes, dsp.image_bytes, *states, *stacks]
 
 
 @click.command()
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for firmware.md.")
+@page.OUT
 def main(out: Path) -> None:
-    """Count what decoding costs a Cortex-M and write the page OUT/firmware.md, its figures in OUT/results."""
-    try:
+    """Count what decoding costs a Cortex-M and write the page OUT/firmware.md."""
+    with page.errors_in_one_line():
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             loads = list(measure_loads(folder, DECODERS, list(GENERATORS), SECONDS))
@@ -575,12 +404,7 @@ def main(out: Path) -> None:
             controller = list(measure_controllers(folder, 2.0))
             decoding = list(measure_decoding(folder, DECODERS, list(GENERATORS), SECONDS))
         write_page(out, loads, sizes, controller)
-        with atomic_write(TABLES / "firmware_decoding.csv") as path:
-            write_rows(path, decoding, Decoding)
-    except (BuildError, extras.MissingExtraError) as error:
-        raise click.ClickException(str(error)) from error
-    except OSError as error:
-        raise click.ClickException(f"{error.filename}: {error.strerror}") from error
+        write_rows(TABLES / "firmware_decoding.csv", decoding, Decoding)
     click.echo(f"{out / 'firmware.md'}: {len(DECODERS)} decoders")
 
 

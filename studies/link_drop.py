@@ -1,22 +1,22 @@
 """Live streams when a link drops to half: `python -m studies.link_drop RECORDINGS --out docs`."""
 
-import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 
+import click
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from studies.page import FOLDER, OUT, errors_in_one_line, render, results_folder, write_rows
 from vibrocast import codec, progress, textures
 from vibrocast.codec import Signal
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.live_format import live_format
 from vibrocast.codec.rate_controlled import added_bytes
-from vibrocast.evaluation.page_parts import paragraphs, table
-from vibrocast.evaluation.points import write_rows
 from vibrocast.files import atomic_write
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
@@ -66,20 +66,18 @@ class Outcome:
     recovered_s: float | None
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Stream a folder of recordings, and write the tables, the chart and the section."""
-    parser = argparse.ArgumentParser(description=__doc__, prog="python -m studies.link_drop")
-    parser.add_argument("recordings", type=Path, help="folder of recordings")
-    parser.add_argument("--out", type=Path, required=True, help="folder for results/link_drop.csv and .png")
-    chosen = parser.parse_args(arguments)
-    recordings = [dataset.load(trace) for trace in dataset.traces(chosen.recordings)]
-    print(section(recordings, chosen.out))
+@click.command()
+@FOLDER
+@OUT
+def main(folder: Path, out: Path) -> None:
+    """Stream a folder of recordings; write the table and the chart into OUT/results, and print the section."""
+    with errors_in_one_line():
+        click.echo(section([dataset.load(trace) for trace in dataset.traces(folder)], out), nl=False)
 
 
 def section(recordings: Sequence[textures.Recording], out: Path) -> str:
     """Stream the recordings at each rate, write OUT/results/link_drop.*; return the page's section on it."""
-    folder = out / "results"
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = results_folder(out)
     packets: list[Packet] = []
     outcomes: list[Outcome] = []
     cells = [(recording, rate_bps) for rate_bps in RATES_BPS for recording in recordings]
@@ -92,36 +90,29 @@ def section(recordings: Sequence[textures.Recording], out: Path) -> str:
     write_rows(folder / TABLE, outcomes, Outcome)
     with atomic_write(folder / CHART) as partial:
         draw(partial, packets)
-    rows = []
-    for rate_bps in RATES_BPS:
-        of_rate = [outcome for outcome in outcomes if outcome.asked_bps == rate_bps]
-        recovered_s = [math.inf if each.recovered_s is None else each.recovered_s for each in of_rate]
-        rows.append(
-            [
-                f"{rate_bps}",
-                f"{of_rate[0].packet_ms:.0f}",
-                f"{of_rate[0].margin_ms:.0f}",
-                f"{sum(each.late_packets for each in of_rate)}",
-                f"{sum(each.dropped_packets for each in of_rate)}",
-                f"{min(each.min_early_ms for each in of_rate):.0f}",
-                f"{np.mean([each.during_bps / each.before_bps for each in of_rate]):.2f}",
-                f"{max(recovered_s):.1f}",
-            ]
-        )
-    return paragraphs(
-        "## A link that falls to half",
-        f"{len(recordings)} recordings, streamed live in simulated time to the simulated controller at a constant rate "
-        f"that takes {100 * LINK_SHARE:.0f} % of the link, which falls to half at {FALLS_S:g} s and is whole again at "
-        f"{RECOVERS_S:g} s. What the host does: `host/link.py`. Late: sent and not there in time. Not sent: it would "
-        "have come too late. Least early: how much later the packet that came latest could still have come. Rate: the "
-        f"mean from {FALLS_S + 1:g} s to {RECOVERS_S:g} s, relative to what was asked. Back: how long the slowest "
-        "took, when the link was whole, to come to 95 % of the rate.",
-        table(
-            ["bit/s", "packet, ms", "margin, ms", "late", "not sent", "least early, ms", "rate", "back, s"],
-            rows,
-        ),
-        f"![Rate, SNR and how early packets come, over time](results/{CHART})",
+    return render(
+        "link_drop",
+        recordings=len(recordings),
+        link_share=LINK_SHARE,
+        falls_s=FALLS_S,
+        recovers_s=RECOVERS_S,
+        chart=CHART,
+        rows=[_row([outcome for outcome in outcomes if outcome.asked_bps == rate_bps]) for rate_bps in RATES_BPS],
     )
+
+
+def _row(outcomes: Sequence[Outcome]) -> dict[str, float]:
+    """Return what the page says of the streams at one rate."""
+    return {
+        "target_bps": outcomes[0].asked_bps,
+        "packet_ms": outcomes[0].packet_ms,
+        "margin_ms": outcomes[0].margin_ms,
+        "late": sum(each.late_packets for each in outcomes),
+        "dropped": sum(each.dropped_packets for each in outcomes),
+        "early_ms": min(each.min_early_ms for each in outcomes),
+        "during": fmean(each.during_bps / each.before_bps for each in outcomes),
+        "recovered_s": max(math.inf if each.recovered_s is None else each.recovered_s for each in outcomes),
+    }
 
 
 def stream(recording: textures.Recording, rate_bps: int) -> tuple[list[Packet], Outcome]:

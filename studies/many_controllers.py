@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from studies.page import render, write
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.transports import SerialTransport
-from vibrocast.evaluation.page_parts import paragraphs, table
-from vibrocast.files import atomic_write
 from vibrocast.firmware.build import build
 from vibrocast.host import player
 from vibrocast.host.controller import Controller
@@ -126,31 +125,14 @@ def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: floa
 
 def page(rows: Sequence[Measured], seconds: float, buffer_s: float) -> str:
     """Return the page with the table."""
-    return paragraphs(
-        "# Many controllers from one process",
-        f"One process with one thread streams {seconds:g} s of noise to all controllers at once, without reading back. "
-        f"It runs on one core of this machine ({measurements.machine()['processor']}, {os.cpu_count()} cores), and the "
-        f"controllers share the others. Each has {buffer_s:g} s of signal ahead. A share is CPU time per second of "
-        "playback: 1 is a whole core.",
-        table(
-            ("controllers", "count", "channels", "host's share", "controllers' share", "underruns", "lost", "failed"),
-            [
-                (
-                    KINDS[row.kind],
-                    str(row.controllers),
-                    str(row.channels),
-                    f"{row.host_share:.3f}",
-                    f"{row.controllers_share:.3f}",
-                    str(row.underruns),
-                    str(row.lost_packets),
-                    str(row.failed),
-                )
-                for row in rows
-            ],
-        ),
-        "A process of the firmware decodes and computes the DAC codes of all channels, so as many play without an "
-        "underrun as its cores can serve. Write this page with `python -m studies.many_controllers --out docs`; "
-        "`--help` lists the numbers that you can change.",
+    return render(
+        "many_controllers",
+        rows=rows,
+        kinds=KINDS,
+        seconds=seconds,
+        buffer_s=buffer_s,
+        processor=measurements.machine()["processor"],
+        cores=os.cpu_count(),
     )
 
 
@@ -170,8 +152,7 @@ def main() -> None:
             rows.append(measure(kind, count, options.channels, options.seconds, options.buffer_s))
             print(rows[-1], flush=True)
     if options.out is not None:
-        with atomic_write(options.out / PAGE) as partial:
-            partial.write_text(page(rows, options.seconds, options.buffer_s), encoding="utf-8")
+        write(options.out / PAGE, page(rows, options.seconds, options.buffer_s))
 
 
 if __name__ == "__main__":

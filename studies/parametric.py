@@ -4,21 +4,22 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import click
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from studies import page
+from studies.page import FOLDER, OUT, errors_in_one_line, results_folder, write_rows
 from vibrocast import codec
 from vibrocast.codec import CodedSignal, Setting
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.evaluation.metrics import Quality, measure
-from vibrocast.evaluation.page_parts import code, count, number, paragraphs, table
-from vibrocast.evaluation.points import write_rows
 from vibrocast.files import atomic_write
-from vibrocast.textures import Recording, TextureError
-from vibrocast.textures.dataset import DatasetError, load, printable, traces
+from vibrocast.textures import Recording
+from vibrocast.textures.dataset import load, printable, traces
 
 DESCRIPTION, WAVEFORM = "parametric", "mdct"
 RATES = (1, 10)
@@ -117,14 +118,11 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 def write(out: Path, rows: Sequence[Row], data: str) -> None:
     """Write OUT/parametric.md, and its figures and chart in OUT/results. `data`: the folder's name. Raises OSError."""
-    results = out / "results"
-    results.mkdir(parents=True, exist_ok=True)
-    with atomic_write(results / "parametric.csv") as path:
-        write_rows(path, rows, Row)
+    results = results_folder(out)
+    write_rows(results / "parametric.csv", rows, Row)
     with atomic_write(results / "parametric.png") as path:
         draw(path, means(rows))
-    with atomic_write(out / "parametric.md") as path:
-        path.write_text(_page(rows, data) + "\n", encoding="utf-8")
+    page.write(out / "parametric.md", _page(rows, data))
 
 
 def draw(path: Path, rows: Sequence[Row]) -> None:
@@ -145,39 +143,22 @@ def draw(path: Path, rows: Sequence[Row]) -> None:
 
 
 def _page(rows: Sequence[Row], data: str) -> str:
-    recordings = len({row.trace for row in rows})
     another_take, silence = _of_noise()
-    return paragraphs(
-        "# A description instead of a waveform",
-        f"What {code(DESCRIPTION)} keeps of {count(recordings, 'recording')}, beside {code(WAVEFORM)} at the same rate "
-        "and at ten times that. Written by",
-        f"    python -m studies.parametric {data} --out docs",
-        f"with a folder of recordings, resampled to {DEFAULT_STREAM_RATE_HZ} Hz. Rates are of all packets, without the "
-        "file's header and the framing of its packets, which are alike. Means over the recordings, where all have a "
-        "value; each by itself is in [parametric.csv](results/parametric.csv). Measures: [metrics.md](metrics.md).",
-        *(
-            _rate_point_section(place, rate_point, rows)
-            for place, rate_point in enumerate(dict.fromkeys(row.rate_point for row in rows), 1)
-        ),
-        "![third-octave distance, SPQI and SNR over the rate](results/parametric.png)",
-        "How to read it:",
-        f"- Two takes of one steady noise are {number(another_take.third_octave_distance_db)} dB apart in third "
-        "octaves, in frames of 0.1 s. What is that near can be another take; only what is said of the course of the "
-        "levels brings a description nearer.",
-        f"- SPQI compares bins of 2.7 Hz, and gives another take of that noise {number(another_take.spqi)}, less than "
-        f"silence, {number(silence.spqi)}: it cannot judge a description.",
-        "- SNR: of a signal as strong as the recording, and otherwise independent of it, it is -3 dB.",
+    settings: dict[str, list[dict[str, Any]]] = {}
+    for row in means(rows):
+        settings.setdefault(row.rate_point, []).append(vars(row))
+    return page.render(
+        "parametric",
+        description=DESCRIPTION,
+        waveform=WAVEFORM,
+        recordings=len({row.trace for row in rows}),
+        data=data,
+        rate_hz=DEFAULT_STREAM_RATE_HZ,
+        settings=settings,
+        measures=MEASURES,
+        another_take=another_take,
+        silence=silence,
     )
-
-
-def _rate_point_section(place: int, rate_point: str, rows: Sequence[Row]) -> str:
-    header = ("", "bit/s", *MEASURES.values())
-    cells = [
-        (code(row.codec), f"{row.bits_per_second:.0f}", *(number(getattr(row, each)) for each in MEASURES))
-        for row in means(rows)
-        if row.rate_point == rate_point
-    ]
-    return paragraphs(f"## Setting {place}", code(rate_point), table(header, cells))
 
 
 def _of_noise() -> tuple[Quality, Quality]:
@@ -189,23 +170,17 @@ def _of_noise() -> tuple[Quality, Quality]:
 
 
 @click.command()
-@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for parametric.md."
-)
+@FOLDER
+@OUT
 def main(folder: Path, out: Path) -> None:
     """Measure what a description keeps of the recordings in FOLDER and write the page OUT/parametric.md."""
-    try:
+    with errors_in_one_line():
         rows = [
             row
             for trace in traces(folder)
             for row in rows_of(trace.name, load(trace, stream_rate_hz=DEFAULT_STREAM_RATE_HZ))
         ]
         write(out, rows, printable(folder.name))
-    except (TextureError, DatasetError, codec.CodecError) as error:
-        raise click.ClickException(str(error)) from error
-    except OSError as error:
-        raise click.ClickException(f"{error.filename}: {error.strerror}") from error
     click.echo(f"{out / 'parametric.md'}: {len({row.trace for row in rows})} recordings")
 
 

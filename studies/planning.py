@@ -9,14 +9,12 @@ from statistics import fmean, median
 import click
 import numpy as np
 
+from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast import codec, progress, textures
 from vibrocast.codec import mdct
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
-from vibrocast.evaluation.page_parts import code, paragraphs, table
-from vibrocast.evaluation.points import write_rows
-from vibrocast.files import atomic_write
 from vibrocast.host.harness.bench_file import BenchActuator
 from vibrocast.host.planner import costs
 from vibrocast.host.planner.band import BandError, band_of, rendering_s
@@ -26,7 +24,7 @@ from vibrocast.host.planner.plan_file import prepared
 from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import Profile, Recording, TextureError
-from vibrocast.textures.dataset import DatasetError, Trace, traces
+from vibrocast.textures.dataset import Trace, traces
 
 ADDRESS, CORE, CLOCK_HZ = "cortex-m4", "M4F", 168e6
 HAND_SPEED_MM_S = 50.0
@@ -39,6 +37,7 @@ WEIGHTS = {
 _ALL_COSTS = next(iter(WEIGHTS))
 FREE, HELD = "any", "as the default's"
 """Delays: weighed as any other cost; or no longer than that of the default, both with the least margin."""
+_PERCENTS = ("bits_percent", "instructions_percent")
 PAGE, ROWS = "planning_results.md", "planning.csv"
 
 
@@ -184,96 +183,45 @@ def _default_costs(default: Encoding) -> tuple[float, float, float]:
 
 def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
     """Return the page."""
-    groups = list(dict.fromkeys(row.group for row in rows))
-    summary = []
-    for delay, weights, group in product((FREE, HELD), WEIGHTS, groups):
-        of = [row for row in rows if (row.group, row.weights, row.delay) == (group, weights, delay)]
-        if of:
-            bits, instructions = [row.bits_percent for row in of], [row.instructions_percent for row in of]
-            summary.append(
-                (
-                    weights,
-                    delay,
-                    group,
-                    str(len(of)),
-                    f"{median(row.rate_hz for row in of):.0f}",
-                    f"{fmean(bits):+.1f} %",
-                    f"{min(bits):+.1f} to {max(bits):+.1f} %",
-                    f"{fmean(instructions):+.1f} %",
-                    f"{min(instructions):+.1f} to {max(instructions):+.1f} %",
-                    f"{fmean(row.planned_kilobytes - row.default_kilobytes for row in of):+.1f}",
-                )
+    found = product((FREE, HELD), WEIGHTS, dict.fromkeys(row.group for row in rows))
+    groups = []
+    for delay, weights, group in found:
+        if of := [row for row in rows if (row.group, row.weights, row.delay) == (group, weights, delay)]:
+            groups.append(
+                {
+                    "weights": weights,
+                    "delay": delay,
+                    "name": group,
+                    "number": len(of),
+                    "rate_hz": median(row.rate_hz for row in of),
+                    "savings": [_spread([getattr(row, name) for row in of]) for name in _PERCENTS],
+                    "kilobytes": fmean(row.planned_kilobytes - row.default_kilobytes for row in of),
+                }
             )
-    header = ("weights", "delay", "recordings", "number", "median rate, Hz", "bits", "", "instructions", "", "kB")
     held = {(row.group, row.texture): row for row in rows if (row.delay, row.weights) == (HELD, _ALL_COSTS)}
-    each = [
-        (
-            row.texture,
-            f"{row.highest_hz:.0f}",
-            code(row.chosen),
-            f"{row.default_snr_db:.1f}, {row.planned_snr_db:.1f}",
-            f"{row.default_wire_bps:.0f}, {row.planned_wire_bps:.0f}",
-            f"{row.bits_percent:+.1f} %",
-            f"{row.instructions_percent:+.1f} %",
-            f"{row.default_delay_ms:.0f}, {row.planned_delay_ms:.0f}",
-            *_held_cells(held.get((row.group, row.texture))),
-        )
-        for row in rows
-        if (row.delay, row.weights) == (FREE, _ALL_COSTS)
-    ]
-    columns = (
-        "texture",
-        "band up to, Hz",
-        "planned",
-        "SNR dB, default and plan",
-        "bit/s",
-        "bits",
-        "instructions",
-        "delay, ms",
-        "planned, delay held",
-        "bits",
-        "instructions",
-    )
-    return paragraphs(
-        "# What planning saves",
-        "Written by `python -m studies.planning FOLDER... --out docs` from recordings that are not "
-        f"part of this project; every row: [{ROWS}](results/{ROWS}).",
-        f"The fixed default is what `vibrocast play` does unasked: `mdct`, {DEFAULT_STREAM_RATE_HZ} Hz, "
-        f"{DEFAULT_SNR_DB:g} dB of SNR, packets of 4 blocks, a refresh every 0.25 s. The plan is for a piezo "
-        f"stack on a Cortex-M4F; a height profile is swept at {HAND_SPEED_MM_S:g} mm/s, and a recording that states no "
-        "level is played at full stroke. It is asked for "
-        "the SNR that the default has in the band worth coding, measured on the same samples, so that it saves "
-        "nothing by being worse; what the default spends outside that band nobody can feel. Bits are those on the "
-        "wire, frames included; instructions are of decoding, as measured in [firmware.md](firmware.md). Weights: the "
-        "planner's own, and bits or instructions alone: the most that can be saved of each. Delay is weighed as any "
-        "other cost, so that some of the bits are saved by longer packets; or it is held to that of the default, which "
-        "sends packets of 4 blocks at once: then nothing is saved by waiting.",
-        "## By kind of recording",
-        "Means over recordings, and the range.",
-        table(header, summary),
-        "## Each texture, all costs weighed",
-        table(columns, each),
-        paragraphs("Left out:", *(f"- {reason}" for reason in left_out)) if left_out else "",
+    free = [row for row in rows if (row.delay, row.weights) == (FREE, _ALL_COSTS)]
+    return render(
+        "planning_results",
+        default={"rate_hz": DEFAULT_STREAM_RATE_HZ, "snr_db": DEFAULT_SNR_DB},
+        hand_speed_mm_s=HAND_SPEED_MM_S,
+        groups=groups,
+        textures=[(row, held.get((row.group, row.texture))) for row in free],
+        left_out=left_out,
     )
 
 
-def _held_cells(row: Saving | None) -> tuple[str, str, str]:
-    """Return what is planned at the default's delay, and what it saves."""
-    if row is None:
-        return "", "", ""
-    return code(row.chosen), f"{row.bits_percent:+.1f} %", f"{row.instructions_percent:+.1f} %"
+def _spread(values: Sequence[float]) -> dict[str, float]:
+    return {"mean": fmean(values), "low": min(values), "high": max(values)}
 
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, type=click.Path(file_okay=False, exists=True, path_type=Path))
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for the page.")
+@OUT
 @click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of files that do not state it.")
 def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
     """Plan all recordings of folders, and write what that saves: OUT/planning_results.md and its rows as CSV."""
-    try:
+    with errors_in_one_line():
         found = [(folder.name, trace) for folder in folders for trace in traces(folder)]
-    except DatasetError as error:
-        raise click.ClickException(str(error)) from error
     rows: list[Saving] = []
     left_out: list[str] = []
     with progress.shown("planning") as update:
@@ -285,11 +233,9 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
                 left_out.append(str(error))
     if not rows:
         raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))
-    (out / "results").mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / "results" / ROWS) as path:
-        write_rows(path, rows, Saving)
-    with atomic_write(out / PAGE) as path:
-        path.write_text(page(rows, left_out) + "\n", encoding="utf-8")
+    with errors_in_one_line():
+        write_rows(results_folder(out) / ROWS, rows, Saving)
+        write(out / PAGE, page(rows, left_out))
     click.echo(str(out / PAGE))
 
 

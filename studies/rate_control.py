@@ -1,6 +1,5 @@
 """Measures how exactly rates are held: `python -m studies.rate_control RECORDINGS --out docs`."""
 
-import argparse
 import math
 import shlex
 import sys
@@ -9,18 +8,18 @@ from itertools import product
 from pathlib import Path
 from statistics import fmean
 
+import click
 import numpy as np
 
 from studies import link_drop
 from studies import rate_control_charts as charts
+from studies.page import FOLDER, OUT, errors_in_one_line, render, results_folder, write_rows
+from studies.page import write as write_page
 from studies.rate_control_charts import Held, RefreshCost
 from vibrocast import codec, progress, textures
 from vibrocast.codec import DEFAULT_CODEC, rate_controlled
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
-from vibrocast.evaluation.page_parts import code, count, paragraphs, table
-from vibrocast.evaluation.points import write_rows
-from vibrocast.files import atomic_write
 from vibrocast.textures import dataset
 
 RATES_BPS = (500, 1000, 2000, 4000, 8000, 20_000)
@@ -31,13 +30,17 @@ MIN_SECONDS = 6.0
 """Recordings are repeated up to so long, so that there are many runs of 2 s in each."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@click.command()
+@FOLDER
+@OUT
+def main(folder: Path, out: Path) -> None:
     """Measure all codecs that control the rate on a folder of recordings, and write page, charts and tables."""
-    parser = argparse.ArgumentParser(description=__doc__, prog="python -m studies.rate_control")
-    parser.add_argument("recordings", type=Path, help="folder of recordings")
-    parser.add_argument("--out", type=Path, required=True, help="folder for rate_control.md and results/")
-    chosen = parser.parse_args(arguments)
-    recordings = {trace.name: _repeated(dataset.load(trace)) for trace in dataset.traces(chosen.recordings)}
+    with errors_in_one_line():
+        _measure_and_write(folder, out)
+
+
+def _measure_and_write(folder: Path, out: Path) -> None:
+    recordings = {trace.name: _repeated(dataset.load(trace)) for trace in dataset.traces(folder)}
     names = [name for name, known in codec.CODECS.items() if known.controls_rate]
     cells: list[tuple[str, str, int, float | None]] = [
         *product(recordings, names, RATES_BPS, (None,)),
@@ -53,9 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for rate_bps, refresh_s in refresh_cells:
             refreshes.append(measure_refreshes(list(recordings.values()), rate_bps, refresh_s))
             update((len(held) + len(refreshes)) / (len(cells) + len(refresh_cells)), "refreshes")
-    command = shlex.join(["python", "-m", "studies.rate_control", *(sys.argv[1:] if arguments is None else arguments)])
-    link_drop_section = link_drop.section(list(recordings.values()), chosen.out)
-    write(chosen.out, held, refreshes, dataset.printable(chosen.recordings.name), command, link_drop_section)
+    command = shlex.join(["python", "-m", "studies.rate_control", *sys.argv[1:]])
+    link_drop_section = link_drop.section(list(recordings.values()), out)
+    write(out, held, refreshes, dataset.printable(folder.name), command, link_drop_section)
 
 
 def _repeated(recording: textures.Recording) -> textures.Recording:
@@ -118,8 +121,7 @@ def write(
     link_drop_section: str,
 ) -> None:
     """Write OUT/rate_control.md, and OUT/results/rate_control*.csv and *.png. Raises OSError."""
-    folder = out / "results"
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = results_folder(out)
     write_rows(folder / "rate_control.csv", held, Held)
     write_rows(folder / "rate_control_refreshes.csv", refreshes, RefreshCost)
     done = [row for row in held if not row.rejected]
@@ -131,65 +133,32 @@ def write(
     charts.plot_codecs(folder / "rate_control_codecs.png", default)
     by_rate_buffer = [row for row in done if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS]
     charts.plot_rate_buffers(folder / "rate_control_buffers.png", by_rate_buffer)
-    with atomic_write(out / "rate_control.md") as partial:
-        partial.write_text(page(held, refreshes, data, command, link_drop_section), encoding="utf-8")
+    write_page(out / "rate_control.md", page(held, refreshes, data, command, link_drop_section))
 
 
 def page(
     held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, command: str, link_drop_section: str
 ) -> str:
     """Return the page; `link_drop_section`: as `studies.link_drop.section` has it."""
-    done = [row for row in held if not row.rejected]
-    default = [row for row in done if row.rate_buffer_s == RATE_BUFFERS_S[0]]
-    recordings = len({row.recording for row in held})
-    furthest = max((row for row in default if row.furthest_percent is not None), key=_deviation)
-    return (
-        paragraphs(
-            "# Rate control",
-            f"Data: {code(data)}, {count(recordings, 'recording')} at {DEFAULT_STREAM_RATE_HZ} Hz, repeated up to "
-            f"{MIN_SECONDS:g} s. Written by",
-            f"    {command}",
-            "What the policies are, and how they are asked for, is in [codecs.md](codecs.md#rate-control).",
-            "## A constant rate",
-            f"Asked for 500 bit/s to 20 kbit/s, the frames of packets included. Over every run of whole packets that "
-            f"lasts 2 s, from the first packet on, no stream was further from its rate than "
-            f"{abs(furthest.furthest_percent or 0):.2f} % ({furthest.codec}, {furthest.bits_per_second} bit/s, "
-            f"{furthest.recording}).",
-            "![Rate and quality of each recording](results/rate_control_recordings.png)",
-            f"*Each recording by {code(DEFAULT_CODEC)} with the default rate buffer: mean SNR of the packets (mark), "
-            "from the 5th to the 95th percentile (line), and the worst deviation over 2 s (number). "
-            "Data: [rate_control.csv](results/rate_control.csv).*",
-            "![Rate and quality of each codec](results/rate_control_codecs.png)",
-            "*Worst deviation over 2 s of any recording, mean SNR and mean standard deviation of the packets' SNR over "
-            "the recordings, for each codec that controls its rate and the rates that it holds on all recordings.*",
-            table(
-                ["codec", *(f"{rate} bit/s" for rate in RATES_BPS)],
-                [[code(name), *(_cell(held, name, rate) for rate in RATES_BPS)] for name in _codecs(held)],
-            ),
-            "Packet length, what frames add to the packets' bytes, padding: means over the recordings. *Rejected*: on "
-            "how many recordings the packets of full-scale noise, which is tried first, are too long at the coarsest:",
-            _rejections(held),
-            _silences(default),
-            "## What a larger rate buffer buys",
-            "![Evenness against the rate buffer's size](results/rate_control_buffers.png)",
-            f"*Standard deviation of the packets' SNR, and worst deviation over 2 s, by {code(DEFAULT_CODEC)}: means "
-            "over the recordings. The smallest rate buffer is the default; the larger ones aim at an even SNR.*",
-            "A rate buffer of b seconds lets the rate wander by b seconds' bits: on a link of just that rate data may "
-            "wait so long, and is late by as much unless the stream is begun so much earlier.",
-            "## Refreshes",
-            table(
-                ["rate", *("first only" if math.isinf(every) else f"every {every:g} s" for every in REFRESHES_S)],
-                [
-                    [f"{rate} bit/s", *(f"{row.snr_db:.2f}" for row in refreshes if row.bits_per_second == rate)]
-                    for rate in RATES_BPS
-                ],
-            ),
-            f"SNR in dB by {code(DEFAULT_CODEC)} with the default rate buffer, mean over the recordings. A refresh is "
-            "a packet at least: where packets are longer, each is one. Streams at a rate have one every "
-            f"{codec.rate_control.REFRESH_S:g} s.",
-            link_drop_section,
-        )
-        + "\n"
+    default = [row for row in held if not row.rejected and row.rate_buffer_s == RATE_BUFFERS_S[0]]
+    return render(
+        "rate_control",
+        data=data,
+        recordings=len({row.recording for row in held}),
+        rate_hz=DEFAULT_STREAM_RATE_HZ,
+        min_seconds=MIN_SECONDS,
+        command=command,
+        furthest=max((row for row in default if row.furthest_percent is not None), key=_deviation),
+        codec=DEFAULT_CODEC,
+        rates_bps=RATES_BPS,
+        codecs={name: [_cell(held, name, rate) for rate in RATES_BPS] for name in _codecs(held)},
+        examples={row.codec: row for row in held if row.rejected}.values(),
+        silent=_silent(default),
+        refreshes_s=REFRESHES_S,
+        infinity=math.inf,
+        refreshes={rate: [row for row in refreshes if row.bits_per_second == rate] for rate in RATES_BPS},
+        refresh_s=codec.rate_control.REFRESH_S,
+        link_drop=link_drop_section,
     )
 
 
@@ -201,38 +170,27 @@ def _codecs(held: Sequence[Held]) -> list[str]:
     return list(dict.fromkeys(row.codec for row in held))
 
 
-def _cell(held: Sequence[Held], name: str, rate_bps: int) -> str:
-    rows = [
-        row
-        for row in held
-        if row.codec == name and row.bits_per_second == rate_bps and row.rate_buffer_s == RATE_BUFFERS_S[0]
-    ]
+def _cell(held: Sequence[Held], name: str, rate_bps: int) -> dict[str, float]:
+    """Return means over the recordings of what a codec does at a rate, and how many recordings it rejects."""
+    cell = name, rate_bps, RATE_BUFFERS_S[0]
+    rows = [row for row in held if (row.codec, row.bits_per_second, row.rate_buffer_s) == cell]
     done = [row for row in rows if not row.rejected]
-    rejected = f"{len(rows) - len(done)} rejected" if len(done) < len(rows) else ""
     if not done:
-        return "rejected"
-    added = fmean(100 * (row.sent_bps / row.packets_bps - 1) for row in done)
-    padding = fmean(row.padding_percent for row in done)
-    text = f"{fmean(row.packet_ms for row in done):.0f} ms, +{added:.0f} %, padding {padding:.1f} %"
-    return ", ".join(filter(None, (text, rejected)))
+        return {"kept": 0}
+    return {
+        "kept": len(done),
+        "rejected": len(rows) - len(done),
+        "packet_ms": fmean(row.packet_ms for row in done),
+        "added_percent": fmean(100 * (row.sent_bps / row.packets_bps - 1) for row in done),
+        "padding_percent": fmean(row.padding_percent for row in done),
+    }
 
 
-def _silences(rows: Sequence[Held]) -> str:
-    """Return which codecs send nothing but padding at which rates."""
+def _silent(rows: Sequence[Held]) -> dict[str, int]:
+    """Return which codecs send nothing but padding, each with the highest rate at which it does."""
     silent = {(row.codec, row.bits_per_second) for row in rows}
     silent -= {(row.codec, row.bits_per_second) for row in rows if row.snr_db > 0}
-    names = sorted({name for name, _ in silent})
-    highest = {name: max(rate for each, rate in silent if each == name) for name in names}
-    told = [
-        f"- {code(name)}: up to {highest[name]} bit/s what is coarse enough is silence, and the rest padding."
-        for name in names
-    ]
-    return "\n".join(told)
-
-
-def _rejections(held: Sequence[Held]) -> str:
-    examples = {row.codec: row for row in held if row.rejected}
-    return "\n".join(f"- {code(name)}, {row.recording}: {row.rejected}." for name, row in examples.items())
+    return dict(sorted(silent))
 
 
 if __name__ == "__main__":

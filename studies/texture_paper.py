@@ -1,11 +1,11 @@
 """Compares the texture paper's ratios with real bytes: `python -m studies.texture_paper`."""
 
-import csv
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -13,12 +13,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.fft import dct
 
+from studies.page import OUT, errors_in_one_line, render, write_rows
+from studies.page import write as write_page
 from vibrocast import codec, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.textures.generate import rough_profile
 
+QUANTISERS = ("linear", "log")
 PAPER_LEVELS = (14, 12, 10, 8, 6, 5, 4)
 LEVELS = range(4, 21)
 B0_DB = (12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0)
@@ -100,7 +103,7 @@ def measure_all(profiles: Mapping[str, textures.Profile]) -> list[Result]:
     """Measure every profile: each count of levels, each threshold cut alone, and both together at 14 levels."""
     results = []
     for name, profile in profiles.items():
-        for quantiser, levels in itertools.product(("linear", "log"), LEVELS):
+        for quantiser, levels in itertools.product(QUANTISERS, LEVELS):
             results.append(measure(name, profile, {"quantiser": quantiser, "levels": levels}))
         for levels, b0_db in itertools.product((SIXTEEN_BITS, 14), B0_DB):
             results.append(measure(name, profile, {"levels": levels}, b0_db))
@@ -116,68 +119,25 @@ def falls(results: Iterable[Result]) -> list[int]:
 def markdown(results: Sequence[Result]) -> str:
     """Return the page."""
     names = list(dict.fromkeys(result.texture for result in results))
-    uncut = [result for result in results if result.b0_db is None]
-    lines = [
-        "# Material-like textures: the paper's arithmetic and real bytes",
-        "",
-        f"Written by `python -m studies.texture_paper`. Height profiles swept at {HAND_SPEED_MM_S:g} mm/s, coded by",
-        f"`dct` at {DEFAULT_STREAM_RATE_HZ} Hz in blocks of 512 (9.1 mm), DC and all above 400 Hz dropped. Wood,",
-        "sandpaper and leather are generated surfaces, alike in kind only to those of the paper. Percentages are of 16",
-        "bits for each coefficient that is kept; the columns of real bytes count the whole `.vct` file: header, packet",
-        "heads, ranges, Huffman tables. SNR is that of the coefficients that are kept.",
-        "",
-        "The paper, of its own profiles: with Huffman, tables not counted, wood 22.3 %, sandpaper 17.5 %, leather",
-        "12.1 %; zeros by threshold cut 28.7, 33.7 and 53.7 %. Its listeners did not notice L >= 14 (wood, sandpaper)",
-        "or 12 (leather), nor b0 <= -8 (wood), -4 (sandpaper) or 4 dB (leather).",
-    ]
-    for quantiser in ("linear", "log"):
-        cells = {(row.texture, row.levels): row for row in uncut if row.quantiser == quantiser}
-        header = ["L", "log2(L) / 16", *(f"{name}: Huffman, range, SNR" for name in names)]
-        rows = [
-            [str(levels), f"{paper_percent(levels):.1f} %", *(_cell(cells[name, levels]) for name in names)]
-            for levels in PAPER_LEVELS
-        ]
-        lines += ["", f"## {quantiser.capitalize()} levels", "", *_table(header, rows)]
-    lines += [
-        "",
-        "## Quality is not monotone in L",
-        "",
-        f"Counts of levels from 5 to {max(LEVELS)} at which SNR is lower than with one level less:",
-        "",
-    ]
-    for name, quantiser in itertools.product(names, ("linear", "log")):
-        lower = falls(row for row in uncut if (row.texture, row.quantiser) == (name, quantiser))
-        lines.append(f"- {name}, {quantiser}: {', '.join(map(str, lower)) or 'none'}")
-    lines += [
-        "",
-        "Linear levels run from the least coefficient to the greatest: as their count changes, the level nearest zero,",
-        "which most coefficients take, moves towards zero and away from it. Where it is not zero they all share its",
-        "error, which adds up at the first sample of every block.",
-        "",
-        "![SNR over the number of levels](texture_paper.png)",
-        "",
-        "## Threshold cut",
-        "",
-        "b0 is relative to the detection threshold (`codec/data/detection_threshold.csv`, unverified). Off by default:",
-        "the paper's listeners noticed a cut at 0 dB. Zeros are the part of kept coefficients that is cut.",
-    ]
-    for levels, title in ((SIXTEEN_BITS, "alone, 16 bits a coefficient"), (14, "with 14 linear levels")):
-        cells_of_cut = {
-            (row.texture, row.b0_db): row for row in results if row.levels == levels and row.b0_db is not None
-        }
-        header = ["b0", *(f"{name}: zeros, Huffman, range, SNR" for name in names)]
-        rows = [
-            [
-                f"{b0_db:g} dB",
-                *(
-                    f"{cells_of_cut[name, b0_db].zeros_percent:.1f} %, {_cell(cells_of_cut[name, b0_db])}"
-                    for name in names
-                ),
-            ]
-            for b0_db in B0_DB
-        ]
-        lines += ["", f"Threshold cut {title}:", "", *_table(header, rows)]
-    return "\n".join([*lines, ""])
+    uncut = {(row.texture, row.quantiser, row.levels): row for row in results if row.b0_db is None}
+    curves = {
+        (name, quantiser): [row for key, row in uncut.items() if key[:2] == (name, quantiser)]
+        for name, quantiser in itertools.product(names, QUANTISERS)
+    }
+    return render(
+        "texture_paper",
+        hand_speed_mm_s=HAND_SPEED_MM_S,
+        rate_hz=DEFAULT_STREAM_RATE_HZ,
+        textures=names,
+        quantisers=QUANTISERS,
+        paper={levels: paper_percent(levels) for levels in PAPER_LEVELS},
+        uncut=uncut,
+        max_levels=max(LEVELS),
+        falls={key: falls(curve) for key, curve in curves.items()},
+        cuts_db=B0_DB,
+        sixteen_bits=SIXTEEN_BITS,
+        cut={(row.texture, row.levels, row.b0_db): row for row in results if row.b0_db is not None},
+    )
 
 
 def draw(path: Path, results: Sequence[Result]) -> None:
@@ -186,7 +146,7 @@ def draw(path: Path, results: Sequence[Result]) -> None:
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, 2, sharey=True)
     names = list(dict.fromkeys(result.texture for result in results))
-    for axes, quantiser in zip(panels, ("linear", "log"), strict=True):
+    for axes, quantiser in zip(panels, QUANTISERS, strict=True):
         ends: dict[str, float] = {}
         for index, name in enumerate(names):
             curve = [row for row in results if (row.texture, row.quantiser, row.b0_db) == (name, quantiser, None)]
@@ -211,12 +171,9 @@ def draw(path: Path, results: Sequence[Result]) -> None:
 
 def write(out: Path, results: Sequence[Result]) -> None:
     """Write texture_paper.md, .csv and .png into a folder that there is. Raises OSError."""
-    (out / "texture_paper.md").write_text(markdown(results), encoding="utf-8")
-    with (out / "texture_paper.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(field.name for field in fields(Result))
-        for result in results:
-            table.writerow("" if value is None else _rounded(value) for value in astuple(result))
+    rounded = [Result(*map(_rounded, astuple(result))) for result in results]
+    write_page(out / "texture_paper.md", markdown(results))
+    write_rows(out / "texture_paper.csv", rounded, Result)
     draw(out / "texture_paper.png", results)
 
 
@@ -232,20 +189,12 @@ def _cut_part(amplitudes_um: codec.Signal, b0_db: float) -> float:
     return float(np.mean(np.abs(amplitudes_um) < threshold))
 
 
-def _cell(result: Result) -> str:
-    return f"{result.huffman_percent:.1f} %, {result.range_percent:.1f} %, {result.snr_db:.1f} dB"
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    return [f"| {' | '.join(row)} |" for row in (header, ["---:"] * len(header), *rows)]
-
-
-def _rounded(value: str | float) -> str | float:
+def _rounded(value: Any) -> Any:
     return round(value, 4) if isinstance(value, float) else value
 
 
 @click.command()
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for the results.")
+@OUT
 @click.option(
     "--profiles",
     "folder",
@@ -254,16 +203,12 @@ def _rounded(value: str | float) -> str | float:
 )
 def main(out: Path, folder: Path | None) -> None:
     """Write the arithmetic of the paper on material-like textures beside the real bytes of the codec dct."""
-    try:
+    with errors_in_one_line():
         out.mkdir(parents=True, exist_ok=True)
         profiles = generated_profiles()
         for path in sorted(folder.glob("*.csv")) if folder else ():
             profiles[path.stem] = textures.load_profile(path)
         write(out, measure_all(profiles))
-    except (textures.TextureError, codec.CodecError) as error:
-        raise click.ClickException(str(error)) from error
-    except OSError as error:
-        raise click.ClickException(f"{error.filename}: {error.strerror}") from error
     click.echo(f"{out / 'texture_paper.md'}: {len(profiles)} profiles")
 
 

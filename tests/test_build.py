@@ -123,7 +123,7 @@ def test_wheel_and_sdist_hold_every_source_once_and_nothing_else(tmp_path: Path)
     moved = {name if name.startswith("vibrocast/") else f"vibrocast/{name}" for name in expected}
     assert set(held) == moved | {f"vibrocast/firmware/{name}" for name in COMPILED}
     kinds = {Path(name).suffix for name in held}
-    assert {".py", ".typed", ".csv", ".json", ".vcmi", ".onnx", ".c", ".h", ".ld"} <= kinds
+    assert {".py", ".typed", ".csv", ".jinja", ".json", ".vcmi", ".onnx", ".c", ".h", ".ld"} <= kinds
     assert wheel.name.split("-")[2:4] == ["py3", "none"]
 
     of_sdist = build(tmp_path / sdist.name.removesuffix(".tar.gz"), "wheel", tmp_path / "wheel of sdist")

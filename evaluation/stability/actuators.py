@@ -147,9 +147,7 @@ def _draw_sines(path: Path, cells: Sequence[Verdict]) -> None:
 RESONANCE = Map(
     "resonance",
     "Shifted resonance",
-    "The resonance of an actuator lies elsewhere than its compensation assumes: largest change of the level from "
-    f"{BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz. Holds up to {FELT_DB:g} dB (20 %, which is felt), fails above "
-    f"{FAR_DB:g} dB.",
+    {"band_hz": BAND_HZ, "felt_db": FELT_DB, "far_db": FAR_DB},
     "{} %",
     _shift_trials,
     _draw_shift,
@@ -157,8 +155,7 @@ RESONANCE = Map(
 VOLTAGE = Map(
     "voltage_limit",
     "Inverse filter against the limits of the amplifier",
-    f"A sine of {SINE_S:g} s for the piezo stack, with the inverse filter and without: amplitude of the displacement "
-    f"against what was asked for. Holds within {FELT_DB:g} dB, fails beyond {FAR_DB:g} dB.",
+    {"sine_s": SINE_S, "felt_db": FELT_DB, "far_db": FAR_DB},
     "{} um",
     _sine_trials,
     _draw_sines,

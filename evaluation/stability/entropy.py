@@ -116,9 +116,7 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 ENTROPY = Map(
     "entropy_coding",
     "Entropy coding at extreme skew",
-    f"{BLOCKS * BLOCK} samples: silence, for every codec, and signals made of {DCT} coefficients that are all "
-    "extreme or almost all alike. Bits of the whole stream per sample against the entropy of order 0. Holds up to "
-    f"{HELD_BITS:g} bits beyond it, fails above {FAILED_BITS:g}.",
+    {"samples": BLOCKS * BLOCK, "codec": DCT, "held_bits": HELD_BITS, "failed_bits": FAILED_BITS},
     "",
     _trials,
     _draw,

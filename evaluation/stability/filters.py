@@ -69,9 +69,7 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 FILTERS = Map(
     "filter_stability",
     "Synthesis filters of linear prediction",
-    f"Sparse predictors of generated wood, grating and stick-slip, fitted to {WINDOW_SAMPLES} samples as the codec "
-    f"{CODEC} does, quantised in three forms: share of synthesis filters with a pole on or outside the unit circle. "
-    f"Holds without any, fails above {100 * FEW:g} %.",
+    {"window_samples": WINDOW_SAMPLES, "codec": CODEC, "few": 100 * FEW},
     "{} bits",
     _trials,
     _draw,

@@ -153,10 +153,7 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 PARITY = Map(
     "float_parity",
     "Floating point on other machines",
-    "Machines differ in the order of their sums; here other optimisations, threads and pieces of ONNX Runtime stand "
-    "for them, against all optimisations, one thread and the whole signal. What comes of the analysis decides which "
-    "integers are coded, never whether they can be decoded: the latents, and with the integer core the samples, come "
-    f"from integers alone. Holds up to {HELD:g} of the peak, fails above {FAILED:g}; the core must give the same.",
+    {"held": HELD, "failed": FAILED},
     "",
     _trials,
     _draw,

@@ -108,10 +108,13 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 HAND_SPEED = Map(
     "hand_speed",
     "Speed of the hand",
-    f"A generated surface, coded at each codec's finest setting as swept over at {CODED_MM_S:g} mm/s, played at "
-    f"other speeds; SNR from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz at that speed, and the level of the upper octave "
-    f"of that band. Holds where neither loses more than {LOST_DB:g} dB, or the SNR is above {ENOUGH_SNR_DB:g} "
-    f"dB and the octave does not; fails where the SNR is below {FAILED_SNR_DB:g} dB or the octave 20 dB down.",
+    {
+        "coded_mm_s": CODED_MM_S,
+        "band_hz": BAND_HZ,
+        "lost_db": LOST_DB,
+        "enough_snr_db": ENOUGH_SNR_DB,
+        "failed_snr_db": FAILED_SNR_DB,
+    },
     "{} mm/s",
     _trials,
     _draw,

@@ -248,10 +248,14 @@ def _draw_panels(figures: Mapping[str, str], x_label: str, path: Path, cells: Se
 KINDS = Map(
     "learned_kinds",
     "Trained models on signals of other kinds",
-    f"{_SECONDS:g} s at {RATE_HZ} Hz, made by the generator of textures and otherwise; what the models were trained "
-    f"on stands in their cards. Bits per sample at {WANTED_SNR_DB:g} dB SNR relative to those of {OWN}, whose tables "
-    f"adapt to any signal. Holds up to {HELD_RATIO:g} times, fails above {FAILED_RATIO:g} times or where no setting "
-    "reaches that SNR.",
+    {
+        "seconds": _SECONDS,
+        "rate_hz": RATE_HZ,
+        "target_snr_db": WANTED_SNR_DB,
+        "codec": OWN,
+        "held_ratio": HELD_RATIO,
+        "failed_ratio": FAILED_RATIO,
+    },
     "",
     _kind_trials,
     _draw_kinds,
@@ -259,8 +263,7 @@ KINDS = Map(
 QUIET = Map(
     "learned_quiet",
     "Trained models on a passage quieter than the rest",
-    "A texture whose second half is quieter, at each method's middle setting; that half alone is judged as the signals "
-    f"above, beside {OWN}, whose step is fixed as well.",
+    {"codec": OWN},
     "{} dB quieter",
     _quiet_trials,
     partial(_draw_panels, {"snr_db": "SNR, dB", "bits_per_sample": "bits per sample of all"}, "quieter by, dB"),
@@ -268,12 +271,7 @@ QUIET = Map(
 LEVEL = Map(
     "learned_level",
     "Trained models told a wrong level",
-    "The level that a network is told, relative to the signal's RMS value: told too little, its input is louder than "
-    "what it was trained on, and the int8 network's 16-bit activations saturate; told too much, it is quieter. Decoded "
-    "by the integer core and by ONNX Runtime, whose floating point does not saturate: what they differ by is "
-    "saturation and rounding. Clicks: single samples 30 dB above the RMS value. Holds where the SNR is at most "
-    f"{LOST_DB:g} dB below that at its own level, fails below {FAILED_SNR_DB:g} dB or more than {FAR_LOUDER_DB:g} dB "
-    "louder.",
+    {"lost_db": LOST_DB, "failed_snr_db": FAILED_SNR_DB, "far_louder_db": FAR_LOUDER_DB},
     "level off by {} dB",
     _level_trials,
     partial(

@@ -1,9 +1,10 @@
 """What a map of trials is made of: its trials, its picture, and the words that explain it."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from vibrocast import pages
 from vibrocast.codec import CODECS
 from vibrocast.codec.interface import Setting
 from vibrocast.evaluation import trained
@@ -66,18 +67,25 @@ class Scope:
 class Map:
     """One map. `name`: of its files. `varied`: how a cell's value is said, such as "{} dB"; "" without.
 
-    `about`: what is tried and by which rules an outcome follows. `judged`: what makes of the cells those of the map,
-    where an outcome depends on others. `draw`: writes the picture. `in_summary`: whether the page begins with it.
+    `rules`: the figures by which an outcome follows, for the words about the map: the template of its name in `folder`.
+    `judged`: what makes of the cells those of the map, where an outcome depends on others. `draw`: writes the picture.
+    `in_summary`: whether the page begins with it.
     """
 
     name: str
     title: str
-    about: str
+    rules: Mapping[str, object]
     varied: str
     trials: Callable[[Scope], list[Trial]]
     draw: Callable[[Path, Sequence[Verdict]], None]
     judged: Callable[[list[Verdict]], list[Verdict]] = lambda cells: cells
     in_summary: bool = True
+    folder: Path = Path(__file__).parent / "about"
+
+    @property
+    def about(self) -> str:
+        """What is tried and by which rules an outcome follows."""
+        return pages.render(self.folder / f"{self.name}.md.jinja", **self.rules)
 
 
 def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Method, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from vibrocast import pages
 from vibrocast.evaluation.stability.known_causes import explanation
 from vibrocast.evaluation.stability.maps import Map
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
@@ -13,8 +14,6 @@ from vibrocast.files import atomic_write
 
 PAGE, FOLDER = "stability.md", "stability"
 _TITLE = "# Where methods hold and where they fail"
-_WORST_HEADER = ("tried", "holds for", "the worst", "what a person gets", "remedy")
-_MAP_HEADER = ("method", "outcome", "where", "what a person gets", "cause", "remedy")
 _MAX_CASES = 6
 """Cases that a row names; the CSV has all."""
 _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
@@ -69,27 +68,25 @@ def write_csv(path: Path, cells: Sequence[Verdict]) -> None:
 def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], methods: Sequence[str], command: str) -> str:
     """Return the page."""
     summed_up = [(each, cells) for each, cells in maps if each.in_summary]
-    lines = [
-        _TITLE,
-        "",
-        f"Written by `{command}`. Every boundary here is of that run, on generated signals and the simulated",
-        "controller; beside each picture lie its data, as CSV of the same name. What each codec holds for, of what was",
-        "tried; then the worst that was found, by what was tried, and its remedy.",
-        "",
-        *_codecs_table(summed_up, methods),
-        "",
-        *_table(_WORST_HEADER, [_worst_row(each, cells) for each, cells in summed_up]),
-        "",
-    ]
-    for each, cells in maps:
-        lines += ["", f"## {each.title}", "", each.about, "", f"![{each.title}]({FOLDER}/{each.name}.png)", ""]
-        of_methods = _grouped(cells, lambda cell: cell.method)
-        held = [method for method, own in of_methods.items() if all(cell.sound for cell in own)]
-        if held:
-            lines += [f"Holds everywhere: {', '.join(held)}.", ""]
-        if rows := _map_rows(each, cells):
-            lines += [*_table(_MAP_HEADER, rows), ""]
-    return "\n".join(lines)
+    # What each method holds for is said of the maps that all of them are on.
+    grouped = [(each, _grouped(cells, lambda cell: cell.method)) for each, cells in summed_up]
+    common = [(each, of_map) for each, of_map in grouped if set(methods) <= set(of_map)]
+    return pages.render(
+        Path(__file__).with_name("stability.md.jinja"),
+        title=_TITLE,
+        command=command,
+        folder=FOLDER,
+        link=_link,
+        common=[each for each, _ in common],
+        codecs=[(name, [_held(each, of_map[name]) for each, of_map in common]) for name in methods],
+        worst=[_worst_row(each, cells) for each, cells in summed_up],
+        maps=[{"map": each, "held": _held_everywhere(cells), "rows": _map_rows(each, cells)} for each, cells in maps],
+    )
+
+
+def _held_everywhere(cells: Sequence[Verdict]) -> list[str]:
+    of_methods = _grouped(cells, lambda cell: cell.method)
+    return [method for method, own in of_methods.items() if all(cell.sound for cell in own)]
 
 
 def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict], most: int = _MAX_CASES) -> str:
@@ -136,14 +133,6 @@ def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
     return ", ".join(f"{run[0]:g}" if len(run) == 1 else f"{run[0]:g} to {run[-1]:g}" for run in runs)
 
 
-def _codecs_table(maps: Sequence[tuple[Map, Sequence[Verdict]]], tried: Sequence[str]) -> list[str]:
-    """Return a table of what each method holds for, of the maps that all of them are on."""
-    methods = [(each, _grouped(cells, lambda cell: cell.method)) for each, cells in maps]
-    common = [(each, of_map) for each, of_map in methods if set(tried) <= set(of_map)]
-    header = ["codec", *(_link(each) for each, _ in common)]
-    return _table(header, [[name, *(_held(each, of_map[name]) for each, of_map in common)] for name in tried])
-
-
 def _held(each: Map, cells: Sequence[Verdict]) -> str:
     """Return in a few words for which of a method's cells it holds: a range, where all cases share it, or a count."""
     held = [cell for cell in cells if cell.sound]
@@ -174,10 +163,6 @@ def _kind(cell: Verdict) -> tuple[Outcome, str]:
 
 def _link(each: Map) -> str:
     return f"[{each.title}](#{each.title.lower().replace(' ', '-')})"
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)]
 
 
 def _map_rows(each: Map, cells: Sequence[Verdict]) -> list[list[str]]:

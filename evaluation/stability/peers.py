@@ -95,9 +95,7 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 PEERS = Map(
     "peers",
     "Other codecs, imported",
-    "As others measured them, each codec's settings from coarse to fine. D: the SNR is below "
-    f"{HELD_SNR_DB:g} dB, or more than {FALL_DB:g} dB below that of a coarser setting. F: below "
-    f"{FAILED_SNR_DB:g} dB, not finite, or the program died. Silence as above. R: the program ends with an error.",
+    {"held_snr_db": HELD_SNR_DB, "fall_db": FALL_DB, "failed_snr_db": FAILED_SNR_DB},
     "",
     lambda scope: [],
     _draw,

@@ -154,15 +154,11 @@ def _draw_sweep(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict])
     pictures.curves(path, panels)
 
 
-_TEXTURES_IN_WORDS = (
-    f"{SECONDS:g} s of generated surfaces (heights at {HAND_SPEED_MM_S:g} mm/s; leather by stick and slip) and an "
-    "acceleration"
-)
+_RULES = {"seconds": SECONDS, "hand_speed_mm_s": HAND_SPEED_MM_S, "failed_snr_db": FAILED_SNR_DB}
 RATE_POINTS = Map(
     "ladders",
     "Settings from coarse to fine",
-    f"Every rate point of every set that has more than one, on {_TEXTURES_IN_WORDS}. D, ringed: the SNR "
-    f"is more than {FALL_DB:g} dB below that of a coarser rate point; F: below {FAILED_SNR_DB:g} dB.",
+    {**_RULES, "fall_db": FALL_DB},
     "rate point {}",
     _trials,
     _draw,
@@ -195,8 +191,7 @@ def _dct_trials(
 DCT_LEVELS = Map(
     "dct_levels",
     "Levels of the DCT codec",
-    f"Levels L of the linear and of the logarithmic quantiser, on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more "
-    f"than {FALL_DB:g} dB below that at fewer levels; F: below {FAILED_SNR_DB:g} dB.",
+    {**_RULES, "fall_db": FALL_DB},
     "{} levels",
     partial(
         _dct_trials,
@@ -211,9 +206,7 @@ DCT_LEVELS = Map(
 DCT_THRESHOLD = Map(
     "dct_threshold",
     "Threshold cut of the DCT codec",
-    "What lies below the detection threshold, moved by b0, is cut, and the rest kept in 16 bits, on "
-    f"{_TEXTURES_IN_WORDS}. D, ringed: the SNR is below {HALF_DB:g} dB, half of the power is cut; F: below "
-    f"{FAILED_SNR_DB:g} dB.",
+    {**_RULES, "half_db": HALF_DB},
     "b0 of {} dB",
     partial(_dct_trials, "dct_threshold", {"dct, cut": {"levels": FINEST_LEVELS, "threshold": "on"}}, "b0_db", B0_DB),
     partial(_draw_sweep, "b0, dB", False),
@@ -222,9 +215,7 @@ DCT_THRESHOLD = Map(
 DCT_SMALLEST = Map(
     "dct_smallest",
     "Smallest magnitude of the logarithmic quantiser",
-    f"S of the DCT codec's logarithmic quantiser, in the signal's unit, at {', '.join(map(str, S_LEVELS))} levels, "
-    f"on {_TEXTURES_IN_WORDS}. D, ringed: the SNR is more than {HALF_DB:g} dB below the best on this curve; F: below "
-    f"{FAILED_SNR_DB:g} dB.",
+    {**_RULES, "half_db": HALF_DB, "levels": S_LEVELS},
     "S of {} um or m/s^2",
     partial(
         _dct_trials,

@@ -60,9 +60,7 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 RECORDINGS = Map(
     "recordings",
     "Your recordings",
-    f"At most the first {MAX_S:g} s of each, at its own rate, coded into a whole stream and decoded. The rules are "
-    f"those of the signals: H where the SNR is at most {SNR_MARGIN_DB:g} dB below that of a generated texture at the "
-    f"same setting, or above {ENOUGH_SNR_DB:g} dB.",
+    {"max_s": MAX_S, "snr_margin_db": SNR_MARGIN_DB, "enough_snr_db": ENOUGH_SNR_DB},
     "",
     _trials,
     _draw,

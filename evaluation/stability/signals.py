@@ -350,16 +350,23 @@ def _draw_onsets(path: Path, cells: Sequence[Verdict]) -> None:
 SIGNALS = Map(
     "signals",
     "Signals",
-    f"{SECONDS:g} s at {RATE_HZ} Hz unless said otherwise, coded into a whole stream and decoded. H: the SNR is at "
-    f"most {SNR_MARGIN_DB:g} dB below that of a generated texture at the same setting, or above {ENOUGH_SNR_DB:g} "
-    f"dB, but not below {MIN_SNR_DB:g} dB, and the result at most {LOUDER_DB:g} dB louder than the signal (peak "
-    f"or RMS value). D: degraded, less than that. F: fails, the SNR is below {FAILED_SNR_DB:g} dB (silence would be "
-    f"nearer), the result more than {FAR_LOUDER_DB:g} dB louder or not finite, or the program crashes or "
-    f"hangs. R: rejected with an error that says what to do. Silence holds where the result stays below {SILENT:g} "
-    f"of full scale and fails from {NEARLY_SILENT:g}. The last minute of the hour is judged, at the middle setting. "
-    f"Gravity adds {GRAVITY_M_S2:g} m/s^2 to a texture with a peak of {PEAK:g} m/s^2; a ramp and a swing of "
-    f"{SWING_HZ:g} Hz go {DRIFT_RMS:g} times its RMS value to either side. These "
-    f"are judged above {HIGHPASS_HZ:g} Hz.",
+    {
+        "seconds": SECONDS,
+        "rate_hz": RATE_HZ,
+        "snr_margin_db": SNR_MARGIN_DB,
+        "enough_snr_db": ENOUGH_SNR_DB,
+        "min_snr_db": MIN_SNR_DB,
+        "louder_db": LOUDER_DB,
+        "failed_snr_db": FAILED_SNR_DB,
+        "far_louder_db": FAR_LOUDER_DB,
+        "silent": SILENT,
+        "nearly_silent": NEARLY_SILENT,
+        "gravity_m_s2": GRAVITY_M_S2,
+        "peak": PEAK,
+        "swing_hz": SWING_HZ,
+        "drift_rms": DRIFT_RMS,
+        "highpass_hz": HIGHPASS_HZ,
+    },
     "",
     _trials,
     _draw,
@@ -367,9 +374,12 @@ SIGNALS = Map(
 ONSETS = Map(
     "pre_echo",
     "Onset after silence",
-    f"A sine of {_ONSET_HZ:g} Hz sets in at once, at {len(_ONSET_SHIFTS)} places within a block, the worst of which "
-    "counts: mean power of what is decoded before it, in the last 5 and 20 ms, relative to that of its first 20 "
-    f"ms. Holds up to {PRE_ECHO_HELD_DB:g} dB in the last 5 ms, fails from {PRE_ECHO_FAILED_DB:g} dB.",
+    {
+        "onset_hz": _ONSET_HZ,
+        "shifts": _ONSET_SHIFTS,
+        "held_db": PRE_ECHO_HELD_DB,
+        "failed_db": PRE_ECHO_FAILED_DB,
+    },
     "",
     _onset_trials,
     _draw_onsets,

@@ -10,6 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from vibrocast import pages
 from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
@@ -78,19 +79,13 @@ class Report:
         told = {name: controller[name] for name in ("build", "hardware", "protocol")}
         told["codecs"] = ", ".join(controller["codecs"])
         told["actuator"] = controller["actuator"].pop("name")
-        lines = [f"# {_cell(self.hello.hardware)}: {self.verdict} to the vibrocast protocol {facts['protocol']}"]
-        lines += ["", f"{self.summary[0].upper()}{self.summary[1:]}.", "", "| controller | |", "|---|---|"]
-        for name, value in {**told, **controller["actuator"], **controller["limits"]}.items():
-            lines.append(f"| {name.replace('_', ' ')} | {_cell(str(value))} |")
-        lines += ["", "What is not offered is not held against a controller; the reason says what it lacks."]
-        for section, findings in self.sections():
-            lines += ["", f"## {section}", "", "| requirement | | |", "|---|---|---|"]
-            for finding in findings:
-                remark = finding.reason or finding.measured
-                lines.append(f"| {_cell(finding.requirement.text)} | {finding.outcome.value} | {_cell(remark)} |")
-        made = f"Made by {facts['suite']}, `vibrocast conformance`" + (f", on {self.date}" if self.date else "")
-        lines += ["", f"{made}. Headings are those of its docs/protocol.md."]
-        return "\n".join(lines) + "\n"
+        return pages.render(
+            Path(__file__).with_name("conformance.md.jinja"),
+            report=self,
+            facts=facts,
+            controller={**told, **controller["actuator"], **controller["limits"]},
+            cell=_cell,
+        )
 
     def write(self, folder: Path) -> None:
         """Write page and JSON into a folder, which is made where it is not there. Raises OSError."""
@@ -100,6 +95,6 @@ class Report:
                 partial.write_text(text, encoding="utf-8")
 
 
-def _cell(text: str) -> str:
+def _cell(text: object) -> str:
     """Return text, which may be a controller's, as a cell of a Markdown table in which it is nothing but text."""
-    return re.sub(r"[\\`\[\]|]", r"\\\g<0>", html.escape(plain(" ".join(text.split())), quote=False))
+    return re.sub(r"[\\`\[\]|]", r"\\\g<0>", html.escape(plain(" ".join(str(text).split())), quote=False))

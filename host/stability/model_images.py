@@ -156,12 +156,9 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
 IMAGES = Map(
     "model_images",
     "Wrong and damaged model images",
-    "A stream, with an image that is not the one it was coded for. Where something vouches for the image (its "
-    "CRC, the hash in the stream's header, what the controller says that it runs) it must be rejected. Beneath "
-    "that, one byte of the payload at a time is changed, at places from its beginning to its end, and packed with "
-    "a right CRC, as if the stream had been coded for it: H: not heard; R: rejected with an error; D: another "
-    "signal comes out; F: the decoder crashes or hangs. A payload that is cut must be rejected.",
+    {},
     "at {} %",
     _image_trials,
     _draw,
+    folder=Path(__file__).parent / "about",
 )

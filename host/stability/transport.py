@@ -233,44 +233,47 @@ def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> No
     pictures.curves(path, panels)
 
 
-_RULES = (
-    f"A texture of {SECONDS:g} s at each codec's middle setting, refreshed as for streaming, played {LOOPS} times "
-    "by the host's player on the simulated controller. A sample is off where the DAC's code differs from that of a "
-    f"faultless line by more than {100 * OFF_PART:g} % of the peak. Holds up to {100 * HELD_SHARE:g} % off; fails "
-    f"beyond {100 * FAILED_SHARE:g} %, or where a step (a click) is more than {MAX_STEP_RATIO:g} times the "
-    "signal's largest."
-)
+_RULES = {
+    "seconds": SECONDS,
+    "loops": LOOPS,
+    "off_part": OFF_PART,
+    "held_share": HELD_SHARE,
+    "failed_share": FAILED_SHARE,
+    "max_step_ratio": MAX_STEP_RATIO,
+}
 LOSS = Map(
     "loss",
     "Lost frames",
-    f"Frames are lost by chance, in both directions. {_RULES}",
+    _RULES,
     "{} %",
     partial(_trials, "loss", LOSSES_PERCENT, lambda percent: Line(lost=percent / 100), (BUFFER_S,)),
     partial(_draw, "frames that are lost, %", True),
+    folder=Path(__file__).parent / "about",
 )
 FLIPS = Map(
     "bit_flips",
     "Damaged frames",
-    f"One byte of a frame is changed by chance, in both directions; its CRC tells. {_RULES}",
+    _RULES,
     "{} %",
     partial(_trials, "bit_flips", DAMAGES_PERCENT, lambda percent: Line(flipped=percent / 100), (BUFFER_S,)),
     partial(_draw, "frames that are damaged, %", True),
+    folder=Path(__file__).parent / "about",
 )
 DRIFT = Map(
     "drift",
     "Clock drift",
-    f"The controller's clock runs faster or slower than the host's. {_RULES} The source with its own pace, of the "
-    f"first codec, sends packets for {PACED_S:g} s as its own clock says, whatever the controller's credit.",
+    {**_RULES, "paced_s": PACED_S},
     "{} ppm",
     _drift_trials,
     partial(_draw, "drift of the controller's clock, ppm", False),
+    folder=Path(__file__).parent / "about",
 )
 JITTER = Map(
     "buffer",
     "Buffer against stalls",
-    f"Every {STALLS_EVERY_S:g} s or so nothing goes through for a while; other buffers than the usual one with the "
-    f"first codec only. {_RULES}",
+    {**_RULES, "stalls_every_s": STALLS_EVERY_S},
     "{} s",
     partial(_trials, "buffer", STALLS_S, lambda stall_s: Line(stall_s=stall_s), BUFFERS_S),
     partial(_draw, "length of a stall, s", True),
+    folder=Path(__file__).parent / "about",
 )

@@ -1,7 +1,6 @@
 """Tests of the benchmark: a run that is cut goes on to the same figures, and what fails costs only its cell."""
 
 import importlib
-import json
 import os
 import subprocess
 import sys
@@ -75,7 +74,7 @@ def written(results: Path, measured: Results) -> dict[str, bytes]:
     points = [each.point for each in measured if isinstance(each, Measured)]
     failures = [each for each in measured if isinstance(each, Failure)]
     bench.write(results, Measurements(points, [], [], failures))
-    return {name: (results / name).read_bytes() for name in ("points.csv", "points.json", "failures.csv")}
+    return {name: (results / name).read_bytes() for name in ("points.csv", "failures.csv")}
 
 
 @pytest.fixture
@@ -116,7 +115,6 @@ def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path,
     assert {name: getattr(fine, name) for name in quality} == pytest.approx(quality, abs=1e-6)
     hop = stream.decoder().delay_samples
     assert fine.delay_ms == pytest.approx(1000 * 2 * hop / 2800, abs=1e-6)
-    assert json.loads(whole["points.json"])[4] == {**asdict(fine), "bits_per_sample": fine.bits_per_sample}
 
 
 @pytest.mark.parametrize("finished", [0, 1, 4])
@@ -223,7 +221,6 @@ def test_silence_has_no_quality_and_an_exact_copy_has_infinite_snr(results: Path
     copy = Cell("copy", Recording(samples, 2800.0, "full scale", "copy"), METHODS[1], {}, 0).measure()
     assert copy.point.snr_db == np.inf and copy.point.samples == 1200
     bench.write(results, Measurements([copy.point], [], [], []))
-    assert json.loads((results / "points.json").read_text())[0]["snr_db"] == "inf"
     assert read_rows(results / "points.csv", Point) == [copy.point]
 
 

@@ -7,30 +7,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
 import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
+from polars.testing import assert_frame_equal
 
 from vibrocast.codec import CODECS
 from vibrocast.evaluation import bench, learned_page, results_page
 from vibrocast.evaluation.bd_rate import SNR
-from vibrocast.evaluation.charts import FAR_DB, MAX_NAME, _set_log_axis, _short, plot_marks
+from vibrocast.evaluation.charts import FAR_DB, MAX_NAME, _set_log_axis, _short, plot_cost_points
 from vibrocast.evaluation.comparison import (
     TIMES,
-    Excess,
-    Mark,
-    MeanBdRate,
-    MeanPoint,
     Measurements,
-    TraceBdRate,
-    advice,
     bits_to_reach,
-    cost_marks,
+    cost_points,
     curve_costs,
-    excesses,
+    marginal_costs,
     mean_bd_rates,
     mean_curves,
-    prices,
+    rate_excesses,
+    recommendations,
     trace_bd_rates,
 )
 from vibrocast.evaluation.cost import CodecCost
@@ -38,6 +35,7 @@ from vibrocast.evaluation.kinds import TraceKind
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
 from vibrocast.evaluation.results_page import Description, write_results
 from vibrocast.evaluation.speed import Speed
+from vibrocast.evaluation.tables import as_rows
 
 SAMPLES = 1_000_000
 SNRS_DB = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
@@ -97,9 +95,14 @@ def write(
     return (out / "results.md").read_text()
 
 
+def assert_written(path: Path, table: pl.DataFrame) -> None:
+    """Assert that a CSV file holds a table."""
+    assert_frame_equal(pl.read_csv(path, schema=table.schema).with_columns(pl.col(pl.String).fill_null("")), table)
+
+
 def test_a_mean_curve_spans_the_rates_of_every_trace() -> None:
     points, timings, costs = measured()
-    rows = [row for row in mean_curves(Measurements(points, timings, costs, []), SNR) if row.codec == "mdct"]
+    rows = [row for row in as_rows(mean_curves(Measurements(points, timings, costs, []), SNR)) if row.codec == "mdct"]
     assert rows[0].bits_per_sample == pytest.approx(0.55)
     assert rows[-1].bits_per_sample == pytest.approx(2.0)
     for row in rows:
@@ -112,15 +115,16 @@ def test_a_mean_curve_spans_the_rates_of_every_trace() -> None:
 def test_a_codec_that_lacks_a_trace_has_no_mean() -> None:
     points = curve("mdct") + curve("mdct", "b") + curve("slp")
     measurements = Measurements(points, timed(points, 1, 1), [], [])
-    assert {row.codec for row in mean_curves(measurements, SNR)} == {"mdct"}
-    assert {row.codec for row in cost_marks(measurements, SNR, TIMES)} == {"mdct"}
-    assert {row.codec for row in excesses(measurements)} == {"mdct", "slp"}
+    assert set(mean_curves(measurements, SNR)["codec"]) == {"mdct"}
+    assert set(cost_points(measurements, SNR, TIMES)["codec"]) == {"mdct"}
+    assert set(rate_excesses(measurements)["codec"]) == {"mdct", "slp"}
 
 
 def test_a_trace_too_short_to_compare_is_in_no_mean(tmp_path: Path) -> None:
     short = Point("short", "mdct", "", 1, 24, 30.0, 2800.0, 30.0)
     points = [*curve("mdct"), *curve("mdct", "b"), short]
-    assert mean_curves(Measurements(points, [], [], []), SNR) == mean_curves(Measurements(points[:-1], [], [], []), SNR)
+    with_it, without = (mean_curves(Measurements(some, [], [], []), SNR) for some in (points, points[:-1]))
+    assert_frame_equal(with_it, without)
     assert Measurements([short], [], [], []).compared == ["short"]
     assert "so in no mean: `short`." in write(tmp_path, points)
 
@@ -138,7 +142,7 @@ def test_times_are_those_of_the_nearest_rate_and_the_front_is_of_measured_codecs
     timings = [
         Timing(point.trace, point.codec, point.setting, point.bits_per_sample, 1.0, point.source) for point in points
     ]
-    marks = cost_marks(Measurements(points, timings, costs, []), SNR, TIMES)
+    marks = as_rows(cost_points(Measurements(points, timings, costs, []), SNR, TIMES))
     encoding = {(mark.bits_per_sample, mark.codec): mark for mark in marks if mark.cost == "encode_s_per_megasample"}
     assert encoding[1.6, "mdct"].value == pytest.approx((1.587 + 1.746) / 2, abs=0.001)
     assert encoding[1.6, "mdct"].quality == pytest.approx(12 * math.log2(3.2) - 6 * math.log2(1.1), abs=0.01)
@@ -150,7 +154,7 @@ def test_times_are_those_of_the_nearest_rate_and_the_front_is_of_measured_codecs
 
 def test_excess_bits_are_counted_from_the_best_of_each_trace() -> None:
     points, _, _ = measured()
-    rows = {(row.trace, row.codec): row for row in excesses(Measurements(points, [], [], []))}
+    rows = {(row.trace, row.codec): row for row in as_rows(rate_excesses(Measurements(points, [], [], [])))}
     assert rows["a", "mdct"].bits_per_sample == pytest.approx(1.0, abs=0.001)
     assert {key: round(row.excess_percent) for key, row in rows.items()} == {
         ("a", "mdct"): 0,
@@ -164,7 +168,7 @@ def test_excess_bits_are_counted_from_the_best_of_each_trace() -> None:
 
 def test_bd_rates_are_relative_to_every_anchor_at_every_quality() -> None:
     points, _, _ = measured()
-    rows = mean_bd_rates(trace_bd_rates(Measurements(points, [], [], [])))
+    rows = as_rows(mean_bd_rates(trace_bd_rates(Measurements(points, [], [], []))))
     snr = {(row.anchor, row.codec): round(row.mean) for row in rows if row.quality == "snr_db"}
     assert snr == {
         ("mdct", "slp"): 90,
@@ -180,18 +184,18 @@ def test_bd_rates_are_relative_to_every_anchor_at_every_quality() -> None:
 
 def test_costs_are_of_the_codec_that_a_rate_point_set_belongs_to() -> None:
     points, timings, costs = measured()
-    rows = {row.codec: row for row in curve_costs(Measurements(points, timings, costs, []))}
+    rows = {row.codec: row for row in as_rows(curve_costs(Measurements(points, timings, costs, [])))}
     assert rows["mdct"].real_time_factor == pytest.approx(3.0 * 2800 / 1e6)
     assert (rows["mdct"].peak_memory_bytes, rows["mdct"].settings, rows["mdct"].delay_ms) == (5_000_000, 7, 21)
     assert (rows["vcpwq"].decoder_bytes, rows["vcpwq"].source) == (None, "imported")
     rate_point_set = next(rate_point_set for rate_point_set in CODECS["dct"].rate_point_sets if rate_point_set != "dct")
     of_a_rate_point_set = Measurements(curve(rate_point_set), [], [CodecCost("dct", 7, None, "")], [])
-    assert curve_costs(of_a_rate_point_set)[0].decoder_bytes == 7
+    assert curve_costs(of_a_rate_point_set)["decoder_bytes"].to_list() == [7]
 
 
 def test_advice_follows_its_rules_and_never_names_an_imported_codec() -> None:
     points, timings, costs = measured()
-    chosen = {row.need: row for row in advice(Measurements(points, timings, costs, []))}
+    chosen = {row.need: row for row in as_rows(recommendations(Measurements(points, timings, costs, [])))}
     assert chosen["the fewest bits at 10 dB SNR or more"].codec == "mdct"
     assert chosen["the fewest bits at 10 dB SNR or more"].bits_per_sample == pytest.approx(
         1.05 * 2 ** (10 / 12) / 2, rel=0.01
@@ -209,7 +213,7 @@ def test_a_copy_and_more_than_is_needed_count_as_reached() -> None:
     measurements = Measurements(points + exact, timings, costs, [])
     assert list(bits_to_reach(measurements, 10)) == ["mdct", "slp", "exact", "vcpwq"]
     assert bits_to_reach(measurements, 60) == {"exact": 2.0}
-    chosen = {row.need: row.codec for row in advice(measurements)}
+    chosen = {row.need: row.codec for row in as_rows(recommendations(measurements))}
     assert chosen["a copy, of 60 dB SNR or more, in the fewest bits"] == "exact"
     assert chosen["the shortest delay at 10 dB SNR or more"] == "exact"
 
@@ -238,13 +242,13 @@ def test_every_chart_has_its_data_beside_it(written: Path) -> None:
             assert {row["codec"] for row in csv.DictReader(file)} >= {"mdct"}
     measurements = Measurements(*measured(), [])
     drawn = written / "results"
-    assert read_rows(drawn / "quality_against_rate_snr_db.csv", MeanPoint) == mean_curves(measurements, SNR)
+    assert_written(drawn / "quality_against_rate_snr_db.csv", mean_curves(measurements, SNR))
     with (drawn / "quality_against_time_snr_db.csv").open(newline="") as file:
         rows = [(row["codec"], float(row["value"]), float(row["quality"])) for row in csv.DictReader(file)]
-    assert rows == [(mark.codec, mark.value, mark.quality) for mark in cost_marks(measurements, SNR, TIMES)]
-    assert read_rows(drawn / "excess_bits.csv", Excess) == excesses(measurements)
-    assert read_rows(drawn / "bd_rate_traces.csv", TraceBdRate) == trace_bd_rates(measurements)
-    assert read_rows(drawn / "bd_rate.csv", MeanBdRate) == mean_bd_rates(trace_bd_rates(measurements))
+    assert rows == [(mark.codec, mark.value, mark.quality) for mark in as_rows(cost_points(measurements, SNR, TIMES))]
+    assert_written(drawn / "excess_bits.csv", rate_excesses(measurements))
+    assert_written(drawn / "bd_rate_traces.csv", trace_bd_rates(measurements))
+    assert_written(drawn / "bd_rate.csv", mean_bd_rates(trace_bd_rates(measurements)))
 
 
 def test_the_page_says_what_it_is_of(written: Path) -> None:
@@ -359,7 +363,7 @@ def test_charts_of_what_is_gone_are_removed(copied: Path) -> None:
     page = write(copied, [])
     assert list((copied / "results").glob("*.png")) == []
     assert "no codec has the values" in page
-    assert read_rows(copied / "results" / "excess_bits.csv", Excess) == []
+    assert (copied / "results" / "excess_bits.csv").read_text() == "trace,codec,source,bits_per_sample,excess_percent\n"
 
 
 def learned() -> Measurements:
@@ -378,12 +382,13 @@ def learned() -> Measurements:
 
 
 def test_where_trained_models_win_and_lose_is_said_from_the_figures(tmp_path: Path) -> None:
-    page = learned_page.section(tmp_path, learned())
+    write_results(tmp_path, learned(), DESCRIPTION)
+    page = (tmp_path / "results.md").read_text()
     # Against slp -10 % and 1 / 2.09 - 1 = -52.2 %; against mdct +71 % and 1 / 1.1 - 1 = -9.1 %.
     assert "at equal PSNR it loses to `mdct` (+31.0 %), and wins against 2, the nearest `slp` (-31.1 %)" in page
     assert "| eva-16 | slp | -31.1 % (2 of 2) | -52.2 % (1 of 1) | -10.0 % (1 of 1) |" in page
     assert "Wanted" not in page and "missed" not in page.lower()
-    assert (tmp_path / "learned_bd_rate_traces.png").stat().st_size > 5000
+    assert (tmp_path / "results" / "learned_bd_rate_traces.png").stat().st_size > 5000
 
 
 @pytest.mark.slow
@@ -394,9 +399,9 @@ def test_results_of_few_points_are_marked(tmp_path: Path) -> None:
     assert row.count("†") == 5
     slp = next(line for line in page.splitlines() if line.startswith("| slp |"))
     assert "†" not in slp and "† marks a mean with fewer than 6 points" in page
-    rows = read_rows(tmp_path / "results" / "bd_rate_traces.csv", TraceBdRate)
-    assert {row.points for row in rows if row.codec == "few"} == {4}
-    assert {row.points for row in rows if row.codec == "slp"} == {len(SNRS_DB)}
+    rates = pl.read_csv(tmp_path / "results" / "bd_rate_traces.csv")
+    assert set(rates.filter(codec="few")["points"]) == {4}
+    assert set(rates.filter(codec="slp")["points"]) == {len(SNRS_DB)}
 
 
 def test_one_codec_far_off_does_not_squeeze_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -408,23 +413,27 @@ def test_one_codec_far_off_does_not_squeeze_the_others(tmp_path: Path, monkeypat
         texts.extend(text.get_text() for axes in figure.axes for text in axes.texts)
 
     monkeypatch.setattr(Figure, "savefig", note)
-    marks = [
-        Mark(1.6, name, "measured", snr_db, "delay_ms", 20.0, 1000, True)
-        for name, snr_db in (("mdct", 15.0), ("flac", -577.0))
-    ]
-    plot_marks(tmp_path / "far.png", marks, SNR)
+    marks = pl.DataFrame({"codec": ["mdct", "flac"], "quality": [15.0, -577.0]}).with_columns(
+        bits_per_sample=1.6,
+        source=pl.lit("measured"),
+        cost=pl.lit("delay_ms"),
+        value=20.0,
+        flash_bytes=1000,
+        on_front=True,
+    )
+    plot_cost_points(tmp_path / "far.png", marks, SNR)
     assert limits == [(SNR.low - FAR_DB, 16.0)]
     assert "flac: -577 (off)" in texts and any(text.startswith("mdct, ") for text in texts)
-    plot_marks(tmp_path / "all_far.png", marks[1:], SNR)
+    plot_cost_points(tmp_path / "all_far.png", marks[1:], SNR)
 
 
 def test_without_trained_models_there_is_no_section_of_them(tmp_path: Path, written: Path) -> None:
-    assert learned_page.section(tmp_path, Measurements(*measured(), [])) == ""
+    assert learned_page.section(tmp_path, Measurements(*measured(), [])) == {}
     assert "Trained models" not in (written / "results.md").read_text()
 
 
 def test_a_decibel_has_a_price_in_bytes_in_time_and_in_flash() -> None:
-    rows = {(row.codec, row.runtime): row for row in prices(learned())}
+    rows = {(row.codec, row.runtime): row for row in as_rows(marginal_costs(learned()))}
     assert next(iter(rows)) == ("eva-16", "onnx")
     assert rows["eva-16", "onnx"].bytes_percent == pytest.approx(100 * (2 ** (1 / 12) - 1), abs=0.1)
     mdct = rows["mdct", ""]

@@ -31,7 +31,7 @@ from vibrocast.evaluation.stability import (
     signals,
 )
 from vibrocast.evaluation.stability.known_causes import explanation, known_causes
-from vibrocast.evaluation.stability.maps import RatePoint, Scope, methods
+from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
 from vibrocast.host.cli.stability import stability
 from vibrocast.host.stability import CLEAR_ERRORS, model_images, report, transport
@@ -456,8 +456,13 @@ def test_a_page_of_other_origin_is_kept(tmp_path: Path) -> None:
     assert "choose another --out" in result.output
 
 
+@pytest.mark.parametrize("each", [*report.MAPS, peers.PEERS], ids=lambda each: str(each.name))
+def test_every_map_has_its_words(each: Map) -> None:
+    assert len(each.about) > 100 and "{" not in each.about and "\n" not in each.about.rstrip("\n")
+
+
 def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
-    swept = dataclasses.replace(signals.SIGNALS, name="loss", varied="{} % of loss", title="A title")
+    swept = dataclasses.replace(transport.LOSS, varied="{} % of loss", title="A title")
     values = ((0.0, Outcome.HOLDS), (0.1, Outcome.DEGRADED), (0.2, Outcome.DEGRADED))
     cells = [dataclasses.replace(cell(outcome, value=value), map="loss") for value, outcome in values]
     text = page.markdown([(swept, cells)], ["fake"], "vibrocast stability")
@@ -465,6 +470,7 @@ def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
     cause, remedy = explanation(cells[1])
     assert f"| fake | degraded | 0.1 to 0.2 % of loss | an effect | {cause} | {remedy} |" in text
     assert "](stability/loss.png)" in text
+    assert "Frames are lost by chance, in both directions. A texture of 5 s" in text
 
 
 def test_causes_are_about_maps_that_there_are() -> None:

@@ -1,0 +1,73 @@
+"""Renders pages from the templates next to their modules: Markdown, and HTML in which every value is escaped."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+
+def render(template: Path, **values: object) -> str:
+    """Return the page of a Jinja2 template, `*.md.jinja` or `*.html.jinja`, filled with values.
+
+    In Markdown, blank lines that follow each other become one. Raises jinja2.TemplateError for a faulty template.
+    """
+    is_html = template.name.endswith(".html.jinja")
+    environment = Environment(
+        loader=FileSystemLoader(template.parent),
+        undefined=StrictUndefined,
+        autoescape=is_html,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(FILTERS)
+    text = environment.get_template(template.name).render(values)
+    return (text if is_html else re.sub(r"\n{3,}", "\n\n", text)).strip("\n") + "\n"
+
+
+def cell(value: object) -> str:
+    """Return text that a table of Markdown shows as it is, in one line."""
+    return " ".join(str(value).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").split())
+
+
+def code(text: str) -> str:
+    """Return a name as code."""
+    return f"`{text.replace('`', '')}`"
+
+
+def codes(names: Iterable[str], last: str = ", ") -> str:
+    """Return names as code, in a list. `last`: between the last two."""
+    return listed([code(name) for name in names], last)
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def listed(items: Iterable[str], last: str = " and ") -> str:
+    """Return items as a person lists them. `last`: between the last two."""
+    *others, final = list(items) or [""]
+    return last.join(filter(None, (", ".join(others), final)))
+
+
+def number(value: float | None, form: str = ".3g", unit: str = "") -> str:
+    """Return a number in a form of Python's format strings, with its unit behind it; empty where there is none."""
+    return "" if value is None else f"{value:{form}}{unit}"
+
+
+def g(value: float) -> str:
+    """Return a number with the digits that it has, six at most."""
+    return f"{value:g}"
+
+
+def size(count: int | None) -> str:
+    """Return a count of bytes in words; empty where it is None."""
+    if count is None:
+        return ""
+    return f"{count} B" if count < 1000 else f"{count / 1000:.3g} kB" if count < 1_000_000 else f"{count / 1e6:.3g} MB"
+
+
+FILTERS: dict[str, Any] = {each.__name__: each for each in (cell, code, codes, counted, g, listed, number, size)}
+"""What every template may use."""
