@@ -81,7 +81,7 @@ def section(recordings: Sequence[textures.Recording], out: Path) -> str:
     packets: list[Packet] = []
     outcomes: list[Outcome] = []
     cells = [(recording, rate_bps) for rate_bps in RATES_BPS for recording in recordings]
-    with progress.shown("streaming over a link that falls") as update:
+    with progress.bar("streaming over a link that falls") as update:
         for recording, rate_bps in cells:
             streamed, outcome = stream(recording, rate_bps)
             packets += streamed

@@ -224,7 +224,7 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
         found = [(folder.name, trace) for folder in folders for trace in traces(folder)]
     rows: list[Saving] = []
     left_out: list[str] = []
-    with progress.shown("planning") as update:
+    with progress.bar("planning") as update:
         for place, (group, trace) in enumerate(found):
             update(place / len(found), trace.name)
             try:

@@ -49,7 +49,7 @@ def _measure_and_write(folder: Path, out: Path) -> None:
     refresh_cells = list(product(RATES_BPS, REFRESHES_S))
     held: list[Held] = []
     refreshes: list[RefreshCost] = []
-    with progress.shown("measuring") as update:
+    with progress.bar("measuring") as update:
         for recording, name, rate_bps, rate_buffer_s in cells:
             held.append(measure(recordings[recording], recording, name, rate_bps, rate_buffer_s))
             update(len(held) / (len(cells) + len(refresh_cells)), f"{recording}, {name}, {rate_bps} bit/s")

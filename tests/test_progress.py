@@ -13,7 +13,7 @@ class Terminal(io.StringIO):
 
 
 def test_short_work_prints_nothing_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress.shown("encoding") as update:
+    with progress.bar("encoding") as update:
         update(0.5)
         update(1.0)
     assert capsys.readouterr() == ("", "")
@@ -22,7 +22,7 @@ def test_short_work_prints_nothing_where_there_is_no_terminal(capsys: pytest.Cap
 def test_long_work_prints_a_line_a_second(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
     monkeypatch.setattr("time.monotonic", lambda: now_s)
-    with progress.shown("playing") as update:
+    with progress.bar("playing") as update:
         for step in range(11):
             now_s = 100 + 0.25 * step
             update(step / 10, f"step {step}")
@@ -33,7 +33,7 @@ def test_a_terminal_has_a_bar_that_goes_away(monkeypatch: pytest.MonkeyPatch) ->
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    with progress.shown("flashing") as update:
+    with progress.bar("flashing") as update:
         update(0.25, "a quarter")
     written = terminal.getvalue()
     assert "flashing a quarter" in written

@@ -16,16 +16,16 @@ class Update(Protocol):
 
 
 @contextmanager
-def shown(work: str) -> Iterator[Update]:
+def bar(work: str) -> Iterator[Update]:
     """Yield what the work, named `work`, tells how far it is, as often as it likes."""
     if sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn
 
         columns = BarColumn(), TextColumn("{task.description}")
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(work, total=1.0)
-            yield lambda part, details="": bar.update(task, completed=part, description=f"{work} {details}")
+        with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+            task = shown.add_task(work, total=1.0)
+            yield lambda part, details="": shown.update(task, completed=part, description=f"{work} {details}")
     else:
         yield _Lines(work)
 

@@ -150,7 +150,7 @@ def bench(
         work: Any = partial(workers.on_cores, processes=workers.cores())
         if scheduler:
             work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
-        with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.shown("measuring") as update:
+        with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.bar("measuring") as update:
             tell = told(update)
             measured = bench.run(traces, load, chosen, repeats, journal, work, tell)
     except workers.WorkersError as error:
@@ -162,11 +162,11 @@ def bench(
     good = [each for each in measured if isinstance(each, cells.Measured)]
     points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
     timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
-    with progress.shown("measuring memory") as update:
+    with progress.bar("measuring memory") as update:
         costs = cost.measure_costs(cells.coders(chosen), update)
     timed: list[speed.Speed | Failure] = []
     if repeats:
-        with progress.shown("measuring speed") as update:
+        with progress.bar("measuring speed") as update:
             measured_traces = {each.point.trace for each in good}
             loaded = (load(trace) for trace in traces if trace.name in measured_traces)
             timed = speed.measure(chosen, points, loaded, repeats, update)
@@ -178,7 +178,7 @@ def bench(
     cells_on = "a Dask cluster" if scheduler else f"{workers.cores()} cores at work at once"
     machine = f"{speed.cpu_name()}; of single cells {cells_on}"
     description = results_page.Description(dataset.printable(data), machine, command_run())
-    with progress.shown("drawing") as update:
+    with progress.bar("drawing") as update:
         results_page.write_results(out, measurements, description, update)
     show(measurements)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}

@@ -47,7 +47,7 @@ def flash(model: models.Model | None, plan_path: Path | None, address: str) -> N
 
 def flashed(model: models.Model, address: str) -> str:
     """Flash a model into the controller at an address; return what it runs then."""
-    with devices.connect(address) as controller, progress.shown("flashing") as update:
+    with devices.connect(address) as controller, progress.bar("flashing") as update:
         slot = uploader.flash(controller, model.image, progress=lambda done, total: update(done / total))
     return f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed"
 

@@ -81,7 +81,7 @@ def export(
         reject_replacing_others(out)
         # Before the work, so that a place that cannot be written to is not found out after it.
         out.parent.mkdir(parents=True, exist_ok=True)
-        with progress.shown("exporting") as update:
+        with progress.bar("exporting") as update:
             update(0, "reading the training's data")
             traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
             trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)

@@ -96,7 +96,7 @@ def encode_rate_controlled(
 ) -> None:
     """Code a recording as a live stream into a .vct file, and print how rate and quality came out."""
     del quality["rate_bps"], quality["snr_db"]  # they are in the target
-    with progress.shown("encoding") as update:
+    with progress.bar("encoding") as update:
         stream, outcome = rate_controlled.encode(recording, target, progress=update, **quality)
     stream.save(out)
     window = "" if outcome.furthest is None else f", furthest from it over 2 s: {100 * outcome.furthest:+.2f} %"
@@ -167,11 +167,11 @@ def decode(file: Path, out: Path, sample_format: str, model: models.Model | None
     reject_overwriting([out], [file, *files_of(model)])
     stream = replace(read_stream(file, model.image if model else None), runtime=runtime)
     if stream.header.spatial and out.suffix.lower() == ".csv":
-        with progress.shown("decoding") as update:
+        with progress.bar("decoding") as update:
             profile = write_profile(out, stream, progress=update)
         click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
         return
-    with progress.shown("decoding") as update:
+    with progress.bar("decoding") as update:
         full_scale = write_recording(out, stream, sixteen_bit, progress=update)
     header = stream.header
     unit = f"1.0 is {full_scale:g} {header.unit}" if out.suffix.lower() == ".wav" else f"in {header.unit}"

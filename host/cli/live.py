@@ -100,7 +100,7 @@ def live(
     chosen = chosen_codec(codec_name, model)
     if chosen.needs_model and model is None:
         model = smallest_first(chosen)[0]
-    with devices.connect(address) as controller, progress.shown("streaming") as update:
+    with devices.connect(address) as controller, progress.bar("streaming") as update:
         if model is not None:
             uploader.provide(controller, address, model.image)
         how: dict[str, Any] = {"setting": setting}

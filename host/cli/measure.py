@@ -106,7 +106,7 @@ def measure_all(bench: "Bench", names: tuple[str, ...], run: "Results") -> None:
         for name, take in measurements.MEASUREMENTS.items():
             if name not in names:
                 continue
-            with progress.shown(name) as update:
+            with progress.bar(name) as update:
                 try:
                     run.measured[name] = take(subject, update)
                 except (ConnectionLost, TransportError):
@@ -119,7 +119,7 @@ def measure_all(bench: "Bench", names: tuple[str, ...], run: "Results") -> None:
                         controller.stop()
                     raise
     if "together" in names and len(bench.controllers) > 1:
-        with progress.shown("together"):
+        with progress.bar("together"):
             run.measured["together"] = measurements.together(bench)
 
 

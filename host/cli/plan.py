@@ -31,7 +31,7 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
     from vibrocast.host.planner import choose, page, plan_file, scene
 
     read = scene.read_scene(scene_path)
-    with progress.shown("planning") as update:
+    with progress.bar("planning") as update:
         planned, choices = choose.plan(read, update)
     out.mkdir(parents=True, exist_ok=True)
     plan_file.write_plan(out / page.PLAN, planned)

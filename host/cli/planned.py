@@ -56,7 +56,7 @@ def play(
     from vibrocast.host.planner import comparison, playing
 
     failure: playing.PartlyPlayedError | None = None
-    with progress.shown("playing") as update:
+    with progress.bar("playing") as update:
         try:
             played = playing.play(plan, names, progress=update)
         except playing.PartlyPlayedError as error:

@@ -164,7 +164,7 @@ def play(
                 encoding = encoded(source, {**quality, "runtime": runtime}, live=True)
                 stream = encoding.stream
             stream = stream.with_gain(gain_db)
-            with progress.shown("playing") as update:
+            with progress.bar("playing") as update:
                 tell = playing(update, stream.bits_per_second)
                 outcomes = end_to_end.play_together(members, file.name, stream, encoding, loops, tell)
     outcomes |= failures
@@ -237,7 +237,7 @@ def play_profile(
     stream = replace(stream, runtime=runtime)
     if not stream.header.spatial:
         raise BadInput(f"{file}: coded over time, not over position; encode the profile with --spatial")
-    with devices.connect(address, runtime) as controller, progress.shown("playing") as update:
+    with devices.connect(address, runtime) as controller, progress.bar("playing") as update:
         played = position_playback.play(controller, stream, movement, progress=update)
         actuator = end_to_end.actuator_model(controller.description.actuator)
     expected = position_playback.computed(stream, played, actuator)

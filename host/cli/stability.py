@@ -71,7 +71,7 @@ def stability(
         page.folder_in(out)  # what cannot be written is better known before than after
     except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
-    with progress.shown("trying") as update:
+    with progress.bar("trying") as update:
         cells = report.make(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
     outcomes = Counter(cell.outcome for cell in cells)
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))

@@ -44,7 +44,7 @@ def files_of(model: models.Model | None) -> list[Path]:
 
 def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) -> Encoding:
     """Encode a recording, show how far it is, and say what was not met."""
-    with progress.shown("encoding") as update:
+    with progress.bar("encoding") as update:
         encoding = encode_recording(recording, live=live, progress=update, **quality)
     if note := encoding.quality.note:
         click.echo(f"note: {note}", err=True)
@@ -56,7 +56,7 @@ def encoded_profile(recording: textures.Recording, quality: dict[str, Any], slow
     del quality["highpass_hz"]  # heights keep their own rules
     if quality["rate_bps"] is not None or quality.pop("stream_rate_hz") != DEFAULT_STREAM_RATE_HZ:
         raise click.UsageError("a profile has no time: give --snr-db and --slowest-hand-speed-mm-s instead of rates.")
-    with progress.shown("encoding") as update:
+    with progress.bar("encoding") as update:
         encoding = profiles.encode(recording, slowest_mm_s, progress=update, **quality)
     if note := encoding.quality.note:
         click.echo(f"note: {note}", err=True)

@@ -53,7 +53,7 @@ def train(
             for one in configuration.each_of(chosen)
         }
         if len(trainings) == 1 and not scheduler:
-            with progress.shown("training") as update:
+            with progress.bar("training") as update:
                 (outcome,) = (run(update, threads) for run in trainings.values())
             click.echo(outcome)
             return
@@ -74,7 +74,7 @@ def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
     pieces: Iterator[Any] = iter(trainings.items())
     failed = []
     try:
-        with progress.shown("training") as update, closing(work(pieces)) as outcomes:
+        with progress.bar("training") as update, closing(work(pieces)) as outcomes:
             update(0, f"0 of {len(trainings)}")
             for done, (name, outcome) in enumerate(outcomes, 1):
                 if isinstance(outcome, Exception):

@@ -1,1 +1,10 @@
-"""The conformance suite: what docs/protocol.md asks of a controller, tried through nothing but its port."""
+"""The conformance suite: tests a controller against docs/protocol.md, through nothing but its port.
+
+`run_suite` runs the modules test_*.py on a `TappedLink` and returns a `Report`.
+"""
+
+from vibrocast.host.conformance.report import PAGE, Outcome, Report
+from vibrocast.host.conformance.runner import NotTestable, run_suite
+from vibrocast.host.conformance.tapped_link import TappedLink
+
+__all__ = ["PAGE", "NotTestable", "Outcome", "Report", "TappedLink", "run_suite"]

@@ -1,6 +1,6 @@
 """What the modules of the suite share: the session with the controller, and the mark with the place in the protocol.
 
-Whoever runs them gives the fixture `line`, a host.conformance.line.Line to the controller under test.
+Whoever runs them gives the fixture `link`, a TappedLink to the controller under test.
 """
 
 import contextlib
@@ -17,8 +17,8 @@ from vibrocast.device_protocol.messages import (
     SlotState,
 )
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.conformance.line import Line
-from vibrocast.host.conformance.probe import ANSWER_S, Gone, NotConforming, Probe
+from vibrocast.host.conformance.probe import ANSWER_S, NotConforming, Probe, Unreachable
+from vibrocast.host.conformance.tapped_link import TappedLink
 
 SECTIONS = (
     "Frames",
@@ -49,20 +49,20 @@ section = pytest.mark.section
 """Marks a test with one of SECTIONS."""
 long = pytest.mark.long
 """Marks a test that takes more than a second of the controller's time."""
-vital = pytest.mark.vital
+prerequisite = pytest.mark.prerequisite
 """Marks a test that comes first: where it fails, the others make no sense."""
 
 
 @pytest.fixture
-def probe(line: Line) -> Iterator[Probe]:
+def probe(link: TappedLink) -> Iterator[Probe]:
     """A session with the controller, whose output is at rest before the test and after it."""
-    line.heal()
-    opened = Probe(line)
+    link.heal()
+    opened = Probe(link)
     opened.open()
     opened.stop()
     yield opened
-    with contextlib.suppress(NotConforming, TransportError, Gone):
-        line.heal()
+    with contextlib.suppress(NotConforming, TransportError, Unreachable):
+        link.heal()
         opened.open(ANSWER_S)
         opened.stop()
 
@@ -76,7 +76,7 @@ def hello(probe: Probe) -> HelloResponse:
 @pytest.fixture
 def slot(probe: Probe) -> Iterator[int]:
     """A slot that may be written: none that runs. The image that ran before the test runs after it again."""
-    if not probe.line.may_flash:
+    if not probe.link.may_flash:
         pytest.skip("slots for model images are not to be written")
     images = probe.description.images
     if any(image.state == SlotState.TRIAL for image in images):
@@ -86,13 +86,13 @@ def slot(probe: Probe) -> Iterator[int]:
     if not writable:
         pytest.skip("hello lists no slot but the one that runs")
     yield min(writable, key=lambda image: image.state).slot
-    with contextlib.suppress(NotConforming, TransportError, Gone):
+    with contextlib.suppress(NotConforming, TransportError, Unreachable):
         _run_again(probe, kept)
 
 
 def _run_again(probe: Probe, kept: ImageDescription | None) -> None:
     """End a trial that a test has left, and start the image that was kept before it."""
-    probe.line.heal()
+    probe.link.heal()
     probe.open(ANSWER_S)
     probe.stop()
     states = {image.slot: image.state for image in probe.description.images}

@@ -4,7 +4,7 @@ from itertools import groupby
 from pathlib import Path
 
 from vibrocast.host.conformance.fixtures import SECTIONS
-from vibrocast.host.conformance.judge import requirements
+from vibrocast.host.conformance.runner import requirements
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "conformance.md"
 # All behind it is generated.

@@ -38,7 +38,7 @@ from vibrocast.device_protocol.messages import (
     unpack,
 )
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.conformance.line import Line
+from vibrocast.host.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import SMALLEST_PAYLOAD_LIMIT_BYTES
 from vibrocast.host.stream_session import next_number
 
@@ -48,7 +48,7 @@ SLOT_S = 10.0
 RESTART_S = 10.0
 
 _READ_S = 0.05
-_SHORTEST_READ_S = 0.001  # simulated time may not be able to pass for less
+_MIN_READ_S = 0.001  # simulated time may not be able to pass for less
 _POLL_S = 0.01
 _RETRY_S = 0.1
 # Slower than that, a host sends copies of its requests, and each may be answered.
@@ -63,7 +63,7 @@ class NotConforming(AssertionError):
     """What the controller did is not what the protocol says; the text tells both."""
 
 
-class Gone(Exception):
+class Unreachable(Exception):
     """The controller cannot be reached, or no longer answers."""
 
 
@@ -77,8 +77,8 @@ class Probe:
 
     description: HelloResponse
 
-    def __init__(self, line: Line) -> None:
-        self.line = line
+    def __init__(self, link: TappedLink) -> None:
+        self.link = link
         self.opened_by = self.sequence = NOTIFICATION
         self.last_answer = b""
         self.answer_s = 0.0
@@ -86,38 +86,38 @@ class Probe:
         self._reader = FrameReader()
         self._inbox: deque[bytes] = deque()
         self._limit_bytes = 0  # of a payload; 0: not known yet
-        self._sent_s, self._longest_silence_s = 0.0, math.inf
+        self._sent_s, self._max_silence_s = 0.0, math.inf
 
     def open(self, within_s: float = RESTART_S) -> None:
-        """Open a session, or open it anew. Raises Gone, NotConforming."""
+        """Open a session, or open it again. Raises Unreachable, NotConforming."""
         answer = self.insist(Hello(), within_s)
         if not isinstance(answer, HelloResponse):
-            raise NotConforming(f"Hello: expected a HelloResponse, came {told(answer)}")
+            raise NotConforming(f"Hello: expected a HelloResponse, came {describe(answer)}")
         self.description = answer
         self.opened_by = self.sequence
         # What is less than the protocol allows is a fault of its own, and hides no other.
         self._limit_bytes = max(answer.limits.maximum_payload_bytes, SMALLEST_PAYLOAD_LIMIT_BYTES)
-        self._longest_silence_s = max(_POLL_S, answer.limits.watchdog_ms / 4000)
+        self._max_silence_s = max(_POLL_S, answer.limits.watchdog_ms / 4000)
         if self.answer_s > _COPIED_S:
             self._overlook(ANSWER_S)  # answers to copies of requests of a session before
         self.notified.clear()
 
     def insist(self, message: Message, within_s: float = RESTART_S) -> Message:
-        """Ask until an answer comes, and overlook all else: also while the controller, or its port, starts anew.
+        """Ask until an answer comes, and overlook all else: also while the controller, or its port, starts again.
 
-        Raises Gone after `within_s`.
+        Raises Unreachable after `within_s`.
         """
-        deadline_s = self.line.clock() + within_s
+        deadline_s = self.link.clock() + within_s
         patience_s = _FIRST_ANSWER_S
         while True:
             reason = f"nothing answers {name(message)}"
             try:
-                self.line.write(DELIMITER)  # ends whatever the line has picked up
+                self.link.write(DELIMITER)  # ends whatever the link has picked up
                 # A number that means nothing to the controller yet.
                 self.sequence = random.randint(1, MAXIMUM_SEQUENCE)
                 self.send(pack(message, self.sequence))
-                asked_s = self.line.clock()
-                answer_until_s = asked_s + patience_s
+                requested_s = self.link.clock()
+                answer_until_s = requested_s + patience_s
                 patience_s = min(2 * patience_s, ANSWER_S)
                 while (payload := self._next(answer_until_s)) is not None:
                     try:
@@ -127,23 +127,23 @@ class Probe:
                         continue
                     if sequence == self.sequence:
                         self.last_answer = payload
-                        self.answer_s = max(self.answer_s, self.line.clock() - asked_s)
+                        self.answer_s = max(self.answer_s, self.link.clock() - requested_s)
                         return answer
             except TransportError as error:
                 reason = str(error)
                 try:
-                    self.line.reopen()
+                    self.link.reopen()
                 except TransportError as failure:
                     reason = str(failure)
                 self._reader = FrameReader()
-            if self.line.clock() >= deadline_s:
-                raise Gone(reason)
-            self.line.sleep(_RETRY_S)
+            if self.link.clock() >= deadline_s:
+                raise Unreachable(reason)
+            self.link.sleep(_RETRY_S)
 
     def send(self, payload: bytes) -> None:
         """Send a payload in a frame. Raises TransportError."""
-        self.line.write(write_frame(payload))
-        self._sent_s = self.line.clock()
+        self.link.write(write_frame(payload))
+        self._sent_s = self.link.clock()
 
     def ask(self, message: Message) -> Message:
         """Send a request under the next number and return its answer. Raises NotConforming, TransportError."""
@@ -166,17 +166,17 @@ class Probe:
         """Wait for the answer to this number and return it. Raises NotConforming, TransportError."""
         self.sequence = sequence
         bad_frames = self._reader.bad_frames
-        asked_s = self.line.clock()
-        while (payload := self._next_while_alive(asked_s + within_s)) is not None:
+        requested_s = self.link.clock()
+        while (payload := self._next_while_alive(requested_s + within_s)) is not None:
             answered, message = self._read(payload)
             if answered == sequence:
                 self.last_answer = payload
                 if within_s == ANSWER_S:
-                    self.answer_s = max(self.answer_s, self.line.clock() - asked_s)
+                    self.answer_s = max(self.answer_s, self.link.clock() - requested_s)
                 return message
             if answered != NOTIFICATION:
                 raise NotConforming(
-                    f"expected nothing but an answer to request {sequence}, came one to {answered}: {told(message)}"
+                    f"expected nothing but an answer to request {sequence}, came one to {answered}: {describe(message)}"
                 )
         damaged = self._reader.bad_frames - bad_frames
         came = f"nothing but {damaged} damaged frame(s)" if damaged else "none"
@@ -186,11 +186,11 @@ class Probe:
         """Send a request that must be carried out; return its answer. Raises NotConforming, TransportError."""
         answer = self.ask(message)
         if not isinstance(answer, answer_type):
-            raise NotConforming(f"{name(message)}: expected {answer_type.__name__}, came {told(answer)}")
+            raise NotConforming(f"{name(message)}: expected {answer_type.__name__}, came {describe(answer)}")
         return answer
 
-    def refused(self, message: Message, code: ErrorCode) -> Error:
-        """Send a request that must be refused with this code; return the Error. Raises as `expect`."""
+    def expect_rejection(self, message: Message, code: ErrorCode) -> Error:
+        """Send a request that must be rejected with this code; return the Error. Raises as `expect`."""
         return an_error(self.ask(message), code, name(message))
 
     def unanswered(self, payload: bytes, what: str) -> None:
@@ -206,11 +206,11 @@ class Probe:
 
         Raises NotConforming for anything else that comes, TransportError.
         """
-        deadline_s = self.line.clock() + seconds
+        deadline_s = self.link.clock() + seconds
         while (payload := self._next_while_alive(deadline_s)) is not None:
             answered, message = self._read(payload)
             if answered != NOTIFICATION:
-                raise NotConforming(f"expected notifications only, came {told(message)}")
+                raise NotConforming(f"expected notifications only, came {describe(message)}")
 
     def complaint(self, payload: bytes, code: ErrorCode, what: str) -> None:
         """Send stream data that must be answered by an Error without a number. Raises NotConforming, TransportError."""
@@ -219,7 +219,7 @@ class Probe:
         self.status()
         errors = [message for message in self.notified if isinstance(message, Error)]
         if [error.code for error in errors] != [code]:
-            came = ", ".join(map(told, errors)) or "none"
+            came = ", ".join(map(describe, errors)) or "none"
             raise NotConforming(f"{what}: expected one Error {code.name} with the number 0, came {came}")
 
     def status(self) -> Status:
@@ -230,13 +230,13 @@ class Probe:
         """Bring the output to rest. Raises NotConforming, TransportError."""
         return in_state(self.expect(Stop(), Status), State.STOPPED, "Stop")
 
-    def wait_for(self, wanted: Callable[[Status], bool], what: str, within_s: float) -> Status:
-        """Ask for the status until it is as wanted, and return it. Raises NotConforming, TransportError."""
-        deadline_s = self.line.clock() + within_s
-        while not wanted(status := self.status()):
-            if self.line.clock() > deadline_s:
-                raise NotConforming(f"expected {what} within {within_s:g} s; it is still {told(status)}")
-            self.line.sleep(_POLL_S)
+    def wait_for(self, condition: Callable[[Status], bool], what: str, within_s: float) -> Status:
+        """Ask for the status until the condition holds, and return it. Raises NotConforming, TransportError."""
+        deadline_s = self.link.clock() + within_s
+        while not condition(status := self.status()):
+            if self.link.clock() > deadline_s:
+                raise NotConforming(f"expected {what} within {within_s:g} s; it is still {describe(status)}")
+            self.link.sleep(_POLL_S)
         return status
 
     def wait_for_state(self, state: State, within_s: float = ANSWER_S) -> Status:
@@ -262,7 +262,7 @@ class Probe:
         """
         packet_samples = stream.decoder().packet_samples
         waiting = list(stream.packets if packets is None else packets)
-        deadline_s = self.line.clock() + ANSWER_S + 2 * stream.seconds
+        deadline_s = self.link.clock() + ANSWER_S + 2 * stream.seconds
         while waiting:
             status = self.status()
             granted = status.credit_until // packet_samples - iteration * len(stream.packets)
@@ -270,10 +270,10 @@ class Probe:
             if fitting:
                 self.send_packets(number, fitting, iteration)
                 del waiting[: len(fitting)]
-            elif status.state == State.BUFFERING or self.line.clock() > deadline_s:
+            elif status.state == State.BUFFERING or self.link.clock() > deadline_s:
                 pytest.skip("the controller's buffer does not hold the stream")
             else:
-                self.line.sleep(_POLL_S)
+                self.link.sleep(_POLL_S)
 
     def send_packets(self, number: int, packets: Iterable[bytes], iteration: int = 0) -> None:
         """Send packets without a look at credit, as many in a frame as it holds. Raises TransportError."""
@@ -304,7 +304,7 @@ class Probe:
         first = offset = begin.offset
         limit = self.description.limits.capture_samples
         if begin.end - first > limit:
-            raise NotConforming(f"expected a capture of at most {limit} samples, came {told(begin)}")
+            raise NotConforming(f"expected a capture of at most {limit} samples, came {describe(begin)}")
         while True:
             answer = self.read_capture(tap, offset, 0xFFFF, channels)
             samples = np.frombuffer(answer.data, "<i2").astype(np.int16).reshape(-1, channels)
@@ -313,25 +313,25 @@ class Probe:
             if offset >= answer.end:
                 return first, np.concatenate(pieces)
             if (answer.offset + len(samples), answer.end) != (offset, begin.end) or not len(samples):
-                raise NotConforming(f"CaptureRead of a stream at rest from sample {offset}: came {told(answer)}")
+                raise NotConforming(f"CaptureRead of a stream at rest from sample {offset}: came {describe(answer)}")
 
     def read_capture(self, tap: Tap, offset: int, count: int, channels: int) -> CaptureData:
         """Read a piece of a capture. Raises NotConforming, TransportError."""
         answer = self.expect(CaptureRead(tap, offset, count), CaptureData)
         if (answer.tap, answer.channels) != (tap, channels):
-            raise NotConforming(f"CaptureRead of tap {tap} with {channels} channels: came {told(answer)}")
+            raise NotConforming(f"CaptureRead of tap {tap} with {channels} channels: came {describe(answer)}")
         return answer
 
     def _overlook(self, seconds: float) -> None:
         """Drop all that comes for so long. Raises TransportError."""
-        deadline_s = self.line.clock() + seconds
+        deadline_s = self.link.clock() + seconds
         while self._next_while_alive(deadline_s) is not None:
             pass
 
     def _next_while_alive(self, deadline_s: float) -> bytes | None:
         """Return the next payload, None if there is none by then; keeps the watchdog content meanwhile."""
-        while (payload := self._next(min(deadline_s, self._sent_s + self._longest_silence_s))) is None:
-            if self.line.clock() >= deadline_s:
+        while (payload := self._next(min(deadline_s, self._sent_s + self._max_silence_s))) is None:
+            if self.link.clock() >= deadline_s:
                 return None
             self.send(pack(StreamData(0, 0, ())))  # without packets it does nothing, and is never answered
         return payload
@@ -339,10 +339,10 @@ class Probe:
     def _next(self, deadline_s: float) -> bytes | None:
         """Return the next payload, None if there is none by then. Raises TransportError."""
         while not self._inbox:
-            left_s = deadline_s - self.line.clock()
+            left_s = deadline_s - self.link.clock()
             if left_s <= 0:
                 return None
-            self._inbox += self._reader.feed(self.line.read(max(_SHORTEST_READ_S, min(_READ_S, left_s))))
+            self._inbox += self._reader.feed(self.link.read(max(_MIN_READ_S, min(_READ_S, left_s))))
         return self._inbox.popleft()
 
     def _read(self, payload: bytes) -> tuple[int, Message]:
@@ -354,7 +354,7 @@ class Probe:
         except MessageError as error:
             raise NotConforming(f"expected a message of this protocol, came {payload[:40].hex(' ')}: {error}") from None
         if payload[0] < HelloResponse.TYPE:
-            raise NotConforming(f"expected a message of a controller, came {told(message)}")
+            raise NotConforming(f"expected a message of a controller, came {describe(message)}")
         if sequence == NOTIFICATION:
             self.notified.append(message)
         return sequence, message
@@ -365,7 +365,7 @@ def name(message: Message) -> str:
     return type(message).__name__
 
 
-def told(message: Message) -> str:
+def describe(message: Message) -> str:
     """Return a message in words, for the text of a failure."""
     if isinstance(message, Error):
         code = ErrorCode(message.code).name if message.code in list(ErrorCode) else str(message.code)
@@ -377,16 +377,16 @@ def told(message: Message) -> str:
 def an_error(answer: Message, code: ErrorCode, what: str) -> Error:
     """Return the answer if it is an Error of this code with a text. Raises NotConforming."""
     if not isinstance(answer, Error) or answer.code != code:
-        raise NotConforming(f"{what}: expected Error {code.name}, came {told(answer)}")
+        raise NotConforming(f"{what}: expected Error {code.name}, came {describe(answer)}")
     if not answer.text:
-        raise NotConforming(f"{what}: expected a text that says why it is refused, came Error {code.name} without one")
+        raise NotConforming(f"{what}: expected a text that says why it is rejected, came Error {code.name} without one")
     return answer
 
 
 def in_state(status: Status, state: State, what: str) -> Status:
     """Return the status if it is of this state. Raises NotConforming."""
     if status.state != state:
-        raise NotConforming(f"{what}: expected the state {state.name}, came {told(status)}")
+        raise NotConforming(f"{what}: expected the state {state.name}, came {describe(status)}")
     return status
 
 

@@ -5,6 +5,7 @@ import json
 import re
 from collections import Counter
 from dataclasses import asdict, dataclass
+from enum import Enum
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -15,16 +16,43 @@ from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, H
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.conformance.fixtures import SECTIONS
-from vibrocast.host.conformance.judge import Finding, Outcome
 from vibrocast.host.plain import plain
 
 PAGE = "conformance.md"
 JSON = "conformance.json"
 
 
+class Outcome(Enum):
+    """What was found of a requirement."""
+
+    PASSED = "pass"
+    FAILED = "fail"
+    NOT_APPLICABLE = "not applicable"
+    NOT_TESTED = "not tested"
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """What the protocol asks of a controller. `section`: of docs/protocol.md. `test`: its name in the suite."""
+
+    section: str
+    text: str
+    test: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found of a requirement. `reason`: of anything but a pass. `measured`: what else the test saw, if any."""
+
+    requirement: Requirement
+    outcome: Outcome
+    reason: str = ""
+    measured: str = ""
+
+
 @dataclass(frozen=True)
 class Report:
-    """What was found of a controller. `left_out`: what was not to be tried. `date`: None = not said."""
+    """What was found of a controller. `left_out`: what was not to be tested. `date`: None = not said."""
 
     hello: HelloResponse
     findings: tuple[Finding, ...]
@@ -33,15 +61,15 @@ class Report:
 
     @property
     def conforming(self) -> bool:
-        """Whether every requirement that was tried is met, and all that apply were tried."""
-        return not any(finding.outcome in (Outcome.FAILED, Outcome.NOT_TRIED) for finding in self.findings)
+        """Whether every requirement that was tested is met, and all that apply were tested."""
+        return not any(finding.outcome in (Outcome.FAILED, Outcome.NOT_TESTED) for finding in self.findings)
 
     @property
     def verdict(self) -> str:
         """What the findings come to."""
         if not self.conforming:
             return "not conforming"
-        return "conforming, as far as it was tried," if self.left_out else "conforming"
+        return "conforming, as far as it was tested," if self.left_out else "conforming"
 
     @property
     def summary(self) -> str:
@@ -76,14 +104,14 @@ class Report:
         """Return the page."""
         facts = self.facts()
         controller = facts["controller"]
-        told = {name: controller[name] for name in ("build", "hardware", "protocol")}
-        told["codecs"] = ", ".join(controller["codecs"])
-        told["actuator"] = controller["actuator"].pop("name")
+        described = {name: controller[name] for name in ("build", "hardware", "protocol")}
+        described["codecs"] = ", ".join(controller["codecs"])
+        described["actuator"] = controller["actuator"].pop("name")
         return pages.render(
             Path(__file__).with_name("conformance.md.jinja"),
             report=self,
             facts=facts,
-            controller={**told, **controller["actuator"], **controller["limits"]},
+            controller={**described, **controller["actuator"], **controller["limits"]},
             cell=_cell,
         )
 

@@ -25,10 +25,10 @@ TONE_HZ = 150.0
 MODEL = "eva-16"
 # What needs no model image; the first that the controller has is played where a test needs no other.
 PLAIN_CODECS = tuple(known.name for known in codec.BUILT_IN.values() if known.keeps_waveform and not known.needs_model)
-Made = Callable[[int, int, str, float, float], textures.Recording]
+SignalMaker = Callable[[int, int, str, float, float], textures.Recording]
 """Makes a signal of a rate in hertz, of so many channels, in a unit, with a peak value, for so many seconds."""
 # docs/protocol.md, "Credit"
-_MOST_PACKETS = 1024
+_MAX_PACKETS = 1024
 
 
 def stream_for(
@@ -38,32 +38,32 @@ def stream_for(
     unit: str = "um",
     seconds: float = SECONDS,
     buffered: bool = True,
-    made_by: Made | None = None,
+    make_signal: SignalMaker | None = None,
 ) -> Stream:
     """Return a coded signal that the controller can take, with refresh packets; skip the test where there is none.
 
-    `codec_name`: None = one of PLAIN_CODECS. `buffered`: no longer than the controller's buffer. `made_by`: what makes
-    the signal, None = texture.
+    `codec_name`: None = one of PLAIN_CODECS. `buffered`: no longer than the controller's buffer. `make_signal`: makes
+    the signal; None = `texture`.
     """
     limits = hello.limits
-    wanted = PLAIN_CODECS if codec_name is None else (codec_name,)
-    codec_name = next((name for name in wanted if (codec.codec_by_name(name).identifier, name) in hello.codecs), None)
+    names = PLAIN_CODECS if codec_name is None else (codec_name,)
+    codec_name = next((name for name in names if (codec.codec_by_name(name).identifier, name) in hello.codecs), None)
     if codec_name is None:
-        pytest.skip(f"the controller has no codec {' or '.join(wanted)}")
+        pytest.skip(f"the controller has no codec {' or '.join(names)}")
     if channels > limits.channels:
         pytest.skip(f"the controller has {limits.channels} channels")
     rate_hz = min(max(RATE_HZ, limits.minimum_rate_hz), limits.maximum_rate_hz)
     if buffered:
         seconds = min(seconds, 0.8 * limits.buffer_samples / rate_hz)
     peak = amplitude(hello.actuator, unit)
-    stream = coded(made_by or texture, codec_name, rate_hz, channels, unit, peak, seconds, limits.sendable_packet_bytes)
+    stream = coded(make_signal or texture, codec_name, rate_hz, channels, unit, peak, seconds, limits.sendable_packet_bytes)
     if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
         pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
     return stream
 
 
 def lasting_stream(
-    probe: Probe, requests: int, seconds: float = SECONDS, unit: str = "um", made_by: Made | None = None
+    probe: Probe, requests: int, seconds: float = SECONDS, unit: str = "um", make_signal: SignalMaker | None = None
 ) -> Stream:
     """Return a stream, as `stream_for`, that still plays when so many requests behind its Start have been answered.
 
@@ -72,7 +72,7 @@ def lasting_stream(
     needed_s = (requests + 1) * probe.answer_s
     if needed_s > seconds:
         seconds = math.ceil(needed_s)
-    stream = stream_for(probe.description, unit=unit, seconds=seconds, made_by=made_by)
+    stream = stream_for(probe.description, unit=unit, seconds=seconds, make_signal=make_signal)
     if stream.seconds < needed_s:
         pytest.skip(f"what the buffer holds has been played before {requests} requests are answered")
     return stream
@@ -80,7 +80,7 @@ def lasting_stream(
 
 @cache
 def coded(
-    made_by: Made,
+    make_signal: SignalMaker,
     codec_name: str,
     rate_hz: int,
     channels: int,
@@ -94,7 +94,7 @@ def coded(
     rate_point_set = next(iter(chosen.rate_point_sets.values()))
     for setting in reversed(rate_point_set[: len(rate_point_set) // 2 + 1]):
         encoding = encode_recording(
-            made_by(rate_hz, channels, unit, peak, seconds),
+            make_signal(rate_hz, channels, unit, peak, seconds),
             rate_hz,
             codec_name,
             setting=setting,
@@ -175,7 +175,7 @@ def known_actuator(description: ActuatorDescription) -> Actuator:
 def held_samples(hello: HelloResponse, stream: Stream) -> int:
     """Return how many samples of a stream the buffer holds: whole packets, no more than credit may ever grant."""
     packet_samples = stream.decoder().packet_samples
-    return min(_MOST_PACKETS, hello.limits.buffer_samples // packet_samples) * packet_samples
+    return min(_MAX_PACKETS, hello.limits.buffer_samples // packet_samples) * packet_samples
 
 
 def need_capture(hello: HelloResponse) -> None:

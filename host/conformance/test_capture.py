@@ -6,7 +6,7 @@ import pytest
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import CaptureRead, ErrorCode, HelloResponse, State, Tap
 from vibrocast.host.conformance.fixtures import section
-from vibrocast.host.conformance.probe import Probe, an_error, same_samples, told
+from vibrocast.host.conformance.probe import Probe, an_error, describe, same_samples
 from vibrocast.host.conformance.streams import decoded, need_capture, stream_for
 
 _MOST = 0xFFFF
@@ -28,7 +28,7 @@ def test_capture_is_read_from_anywhere(probe: Probe, stream: Stream) -> None:
     kept = min(end, probe.description.limits.capture_samples)
     for offset, count in ((end - kept, 1), (end - kept, _MOST), (end - kept + 7, 20), (end - 1, 1), (end - 5, 100)):
         answer = probe.read_capture(Tap.DECODED, offset, count, 1)
-        assert (answer.offset, answer.end) == (offset, end), f"{count} from {offset} of {end}: came {told(answer)}"
+        assert (answer.offset, answer.end) == (offset, end), f"{count} from {offset} of {end}: came {describe(answer)}"
         samples = np.frombuffer(answer.data, "<i2").reshape(-1, 1)
         assert 1 <= len(samples) <= min(count, end - offset), f"{count} from {offset} of {end}: came {len(samples)}"
         same_samples(samples, expected[offset : offset + len(samples)], f"{len(samples)} samples from {offset}")
@@ -43,7 +43,9 @@ def test_capture_beyond_its_end_is_empty(probe: Probe, stream: Stream) -> None:
         assert end > 0, f"expected a capture of tap {tap}, came none"
         for offset in (end, end + 1, 2**64 - 1):
             answer = probe.read_capture(tap, offset, _MOST, 1)
-            assert (answer.offset, answer.end, answer.data) == (end, end, b""), f"from {offset}: came {told(answer)}"
+            assert (answer.offset, answer.end, answer.data) == (end, end, b""), (
+                f"from {offset}: came {describe(answer)}"
+            )
         assert not probe.read_capture(tap, end - 1, 0, 1).data, "expected no samples where none were asked for"
 
 
@@ -54,7 +56,7 @@ def test_capture_begins_anew_with_each_stream(probe: Probe, stream: Stream) -> N
     probe.configure(stream)
     for tap in Tap:
         answer = probe.read_capture(tap, 0, _MOST, 1)
-        assert (answer.offset, answer.end, answer.data) == (0, 0, b""), f"tap {tap}: came {told(answer)}"
+        assert (answer.offset, answer.end, answer.data) == (0, 0, b""), f"tap {tap}: came {describe(answer)}"
 
 
 @section("Playing: Capture")
@@ -62,7 +64,7 @@ def test_capture_keeps_the_last_samples(probe: Probe, stream: Stream) -> None:
     """Each tap keeps as many samples as the limit says; of earlier ones, the first that is left is given instead."""
     limit = probe.description.limits.capture_samples
     status = probe.play(stream)
-    assert status.state == State.FINISHED, f"expected the end, came {told(status)}"
+    assert status.state == State.FINISHED, f"expected the end, came {describe(status)}"
     for tap in Tap:
         first, samples = probe.captured(tap, 1)
         end = first + len(samples)

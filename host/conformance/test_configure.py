@@ -1,4 +1,4 @@
-"""Configure: what it refuses, by which code, and the credit that it grants."""
+"""Configure: what it rejects, by which code, and the credit that it grants."""
 
 import struct
 from dataclasses import replace
@@ -9,7 +9,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, MAX_CHANNELS, MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Configure, ErrorCode, Gain, HelloResponse, Loop, State, Status
 from vibrocast.host.conformance.fixtures import section
-from vibrocast.host.conformance.probe import Probe, an_error, in_state, told
+from vibrocast.host.conformance.probe import Probe, an_error, describe, in_state
 from vibrocast.host.conformance.streams import held_samples, stream_for
 
 
@@ -19,9 +19,9 @@ def stream(hello: HelloResponse) -> Stream:
     return stream_for(hello)
 
 
-def refused(probe: Probe, stream: Stream, header: bytes, code: ErrorCode, **options: int | float) -> str:
-    """Send a Configure that must be refused; return the text of the Error."""
-    return probe.refused(replace(probe.configuration(stream, **options), header=header), code).text
+def configure_rejected(probe: Probe, stream: Stream, header: bytes, code: ErrorCode, **options: int | float) -> str:
+    """Send a Configure that must be rejected; return the text of the Error."""
+    return probe.expect_rejection(replace(probe.configuration(stream, **options), header=header), code).text
 
 
 @section("Playing: Configure")
@@ -36,7 +36,7 @@ def test_stream_header_that_cannot_be_read(probe: Probe, stream: Stream, fault: 
         "version": header[:3] + bytes([header[3] + 0x10]) + header[4:],
         "surplus": header + b"\x00",
     }
-    refused(probe, stream, faulty[fault], ErrorCode.BAD_VALUE)
+    configure_rejected(probe, stream, faulty[fault], ErrorCode.BAD_VALUE)
 
 
 @section("Messages: Error codes")
@@ -44,7 +44,9 @@ def test_codec_that_is_not_there(probe: Probe, stream: Stream) -> None:
     """A stream of a codec that hello does not name is answered UNKNOWN_CODEC."""
     announced = {number for number, _ in probe.description.codecs}
     for number in set(range(1, 16)) - announced:
-        refused(probe, stream, replace(stream.header, codec_identifier=number).pack(), ErrorCode.UNKNOWN_CODEC)
+        configure_rejected(
+            probe, stream, replace(stream.header, codec_identifier=number).pack(), ErrorCode.UNKNOWN_CODEC
+        )
 
 
 @section("Messages: Error codes")
@@ -52,7 +54,7 @@ def test_configuration_that_the_codec_does_not_take(probe: Probe, stream: Stream
     """A configuration that the stream's codec cannot read is answered UNKNOWN_CODEC."""
     configuration = stream.header.configuration
     for faulty in (b"", configuration + bytes(200), b"\xff" * max(1, len(configuration))):
-        refused(probe, stream, replace(stream.header, configuration=faulty).pack(), ErrorCode.UNKNOWN_CODEC)
+        configure_rejected(probe, stream, replace(stream.header, configuration=faulty).pack(), ErrorCode.UNKNOWN_CODEC)
 
 
 @section("Messages: Error codes")
@@ -60,7 +62,7 @@ def test_image_that_does_not_run(probe: Probe, stream: Stream) -> None:
     """A stream that names a model image that does not run is answered UNKNOWN_IMAGE; the text names the image."""
     unknown = b"\xab\xcd\xef\x01"
     assert len(unknown) == IMAGE_HASH_BYTES, "an image is named by four bytes"
-    text = refused(probe, stream, replace(stream.header, image_hash=unknown).pack(), ErrorCode.UNKNOWN_IMAGE)
+    text = configure_rejected(probe, stream, replace(stream.header, image_hash=unknown).pack(), ErrorCode.UNKNOWN_IMAGE)
     assert unknown.hex() in text.lower(), f"expected {unknown.hex()} in the text, came {text!r}"
 
 
@@ -72,7 +74,7 @@ def test_more_channels_than_there_are(probe: Probe, stream: Stream) -> None:
         pytest.skip("the controller has as many channels as a stream can have")
     for count in {channels + 1, MAX_CHANNELS}:
         header = replace(stream.header, gains=stream.header.gains * count)
-        refused(probe, stream, header.pack(), ErrorCode.BEYOND_LIMITS)
+        configure_rejected(probe, stream, header.pack(), ErrorCode.BEYOND_LIMITS)
 
 
 @section("Messages: Error codes")
@@ -83,7 +85,7 @@ def test_rates_beyond_the_limits(probe: Probe, stream: Stream) -> None:
     if not rates:
         pytest.skip("the controller takes every rate")
     for rate_hz in rates:
-        refused(probe, stream, replace(stream.header, rate_hz=rate_hz).pack(), ErrorCode.BEYOND_LIMITS)
+        configure_rejected(probe, stream, replace(stream.header, rate_hz=rate_hz).pack(), ErrorCode.BEYOND_LIMITS)
 
 
 @section("Playing: Configure")
@@ -91,23 +93,23 @@ def test_first_packet_is_one_of_the_iteration(probe: Probe, stream: Stream) -> N
     """A first packet that the iteration does not have is answered BAD_VALUE."""
     packets = len(stream.packets)
     for first_packet in (packets, packets + 1, 0xFFFFFFFF):
-        refused(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, first_packet=first_packet)
+        configure_rejected(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, first_packet=first_packet)
 
 
 @section("Playing: Configure")
 def test_live_stream_has_one_iteration(probe: Probe, stream: Stream) -> None:
     """A live stream with any other number of loops than 1 is answered BAD_VALUE, by Configure and by Loop."""
     for loops in (0, 2, 0xFFFF):
-        refused(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=0, loops=loops)
+        configure_rejected(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=0, loops=loops)
     probe.configure(stream, packets=0)
-    probe.refused(Loop(2), ErrorCode.BAD_VALUE)
+    probe.expect_rejection(Loop(2), ErrorCode.BAD_VALUE)
 
 
 @section("Playing: Configure")
 def test_more_packets_than_samples(probe: Probe, stream: Stream) -> None:
     """More packets than the samples in the stream header can fill are answered BAD_VALUE."""
     for packets in (len(stream.packets) + 2, 0xFFFFFFFF):
-        refused(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=packets)
+        configure_rejected(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=packets)
 
 
 @section("Playing: Configure")
@@ -115,13 +117,13 @@ def test_iteration_too_short_to_be_repeated(probe: Probe, stream: Stream) -> Non
     """To repeat an iteration of less than 3 ms is answered BAD_VALUE, by Configure and by Loop."""
     header = replace(stream.header, samples=max(1, stream.header.rate_hz * 2 // 1000)).pack()
     for loops in (0, 2):
-        refused(probe, stream, header, ErrorCode.BAD_VALUE, packets=1, loops=loops)
+        configure_rejected(probe, stream, header, ErrorCode.BAD_VALUE, packets=1, loops=loops)
     in_state(
         probe.expect(replace(probe.configuration(stream, packets=1), header=header), Status),
         State.BUFFERING,
         "Configure",
     )
-    probe.refused(Loop(2), ErrorCode.BAD_VALUE)
+    probe.expect_rejection(Loop(2), ErrorCode.BAD_VALUE)
     in_state(probe.expect(Loop(1), Status), State.BUFFERING, "Loop")
 
 
@@ -149,15 +151,15 @@ def test_gain_is_a_finite_factor(probe: Probe, stream: Stream, gain: float) -> N
 
 @section("Playing: Configure")
 def test_refused_configure_changes_nothing(probe: Probe, stream: Stream) -> None:
-    """A Configure that is refused leaves the stream of before as it was."""
+    """A Configure that is rejected leaves the stream of before as it was."""
     before = probe.configure(stream)
     probe.feed(before.stream, stream)
     before = probe.status()
     header = replace(stream.header, image_hash=b"\xab\xcd\xef\x01").pack()
-    refused(probe, stream, header, ErrorCode.UNKNOWN_IMAGE)
+    configure_rejected(probe, stream, header, ErrorCode.UNKNOWN_IMAGE)
     after = probe.status()
     kept = replace(after, device_time_us=before.device_time_us)
-    assert kept == before, f"expected {told(before)}, came {told(after)}"
+    assert kept == before, f"expected {describe(before)}, came {describe(after)}"
 
 
 @section("Playing: Credit")
@@ -165,16 +167,22 @@ def test_first_credit(probe: Probe, stream: Stream) -> None:
     """The answer to Configure grants some whole packets, no more than the buffer's samples and no more than 1024."""
     packet_samples = stream.decoder().packet_samples
     status = probe.configure(stream)
-    most = held_samples(probe.description, stream)
-    assert packet_samples <= status.credit_until <= most, f"expected a credit up to {most}, came {told(status)}"
-    assert status.credit_until % packet_samples == 0, f"expected whole packets of {packet_samples}, came {told(status)}"
-    assert (status.position, status.buffered_samples) == (0, 0), f"expected an empty buffer, came {told(status)}"
+    max_samples = held_samples(probe.description, stream)
+    assert packet_samples <= status.credit_until <= max_samples, (
+        f"expected a credit up to {max_samples}, came {describe(status)}"
+    )
+    assert status.credit_until % packet_samples == 0, (
+        f"expected whole packets of {packet_samples}, came {describe(status)}"
+    )
+    assert (status.position, status.buffered_samples) == (0, 0), f"expected an empty buffer, came {describe(status)}"
 
 
 @section("Playing: Credit")
 def test_prebuffer_longer_than_the_buffer(probe: Probe, stream: Stream) -> None:
     """A prebuffer longer than the buffer is answered BEYOND_LIMITS; one as long is taken."""
-    most = held_samples(probe.description, stream)
-    probe.configure(stream, prebuffer_samples=most)
-    for prebuffer_samples in (most + 1, 0xFFFFFFFF):
-        refused(probe, stream, stream.header.pack(), ErrorCode.BEYOND_LIMITS, prebuffer_samples=prebuffer_samples)
+    max_samples = held_samples(probe.description, stream)
+    probe.configure(stream, prebuffer_samples=max_samples)
+    for prebuffer_samples in (max_samples + 1, 0xFFFFFFFF):
+        configure_rejected(
+            probe, stream, stream.header.pack(), ErrorCode.BEYOND_LIMITS, prebuffer_samples=prebuffer_samples
+        )

@@ -1,4 +1,4 @@
-"""Flashing: transfer, checks, trial, confirmation; a cut session is resumed, what must not be written is refused."""
+"""Flashing: transfer, checks, trial, confirmation; a cut session is resumed, what must not be written is rejected."""
 
 import zlib
 from dataclasses import replace
@@ -30,7 +30,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.host.conformance.fixtures import section
-from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, in_state, same_samples, told
+from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, describe, in_state, same_samples
 from vibrocast.host.conformance.streams import decoded, model, need_capture, stream_for
 
 _NO_SLOTS = (0x7F, 0xFF)
@@ -65,7 +65,7 @@ def write(probe: Probe, slot: int, data: bytes, first: int = 0, last: int | None
         status = probe.expect(FlashData(slot, first, piece), FlashStatus)
         first += len(piece)
         if status.next_offset != first:
-            raise NotConforming(f"FlashData up to byte {first}: expected next_offset {first}, came {told(status)}")
+            raise NotConforming(f"FlashData up to byte {first}: expected next_offset {first}, came {describe(status)}")
 
 
 def verify(probe: Probe, slot: int, data: bytes) -> None:
@@ -75,7 +75,7 @@ def verify(probe: Probe, slot: int, data: bytes) -> None:
     status = probe.expect(FlashVerify(slot), FlashStatus)
     expected = replace(status, slot=slot, state=SlotState.VERIFIED, sha256=sha256(data))
     if status != expected:
-        raise NotConforming(f"FlashVerify: expected {told(expected)}, came {told(status)}")
+        raise NotConforming(f"FlashVerify: expected {describe(expected)}, came {describe(status)}")
 
 
 def described(probe: Probe, slot: int) -> ImageDescription:
@@ -104,7 +104,7 @@ def test_slots_that_are_not_there(probe: Probe) -> None:
             FlashConfirm(slot),
         )
         for request in requests:
-            probe.refused(request, ErrorCode.NO_SUCH_SLOT)
+            probe.expect_rejection(request, ErrorCode.NO_SUCH_SLOT)
 
 
 @section("Flashing")
@@ -113,16 +113,18 @@ def test_image_for_other_hardware_is_refused(probe: Probe, slot: int) -> None:
     hardware = probe.description.hardware
     for other in (f"not {hardware}", hardware + "x", hardware[:-1]):
         if other:
-            probe.refused(FlashBegin(slot, 100, bytes(32), other), ErrorCode.WRONG_HARDWARE)
+            probe.expect_rejection(FlashBegin(slot, 100, bytes(32), other), ErrorCode.WRONG_HARDWARE)
     for digest, fitting in ((b"\x01" * 32, hardware), (b"\x02" * 32, "")):
         status = probe.expect(FlashBegin(slot, 100, digest, fitting), FlashStatus)
-        assert (status.state, status.next_offset) == (SlotState.WRITING, 0), f"expected to begin, came {told(status)}"
+        assert (status.state, status.next_offset) == (SlotState.WRITING, 0), (
+            f"expected to begin, came {describe(status)}"
+        )
 
 
 @section("Messages: Error codes")
 def test_image_larger_than_a_slot_is_refused(probe: Probe, slot: int) -> None:
     """FlashBegin with a size that no slot has is answered BEYOND_LIMITS."""
-    probe.refused(FlashBegin(slot, 0xFFFFFFFF, bytes(32), ""), ErrorCode.BEYOND_LIMITS)
+    probe.expect_rejection(FlashBegin(slot, 0xFFFFFFFF, bytes(32), ""), ErrorCode.BEYOND_LIMITS)
 
 
 @section("Flashing")
@@ -133,7 +135,7 @@ def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
     write(probe, slot, data, last=50)
     for offset in (0, 49, 51, 100, 0xFFFFFFFF):
         status = probe.expect(FlashData(slot, offset, data[50:60]), FlashStatus)
-        assert status.next_offset == 50, f"data at {offset}: expected next_offset 50, came {told(status)}"
+        assert status.next_offset == 50, f"data at {offset}: expected next_offset 50, came {describe(status)}"
 
 
 @section("Flashing")
@@ -142,7 +144,7 @@ def test_data_beyond_the_image_is_refused(probe: Probe, slot: int) -> None:
     data = bytes(range(100))
     begin(probe, slot, data)
     write(probe, slot, data, last=90)
-    probe.refused(FlashData(slot, 90, bytes(11)), ErrorCode.BAD_VALUE)
+    probe.expect_rejection(FlashData(slot, 90, bytes(11)), ErrorCode.BAD_VALUE)
     write(probe, slot, data, first=90)
 
 
@@ -150,31 +152,31 @@ def test_data_beyond_the_image_is_refused(probe: Probe, slot: int) -> None:
 def test_slot_in_the_wrong_state(probe: Probe, slot: int, image: ModelImage) -> None:
     """Data for, and verification of, a slot that takes no image, and the start of one not verified, are WRONG_STATE."""
     begin(probe, slot, b"some image")
-    probe.refused(FlashActivate(slot), ErrorCode.WRONG_STATE)
-    probe.refused(FlashConfirm(slot), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashActivate(slot), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashConfirm(slot), ErrorCode.WRONG_STATE)
     verify(probe, slot, new_image(probe, image))
-    probe.refused(FlashData(slot, 0, b"data"), ErrorCode.WRONG_STATE)
-    probe.refused(FlashVerify(slot), ErrorCode.WRONG_STATE)
-    probe.refused(FlashConfirm(slot), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashData(slot, 0, b"data"), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashVerify(slot), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashConfirm(slot), ErrorCode.WRONG_STATE)
 
 
 @section("Flashing")
 def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> None:
-    """After a new connection, FlashBegin of the same image says where to go on; that of another begins anew."""
+    """After a new connection, FlashBegin of the same image says where to go on; that of another starts at byte 0."""
     data = new_image(probe, image)
     half = len(data) // 2
     begin(probe, slot, data)
     write(probe, slot, data, last=half)
-    probe.line.cut()
+    probe.link.cut()
     found = described(probe, slot)
     assert found.state == SlotState.WRITING, f"expected a slot in writing, came {found}"
     status = begin(probe, slot, data)
-    assert status.next_offset == half, f"expected to go on at byte {half}, came {told(status)}"
+    assert status.next_offset == half, f"expected to go on at byte {half}, came {describe(status)}"
     write(probe, slot, data, first=half)
     status = probe.expect(FlashVerify(slot), FlashStatus)
-    assert status.sha256 == sha256(data), f"expected the hash of the image, came {told(status)}"
+    assert status.sha256 == sha256(data), f"expected the hash of the image, came {describe(status)}"
     status = begin(probe, slot, data[:-1])
-    assert (status.state, status.next_offset) == (SlotState.WRITING, 0), f"expected to begin, came {told(status)}"
+    assert (status.state, status.next_offset) == (SlotState.WRITING, 0), f"expected to begin, came {describe(status)}"
 
 
 @section("Flashing")
@@ -210,7 +212,7 @@ def test_faulty_image_is_refused(probe: Probe, slot: int, image: ModelImage, fau
     }[fault]
     begin(probe, slot, faulty, digest=digest)
     write(probe, slot, faulty)
-    probe.refused(FlashVerify(slot), ErrorCode.IMAGE_REFUSED)
+    probe.expect_rejection(FlashVerify(slot), ErrorCode.IMAGE_REFUSED)
     found = described(probe, slot)
     assert found.state == SlotState.EMPTY, f"expected an EMPTY slot, came {found}"
 
@@ -227,9 +229,9 @@ def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> N
     probe.expect(Start(), Status)
     write(probe, slot, data)
     status = probe.expect(FlashVerify(slot), FlashStatus)
-    assert status.state == SlotState.VERIFIED, f"expected a VERIFIED slot, came {told(status)}"
+    assert status.state == SlotState.VERIFIED, f"expected a VERIFIED slot, came {describe(status)}"
     played = probe.wait_for_state(State.FINISHED, 2.0 + 2 * stream.seconds)
-    assert (played.underruns, played.lost_packets) == (0, 0), f"expected no loss, came {told(played)}"
+    assert (played.underruns, played.lost_packets) == (0, 0), f"expected no loss, came {describe(played)}"
     first, came = probe.captured(Tap.DECODED, 1)
     same_samples(came, decoded(stream)[first:], "a stream during a transfer")
 
@@ -242,17 +244,17 @@ def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> 
     probe.play(stream_for(probe.description))
     verify(probe, slot, data)
     status = probe.expect(FlashActivate(slot), FlashStatus)
-    assert status.slot == slot, f"expected an answer for slot {slot}, came {told(status)}"
+    assert status.slot == slot, f"expected an answer for slot {slot}, came {describe(status)}"
     an_error(probe.insist(StatusRequest()), ErrorCode.HELLO_FIRST, "StatusRequest after the restart")
     an_error(probe.ask(FlashActivate(slot)), ErrorCode.HELLO_FIRST, "a copy of FlashActivate after the restart")
     in_state(probe.expect(Stop(), Status), State.STOPPED, "Stop before a hello")
     found = described(probe, slot)
     expected = ImageDescription(slot, SlotState.TRIAL, sha256(data), image.name, ModelImage.unpack(data).version)
     assert found == expected, f"expected {expected}, came {found}"
-    probe.refused(CaptureRead(Tap.DECODED, 0, 1), ErrorCode.WRONG_STATE)
-    probe.refused(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(CaptureRead(Tap.DECODED, 0, 1), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
     status = probe.expect(FlashConfirm(slot), FlashStatus)
-    assert status.state == SlotState.CONFIRMED, f"expected a CONFIRMED slot, came {told(status)}"
+    assert status.state == SlotState.CONFIRMED, f"expected a CONFIRMED slot, came {describe(status)}"
     probe.open()
     after = {found.slot: found for found in probe.description.images}
     assert after[slot] == replace(expected, state=SlotState.CONFIRMED), f"expected it kept, came {after[slot]}"
@@ -260,7 +262,7 @@ def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> 
         if found.state == SlotState.CONFIRMED:
             expected = replace(found, state=SlotState.VERIFIED)
             assert after[other] == expected, f"expected {expected}, came {after[other]}"
-    probe.refused(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
 
 
 @section("Flashing: Model image")
@@ -291,14 +293,14 @@ def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, imag
 @section("Flashing")
 def test_trial_that_is_not_confirmed_ends_with_a_restart(probe: Probe, slot: int, image: ModelImage) -> None:
     """A restart without FlashConfirm falls back to the CONFIRMED slot, and the trial's slot is VERIFIED again."""
-    if probe.line.restart is None:
+    if probe.link.restart is None:
         pytest.skip("this controller cannot be restarted from here")
     kept = [found for found in probe.description.images if found.state == SlotState.CONFIRMED]
     data = new_image(probe, image)
     verify(probe, slot, data)
     probe.expect(FlashActivate(slot), FlashStatus)
     assert described(probe, slot).state == SlotState.TRIAL, f"expected a trial, came {described(probe, slot)}"
-    probe.line.restart()
+    probe.link.restart()
     found = described(probe, slot)
     assert found.state == SlotState.VERIFIED, f"expected the slot VERIFIED again, came {found}"
     still = [found for found in probe.description.images if found.state == SlotState.CONFIRMED]

@@ -9,7 +9,7 @@ from vibrocast.device_protocol.encoding import crc16
 from vibrocast.device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, write_frame
 from vibrocast.device_protocol.messages import HelloResponse, State, Status, StatusRequest, Stop, StreamData, pack
 from vibrocast.host.conformance.fixtures import section
-from vibrocast.host.conformance.probe import Probe, in_state, told
+from vibrocast.host.conformance.probe import Probe, describe, in_state
 from vibrocast.host.conformance.streams import stream_for
 
 # docs/protocol.md, "An example": Hello under number 0x1234.
@@ -34,11 +34,11 @@ def next_stop(probe: Probe) -> bytes:
 def dropped(probe: Probe, data: bytes, bad_frames: int, what: str) -> None:
     """Send what must be dropped, counted as so many bad frames, and followed by a frame that is read."""
     before = probe.status()
-    probe.line.write(data)
+    probe.link.write(data)
     after = probe.status()
     counted = (after.bad_frames - before.bad_frames) % (1 << 32)
     assert counted == bad_frames, f"{what}: expected {bad_frames} more bad frame(s), came {counted}"
-    assert after.state == before.state, f"{what}: expected the state {before.state.name}, came {told(after)}"
+    assert after.state == before.state, f"{what}: expected the state {before.state.name}, came {describe(after)}"
 
 
 @section("Frames")
@@ -46,9 +46,9 @@ def test_published_example_is_read(probe: Probe) -> None:
     """The frame that the protocol's page gives as an example for Hello is answered."""
     while probe.opened_by == _EXAMPLE_NUMBER:
         probe.open()
-    probe.line.write(_EXAMPLE)
+    probe.link.write(_EXAMPLE)
     answer = probe.answer(_EXAMPLE_NUMBER)
-    assert isinstance(answer, HelloResponse), f"expected HelloResponse, came {told(answer)}"
+    assert isinstance(answer, HelloResponse), f"expected HelloResponse, came {describe(answer)}"
 
 
 @section("Frames")
@@ -56,7 +56,7 @@ def test_frame_is_found_after_noise(probe: Probe) -> None:
     """Whatever noise comes before a zero byte, the frame behind it is read."""
     noise = random.Random(1)
     for length in (1, 2, 7, 100, 5000):
-        probe.line.write(noise.randbytes(length) + DELIMITER)
+        probe.link.write(noise.randbytes(length) + DELIMITER)
         probe.status()
 
 
@@ -83,7 +83,7 @@ def test_frame_with_a_damaged_byte_is_dropped(probe: Probe) -> None:
     for position in range(len(intact) - 1):
         damaged = bytearray(intact)
         damaged[position] ^= 0x10 if damaged[position] != 0x10 else 0x20
-        probe.line.write(bytes(damaged))
+        probe.link.write(bytes(damaged))
         in_state(probe.status(), State.BUFFERING, f"after a Stop whose byte {position} is damaged")
 
 
@@ -110,7 +110,7 @@ def test_frame_of_the_largest_size_is_read(probe: Probe) -> None:
     room = limit - len(pack(StatusRequest(), 1)) - _TLV_BYTES
     for filler in (bytes(room), b"\xff" * room, random.Random(2).randbytes(room)):
         answer = probe.ask_body(StatusRequest.TYPE, bytes([_UNKNOWN_TAG]) + room.to_bytes(2, "little") + filler)
-        assert isinstance(answer, Status), f"a payload of {limit} bytes: expected Status, came {told(answer)}"
+        assert isinstance(answer, Status), f"a payload of {limit} bytes: expected Status, came {describe(answer)}"
 
 
 @section("Frames")
@@ -130,10 +130,10 @@ def test_frame_may_come_in_pieces(probe: Probe) -> None:
         number = probe.sequence % 0xFFFF + 1
         whole = write_frame(pack(StatusRequest(), number))
         for first, last in zip([0, *cuts], [*cuts, len(whole)], strict=True):
-            probe.line.write(whole[first:last])
-            probe.line.sleep(0.001)
+            probe.link.write(whole[first:last])
+            probe.link.sleep(0.001)
         answer = probe.answer(number)
-        assert isinstance(answer, Status), f"cut at {cuts}: expected Status, came {told(answer)}"
+        assert isinstance(answer, Status), f"cut at {cuts}: expected Status, came {describe(answer)}"
 
 
 @section("Frames")
@@ -143,10 +143,10 @@ def test_frames_may_come_back_to_back(probe: Probe) -> None:
     number = probe.configure(stream).stream
     packets = stream.packets[: probe.status().credit_until // stream.decoder().packet_samples]
     data = b"".join(write_frame(pack(StreamData(number, 0, (packet,)))) for packet in packets)
-    probe.line.write(data)
+    probe.link.write(data)
     status = probe.status()
     expected = len(packets) * stream.decoder().packet_samples
-    assert status.buffered_samples == expected, f"expected {expected} samples buffered, came {told(status)}"
+    assert status.buffered_samples == expected, f"expected {expected} samples buffered, came {describe(status)}"
 
 
 @section("Frames")

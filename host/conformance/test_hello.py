@@ -17,8 +17,8 @@ from vibrocast.device_protocol.messages import (
     Status,
     StatusRequest,
 )
-from vibrocast.host.conformance.fixtures import section, vital
-from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, told
+from vibrocast.host.conformance.fixtures import prerequisite, section
+from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, describe
 from vibrocast.host.conformance.streams import stream_for
 from vibrocast.host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMIT_BYTES, SMALLEST_WATCHDOG_MS
 
@@ -26,7 +26,7 @@ from vibrocast.host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMI
 _LARGEST_STROKE_UM = 1e6
 
 
-@vital
+@prerequisite
 @section("Session: Version")
 def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
     """Hello is answered with the version, a build and a hardware id."""
@@ -35,7 +35,7 @@ def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
     assert hello.hardware, "expected a hardware id, came an empty text"
 
 
-@vital
+@prerequisite
 @section("Messages: From the controller")
 def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     """The limits leave room to play: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
@@ -50,7 +50,7 @@ def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     assert limits.watchdog_ms >= SMALLEST_WATCHDOG_MS, f"expected {SMALLEST_WATCHDOG_MS} ms or more, came {limits}"
 
 
-@vital
+@prerequisite
 @section("Messages: From the controller")
 def test_actuator_is_described(hello: HelloResponse) -> None:
     """The actuator is described: a name, and numbers that can be its stroke, voltage, band, slew and DAC."""
@@ -66,7 +66,7 @@ def test_actuator_is_described(hello: HelloResponse) -> None:
     assert 1 <= actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ, f"expected up to {LARGEST_DAC_RATE_HZ} Hz, came {actuator}"
 
 
-@vital
+@prerequisite
 @section("Messages: From the controller")
 def test_stream_can_be_played(hello: HelloResponse) -> None:
     """The controller has mdct, dct or slp, and frames and buffer have room for its packets."""
@@ -98,13 +98,13 @@ def test_slots_are_listed(hello: HelloResponse) -> None:
 def test_other_major_version_is_refused(probe: Probe) -> None:
     """Another major version is answered UNSUPPORTED_VERSION, with both versions in the text, and opens no session."""
     last = probe.sequence
-    asked = (last + 1000) % MAXIMUM_SEQUENCE + 1
-    answer = probe.ask_body(Hello.TYPE, bytes((PROTOCOL_MAJOR + 1, 3)), asked)
+    sequence = (last + 1000) % MAXIMUM_SEQUENCE + 1
+    answer = probe.ask_body(Hello.TYPE, bytes((PROTOCOL_MAJOR + 1, 3)), sequence)
     text = an_error(answer, ErrorCode.UNSUPPORTED_VERSION, f"Hello of version {PROTOCOL_MAJOR + 1}.3").text
     for version in (f"{PROTOCOL_MAJOR + 1}.3", f"{PROTOCOL_MAJOR}.{probe.description.minor}"):
         assert version in text, f"expected {version} in the text, came {text!r}"
     answer = probe.ask_body(StatusRequest.TYPE, b"", last % MAXIMUM_SEQUENCE + 1)
-    assert isinstance(answer, Status), f"expected the session of before to go on, came {told(answer)}"
+    assert isinstance(answer, Status), f"expected the session of before to go on, came {describe(answer)}"
 
 
 @section("Session: Version")
@@ -112,4 +112,4 @@ def test_other_major_version_is_refused(probe: Probe) -> None:
 def test_other_minor_versions_work(probe: Probe, minor: int) -> None:
     """A host of minor version {minor} is answered like any other."""
     answer = probe.ask(Hello(minor=minor))
-    assert isinstance(answer, HelloResponse), f"expected HelloResponse, came {told(answer)}"
+    assert isinstance(answer, HelloResponse), f"expected HelloResponse, came {describe(answer)}"

@@ -10,7 +10,7 @@ from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.messages import State, Status, StreamData, unpack
 from vibrocast.host import player
 from vibrocast.host.conformance.fixtures import long, section
-from vibrocast.host.conformance.probe import Probe, in_state, same_samples, told
+from vibrocast.host.conformance.probe import Probe, describe, in_state, same_samples
 from vibrocast.host.conformance.streams import decoded, decoded_as, need_capture, stream_for
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.memory_link import FaultyLine
@@ -31,7 +31,7 @@ _PPM = 1e6
 
 
 class NotedLine(FaultyLine):
-    """A faulty line that keeps the payloads that arrive."""
+    """A faulty link that keeps the payloads that arrive."""
 
     def __init__(self, seed: int, chances: dict[str, float]) -> None:
         super().__init__(seed, **chances)
@@ -47,7 +47,7 @@ class NotedLine(FaultyLine):
 
 def host(probe: Probe) -> Controller:
     """Return a session as a host has it, which repeats what is not answered."""
-    return Controller(probe.line, probe.line.clock, probe.line.sleep)
+    return Controller(probe.link, probe.link.clock, probe.link.sleep)
 
 
 def answered_s(probe: Probe) -> float:
@@ -58,7 +58,7 @@ def answered_s(probe: Probe) -> float:
 @section("Playing: Stream data")
 @pytest.mark.parametrize("fault", _CHANCES)
 def test_faults_on_the_line(probe: Probe, fault: str, record_property: Callable[[str, object], None]) -> None:
-    """On a line with frames {fault} in both directions, what arrives is played, and only what does not is concealed."""
+    """On a link with frames {fault} in both directions, what arrives is played, and only what does not is concealed."""
     need_capture(probe.description)
     stream = stream_for(probe.description, seconds=_FAULTY_SECONDS, buffered=False)
     for seed in _SEEDS:
@@ -67,22 +67,22 @@ def test_faults_on_the_line(probe: Probe, fault: str, record_property: Callable[
             break  # otherwise this computer may have paused for too long
     record_property("measured", f"{len(missing)} of {len(stream.packets)} packets did not arrive")
     in_state(result.status, State.FINISHED, "the end of the stream")
-    assert result.lost_packets == len(missing), f"expected {len(missing)} lost packets, came {told(result.status)}"
+    assert result.lost_packets == len(missing), f"expected {len(missing)} lost packets, came {describe(result.status)}"
     decoded_as(probe, decoded(stream, missing=missing), f"with frames {fault}")
 
 
 def play_with_faults(
     probe: Probe, stream: Stream, chances: dict[str, float], seed: int
 ) -> tuple[player.PlaybackResult, list[int]]:
-    """Play a stream on a faulty line; return what happened, and the packets that did not arrive."""
+    """Play a stream on a faulty link; return what happened, and the packets that did not arrive."""
     packet_samples = stream.decoder().packet_samples
     controller = host(probe)
-    there = probe.line.to_controller = NotedLine(seed, chances)
-    probe.line.to_host = FaultyLine(seed + 1, **chances)
+    there = probe.link.to_controller = NotedLine(seed, chances)
+    probe.link.to_host = FaultyLine(seed + 1, **chances)
     # Captures are read afterwards, and some packets lie ready, so that the host is not late with its data.
     buffer_s = max(answered_s(probe), _PACKETS_READY * packet_samples / stream.header.rate_hz)
     result = player.play(controller, stream.header, stream.packets, packet_samples, buffer_s=buffer_s)
-    probe.line.heal()
+    probe.link.heal()
     probe.open()
     messages = [unpack(payload)[1] for payload in there.arrived if payload[0] == StreamData.TYPE]
     arrived = {packet for message in messages if isinstance(message, StreamData) for packet in message.packets}
@@ -91,7 +91,7 @@ def play_with_faults(
 
 @section("Session: Sequence numbers")
 def test_connection_that_breaks(probe: Probe) -> None:
-    """A connection that breaks while playing, and is opened anew with a Hello, leaves the stream whole."""
+    """A connection that breaks while playing, and is opened again with a Hello, leaves the stream whole."""
     need_capture(probe.description)
     stream = stream_for(probe.description, seconds=1.0)
     cuts: list[float] = []
@@ -99,7 +99,7 @@ def test_connection_that_breaks(probe: Probe) -> None:
     def cut_once(progress: player.Progress) -> None:
         if not cuts and progress.status.state == State.PLAYING:
             cuts.append(progress.position_s)
-            probe.line.cut()
+            probe.link.cut()
 
     result = player.play(
         host(probe),
@@ -112,7 +112,7 @@ def test_connection_that_breaks(probe: Probe) -> None:
     )
     assert cuts, "expected to play long enough for a cut"
     assert result.reconnects == 1, f"expected one new connection, came {result.reconnects}"
-    assert result.lost_packets == 0, f"expected no loss, came {told(result.status)}"
+    assert result.lost_packets == 0, f"expected no loss, came {describe(result.status)}"
     assert result.decoded is not None, "the capture was asked for"
     same_samples(result.decoded, decoded(stream), "over two connections")
 
@@ -126,14 +126,14 @@ def test_clocks(probe: Probe, record_property: Callable[[str, object], None]) ->
 
     def note(progress: player.Progress) -> None:
         if progress.status.state == State.PLAYING:
-            seen.append((probe.line.clock(), progress.status))
+            seen.append((probe.link.clock(), progress.status))
 
     packet_samples = stream.decoder().packet_samples
     result = player.play(
         host(probe), stream.header, stream.packets, packet_samples, buffer_s=answered_s(probe), progress=note
     )
     in_state(result.status, State.FINISHED, "the end of the stream")
-    assert (result.underruns, result.lost_packets) == (0, 0), f"expected no loss, came {told(result.status)}"
+    assert (result.underruns, result.lost_packets) == (0, 0), f"expected no loss, came {describe(result.status)}"
     assert len(seen) > 2, f"expected a Status every 100 ms, came {len(seen)}"
     device_s = np.array([status.device_time_us for _, status in seen]) / 1e6
     played_s = np.array([status.position for _, status in seen]) / stream.header.rate_hz

@@ -32,7 +32,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.host.conformance.fixtures import section
-from vibrocast.host.conformance.probe import Probe, an_error, in_state, told
+from vibrocast.host.conformance.probe import Probe, an_error, describe, in_state
 from vibrocast.host.conformance.streams import lasting_stream, stream_for
 
 _KNOWN = {request.TYPE for request in REQUESTS}
@@ -122,7 +122,7 @@ def test_unknown_tags_are_skipped(probe: Probe, request_type: type[Message]) -> 
         probe.expect(Pause(), Status)
     answer = probe.ask_body(request_type.TYPE, request_for(request_type, probe).body() + _UNKNOWN_TLV)
     expected = {Hello: HelloResponse, CaptureRead: CaptureData}.get(request_type, Status)
-    assert isinstance(answer, expected), f"expected {expected.__name__}, came {told(answer)}"
+    assert isinstance(answer, expected), f"expected {expected.__name__}, came {describe(answer)}"
 
 
 @section("Messages")
@@ -130,7 +130,7 @@ def test_unknown_tags_may_come_before_known_ones(probe: Probe) -> None:
     """A tag that this version does not have may stand before those that it has."""
     fixed, tlvs = split(probe.configuration(stream_for(probe.description)))
     answer = probe.ask_body(Configure.TYPE, fixed + _UNKNOWN_TLV + tlvs)
-    assert isinstance(answer, Status), f"Configure with an unknown tag first: expected Status, came {told(answer)}"
+    assert isinstance(answer, Status), f"Configure with an unknown tag first: expected Status, came {describe(answer)}"
 
 
 @section("Messages")
@@ -174,7 +174,7 @@ def test_stream_data_that_can_be_read_is_not_answered(probe: Probe) -> None:
     for packets in ((), (b"\x01",), (b"", b"\xff" * 12)):
         probe.notified.clear()
         probe.unanswered(pack(StreamData(9, 0, packets)), "StreamData")
-        assert not probe.notified, f"expected nothing, came {told(probe.notified[0])}"
+        assert not probe.notified, f"expected nothing, came {describe(probe.notified[0])}"
 
 
 def split(message: Message) -> tuple[bytes, bytes]:

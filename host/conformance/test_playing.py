@@ -22,7 +22,7 @@ from vibrocast.device_protocol.messages import (
     Tap,
 )
 from vibrocast.host.conformance.fixtures import long, section
-from vibrocast.host.conformance.probe import ANSWER_S, Probe, in_state, told
+from vibrocast.host.conformance.probe import ANSWER_S, Probe, describe, in_state
 from vibrocast.host.conformance.streams import (
     constant,
     decoded,
@@ -36,12 +36,12 @@ from vibrocast.host.stream_session import next_number
 
 # Later than requests take to come, besides what the controller takes to answer them.
 _SOON_US = 400_000
-_LONGEST_WAIT_S = 1.0
+_MAX_WAIT_S = 1.0
 # Behind a Start, of a test in which something happens in the middle.
 _REQUESTS = 4
 _ENDLESS_PACKETS = 60_000
 # Of a DAC code, to tell a ramp from a jump.
-_LEAST_LEVEL = 8
+_MIN_LEVEL = 8
 
 
 @pytest.fixture
@@ -68,7 +68,9 @@ def finished(probe: Probe, stream: Stream, iterations: int = 1) -> Status:
 
 def without_loss(status: Status) -> None:
     """Check that nothing was lost."""
-    assert (status.underruns, status.lost_packets) == (0, 0), f"expected no underrun and no loss, came {told(status)}"
+    assert (status.underruns, status.lost_packets) == (0, 0), (
+        f"expected no underrun and no loss, came {describe(status)}"
+    )
 
 
 @section("Playing: Start")
@@ -78,11 +80,11 @@ def test_start_waits_for_the_device_time(probe: Probe, stream: Stream) -> None:
     probe.feed(number, stream)
     start_us = soon_us(probe)
     probe.expect(Start(start_us), Status)
-    latest_s = probe.line.clock() + ANSWER_S + 3 * probe.answer_s
+    latest_s = probe.link.clock() + ANSWER_S + 3 * probe.answer_s
     while (status := probe.status()).device_time_us < start_us:
-        assert probe.line.clock() < latest_s, f"expected the device time {start_us} to come, came {told(status)}"
+        assert probe.link.clock() < latest_s, f"expected the device time {start_us} to come, came {describe(status)}"
         in_state(status, State.ARMED, f"{start_us - status.device_time_us} us before the start")
-        assert status.position == 0, f"expected the position 0 before the start, came {told(status)}"
+        assert status.position == 0, f"expected the position 0 before the start, came {describe(status)}"
         probe.listen(0.02)
     probe.wait_for(lambda status: status.state in (State.PLAYING, State.FINISHED), "to play", ANSWER_S)
     without_loss(finished(probe, stream))
@@ -106,12 +108,12 @@ def test_start_waits_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
     status = probe.configure(stream, prebuffer_samples=2 * packet_samples)
     granted = status.credit_until // packet_samples
     # Without a request between them: behind a second without data what is there would be played.
-    if probe.answer_s > _LONGEST_WAIT_S / 2:
+    if probe.answer_s > _MAX_WAIT_S / 2:
         pytest.skip("the controller answers too late to see it wait for no longer than a second")
     probe.send_packets(status.stream, stream.packets[:1])
     in_state(probe.expect(Start(), Status), State.ARMED, "Start with half of the prebuffer")
     probe.notified.clear()
-    probe.listen(_LONGEST_WAIT_S / 4)
+    probe.listen(_MAX_WAIT_S / 4)
     probe.send_packets(status.stream, stream.packets[1:granted])
     states = {message.state for message in probe.notified if isinstance(message, Status)}
     assert State.PLAYING not in states, f"with half of the prebuffer: expected the state ARMED, came {states}"
@@ -137,7 +139,7 @@ def test_start_does_not_wait_for_ever(probe: Probe, stream: Stream) -> None:
     number = probe.configure(stream, prebuffer_samples=2 * packet_samples).stream
     probe.feed(number, stream, stream.packets[:1])
     probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.state in (State.PLAYING, State.FINISHED), "to play", 2 * _LONGEST_WAIT_S)
+    probe.wait_for(lambda status: status.state in (State.PLAYING, State.FINISHED), "to play", 2 * _MAX_WAIT_S)
 
 
 @section("Playing: Stream data")
@@ -167,7 +169,7 @@ def test_data_of_another_stream_is_dropped(probe: Probe, stream: Stream) -> None
     probe.send_packets(number, stream.packets, iteration=0xFFFFFFFF)
     probe.send_packets(number, [b"", b"\xff" * 8])
     status = probe.status()
-    assert status.buffered_samples == 0, f"expected nothing buffered, came {told(status)}"
+    assert status.buffered_samples == 0, f"expected nothing buffered, came {describe(status)}"
 
 
 @section("Playing: Credit")
@@ -179,7 +181,7 @@ def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None
     )
     status = in_state(probe.expect(endless, Status), State.BUFFERING, "Configure")
     last = status.credit_until // packet_samples - 1
-    # Short packets may leave room for more credit: it is asked for anew.
+    # Short packets may leave room for more credit: it is requested again.
     for what, buffered_packets in (("beyond", 0), ("last", 1), ("beyond", 1), ("end", 1), ("first", 2)):
         beyond = probe.status().credit_until // packet_samples
         sequence = {"beyond": beyond, "last": last, "end": _ENDLESS_PACKETS, "first": 0}[what]
@@ -231,13 +233,15 @@ def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> Non
     packet_samples = stream.decoder().packet_samples
     first = refreshes[0]
     status = probe.configure(stream, first_packet=first)
-    assert status.position == first * packet_samples, f"expected position {first * packet_samples}, came {told(status)}"
+    assert status.position == first * packet_samples, (
+        f"expected position {first * packet_samples}, came {describe(status)}"
+    )
     probe.feed(status.stream, stream)
     probe.expect(Start(), Status)
     status = finished(probe, stream)
     without_loss(status)
     expected = len(stream.packets) * packet_samples
-    assert status.position == expected, f"expected position {expected}, came {told(status)}"
+    assert status.position == expected, f"expected position {expected}, came {describe(status)}"
     decoded_as(probe, decoded(stream, first), f"from packet {first} on")
 
 
@@ -252,8 +256,8 @@ def test_lost_packets_are_concealed(probe: Probe, stream: Stream, gap: int) -> N
     probe.feed(number, stream, [packet for sequence, packet in enumerate(stream.packets) if sequence not in missing])
     probe.expect(Start(), Status)
     status = finished(probe, stream)
-    assert status.lost_packets == gap, f"expected {gap} lost packet(s), came {told(status)}"
-    assert status.underruns == 0, f"expected no underrun, came {told(status)}"
+    assert status.lost_packets == gap, f"expected {gap} lost packet(s), came {describe(status)}"
+    assert status.underruns == 0, f"expected no underrun, came {describe(status)}"
     decoded_as(probe, decoded(stream, missing=missing), f"with {gap} packet(s) missing")
 
 
@@ -268,13 +272,13 @@ def test_packet_that_cannot_be_decoded_is_concealed(probe: Probe) -> None:
     probe.feed(status.stream, stream, packets)
     probe.expect(Start(), Status)
     status = finished(probe, stream)
-    assert status.lost_packets == 1, f"expected 1 lost packet, came {told(status)}"
+    assert status.lost_packets == 1, f"expected 1 lost packet, came {describe(status)}"
     decoded_as(probe, decoded(stream, missing=[broken]), "with a packet that cannot be decoded")
 
 
 @section("Playing: Stream data")
 def test_underrun_is_counted_once_and_time_goes_on(probe: Probe, stream: Stream) -> None:
-    """When nothing is buffered before the end, one underrun is counted and told at once, and time goes on."""
+    """When nothing is buffered before the end, one underrun is counted and reported at once, and time goes on."""
     packets = len(stream.packets)
     half = packets // 2
     packet_samples = stream.decoder().packet_samples
@@ -283,9 +287,9 @@ def test_underrun_is_counted_once_and_time_goes_on(probe: Probe, stream: Stream)
     probe.notified.clear()
     probe.expect(Start(), Status)
     status = finished(probe, stream)
-    assert status.underruns == 1, f"expected 1 underrun, came {told(status)}"
-    assert status.lost_packets == packets - half, f"expected {packets - half} lost packets, came {told(status)}"
-    assert status.position == packets * packet_samples, f"expected to end at its end, came {told(status)}"
+    assert status.underruns == 1, f"expected 1 underrun, came {describe(status)}"
+    assert status.lost_packets == packets - half, f"expected {packets - half} lost packets, came {describe(status)}"
+    assert status.position == packets * packet_samples, f"expected to end at its end, came {describe(status)}"
     told_in = [state.state for state in probe.notified if isinstance(state, Status) and state.underruns]
     assert State.PLAYING in told_in, "expected a notification of the underrun while it played, came none"
     decoded_as(probe, decoded(stream, missing=range(half, packets)), "with an underrun")
@@ -298,10 +302,10 @@ def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
     packets = len(stream.packets)
     number = probe.configure(stream).stream
     probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play without data", _LONGEST_WAIT_S + ANSWER_S)
+    probe.wait_for(lambda status: status.position > 0, "to play without data", _MAX_WAIT_S + ANSWER_S)
     probe.feed(number, stream, stream.packets[:1])
     status = finished(probe, stream)
-    assert status.lost_packets == packets, f"expected {packets} lost packets, came {told(status)}"
+    assert status.lost_packets == packets, f"expected {packets} lost packets, came {describe(status)}"
     decoded_as(probe, decoded(stream, missing=range(packets)), "without data in time")
 
 
@@ -318,7 +322,7 @@ def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
     at_rest = dac_samples(probe, longer)
     probe.listen(0.1)
     still = in_state(probe.status(), State.PAUSED, "Pause")
-    assert paused.position == held.position == still.position, f"expected a held position, came {told(still)}"
+    assert paused.position == held.position == still.position, f"expected a held position, came {describe(still)}"
     assert dac_samples(probe, longer) == at_rest, "expected an output at rest, came further DAC codes"
     in_state(probe.expect(Resume(), Status), State.PLAYING, "Resume")
     without_loss(finished(probe, longer))
@@ -396,7 +400,7 @@ def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
 def test_end_stream_is_for_live_streams(probe: Probe, stream: Stream) -> None:
     """EndStream for a stream that is not live is answered BAD_VALUE."""
     number = probe.configure(stream).stream
-    probe.refused(EndStream(number, 1), ErrorCode.BAD_VALUE)
+    probe.expect_rejection(EndStream(number, 1), ErrorCode.BAD_VALUE)
 
 
 @section("Playing: Stop")
@@ -407,7 +411,7 @@ def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
     probe.expect(Start(), Status)
     probe.wait_for(lambda status: status.position > 2 * longer.decoder().packet_samples, "to play", ANSWER_S)
     status = probe.stop()
-    assert status.buffered_samples == 0, f"expected nothing buffered, came {told(status)}"
+    assert status.buffered_samples == 0, f"expected nothing buffered, came {describe(status)}"
     ends_at_rest(probe, longer)
     captured = dac_samples(probe, longer)
     probe.listen(0.1)
@@ -432,7 +436,7 @@ def test_output_never_jumps(probe: Probe) -> None:
     probe.listen(0.05)
     _, codes = probe.captured(Tap.DAC, 1)
     level = np.abs(codes.astype(int)).max(initial=0)
-    if level < _LEAST_LEVEL:
+    if level < _MIN_LEVEL:
         pytest.skip("a constant drive gives no DAC codes that could jump")
     largest_step = np.abs(np.diff(codes[:, 0].astype(int))).max()
     assert largest_step <= level / 2, f"expected a ramp to and from DAC code {level}, came a step of {largest_step}"
@@ -449,7 +453,7 @@ def ends_at_rest(probe: Probe, stream: Stream) -> None:
     end = dac_samples(probe, stream)
     answer = probe.read_capture(Tap.DAC, max(0, end - 1), 1, stream.header.channels)
     last = np.frombuffer(answer.data, "<i2")
-    assert len(last) == stream.header.channels, f"expected the last DAC codes, came {told(answer)}"
+    assert len(last) == stream.header.channels, f"expected the last DAC codes, came {describe(answer)}"
     assert not last.any(), f"expected an output at rest, the last DAC codes are {last.tolist()}"
 
 

@@ -1,4 +1,4 @@
-"""Profiles: loaded without a gap, played by the position of the hand until stopped, and what is refused."""
+"""Profiles: loaded without a gap, played by the position of the hand until stopped, and what is rejected."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.device_protocol.messages import ErrorCode, HelloResponse, Loop, Position, Start, State, Status, Tap, pack
 from vibrocast.host.conformance.fixtures import long, section
-from vibrocast.host.conformance.probe import Probe, in_state, same_samples, told
+from vibrocast.host.conformance.probe import Probe, describe, in_state, same_samples
 from vibrocast.host.conformance.streams import decoded, decoded_as, known_actuator, need_capture, stream_for
 from vibrocast.output import profile as rendering
 
@@ -28,9 +28,9 @@ def profile(hello: HelloResponse) -> Stream:
         pytest.skip("the controller takes no profiles")
     coded = stream_for(hello)
     profile = replace(coded, header=replace(coded.header, unit=PROFILE_UNIT, rate_hz=_SAMPLES_PER_METRE))
-    least = rendering.min_samples(_SAMPLES_PER_METRE, dac_rate_hz)
-    if not least <= profile.samples <= limits.profile_samples:
-        pytest.skip(f"no profile of {least} to {limits.profile_samples} samples is there to be tried")
+    min_samples = rendering.min_samples(_SAMPLES_PER_METRE, dac_rate_hz)
+    if not min_samples <= profile.samples <= limits.profile_samples:
+        pytest.skip(f"no profile of {min_samples} to {limits.profile_samples} samples is there to be tested")
     return profile
 
 
@@ -59,7 +59,7 @@ def test_profile_is_loaded_without_gaps(probe: Probe, profile: Stream) -> None:
     for sent, loaded in ((profile.packets[:1], 1), (profile.packets[2:], 1), (profile.packets, len(profile.packets))):
         probe.feed(number, profile, sent)
         status = probe.status()
-        assert status.position == loaded * packet_samples, f"expected {loaded} packets loaded, came {told(status)}"
+        assert status.position == loaded * packet_samples, f"expected {loaded} packets loaded, came {describe(status)}"
     decoded_as(probe, decoded(profile), "what was decoded of a profile")
 
 
@@ -121,15 +121,15 @@ def test_late_positions_are_counted(probe: Probe, profile: Stream) -> None:
     for position_nm, underruns in ((1_000_000, 0), (2_000_000, 1), (2_000_000, 1)):
         rest_at(probe, position_nm)
         status = probe.status()
-        assert status.underruns == underruns, f"expected {underruns} underruns, came {told(status)}"
+        assert status.underruns == underruns, f"expected {underruns} underruns, came {describe(status)}"
 
 
 @section("Playing: Profiles")
 def test_profiles_that_are_refused(probe: Probe, profile: Stream) -> None:
     """A profile that is live, cut or looped is answered BAD_VALUE; one that is too long or too short BEYOND_LIMITS."""
     packets, header = len(profile.packets), profile.header
-    least = rendering.min_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)
-    too_short = replace(header, rate_hz=_FINEST_PER_METRE, samples=least - 1)
+    min_samples = rendering.min_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)
+    too_short = replace(header, rate_hz=_FINEST_PER_METRE, samples=min_samples - 1)
     too_long = probe.description.limits.profile_samples + 1
     packets_of_too_long = -(-(too_long + profile.decoder().delay_samples) // profile.decoder().packet_samples)
     for changed, options, code in (
@@ -141,6 +141,6 @@ def test_profiles_that_are_refused(probe: Probe, profile: Stream) -> None:
         (too_short, {"packets": 1}, ErrorCode.BEYOND_LIMITS),
         (replace(header, samples=too_long), {"packets": packets_of_too_long}, ErrorCode.BEYOND_LIMITS),
     ):
-        probe.refused(replace(probe.configuration(profile, **options), header=changed.pack()), code)
+        probe.expect_rejection(replace(probe.configuration(profile, **options), header=changed.pack()), code)
     probe.configure(profile)
-    probe.refused(Loop(2), ErrorCode.BAD_VALUE)
+    probe.expect_rejection(Loop(2), ErrorCode.BAD_VALUE)

@@ -15,7 +15,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.host.conformance.fixtures import section
-from vibrocast.host.conformance.probe import Probe, an_error, in_state, told
+from vibrocast.host.conformance.probe import Probe, an_error, describe, in_state
 from vibrocast.host.conformance.streams import stream_for
 
 _NUMBERS = MAXIMUM_SEQUENCE + 1
@@ -28,7 +28,7 @@ def open_as(probe: Probe, number: int) -> None:
         probe.open()  # by another one: its copy would be ignored
     answer = probe.ask_body(Hello.TYPE, Hello().body(), number)
     assert isinstance(answer, HelloResponse), (
-        f"Hello under number {number}: expected HelloResponse, came {told(answer)}"
+        f"Hello under number {number}: expected HelloResponse, came {describe(answer)}"
     )
     probe.opened_by = number
 
@@ -46,7 +46,7 @@ def test_copy_of_a_request_is_answered_alike_and_not_carried_out_again(probe: Pr
     """A copy of the last request gets the same answer, byte for byte, and is not carried out again."""
     probe.configure(stream_for(probe.description))
     start = Start(probe.status().device_time_us + 3_600_000_000)
-    probe.expect(start, Status)  # a second Start would be refused
+    probe.expect(start, Status)  # a second Start would be rejected
     for _ in range(3):
         repeat(probe, start)
     in_state(probe.status(), State.ARMED, "after copies of Start")
@@ -54,8 +54,8 @@ def test_copy_of_a_request_is_answered_alike_and_not_carried_out_again(probe: Pr
 
 @section("Session: Sequence numbers")
 def test_copy_of_a_refused_request_is_refused_alike(probe: Probe) -> None:
-    """A copy of a request that was refused, or could not be read, gets the same Error, byte for byte."""
-    probe.refused(Pause(), ErrorCode.WRONG_STATE)
+    """A copy of a request that was rejected, or could not be read, gets the same Error, byte for byte."""
+    probe.expect_rejection(Pause(), ErrorCode.WRONG_STATE)
     repeat(probe, Pause())
     for message_type, code in ((0x3F, ErrorCode.UNKNOWN_MESSAGE), (Start.TYPE, ErrorCode.MALFORMED)):
         an_error(probe.ask_body(message_type, b"\x01"), code, f"type 0x{message_type:02x} with one byte")
@@ -82,7 +82,7 @@ def test_numbers_may_leave_some_out(probe: Probe) -> None:
     for ahead in (1, 2, 1000, _HALF - 1):
         answer = probe.ask_body(StatusRequest.TYPE, b"", (probe.sequence + ahead) % _NUMBERS)
         assert isinstance(answer, Status), (
-            f"a number {ahead} ahead of the last one: expected Status, came {told(answer)}"
+            f"a number {ahead} ahead of the last one: expected Status, came {describe(answer)}"
         )
 
 
@@ -92,7 +92,7 @@ def test_one_follows_the_highest_number(probe: Probe) -> None:
     open_as(probe, MAXIMUM_SEQUENCE - 1)
     for number in (MAXIMUM_SEQUENCE, 1, 2):
         answer = probe.ask_body(StatusRequest.TYPE, b"", number)
-        assert isinstance(answer, Status), f"number {number}: expected Status, came {told(answer)}"
+        assert isinstance(answer, Status), f"number {number}: expected Status, came {describe(answer)}"
     probe.unanswered(pack(Stop(), MAXIMUM_SEQUENCE), "a late copy of number 65535")
 
 
@@ -123,7 +123,7 @@ def test_hello_leaves_the_stream_alone(probe: Probe) -> None:
     before = probe.configure(stream_for(probe.description))
     probe.open()
     after = in_state(probe.status(), State.BUFFERING, "after a new Hello")
-    assert after.stream == before.stream, f"expected stream {before.stream}, came {told(after)}"
+    assert after.stream == before.stream, f"expected stream {before.stream}, came {describe(after)}"
 
 
 @section("Messages")

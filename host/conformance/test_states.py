@@ -19,7 +19,7 @@ from vibrocast.device_protocol.messages import (
     Status,
 )
 from vibrocast.host.conformance.fixtures import long, section
-from vibrocast.host.conformance.probe import Probe, in_state, told
+from vibrocast.host.conformance.probe import Probe, describe, in_state
 from vibrocast.host.conformance.streams import stream_for
 
 _TAKES_DATA = (State.BUFFERING, State.ARMED, State.PLAYING, State.PAUSED)
@@ -53,7 +53,7 @@ def bring_to(probe: Probe, state: State, live: bool = False) -> Status:
     if state == State.STOPPED:
         return probe.stop()
     if state == State.WATCHDOG:
-        probe.line.sleep(1.1 * probe.description.limits.watchdog_ms / 1000)
+        probe.link.sleep(1.1 * probe.description.limits.watchdog_ms / 1000)
         return in_state(probe.status(), state, "silence of the host")
     return in_state(probe.status(), state, "Start")
 
@@ -73,7 +73,7 @@ def test_requests_in_the_wrong_state_are_refused(probe: Probe, state: State) -> 
     )
     for request, states in allowed:
         if state not in states:
-            probe.refused(request, ErrorCode.WRONG_STATE)
+            probe.expect_rejection(request, ErrorCode.WRONG_STATE)
     in_state(probe.status(), state, "after requests in the wrong state")
 
 
@@ -95,7 +95,7 @@ def test_stop_works_in_every_state(probe: Probe, state: State) -> None:
     bring_to(probe, state)
     for _ in range(2):
         status = probe.stop()
-        assert status.buffered_samples == 0, f"expected nothing buffered, came {told(status)}"
+        assert status.buffered_samples == 0, f"expected nothing buffered, came {describe(status)}"
 
 
 @section("Playing")
@@ -104,7 +104,7 @@ def test_configure_works_in_every_state(probe: Probe, state: State) -> None:
     """In {state}, Configure is carried out, and the new stream plays to its end."""
     bring_to(probe, state)
     status = probe.play(stream_for(probe.description))
-    assert (status.underruns, status.lost_packets) == (0, 0), f"expected no loss, came {told(status)}"
+    assert (status.underruns, status.lost_packets) == (0, 0), f"expected no loss, came {describe(status)}"
 
 
 @section("Playing")
@@ -115,7 +115,7 @@ def test_what_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
     probe.send_packets(before.stream, stream_for(probe.description).packets)
     after = probe.status()
     kept = replace(after, device_time_us=before.device_time_us)
-    assert kept == before, f"expected {told(before)}, came {told(after)}"
+    assert kept == before, f"expected {describe(before)}, came {describe(after)}"
 
 
 @section("Flashing")
@@ -123,6 +123,6 @@ def test_what_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
 def test_flashing_needs_an_idle_output(probe: Probe, slot: int, state: State) -> None:
     """In {state}, FlashBegin and FlashActivate are answered WRONG_STATE."""
     bring_to(probe, state)
-    probe.refused(FlashBegin(slot, 100, bytes(32), ""), ErrorCode.WRONG_STATE)
-    probe.refused(FlashActivate(slot), ErrorCode.WRONG_STATE)
-    in_state(probe.status(), state, "after refused flashing")
+    probe.expect_rejection(FlashBegin(slot, 100, bytes(32), ""), ErrorCode.WRONG_STATE)
+    probe.expect_rejection(FlashActivate(slot), ErrorCode.WRONG_STATE)
+    in_state(probe.status(), state, "after rejected flashing")

@@ -23,7 +23,7 @@ _TOO_LOUD = 30.0
 def played(probe: Probe, stream: Stream, **options: int | float | bool) -> player.PlaybackResult:
     """Play a stream as the host does, read back what it did, and see that nothing of it was lost."""
     need_capture(probe.description)
-    controller = Controller(probe.line, probe.line.clock, probe.line.sleep)
+    controller = Controller(probe.link, probe.link.clock, probe.link.sleep)
     packet_samples = stream.decoder().packet_samples
     settings = player.PlaybackSettings(capture=True, **options)  # type: ignore[arg-type]
     result = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
@@ -63,7 +63,7 @@ def test_codec_is_decoded_as_offline(
     stream = stream_for(hello, codec_name, 1 if channels == "one channel" else all_channels(hello))
     if stream.image is not None:
         request.getfixturevalue("slot")
-        flash(Controller(probe.line, probe.line.clock, probe.line.sleep), stream.image)
+        flash(Controller(probe.link, probe.link.clock, probe.link.sleep), stream.image)
     result = played(probe, stream)
     same_samples(read_back(result.decoded), decoded(stream), f"{codec_name} in {channels}")
 

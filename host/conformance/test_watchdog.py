@@ -4,7 +4,7 @@ import pytest
 
 from vibrocast.device_protocol.messages import ErrorCode, Pause, Resume, Start, State, Status, StreamData, pack
 from vibrocast.host.conformance.fixtures import long, section
-from vibrocast.host.conformance.probe import Probe, in_state, told
+from vibrocast.host.conformance.probe import Probe, describe, in_state
 from vibrocast.host.conformance.streams import lasting_stream, stream_for
 
 _AN_HOUR_US = 3_600_000_000
@@ -31,13 +31,13 @@ def test_silence_is_noticed(probe: Probe, state: State) -> None:
         probe.expect(Pause(), Status)
     probe.notified.clear()
     watchdog_s = probe.description.limits.watchdog_ms / 1000
-    probe.line.sleep(1.1 * watchdog_s)
+    probe.link.sleep(1.1 * watchdog_s)
     status = in_state(probe.status(), State.WATCHDOG, f"after {1.1 * watchdog_s:g} s of silence")
-    assert status.buffered_samples == 0, f"expected nothing buffered, came {told(status)}"
+    assert status.buffered_samples == 0, f"expected nothing buffered, came {describe(status)}"
     states = [message.state for message in probe.notified if isinstance(message, Status)]
     assert State.WATCHDOG in states, f"expected a notification of it, came {states or 'none'}"
     for request in (Start(), Resume()):
-        probe.refused(request, ErrorCode.WRONG_STATE)
+        probe.expect_rejection(request, ErrorCode.WRONG_STATE)
 
 
 @long
@@ -49,7 +49,7 @@ def test_any_frame_is_a_sign_of_life(probe: Probe, kind: str) -> None:
     watchdog_s = probe.description.limits.watchdog_ms / 1000
     armed(probe)
     for _ in range(6):
-        probe.line.sleep(watchdog_s / 4)
+        probe.link.sleep(watchdog_s / 4)
         probe.send(payload)
     in_state(probe.status(), State.ARMED, f"after {1.5 * watchdog_s:g} s with nothing but {kind}")
 
@@ -59,5 +59,5 @@ def test_any_frame_is_a_sign_of_life(probe: Probe, kind: str) -> None:
 def test_silence_does_not_matter_before_start(probe: Probe) -> None:
     """In BUFFERING, a host may be silent for as long as it likes."""
     probe.configure(stream_for(probe.description))
-    probe.line.sleep(1.5 * probe.description.limits.watchdog_ms / 1000)
+    probe.link.sleep(1.5 * probe.description.limits.watchdog_ms / 1000)
     in_state(probe.status(), State.BUFFERING, "after silence of the host")

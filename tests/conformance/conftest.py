@@ -8,7 +8,7 @@ import pytest
 from tests.firmware.native import load
 from vibrocast.host import devices
 from vibrocast.host.conformance.fixtures import *  # noqa: F403
-from vibrocast.host.conformance.line import Line
+from vibrocast.host.conformance.tapped_link import TappedLink
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
 from vibrocast.simulated_device.cortex_m import CortexM
 from vibrocast.simulated_device.device import Device
@@ -28,34 +28,34 @@ SMALL_SIZES = {
 }
 
 
-def in_simulated_time(make: Callable[[FlashMemory], Device]) -> Callable[[], AbstractContextManager[Line]]:
-    """Return what opens a line to a controller in this process; its flash outlives a restart."""
+def in_simulated_time(make: Callable[[FlashMemory], Device]) -> Callable[[], AbstractContextManager[TappedLink]]:
+    """Return what opens a link to a controller in this process; its flash outlives a restart."""
 
     @contextmanager
-    def over_memory() -> Iterator[Line]:
+    def over_memory() -> Iterator[TappedLink]:
         flash = FlashMemory(FLASH_BYTES)
         link = MemoryLink(make(flash))
 
         def restart() -> None:
             link.controller = make(flash)
 
-        yield Line(link, link.clock, link.sleep, restart)
+        yield TappedLink(link, link.clock, link.sleep, restart)
 
     return over_memory
 
 
-def at(address: str) -> Callable[[], AbstractContextManager[Line]]:
-    """Return what opens a line to the controller at an address."""
+def at(address: str) -> Callable[[], AbstractContextManager[TappedLink]]:
+    """Return what opens a link to the controller at an address."""
 
     @contextmanager
-    def over_its_way() -> Iterator[Line]:
+    def over_its_way() -> Iterator[TappedLink]:
         with devices.reach(address) as transport:
-            yield Line(transport)
+            yield TappedLink(transport)
 
     return over_its_way
 
 
-DEVICES: dict[str, Callable[[], AbstractContextManager[Line]]] = {
+DEVICES: dict[str, Callable[[], AbstractContextManager[TappedLink]]] = {
     "memory": in_simulated_time(lambda flash: Controller(flash=flash)),
     "small": in_simulated_time(
         lambda flash: Controller(Settings(watchdog_ms=500), flash, firmware=load(**SMALL_SIZES))
@@ -80,19 +80,19 @@ QUICK_MODULES = {
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test of the suite on the devices to which it is worth it, or on the one that --device names."""
-    if "line" not in metafunc.fixturenames:
+    if "link" not in metafunc.fixturenames:
         return
-    asked = metafunc.config.getoption("device", default=None)
+    device = metafunc.config.getoption("device", default=None)
     long = any(metafunc.definition.iter_markers("long"))
     module = metafunc.function.__module__.rpartition(".")[2]
     names = [name for name in DEVICES if name not in MODULES or (module in MODULES[name] and not long)]
     slow = [name for name in names if name in QUICK_MODULES and module not in QUICK_MODULES[name]]
     marked = [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in names]
-    metafunc.parametrize("line", [asked] if asked else marked, indirect=True)
+    metafunc.parametrize("link", [device] if device else marked, indirect=True)
 
 
 @pytest.fixture
-def line(request: pytest.FixtureRequest) -> Iterator[Line]:
-    """A line to a device."""
+def link(request: pytest.FixtureRequest) -> Iterator[TappedLink]:
+    """A link to a device."""
     with DEVICES.get(request.param, at(request.param))() as opened:
         yield opened

@@ -1,4 +1,4 @@
-"""The suite as a judge: faulty controllers fail it, nothing of the protocol is left out, and the report says it all."""
+"""The suite runner: faulty controllers fail it, nothing of the protocol is left out, and the report says it all."""
 
 import ast
 import errno
@@ -32,12 +32,9 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import Transport
 from vibrocast.host import conformance, devices
 from vibrocast.host.cli.command_line import main
-from vibrocast.host.conformance import line as line_module
-from vibrocast.host.conformance import page
+from vibrocast.host.conformance import NotTestable, Outcome, TappedLink, page, run_suite
 from vibrocast.host.conformance.fixtures import SECTIONS
-from vibrocast.host.conformance.judge import NotJudged, Outcome, judge, requirements
-from vibrocast.host.conformance.line import Line
-from vibrocast.host.conformance.report import Report
+from vibrocast.host.conformance.runner import requirements
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.device import Device
@@ -49,20 +46,20 @@ PROTOCOL = page.PAGE.with_name("protocol.md")
 NOT_PROVOKED = {ErrorCode.FLASH_FAILED}
 
 
-def line_to(controller: Device) -> Line:
+def link_to(controller: Device) -> TappedLink:
     link = MemoryLink(controller)
-    return Line(link, link.clock, link.sleep)
+    return TappedLink(link, link.clock, link.sleep)
 
 
 def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
-    line = line_to(Controller())
-    hello, findings = judge(line)
-    assert hello.build
-    assert {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED} == {
+    link = link_to(Controller())
+    report = run_suite(link)
+    assert report.hello.build
+    assert {finding.requirement.test for finding in report.findings if finding.outcome != Outcome.PASSED} == {
         "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
     }
-    assert line.messages == {message.__name__ for message in messages.ALL}
-    assert line.error_codes == set(ErrorCode) - NOT_PROVOKED
+    assert link.messages == {message.__name__ for message in messages.ALL}
+    assert link.error_codes == set(ErrorCode) - NOT_PROVOKED
 
 
 class Altered(Controller):
@@ -108,8 +105,8 @@ class Faulty(Altered):
 
 
 @pytest.mark.slow
-def test_faults_are_found_and_told() -> None:
-    _, findings = judge(line_to(Faulty()))
+def test_faults_are_found_and_reported() -> None:
+    findings = run_suite(link_to(Faulty())).findings
     failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
     expected = {
         "test_frame_with_a_wrong_crc_is_dropped": "expected 16 more bad frame(s), came 0",
@@ -143,7 +140,7 @@ class Slow(Controller):
 @pytest.mark.slow
 def test_controller_that_takes_its_time_to_answer_conforms() -> None:
     link = MemoryLink(Slow(), time=SimulatedTime(step_us=10_000))
-    _, findings = judge(Line(link, link.clock, link.sleep), quick=True)
+    findings = run_suite(TappedLink(link, link.clock, link.sleep), quick=True).findings
     assert {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED} == {
         "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
     }
@@ -201,7 +198,7 @@ class OneSlot(Altered):
     ],
 )
 def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Altered], reasons: dict[str, str]) -> None:
-    _, findings = judge(line_to(faulty()))
+    findings = run_suite(link_to(faulty())).findings
     failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
     for test, reason in reasons.items():
         assert reason in failed[test]
@@ -237,12 +234,13 @@ def test_nothing_else_is_tried_where_hello_makes_no_sense(
                 actuator=replace(message.actuator, **actuator),  # type: ignore[arg-type]
             )
 
-    hello, findings = judge(line_to(Absurd()))
+    report = run_suite(link_to(Absurd()))
+    findings = report.findings
     failed = {finding.requirement.test: finding.reason for finding in findings if finding.outcome == Outcome.FAILED}
     assert list(failed) == [test]
     assert "please report" not in failed[test]
-    assert sum(finding.outcome == Outcome.NOT_TRIED for finding in findings) > 200
-    Report(hello, tuple(findings)).write(tmp_path)
+    assert sum(finding.outcome == Outcome.NOT_TESTED for finding in findings) > 200
+    report.write(tmp_path)
     assert "NaN" not in (tmp_path / "conformance.json").read_text()
 
 
@@ -254,9 +252,9 @@ def test_controller_of_another_plain_codec_is_judged() -> None:
                 return message
             return replace(message, codecs=tuple(named for named in message.codecs if named[1] == "dct"))
 
-    _, findings = judge(line_to(DctOnly()))
+    findings = run_suite(link_to(DctOnly())).findings
     outcomes = [finding.outcome for finding in findings]
-    assert set(outcomes) == {Outcome.PASSED, Outcome.NOT_OFFERED}
+    assert set(outcomes) == {Outcome.PASSED, Outcome.NOT_APPLICABLE}
     assert outcomes.count(Outcome.PASSED) > 180
 
 
@@ -278,7 +276,7 @@ def test_texts_of_a_controller_do_nothing_on_the_terminal_or_the_page(reached: l
     assert "![x]" not in page
 
 
-def test_result_is_told_where_the_report_cannot_be_written(
+def test_result_is_printed_where_the_report_cannot_be_written(
     reached: list[Device], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object, **__: object) -> None:
@@ -301,9 +299,9 @@ class Mute(Controller):
         return b"".join(write_frame(payload.replace(b"simulated", b"simul\xff\xfed")) for payload in payloads)
 
 
-def test_hello_that_cannot_be_read_is_told() -> None:
-    with pytest.raises(NotJudged, match="what comes after Hello cannot be read"):
-        judge(line_to(Mute()))
+def test_hello_that_cannot_be_read_is_reported() -> None:
+    with pytest.raises(NotTestable, match="what comes after Hello cannot be read"):
+        run_suite(link_to(Mute()))
 
 
 class Dying(Controller):
@@ -319,11 +317,11 @@ class Dying(Controller):
 
 
 def test_controller_that_dies_does_not_conform_and_is_not_tried_any_more() -> None:
-    _, findings = judge(line_to(Dying()), quick=True)
+    findings = run_suite(link_to(Dying()), quick=True).findings
     outcomes = {finding.requirement.test: finding.outcome for finding in findings}
     assert outcomes["test_unknown_requests_are_answered_so"] == Outcome.FAILED
     assert outcomes["test_frame_is_found_after_noise"] == Outcome.PASSED
-    assert outcomes["test_gain_of_zero_keeps_the_output_at_rest"] == Outcome.NOT_TRIED
+    assert outcomes["test_gain_of_zero_keeps_the_output_at_rest"] == Outcome.NOT_TESTED
     assert list(outcomes.values()).count(Outcome.FAILED) == 1
 
 
@@ -338,9 +336,9 @@ def test_controller_that_dies_does_not_conform_and_is_not_tried_any_more() -> No
     ids=["tiny", "short-capture", "another-actuator"],
 )
 def test_what_a_controller_lacks_is_not_held_against_it(settings: Settings) -> None:
-    _, findings = judge(line_to(Controller(settings)))
-    assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.NOT_OFFERED}
-    assert all(finding.reason for finding in findings if finding.outcome == Outcome.NOT_OFFERED)
+    findings = run_suite(link_to(Controller(settings))).findings
+    assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.NOT_APPLICABLE}
+    assert all(finding.reason for finding in findings if finding.outcome == Outcome.NOT_APPLICABLE)
 
 
 @pytest.fixture
@@ -354,11 +352,11 @@ def reached(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
         links.append(MemoryLink(controllers[0]))
         yield links[0]
 
-    def line(transport: MemoryLink, may_flash: bool) -> Line:
-        return Line(transport, transport.clock, transport.sleep, may_flash=may_flash)
+    def tapped(transport: MemoryLink, may_flash: bool) -> TappedLink:
+        return TappedLink(transport, transport.clock, transport.sleep, may_flash=may_flash)
 
     monkeypatch.setattr(devices, "reach", reach)
-    monkeypatch.setattr(line_module, "Line", line)
+    monkeypatch.setattr(conformance, "TappedLink", tapped)
     return controllers
 
 
@@ -372,7 +370,7 @@ def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path:
     assert report["controller"]["limits"]["channels"] == Settings().channels
     assert "date" not in report
     outcomes = {entry["test"]: entry["outcome"] for entry in report["requirements"]}
-    assert outcomes["test_image_is_tried_and_kept"] == "not offered"
+    assert outcomes["test_image_is_tried_and_kept"] == "not applicable"
     text = (tmp_path / "out" / "conformance.md").read_text()
     assert "board &lt;b&gt;\\|&lt;/b&gt; |" in text
     assert "conforming" in ran.output.splitlines()[-2]

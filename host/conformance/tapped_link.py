@@ -12,7 +12,7 @@ from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.simulated_device.memory_link import FaultyLine
 
 
-class Line:
+class TappedLink:
     """A transport (device_protocol.transports.Transport) around another one.
 
     `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
@@ -42,11 +42,11 @@ class Line:
         self._sent, self._received = FrameReader(), FrameReader()
 
     def cut(self) -> None:
-        """Fail, as a pulled cable does, until the transport is opened anew."""
+        """Fail, as a pulled cable does, until the transport is opened again."""
         self._is_cut = True
 
     def heal(self) -> None:
-        """End all harm. Raises TransportError where the transport cannot be opened anew."""
+        """End all harm. Raises TransportError where the transport cannot be opened again."""
         self.to_controller = self.to_host = None
         if self._is_cut:
             self.reopen()
@@ -69,7 +69,7 @@ class Line:
         return data if self.to_host is None else self.to_host.carry(data)
 
     def reopen(self) -> None:
-        """Close, and open anew. Raises TransportError."""
+        """Close, and open again. Raises TransportError."""
         self._transport.reopen()
         self._is_cut = False
 

@@ -1,18 +1,18 @@
-"""Runs the suite on a controller, and says of each requirement whether it is met."""
+"""Runs the suite on a controller: pytest runs the modules test_*.py of this folder, and a plugin keeps the findings."""
 
 import os
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
 import pytest
 
-from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, HelloResponse, MessageError
+from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.conformance import fixtures
-from vibrocast.host.conformance.line import Line
-from vibrocast.host.conformance.probe import Gone, NotConforming, Probe
+from vibrocast.host.conformance.probe import NotConforming, Probe, Unreachable
+from vibrocast.host.conformance.report import Finding, Outcome, Report, Requirement
+from vibrocast.host.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.plain import plain
 
@@ -27,83 +27,61 @@ _OPTIONS = (
 _ENVIRONMENT = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": "", "PYTEST_PLUGINS": ""}
 
 
-class Outcome(Enum):
-    """What was found of a requirement."""
-
-    PASSED = "pass"
-    FAILED = "fail"
-    NOT_OFFERED = "not offered"
-    NOT_TRIED = "not tried"
+class NotTestable(Exception):
+    """The controller does not answer Hello as one does: nothing else can be tested."""
 
 
-@dataclass(frozen=True)
-class Requirement:
-    """What the protocol asks of a controller. `section`: of docs/protocol.md. `test`: its name in the suite."""
-
-    section: str
-    text: str
-    test: str
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What was found of a requirement. `reason`: of anything but a pass. `measured`: what else the test saw, if any."""
-
-    requirement: Requirement
-    outcome: Outcome
-    reason: str = ""
-    measured: str = ""
-
-
-class NotJudged(Exception):
-    """The controller does not answer Hello as one does: there is nothing else to say of it."""
-
-
-def judge(
-    line: Line, quick: bool = False, progress: Callable[[float, str], None] | None = None
-) -> tuple[HelloResponse, list[Finding]]:
-    """Run the suite; return what the controller said of itself, and the findings in the order of the suite.
+def run_suite(
+    link: TappedLink,
+    quick: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+    date: str | None = None,
+) -> Report:
+    """Run the suite on the controller behind a link; return what it says of itself, and the findings in suite order.
 
     `quick`: leave out what takes more than a second. `progress` is called with the part that is done and the section
-    that comes next. The output is brought to rest, whatever is raised. Raises NotJudged, KeyboardInterrupt.
+    that comes next. `date`: for the report. The output is at rest afterwards, also after an exception. Raises
+    NotTestable, KeyboardInterrupt.
     """
-    probe = Probe(line)
+    probe = Probe(link)
     try:
         probe.open()
-    except (Gone, NotConforming) as reason:
-        raise NotJudged(
-            f"no controller of protocol {PROTOCOL_MAJOR} can be tried here (check power and address): {reason}"
+    except (Unreachable, NotConforming) as reason:
+        raise NotTestable(
+            f"no controller of protocol {PROTOCOL_MAJOR} can be tested here (check power and address): {reason}"
         ) from reason
-    judging = _Judging(line, progress)
-    _run(judging, "-m", "not long" if quick else "")
-    return probe.description, judging.all_findings()
+    suite_run = _SuiteRun(link, progress)
+    _run(suite_run, "-m", "not long" if quick else "")
+    left_out = ["what takes more than a second"] * quick
+    left_out += ["what writes a slot for model images"] * (not link.may_flash)
+    return Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out), date)
 
 
 def requirements() -> list[Requirement]:
     """Return all requirements, in the order of the suite."""
-    judging = _Judging(None, None)
-    _run(judging, "--collect-only")
-    return list(judging.requirements.values())
+    suite_run = _SuiteRun(None, None)
+    _run(suite_run, "--collect-only")
+    return list(suite_run.requirements.values())
 
 
-class _Judging:
-    """A pytest plugin that lends the suite its line, and notes what comes out."""
+class _SuiteRun:
+    """A pytest plugin that lends the suite its link, and notes what comes out."""
 
-    def __init__(self, line: Line | None, progress: Callable[[float, str], None] | None) -> None:
+    def __init__(self, link: TappedLink | None, progress: Callable[[float, str], None] | None) -> None:
         self.requirements: dict[str, Requirement] = {}
         self.findings: dict[str, Finding] = {}
         self.interrupted = False
-        self._line = line
+        self._link = link
         self._progress = progress
-        self._not_tried = ""
+        self._not_tested = ""
 
     @pytest.fixture
-    def line(self) -> Line:
-        assert self._line is not None, "there is a controller to try"
-        return self._line
+    def link(self) -> TappedLink:
+        assert self._link is not None, "there is a controller to test"
+        return self._link
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items.sort(key=lambda item: item.get_closest_marker("vital") is None)
+        items.sort(key=lambda item: item.get_closest_marker("prerequisite") is None)
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         for item in session.items:
@@ -119,16 +97,16 @@ class _Judging:
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
-        if call.excinfo is not None and isinstance(call.excinfo.value, Gone) and call.when == "setup":
-            self._not_tried = f"the controller could not be reached any more ({call.excinfo.value})"
-            item.session.shouldstop = self._not_tried
+        if call.excinfo is not None and isinstance(call.excinfo.value, Unreachable) and call.when == "setup":
+            self._not_tested = f"the controller could not be reached any more ({call.excinfo.value})"
+            item.session.shouldstop = self._not_tested
         elif call.excinfo is not None or call.when == "call":
             measured = dict(item.user_properties).get("measured", "")
             outcome, reason = _outcome(call.excinfo)
             self.findings[item.nodeid] = Finding(self.requirements[item.nodeid], outcome, reason, str(measured))
-            if outcome == Outcome.FAILED and item.get_closest_marker("vital") is not None:
-                self._not_tried = f"what must be right first is not: {self.requirements[item.nodeid].text}"
-                item.session.shouldstop = self._not_tried
+            if outcome == Outcome.FAILED and item.get_closest_marker("prerequisite") is not None:
+                self._not_tested = f"what must be right first is not: {self.requirements[item.nodeid].text}"
+                item.session.shouldstop = self._not_tested
         return report
 
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
@@ -138,18 +116,18 @@ class _Judging:
     def all_findings(self) -> list[Finding]:
         """Return a finding for each requirement."""
         return [
-            self.findings.get(name, Finding(requirement, Outcome.NOT_TRIED, self._not_tried))
+            self.findings.get(name, Finding(requirement, Outcome.NOT_TESTED, self._not_tested))
             for name, requirement in self.requirements.items()
         ]
 
 
-def _run(judging: _Judging, *options: str) -> None:
+def _run(suite_run: _SuiteRun, *options: str) -> None:
     """Run the suite with a plugin, and nothing of the user's. Raises KeyboardInterrupt."""
     with pytest.MonkeyPatch.context() as environment:
         for name, value in _ENVIRONMENT.items():
             environment.setenv(name, value)
-        code = pytest.main([*_OPTIONS, *options, str(_FOLDER)], plugins=[fixtures, judging])
-    if judging.interrupted:
+        code = pytest.main([*_OPTIONS, *options, str(_FOLDER)], plugins=[fixtures, suite_run])
+    if suite_run.interrupted:
         raise KeyboardInterrupt
     if code in (pytest.ExitCode.INTERNAL_ERROR, pytest.ExitCode.USAGE_ERROR, pytest.ExitCode.NO_TESTS_COLLECTED):
         raise RuntimeError(f"the suite could not be run (pytest ended with {code!r})")
@@ -177,7 +155,7 @@ def _outcome(failure: pytest.ExceptionInfo[BaseException] | None) -> tuple[Outco
         return Outcome.PASSED, ""
     text = plain(" ".join(str(failure.value).split()))
     if failure.errisinstance(pytest.skip.Exception):
-        return Outcome.NOT_OFFERED, text
-    if failure.errisinstance((AssertionError, ControllerError, TransportError, MessageError, Gone)):
+        return Outcome.NOT_APPLICABLE, text
+    if failure.errisinstance((AssertionError, ControllerError, TransportError, MessageError, Unreachable)):
         return Outcome.FAILED, text
     return Outcome.FAILED, f"the suite met an unexpected {failure.typename} ({text}): please report it"
