@@ -13,7 +13,7 @@ from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import TABLES, Measurements
 from vibrocast.evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
 from vibrocast.files import atomic_write
-from vibrocast.textures.dataset import Trace
+from vibrocast.textures.dataset import DatasetEntry
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
 
@@ -75,8 +75,8 @@ Outcomes: TypeAlias = Generator[tuple[tuple[int, Cell], Measured | Exception], N
 
 
 def run(
-    traces: Sequence[Trace],
-    load: Callable[[Trace], textures.Recording],
+    traces: Sequence[DatasetEntry],
+    load: Callable[[DatasetEntry], textures.Recording],
     chosen: Sequence[Method],
     repeats: int,
     journal: Journal,
@@ -127,7 +127,7 @@ def run(
     return [results[place] for place in sorted(results)]
 
 
-def _cells(trace: Trace, recording: textures.Recording, chosen: Sequence[Method], repeats: int) -> list[Cell]:
+def _cells(trace: DatasetEntry, recording: textures.Recording, chosen: Sequence[Method], repeats: int) -> list[Cell]:
     return [
         Cell(trace.name, recording, method, setting, repeats, model)
         for method in chosen

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vibrocast.evaluation.points import read_rows
-from vibrocast.textures.dataset import Trace
+from vibrocast.textures.dataset import DatasetEntry
 
 TABLE = Path(__file__).parent / "data" / "kinds.csv"
 """Kinds by the names that the recordings of known sets have."""
@@ -26,7 +26,7 @@ class TraceKind:
     kind: str
 
 
-def kinds(everything: list[Trace], table: Path = TABLE) -> list[TraceKind]:
+def kinds(everything: list[DatasetEntry], table: Path = TABLE) -> list[TraceKind]:
     """Return the kinds of those traces of which a CSV file with columns `file` and `kind` tells; its first row counts.
 
     Raises PointsError where it is no such file, OSError where it cannot be read.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeVar, get_type_hints
 
 from vibrocast.textures import Recording, TextureError
-from vibrocast.textures.dataset import Trace, printable
+from vibrocast.textures.dataset import DatasetEntry, printable
 
 MEASURED, PROGRAM, IMPORTED = "measured", "program", "imported"
 """Where figures come from: a codec here, a program of the user's here, a table of others' figures."""
@@ -165,7 +165,7 @@ def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
 
 
 def check_imported(
-    path: Path, everything: Sequence[Trace], wanted: Collection[str], load: Callable[[Trace], Recording]
+    path: Path, everything: Sequence[DatasetEntry], wanted: Collection[str], load: Callable[[DatasetEntry], Recording]
 ) -> None:
     """Check a table of others' points against the recordings that they are of.
 

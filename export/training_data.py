@@ -127,7 +127,7 @@ def _recordings(source: Source, folder: Path, rate_hz: int) -> Iterator[tuple[st
 def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal]]:
     options = {name: value for name, value in source.options.items() if value is not None}
     try:
-        chosen = dataset.split(dataset.traces(folder), source.part, source.seed, source.split_by)
+        chosen = dataset.split(dataset.entries(folder), source.part, source.seed, source.split_by)
     except dataset.DatasetError as error:
         raise TextureError(str(error)) from error
     for trace in chosen:

@@ -72,7 +72,7 @@ class Outcome:
 def main(folder: Path, out: Path) -> None:
     """Stream a folder of recordings; write the table and the chart into OUT/results, and print the section."""
     with errors_in_one_line():
-        click.echo(section([dataset.load(trace) for trace in dataset.traces(folder)], out), nl=False)
+        click.echo(section([dataset.load(trace) for trace in dataset.entries(folder)], out), nl=False)
 
 
 def section(recordings: Sequence[textures.Recording], out: Path) -> str:

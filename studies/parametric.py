@@ -19,7 +19,7 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.evaluation.metrics import Quality, measure
 from vibrocast.files import atomic_write
 from vibrocast.textures import Recording
-from vibrocast.textures.dataset import load, printable, traces
+from vibrocast.textures.dataset import entries, load, printable
 
 DESCRIPTION, WAVEFORM = "parametric", "mdct"
 RATES = (1, 10)
@@ -177,7 +177,7 @@ def main(folder: Path, out: Path) -> None:
     with errors_in_one_line():
         rows = [
             row
-            for trace in traces(folder)
+            for trace in entries(folder)
             for row in rows_of(trace.name, load(trace, stream_rate_hz=DEFAULT_STREAM_RATE_HZ))
         ]
         write(out, rows, printable(folder.name))

@@ -24,7 +24,7 @@ from vibrocast.host.planner.plan_file import prepared
 from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import Profile, Recording, TextureError
-from vibrocast.textures.dataset import Trace, traces
+from vibrocast.textures.dataset import entries
 
 ADDRESS, CORE, CLOCK_HZ = "cortex-m4", "M4F", 168e6
 HAND_SPEED_MM_S = 50.0
@@ -79,7 +79,7 @@ class Saving:
         return 100 * (self.planned_instructions / self.default_instructions - 1)
 
 
-def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
+def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Saving]:
     """Yield what planning a trace saves. Raises TextureError, CodecError, BandError, PlanningError."""
     recording = _loaded(trace, unit)
     default = encode_recording(recording, live=True)
@@ -133,7 +133,7 @@ def savings(group: str, trace: Trace, unit: str | None) -> Iterator[Saving]:
         )
 
 
-def _loaded(trace: Trace, unit: str | None) -> Recording:
+def _loaded(trace: DatasetEntry, unit: str | None) -> Recording:
     """Load a trace; one relative to full scale, whose level nobody knows, is brought to the actuator's full stroke."""
     try:
         loaded = Source((trace.path,), None, {}).load(HAND_SPEED_MM_S)
@@ -148,7 +148,9 @@ def _loaded(trace: Trace, unit: str | None) -> Recording:
     return replace(recording, samples=recording.samples / peak)
 
 
-def _scene(trace: Trace, recording: Recording, snr_db: float, delay_limit_ms: float | None, weights: Weights) -> Scene:
+def _scene(
+    trace: DatasetEntry, recording: Recording, snr_db: float, delay_limit_ms: float | None, weights: Weights
+) -> Scene:
     """Return a scene of a piezo stack on a Cortex-M4F that asks for an SNR, and for a delay where one is given."""
     controller = SceneController(name="controller", address=ADDRESS, core=CORE, clock_hz=CLOCK_HZ, channels=4)
     return Scene(
@@ -221,7 +223,7 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
     """Plan all recordings of folders, and write what that saves: OUT/planning_results.md and its rows as CSV."""
     with errors_in_one_line():
-        found = [(folder.name, trace) for folder in folders for trace in traces(folder)]
+        found = [(folder.name, trace) for folder in folders for trace in entries(folder)]
     rows: list[Saving] = []
     left_out: list[str] = []
     with progress.bar("planning") as update:

@@ -40,7 +40,7 @@ def main(folder: Path, out: Path) -> None:
 
 
 def _measure_and_write(folder: Path, out: Path) -> None:
-    recordings = {trace.name: _repeated(dataset.load(trace)) for trace in dataset.traces(folder)}
+    recordings = {trace.name: _repeated(dataset.load(trace)) for trace in dataset.entries(folder)}
     names = [name for name, known in codec.CODECS.items() if known.controls_rate]
     cells: list[tuple[str, str, int, float | None]] = [
         *product(recordings, names, RATES_BPS, (None,)),

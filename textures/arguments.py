@@ -7,10 +7,10 @@ from typing import Any
 from vibrocast.textures.recording import TextureError
 
 
-def of_type(name: str, value: Any, types: type | tuple[type, ...], wanted: str) -> None:
-    """Raise TextureError unless the value is None or of one of the types. `wanted`: these types in words."""
+def of_type(name: str, value: Any, types: type | tuple[type, ...], required: str) -> None:
+    """Raise TextureError unless the value is None or of one of the types. `required`: these types in words."""
     if value is not None and not isinstance(value, types):
-        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass {wanted}")
+        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass {required}")
 
 
 def number(name: str, value: Any) -> float:

@@ -1,4 +1,4 @@
-"""A folder of recordings, or a manifest that lists them, as single traces; the split into training and test parts."""
+"""A folder of recordings, or a manifest that lists them, as single entries; the split into training and test parts."""
 
 import csv
 import hashlib
@@ -21,9 +21,9 @@ from vibrocast.textures.text import known_unit
 SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
 PARTS = ("all", "train", "test")
 SPLITS = ("auto", "trace", "material", "subject")
-"""What a split keeps whole. "auto": the manifest's column `split`, else its materials, else single traces."""
+"""What a split keeps whole. "auto": the manifest's column `split`, else materials, else single entries ("trace")."""
 TEST_PART = 0.2
-"""Of all traces: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
+"""Of all entries: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
 NUMBERS = ("rate_hz", "full_scale", "hand_speed_mm_s")
 COLUMNS = ("file", "unit", *NUMBERS, "axis", "reduce", "key", "material", "subject", "split")
 """Of a manifest; only the first is needed."""
@@ -34,7 +34,7 @@ LISTED = 3
 MAX_HEADER_CHARACTERS = 10_000
 
 # <interaction>_-_<tool>_-_<material>_-_<speed>, then perhaps the axis, as IEEE P1918.1.1 names its traces.
-_REFERENCE_TRACE = re.compile(r".+?_-_.+?_-_(.+)_-_.+", re.DOTALL)
+_REFERENCE_NAME = re.compile(r".+?_-_.+?_-_(.+)_-_.+", re.DOTALL)
 
 
 class DatasetError(ValueError):
@@ -42,7 +42,7 @@ class DatasetError(ValueError):
 
 
 @dataclass(frozen=True)
-class Trace:
+class DatasetEntry:
     """One recording: a name of its own, and the path by which `textures.load` knows it.
 
     What a manifest states of it: `options` of `textures.load`, material, subject, and `part` ("train", "test" or "").
@@ -63,7 +63,7 @@ class Trace:
         """
         if self.stated_material:
             return self.stated_material.casefold()
-        match = _REFERENCE_TRACE.fullmatch(self.name.rpartition("/")[2])
+        match = _REFERENCE_NAME.fullmatch(self.name.rpartition("/")[2])
         if match is None:
             raise DatasetError(
                 f"{self.name}: its name does not state the material; give a manifest with a column material, split by "
@@ -84,7 +84,7 @@ class Skipped:
 class Dataset:
     """Recordings by name. `skipped`: other files of their folder. `notes`: what a person should know of a manifest."""
 
-    traces: list[Trace]
+    entries: list[DatasetEntry]
     skipped: list[Skipped] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -101,7 +101,7 @@ class Dataset:
 def read(path: Path, leave_out: Path | None = None) -> Dataset:
     """Return the recordings of a folder and its sub-folders, or those that a manifest (CSV) lists; none is opened.
 
-    Of a folder: files named ..._X.txt, ..._Y.txt and ..._Z.txt are one trace, a single one of them is a trace by
+    Of a folder: files named ..._X.txt, ..._Y.txt and ..._Z.txt are one entry, a single one of them is an entry by
     itself, all others of SUFFIXES are one each. Hidden files, hidden folders and the folder `leave_out` are passed
     over, other files are skipped. The name is the path within the folder without its suffix, or with it where two are
     alike.
@@ -116,67 +116,67 @@ def read(path: Path, leave_out: Path | None = None) -> Dataset:
     return _of_manifest(path)
 
 
-def traces(path: Path) -> list[Trace]:
+def entries(path: Path) -> list[DatasetEntry]:
     """Return the recordings of a folder or manifest, by name. Raises as `read`."""
-    return read(path).traces
+    return read(path).entries
 
 
-def split(everything: list[Trace], part: str, seed: int = 0, by: str = "auto") -> list[Trace]:
-    """Return the part, one of PARTS, of the traces, in their order.
+def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "auto") -> list[DatasetEntry]:
+    """Return the part, one of PARTS, of the entries, in their order.
 
     `by`, one of SPLITS: what is never in both parts. A manifest's column `split` decides where `by` is "auto".
-    Otherwise the test part is TEST_PART of the traces, or as near to that as whole materials or subjects come; the same
-    names and seed give the same parts everywhere. Raises DatasetError where nothing is left for one part, where a trace
+    Otherwise the test part is TEST_PART of the entries, or as near to that as whole materials or subjects come; equal
+    names and seeds give equal parts everywhere. Raises DatasetError where nothing is left for one part, where an entry
     states no material or subject, and where a split by trace would tear the materials that a manifest states.
     """
     if part == "all":
         return everything
-    stated = any(trace.stated_material for trace in everything)
-    if by == "auto" and any(trace.part for trace in everything):
-        chosen = [trace for trace in everything if trace.part == part]
+    stated = any(entry.stated_material for entry in everything)
+    if by == "auto" and any(entry.part for entry in everything):
+        chosen = [entry for entry in everything if entry.part == part]
         if not chosen:
-            raise DatasetError(f"the manifest's column split marks no trace as {part}; mark some, or take all")
+            raise DatasetError(f"the manifest's column split marks no recording as {part}; mark some, or take all")
         return chosen
     if by == "trace" and stated:
         raise DatasetError(
             "the manifest states materials, and a split by trace puts one material into both parts; split by material"
         )
-    wanted = max(1, round(TEST_PART * len(everything)))
+    target = max(1, round(TEST_PART * len(everything)))
     if by in ("material", "subject") or stated:
         kind = "subject" if by == "subject" else "material"
-        test = _whole_groups({trace.name: _group(trace, kind) for trace in everything}, wanted, seed)
+        test = _whole_groups({entry.name: _group(entry, kind) for entry in everything}, target, seed)
     else:
         kind = "trace"
-        test = set(sorted((trace.name for trace in everything), key=lambda name: _lot(name, seed))[:wanted])
+        test = set(sorted((entry.name for entry in everything), key=lambda name: _draw_rank(name, seed))[:target])
     if not 0 < len(test) < len(everything):
         raise DatasetError(f"there is only one {kind}, which cannot be split; add others, or take all")
-    return [trace for trace in everything if (trace.name in test) == (part == "test")]
+    return [entry for entry in everything if (entry.name in test) == (part == "test")]
 
 
-def load(trace: Trace, stream_rate_hz: int | None = None, **options: Any) -> textures.Recording:
-    """Load a trace and resample it to a whole number of hertz, as a stream needs.
+def load(entry: DatasetEntry, stream_rate_hz: int | None = None, **options: Any) -> textures.Recording:
+    """Load an entry and resample it to a whole number of hertz, as a stream needs.
 
     `options`: of `textures.load`; each is only for files that leave it open, and a manifest goes before them. A file
     that states no unit, and gets none, is in "full scale". `stream_rate_hz`: None leaves the rate as it is. Raises
     TextureError with what to do.
     """
-    return load_highpassed(trace, None, stream_rate_hz, **options).recording
+    return load_highpassed(entry, None, stream_rate_hz, **options).recording
 
 
 def load_highpassed(
-    trace: Trace, highpass_hz: float | None, stream_rate_hz: int | None = None, **options: Any
+    entry: DatasetEntry, highpass_hz: float | None, stream_rate_hz: int | None = None, **options: Any
 ) -> textures.HighPassed:
-    """Load a trace as `load` does, without the band below `highpass_hz`, which goes before anything is resampled.
+    """Load an entry as `load` does, without the band below `highpass_hz`, which goes before anything is resampled.
 
     As `textures.highpass`, for every unit but "drive"; None = the whole band. Raises as `load` and that.
     """
-    chosen = _options_for(trace, options)
-    recording = textures.load(trace.path, **chosen)
+    chosen = _options_for(entry, options)
+    recording = textures.load(entry.path, **chosen)
     if math.isclose(recording.rate_hz, round(recording.rate_hz), rel_tol=RATE_TOLERANCE):
         recording = replace(recording, rate_hz=float(round(recording.rate_hz)))
     elif stream_rate_hz is None:
         raise TextureError(
-            f"{trace.path}: {recording.rate_hz:g} Hz is no whole number; give the rate to code it at: `stream_rate_hz`"
+            f"{entry.path}: {recording.rate_hz:g} Hz is no whole number; give the rate to code it at: `stream_rate_hz`"
         )
     passed = textures.highpass(recording, textures.highpass_of(chosen.get("unit"), highpass_hz))
     return replace(passed, recording=textures.resample(passed.recording, stream_rate_hz or recording.rate_hz))
@@ -187,9 +187,9 @@ def printable(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def _options_for(trace: Trace, offered: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a trace: its manifest's, and of those offered the ones that its file leaves open."""
-    path, own = trace.path, trace.options
+def _options_for(entry: DatasetEntry, offered: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of an entry: its manifest's, and of those offered the ones that its file leaves open."""
+    path, own = entry.path, entry.options
     chosen = {**{name: value for name, value in offered.items() if value is not None}, **own}
 
     def withdraw(*names: str) -> None:
@@ -236,7 +236,7 @@ def _of_folder(folder: Path, leave_out: Path | None) -> Dataset:
     paths = [paths[0] if len(paths) == 1 else together for together, paths in grouped.items()]
     if not paths:
         raise DatasetError(f"{folder}: no recordings ({', '.join(SUFFIXES)}) in it or its sub-folders; give another")
-    return Dataset(_named([Trace("", path) for path in paths], folder), skipped)
+    return Dataset(_named([DatasetEntry("", path) for path in paths], folder), skipped)
 
 
 def _files_in(folder: Path, leave_out: Path | None) -> Iterator[Path]:
@@ -280,12 +280,12 @@ def _of_manifest(manifest: Path) -> Dataset:
         if part not in ("", "train", "test"):
             raise DatasetError(f"{place}, split: {part!r} is neither train nor test; correct it, or leave it empty")
         material, subject = row.get("material", ""), row.get("subject", "")
-        found.append(Trace("", path, _stated_options(row, place), material, subject, part))
+        found.append(DatasetEntry("", path, _stated_options(row, place), material, subject, part))
     if missing:
         more = f", nor do those of {len(missing) - 1} other rows" if len(missing) > 1 else ""
         raise DatasetError(f"{missing[0]} does not exist{more}; paths start at the manifest's folder")
     named = _named(found, manifest.parent)
-    if alike := [name for name, times in Counter(trace.name for trace in named).items() if times > 1]:
+    if alike := [name for name, times in Counter(entry.name for entry in named).items() if times > 1]:
         raise DatasetError(
             f"{manifest}: {alike[0]} stands in several rows; keep one, or tell them apart by axis or key"
         )
@@ -344,36 +344,36 @@ def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
     return options
 
 
-def _notes(manifest: Path, named: Sequence[Trace], columns: Sequence[str]) -> list[str]:
+def _notes(manifest: Path, named: Sequence[DatasetEntry], columns: Sequence[str]) -> list[str]:
     notes = []
     if unused := [name for name in columns if name not in COLUMNS]:
         notes.append(f"{manifest}: columns not used: {', '.join(unused)}; known are {', '.join(COLUMNS)}")
     parts: dict[str, set[str]] = {}
-    for trace in named:
-        if trace.stated_material and trace.part:
-            parts.setdefault(trace.material, set()).add(trace.part)
+    for entry in named:
+        if entry.stated_material and entry.part:
+            parts.setdefault(entry.material, set()).add(entry.part)
     if torn := sorted(material for material, own in parts.items() if len(own) > 1):
         notes.append(f"{manifest}: the column split has material {torn[0]} in both parts, {len(torn)} materials in all")
     return notes
 
 
-def _named(found: Sequence[Trace], folder: Path) -> list[Trace]:
-    """Return the traces, each with its name, in the order of the names.
+def _named(found: Sequence[DatasetEntry], folder: Path) -> list[DatasetEntry]:
+    """Return the entries, each with its name, in the order of the names.
 
     The name is the path within the folder without its suffix, or with it where two are alike; then the key and axis of
     a manifest.
     """
-    stems = [_within(_stem(trace.path), folder) + _chosen_part(trace) for trace in found]
+    stems = [_within(_stem(entry.path), folder) + _chosen_part(entry) for entry in found]
     times = Counter(stems)
     named = [
-        replace(trace, name=printable(stem if times[stem] == 1 else _within(trace.path, folder) + _chosen_part(trace)))
-        for stem, trace in zip(stems, found, strict=True)
+        replace(entry, name=printable(stem if times[stem] == 1 else _within(entry.path, folder) + _chosen_part(entry)))
+        for stem, entry in zip(stems, found, strict=True)
     ]
-    return sorted(named, key=lambda trace: trace.name)
+    return sorted(named, key=lambda entry: entry.name)
 
 
-def _chosen_part(trace: Trace) -> str:
-    key, axis = trace.options.get("key"), trace.options.get("axis")
+def _chosen_part(entry: DatasetEntry) -> str:
+    key, axis = entry.options.get("key"), entry.options.get("axis")
     return (f":{key}" if key else "") + (f"_{axis}" if axis else "")
 
 
@@ -385,28 +385,28 @@ def _stem(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
 
 
-def _group(trace: Trace, kind: str) -> str:
-    """Return the material or the subject of a trace. Raises DatasetError where it states none."""
+def _group(entry: DatasetEntry, kind: str) -> str:
+    """Return the material or the subject of an entry. Raises DatasetError where it states none."""
     if kind == "material":
-        return trace.material
-    if not trace.subject:
-        raise DatasetError(f"{trace.name}: states no subject; give a manifest with a column subject")
-    return trace.subject
+        return entry.material
+    if not entry.subject:
+        raise DatasetError(f"{entry.name}: states no subject; give a manifest with a column subject")
+    return entry.subject
 
 
-def _whole_groups(groups: Mapping[str, str], wanted: int, seed: int) -> set[str]:
-    """Return the names in some groups, as near to `wanted` as can be; none where there is but one group."""
+def _whole_groups(groups: Mapping[str, str], target: int, seed: int) -> set[str]:
+    """Return the names in some groups, as near to `target` as can be; none where there is but one group."""
     counts = Counter(groups.values())
     # What sizes some of the groups have together, and the first such groups in the order of the seed.
     together: dict[int, frozenset[str]] = {0: frozenset()}
-    for group in sorted(counts, key=lambda name: _lot(name, seed)):
+    for group in sorted(counts, key=lambda name: _draw_rank(name, seed)):
         for size, chosen in list(together.items()):
             together.setdefault(size + counts[group], chosen | {group})
     sizes = [size for size in sorted(together) if 0 < size < len(groups)]
-    nearest = together[min(sizes, key=lambda size: abs(size - wanted), default=0)]
+    nearest = together[min(sizes, key=lambda size: abs(size - target), default=0)]
     return {name for name, group in groups.items() if group in nearest}
 
 
-def _lot(name: str, seed: int) -> bytes:
+def _draw_rank(name: str, seed: int) -> bytes:
     """Return a number, in bytes, that decides a name's place in the order drawn with a seed."""
     return hashlib.sha256(f"{seed}:{name}".encode()).digest()

@@ -163,7 +163,7 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> f
     except (OSError, soundfile.SoundFileError) as error:
         # libsndfile keeps to itself what was wrong.
         reason = (isinstance(error, OSError) and error.strerror) or error
-        raise TextureError(f"{path}: cannot be written ({reason}); make room, or write elsewhere") from error
+        raise TextureError(f"{path}: cannot be written ({reason}); free some space, or write elsewhere") from error
     return 1.0
 
 
@@ -188,8 +188,8 @@ def read_contents(
         return reduced(contents, axis, reduce, path)
     if axis in (None, own_axis) and reduce is None:
         return contents
-    wanted = f"`axis`={axis}" if axis else f"`reduce`={reduce}"
-    raise TextureError(f"{path}: holds axis {own_axis}; for {wanted} give {path.with_name(path.stem[:-2])}")
+    choice = f"`axis`={axis}" if axis else f"`reduce`={reduce}"
+    raise TextureError(f"{path}: holds axis {own_axis}; for {choice} give {path.with_name(path.stem[:-2])}")
 
 
 def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None) -> Contents:

@@ -49,10 +49,10 @@ def grating(
     _check_positive(pitch_mm=pitch_mm, height_um=height_um, slope_fraction=slope_fraction)
     if slope_fraction > 0.5:
         raise TextureError(f"slope_fraction {slope_fraction}: two flanks of more than half a pitch do not fit")
-    position_mm, shortest_mm = _sweep(seconds, hand_speed_mm_s, rate_hz, pitch_mm)
+    position_mm, min_wave_mm = _sweep(seconds, hand_speed_mm_s, rate_hz, pitch_mm)
     phase = 2 * np.pi * (position_mm / pitch_mm + _random(seed).uniform())
     height = np.zeros(len(position_mm))
-    for order in range(1, min(int(pitch_mm / shortest_mm), MAX_HARMONIC) + 1, 2):
+    for order in range(1, min(int(pitch_mm / min_wave_mm), MAX_HARMONIC) + 1, 2):
         # A square wave, 2 / (pi k), averaged over the width of a flank; np.sinc(x) = sin(pi x) / (pi x).
         height += height_um * 2 / (np.pi * order) * np.sinc(order * slope_fraction) * np.sin(order * phase)
     return Recording(height.reshape(-1, 1), rate_hz, "um", "grating")
@@ -79,8 +79,8 @@ def ridges(
     _check_positive(pitch_mm=pitch_mm, width_mm=width_mm, height_um=height_um)
     if not 0 <= jitter <= 1:
         raise TextureError(f"jitter {jitter}: it must be 0 to 1")
-    position_mm, shortest_mm = _sweep(seconds, hand_speed_mm_s, rate_hz, pitch_mm)
-    width_mm = max(width_mm, shortest_mm / 2)  # the shortest wave is then 43 dB down
+    position_mm, min_wave_mm = _sweep(seconds, hand_speed_mm_s, rate_hz, pitch_mm)
+    width_mm = max(width_mm, min_wave_mm / 2)  # the shortest wave is then 43 dB down
     spacing_mm = width_mm / POINTS_PER_WAVE
     random = _random(seed)
     length_mm = float(np.ptp(position_mm)) + 8 * width_mm
@@ -109,10 +109,10 @@ def rough(
     Waves shorter than what BAND * rate_hz can show at the greatest speed are left out.
     """
     _check_positive(rms_um=rms_um)
-    position_mm, shortest_mm = _sweep(seconds, hand_speed_mm_s, rate_hz)
-    spacing_mm = shortest_mm / POINTS_PER_WAVE
+    position_mm, min_wave_mm = _sweep(seconds, hand_speed_mm_s, rate_hz)
+    spacing_mm = min_wave_mm / POINTS_PER_WAVE
     length_mm = float(np.ptp(position_mm))
-    surface = _self_affine_surface(_random(seed), length_mm, spacing_mm, shortest_mm, hurst, roll_off_mm)
+    surface = _self_affine_surface(_random(seed), length_mm, spacing_mm, min_wave_mm, hurst, roll_off_mm)
     return Recording(_heights_under(rms_um * surface, spacing_mm, position_mm), rate_hz, "um", "rough")
 
 
@@ -324,17 +324,17 @@ def _sweep(
     speed_mm_s = np.asarray(hand_speed_mm_s, np.float64)
     if speed_mm_s.shape not in ((), (count,)):
         raise TextureError(f"hand speed of shape {speed_mm_s.shape}: give one number or {count} of them")
-    greatest_mm_s = float(np.max(np.abs(speed_mm_s)))
-    if not 0 < greatest_mm_s < np.inf:
+    max_speed_mm_s = float(np.max(np.abs(speed_mm_s)))
+    if not 0 < max_speed_mm_s < np.inf:
         raise TextureError("hand speed: it must be finite, and positive somewhere")
-    shortest_mm = greatest_mm_s / (BAND * rate_hz)
-    if pitch_mm < shortest_mm:
+    min_wave_mm = max_speed_mm_s / (BAND * rate_hz)
+    if pitch_mm < min_wave_mm:
         raise TextureError(
-            f"a pitch of {pitch_mm} mm cannot be shown at {greatest_mm_s:g} mm/s and {rate_hz:g} Hz; "
-            f"it must be at least {shortest_mm:.3g} mm"
+            f"a pitch of {pitch_mm} mm cannot be shown at {max_speed_mm_s:g} mm/s and {rate_hz:g} Hz; "
+            f"it must be at least {min_wave_mm:.3g} mm"
         )
     position_mm = np.cumsum(np.broadcast_to(speed_mm_s, count)) / rate_hz
-    return position_mm - position_mm.min(), shortest_mm
+    return position_mm - position_mm.min(), min_wave_mm
 
 
 def _heights_under(surface: Signal, spacing_mm: float, position_mm: Signal) -> Signal:
@@ -349,7 +349,7 @@ def _self_affine_surface(
     random: np.random.Generator,
     length_mm: float,
     spacing_mm: float,
-    shortest_mm: float,
+    min_wave_mm: float,
     hurst: float,
     roll_off_mm: float,
 ) -> Signal:
@@ -359,10 +359,10 @@ def _self_affine_surface(
     _check_positive(roll_off_mm=roll_off_mm)
     if not 0 < hurst < 1:
         raise TextureError(f"hurst {hurst}: it must lie between 0 and 1")
-    count = next_fast_len(int(max(length_mm, 16 * shortest_mm) / spacing_mm) + 2, real=True)
+    count = next_fast_len(int(max(length_mm, 16 * min_wave_mm) / spacing_mm) + 2, real=True)
     wavenumber = rfftfreq(count, spacing_mm)
     density = np.maximum(wavenumber * roll_off_mm, 1) ** -(1 + 2 * hurst)
-    density[(wavenumber == 0) | (wavenumber > 1 / shortest_mm)] = 0
+    density[(wavenumber == 0) | (wavenumber > 1 / min_wave_mm)] = 0
     phases_and_sizes = random.standard_normal(len(density)) + 1j * random.standard_normal(len(density))
     surface: Signal = irfft(np.sqrt(density) * phases_and_sizes, count)
     surface /= surface.std()

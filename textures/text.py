@@ -98,7 +98,7 @@ def signal_of(table: Table, path: Path, rate_hz: float | None = None) -> Content
     if len(times) > 1:
         raise TextureError(f"{path}: {len(times)} columns of times; keep one")
     if not channels:
-        raise TextureError(f"{path}: no column of a signal beside those of a time or an index; add one")
+        raise TextureError(f"{path}: no column of a signal next to those of a time or an index; add one")
     stated_hz = table.rate_hz
     if times:
         column = _TimeColumn(path, table.names[times[0]], table.own_units[times[0]], table.values[:, times[0]])
@@ -147,10 +147,10 @@ def uniform_step(values: Signal, place: str) -> float:
     rises = (steps > 0) & np.isfinite(steps)
     if not rises.all():
         raise TextureError(f"{place}: does not rise after line {int(rises.argmin()) + 1}; sort the lines")
-    usual, longest = float(np.median(steps)), int(steps.argmax())
-    if steps[longest] > 1.5 * usual:
+    usual_step, gap = float(np.median(steps)), int(steps.argmax())
+    if steps[gap] > 1.5 * usual_step:
         raise TextureError(
-            f"{place}: a gap of {steps[longest]:g} after line {longest + 1}, where the usual step is {usual:g}; fill "
+            f"{place}: a gap of {steps[gap]:g} after line {gap + 1}, where the usual step is {usual_step:g}; fill "
             "the gap, or cut the file there"
         )
     worst = int(deviation.argmax())

@@ -22,7 +22,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.models import ModelError
 from vibrocast.textures import dataset
-from vibrocast.textures.dataset import DatasetError, Trace
+from vibrocast.textures.dataset import DatasetEntry, DatasetError
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
     from vibrocast.evaluation.bench import Tally
@@ -127,7 +127,7 @@ def bench(
         programs = external.read_programs(program_list) if program_list else []
         chosen = cells.methods(names, programs, trained.known_models(model_folders))
         found = dataset.read(recordings, leave_out=out)
-        traces = dataset.split(found.traces, part, seed, split_by)
+        traces = dataset.split(found.entries, part, seed, split_by)
         for remark in found.remarks:
             click.echo(remark, err=True)
         kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
@@ -135,7 +135,7 @@ def bench(
         units: dict[str, str] = {}
         removed: dict[str, float] = {}
 
-        def load(trace: Trace) -> textures.Recording:
+        def load(trace: DatasetEntry) -> textures.Recording:
             passed = dataset.load_highpassed(trace, highpass_hz, **options)
             units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
             return passed.recording
@@ -143,7 +143,7 @@ def bench(
         imported: tuple[list[Point], list[Timing]] = ([], [])
         if peers:
             imported = read_imported(peers)
-            check_imported(peers, found.traces, mine, load)
+            check_imported(peers, found.entries, mine, load)
         results = bench.results_folder(out)
         write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
         click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")

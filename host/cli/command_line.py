@@ -155,7 +155,7 @@ def explained(error: Exception, options: Mapping[str, str]) -> click.ClickExcept
     )
     text = re.sub("`([a-z_=A-Z]+)`", lambda quoted: options.get(quoted[1], quoted[0]), str(error))
     if isinstance(error, OSError) and error.errno in DISK_FULL:
-        text = f"{error.filename or 'the output'}: {error.strerror}; make room, or write elsewhere"
+        text = f"{error.filename or 'the output'}: {error.strerror}; free some space, or write elsewhere"
     elif isinstance(error, OSError) and error.filename:
         text = f"{error.filename}: {error.strerror}; check the name and your permissions"
     if isinstance(error, MemoryError):

@@ -87,11 +87,11 @@ def load_all(recordings: Path, options: dict[str, Any]) -> tuple[Recording, ...]
     for remark in found.remarks:
         click.echo(remark, err=True)
     loaded = []
-    for trace in found.traces:
+    for entry in found.entries:
         try:
-            loaded.append(replace(dataset.load(trace, **options), name=trace.name))
+            loaded.append(replace(dataset.load(entry, **options), name=entry.name))
         except TextureError as error:
-            click.echo(f"left out: {trace.name}: {error}", err=True)
+            click.echo(f"left out: {entry.name}: {error}", err=True)
     if not loaded:
         raise DatasetError(f"{recordings}: no recording of it can be loaded; correct them as listed")
     return tuple(loaded)

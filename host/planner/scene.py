@@ -25,7 +25,7 @@ from vibrocast.host.harness.bench_file import (
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Profile, Recording, TextureError
-from vibrocast.textures.dataset import traces
+from vibrocast.textures.dataset import entries
 from vibrocast.textures.files import TEXT_SUFFIXES
 from vibrocast.textures.recording import MAX_CHANNELS
 from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
@@ -397,7 +397,7 @@ def _textures(scene: Scene, table: _Texture) -> list[SceneTexture]:
     paths = [scene.path.parent / file for file in files]
     if len(paths) == 1 and paths[0].is_dir():
         prefix = f"{table.name}/" if table.name else ""
-        return [make(prefix + trace.name, Source((trace.path,), None, options)) for trace in traces(paths[0])]
+        return [make(prefix + entry.name, Source((entry.path,), None, options)) for entry in entries(paths[0])]
     for path in paths:
         if not path.exists():
             raise ValueError(f"file {path} does not exist; correct its name, which is found from the scene's folder")

@@ -469,7 +469,7 @@ def test_says_where_there_is_no_room(
     monkeypatch.setattr("vibrocast.textures.save", full)
     command = ("encode", texture) if name == "out.vct" else ("decode", coded)
     assert fails(2, *command, tmp_path / name).endswith(
-        f"{name}: No space left on device; make room, or write elsewhere\n"
+        f"{name}: No space left on device; free some space, or write elsewhere\n"
     )
     assert not (tmp_path / name).exists()
 

@@ -172,7 +172,7 @@ def test_a_failed_export_leaves_the_model_that_was_there(
     monkeypatch.setattr(model_card, "as_markdown", full)
     failed = vibrocast("export", best, "--name", "other", "--out", exported)
     assert failed.exit_code == 2
-    assert "make room" in failed.stderr
+    assert "free some space" in failed.stderr
     assert {path.name: path.read_bytes() for path in exported.iterdir()} == before
     assert not [path.name for path in exported.parent.iterdir() if path.name.startswith(".")]
 

@@ -287,7 +287,7 @@ def test_result_is_printed_where_the_report_cannot_be_written(
     ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path), "--quick", "--no-flash"])
     assert ran.exit_code == 2
     assert "conforming" in ran.output
-    assert ran.output.splitlines()[-1].endswith("make room, or write elsewhere")
+    assert ran.output.splitlines()[-1].endswith("free some space, or write elsewhere")
     assert list(tmp_path.iterdir()) == []
 
 

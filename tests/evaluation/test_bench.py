@@ -23,7 +23,7 @@ from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import Measurements
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
 from vibrocast.textures import Recording
-from vibrocast.textures.dataset import Trace, load, traces
+from vibrocast.textures.dataset import DatasetEntry, entries, load
 from vibrocast.textures.generate import rough, wood
 
 METHODS = [Method("mdct", ({"step": 1.0}, {"step": 0.25}), "mdct"), Method("flac", ({},), "flac")]
@@ -63,11 +63,11 @@ def run(
     chosen: list[Method] = METHODS,
     repeats: int = 0,
     fresh: bool = False,
-    load: Callable[[Trace], Recording] = load,
+    load: Callable[[DatasetEntry], Recording] = load,
     progress: Callable[[Tally], None] = ignore,
 ) -> Results:
     with Journal(results / bench.JOURNAL, fresh) as journal:
-        return bench.run(traces(folder), load, chosen, repeats, journal, work, progress)
+        return bench.run(entries(folder), load, chosen, repeats, journal, work, progress)
 
 
 def written(results: Path, measured: Results) -> dict[str, bytes]:
@@ -106,7 +106,7 @@ def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path,
         for cell in (("mdct", "step=1"), ("mdct", "step=0.25"), ("flac", ""))
     ]
     assert [(point.trace, point.codec, point.setting) for point in points] == names
-    recording = load(traces(folder)[1])
+    recording = load(entries(folder)[1])
     stream = encode_recording(recording, setting={"step": 0.25}, highpass_hz=None).stream
     stream.save(results / "wood.vct")
     fine = points[4]
@@ -157,7 +157,7 @@ def test_on_all_cores_and_on_a_cluster_the_figures_are_the_same(
 
 @pytest.mark.slow
 def test_a_crash_costs_only_its_cells(folder: Path, results: Path) -> None:
-    def load_deadly(trace: Trace) -> Recording:
+    def load_deadly(trace: DatasetEntry) -> Recording:
         recording = load(trace)
         return Deadly(recording.samples, 2800.0, "um", "rough") if trace.name == "rough" else recording
 
@@ -292,7 +292,7 @@ def test_a_module_that_is_changed_or_renamed_changes_the_version(
 def test_two_at_once_leave_a_journal_of_both(folder: Path, results: Path, whole: dict[str, bytes]) -> None:
     with Journal(results / bench.JOURNAL) as journal:
         assert written(results, run(folder, results, chosen=METHODS[:1])) != whole
-        measured = bench.run(traces(folder), load, METHODS, 0, journal, here, ignore)
+        measured = bench.run(entries(folder), load, METHODS, 0, journal, here, ignore)
     assert written(results, measured) == whole
     assert len((results / bench.JOURNAL).read_bytes().splitlines()) == 4 + 6
 

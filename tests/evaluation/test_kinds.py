@@ -6,10 +6,10 @@ import pytest
 
 from vibrocast.evaluation.kinds import kinds
 from vibrocast.evaluation.points import PointsError
-from vibrocast.textures.dataset import Trace
+from vibrocast.textures.dataset import DatasetEntry
 
 TRACES = [
-    Trace(name, Path("set") / name)
+    DatasetEntry(name, Path("set") / name)
     for name in ("lmt-Brick.wav", "Direct_-_Probe_-_cork_-_slow", "textsense-1.wav", "vibtac12-3.wav", "other.wav")
 ]
 

@@ -18,7 +18,7 @@ from vibrocast.evaluation.points import Failure, Point
 from vibrocast.evaluation.speed import Speed
 from vibrocast.models import Model
 from vibrocast.textures import Recording
-from vibrocast.textures.dataset import Trace
+from vibrocast.textures.dataset import DatasetEntry
 from vibrocast.textures.generate import wood
 
 
@@ -164,7 +164,7 @@ def test_all_traces_make_one_signal() -> None:
 @pytest.mark.slow
 def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path: Path, recording: Recording) -> None:
     (method,) = cells.families([with_rates("two", slice(2))])
-    traces = [Trace("wood", tmp_path / "wood.wav")]
+    traces = [DatasetEntry("wood", tmp_path / "wood.wav")]
 
     def run(name: str, work: Callable[[Iterator[bench.Piece]], bench.Outcomes]) -> list[Measured | Failure]:
         with bench.Journal(tmp_path / name) as journal:

@@ -1,4 +1,4 @@
-"""Tests of a folder as single traces: what is a trace, and the seeded split."""
+"""Tests of a folder as single entries: what is an entry, and the seeded split."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vibrocast import textures
 from vibrocast.textures import TextureError
-from vibrocast.textures.dataset import DatasetError, Trace, load, load_highpassed, read, split, traces
+from vibrocast.textures.dataset import DatasetEntry, DatasetError, entries, load, load_highpassed, read, split
 from vibrocast.textures.generate import wood
 
 REFERENCE = [
@@ -24,14 +24,14 @@ REFERENCE = [
 names = st.builds("Direct_-_probe_-_{}_-_{}".format, st.sampled_from("abcdefg"), st.integers(0, 10**6))
 
 
-def named(wanted: list[str]) -> list[Trace]:
-    return [Trace(name, Path(name)) for name in sorted(wanted)]
+def named(wanted: list[str]) -> list[DatasetEntry]:
+    return [DatasetEntry(name, Path(name)) for name in sorted(wanted)]
 
 
-def write_axes(folder: Path, trace: str, axes: str) -> None:
+def write_axes(folder: Path, entry: str, axes: str) -> None:
     samples = np.random.default_rng(0).normal(size=200)
     for number, axis in enumerate(axes):
-        np.savetxt(folder / f"{trace}_{axis}.txt", samples * (number + 1))
+        np.savetxt(folder / f"{entry}_{axis}.txt", samples * (number + 1))
 
 
 def test_every_kind_of_file_is_a_trace_and_three_axes_are_one(tmp_path: Path) -> None:
@@ -45,17 +45,17 @@ def test_every_kind_of_file_is_a_trace_and_three_axes_are_one(tmp_path: Path) ->
     textures.save(tmp_path / "deeper" / "wood.wav", wood(1, 0.1))
     textures.save(tmp_path / "deeper" / ".cache" / "wood.wav", wood(1, 0.1))
     (tmp_path / "manifest.csv").write_text("file\nwood.wav\n")
-    found, skipped = read(tmp_path).traces, read(tmp_path).skipped
-    assert [trace.name for trace in found] == sorted(
+    found, skipped = read(tmp_path).entries, read(tmp_path).skipped
+    assert [entry.name for entry in found] == sorted(
         ["deeper/wood", "wood.npy", "wood.wav", REFERENCE[0], f"{REFERENCE[1]}_Z"]
     )
     assert [each.file for each in skipped] == ["manifest.csv", "notes.md", "sound.mp3"]
     assert "manifest" in skipped[0].reason
     assert "skipped 3 files: manifest.csv" in read(tmp_path).remarks[0]
-    assert "deeper/wood" not in [trace.name for trace in read(tmp_path, tmp_path / "deeper").traces]
+    assert "deeper/wood" not in [entry.name for entry in read(tmp_path, tmp_path / "deeper").entries]
     together, single = (next(each for each in found if each.name.startswith(name)) for name in REFERENCE[:2])
     assert load(together, unit="m/s^2").rate_hz == 2800
-    x, z = (load(trace, unit="m/s^2", axis=axis) for trace, axis in ((together, "X"), (single, None)))
+    x, z = (load(entry, unit="m/s^2", axis=axis) for entry, axis in ((together, "X"), (single, None)))
     np.testing.assert_allclose(x.samples, z.samples)
     assert together.material == single.material == "polyesterpad"
 
@@ -63,7 +63,7 @@ def test_every_kind_of_file_is_a_trace_and_three_axes_are_one(tmp_path: Path) ->
 def test_a_hand_speed_is_for_profiles_and_the_rate_becomes_whole(tmp_path: Path) -> None:
     textures.save(tmp_path / "wood.wav", wood(0, 0.1))
     textures.save_profile(tmp_path / "profile.csv", textures.surface_profile("grating", seconds=0.1, rate_hz=3000))
-    profile, recording = traces(tmp_path)
+    profile, recording = entries(tmp_path)
     assert load(recording, hand_speed_mm_s=50).rate_hz == 2800
     with pytest.raises(TextureError, match="`stream_rate_hz`"):
         load(profile, hand_speed_mm_s=33.33)
@@ -76,48 +76,48 @@ def test_a_name_that_is_no_text_is_escaped(tmp_path: Path) -> None:
         Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.csv")).write_text("# rate_hz: 2800\n# unit: um\n1\n2\n")
     except OSError:
         pytest.skip("this file system has no such names")
-    (trace,) = traces(tmp_path)
-    assert trace.name == "\\udcff"
-    assert load(trace).rate_hz == 2800
+    (entry,) = entries(tmp_path)
+    assert entry.name == "\\udcff"
+    assert load(entry).rate_hz == 2800
 
 
 def test_folders_without_recordings_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no such folder"):
-        traces(tmp_path / "missing")
+        entries(tmp_path / "missing")
     with pytest.raises(DatasetError, match="no recordings"):
-        traces(tmp_path)
+        entries(tmp_path)
     (tmp_path / "picture.png").touch()
     (tmp_path / "folder.wav").mkdir()
     with pytest.raises(DatasetError, match="no recordings"):
-        traces(tmp_path)
+        entries(tmp_path)
 
 
 def test_the_reference_set_is_split_into_224_and_56() -> None:
     everything = named(REFERENCE)
     train, test = split(everything, "train"), split(everything, "test")
     assert (len(train), len(test)) == (224, 56)
-    assert sorted([*train, *test], key=lambda trace: trace.name) == everything
+    assert sorted([*train, *test], key=lambda entry: entry.name) == everything
     assert split(everything, "all") == everything
     assert split(everything, "test", seed=1) != test
 
 
 def test_the_split_is_the_same_everywhere() -> None:
     everything = named([f"trace {number}" for number in range(10)])
-    assert [trace.name for trace in split(everything, "test", seed=7)] == ["trace 2", "trace 3"]
+    assert [entry.name for entry in split(everything, "test", seed=7)] == ["trace 2", "trace 3"]
 
 
 def test_the_split_by_material_of_the_reference_set() -> None:
     everything = named(REFERENCE)
     test = split(everything, "test", by="material")
     assert len(test) == 70  # 8 materials of 35 traces: two are nearer to 56 than one
-    assert len({trace.material for trace in test}) == 2
+    assert len({entry.material for entry in test}) == 2
     assert len({frozenset(t.material for t in split(everything, "test", seed, "material")) for seed in range(20)}) > 5
 
 
 @given(st.lists(names, min_size=2, unique=True), st.integers(0, 5), st.booleans())
 def test_the_parts_share_nothing_and_make_the_whole(wanted: list[str], seed: int, by_material: bool) -> None:
     everything = named(wanted)
-    materials = {trace.material for trace in everything}
+    materials = {entry.material for entry in everything}
     by = "material" if by_material else "trace"
     if by_material and len(materials) == 1:
         with pytest.raises(DatasetError, match="only one material"):
@@ -125,10 +125,10 @@ def test_the_parts_share_nothing_and_make_the_whole(wanted: list[str], seed: int
         return
     train, test = (split(everything, part, seed, by) for part in ("train", "test"))
     assert train and test
-    assert not {trace.name for trace in train} & {trace.name for trace in test}
+    assert not {entry.name for entry in train} & {entry.name for entry in test}
     assert len(train) + len(test) == len(everything)
     if by_material:
-        assert not {trace.material for trace in train} & {trace.material for trace in test}
+        assert not {entry.material for entry in train} & {entry.material for entry in test}
     else:
         assert len(test) == max(1, round(len(everything) / 5))
 
@@ -150,9 +150,9 @@ def test_options_are_for_the_files_that_leave_them_open(tmp_path: Path) -> None:
     write_axes(tmp_path, REFERENCE[1], "X")
     np.save(tmp_path / "bare.npy", np.ones(20))
     textures.save_profile(tmp_path / "profile.csv", textures.surface_profile("grating", seconds=0.1, rate_hz=3000))
-    found = {trace.name: trace for trace in traces(tmp_path)}
+    found = {entry.name: entry for entry in entries(tmp_path)}
     options: dict[str, Any] = {"rate_hz": 1560.0, "unit": "um", "axis": "Z", "key": "samples", "hand_speed_mm_s": 50}
-    loaded = {name: load(trace, **options) for name, trace in found.items()}
+    loaded = {name: load(entry, **options) for name, entry in found.items()}
     assert {name: (recording.rate_hz, recording.unit) for name, recording in loaded.items()} == {
         "plain": (8000, "full scale"),
         "stated.wav": (2800, "m/s^2"),
@@ -191,9 +191,9 @@ def test_a_manifest_states_what_files_do_not(tmp_path: Path) -> None:
     )
     found = read(path)
     assert found.notes and "columns not used: kind" in found.notes[0] and not found.skipped
-    by_name = {trace.name: trace for trace in found.traces}
+    by_name = {entry.name: entry for entry in found.entries}
     assert list(by_name) == sorted(["deep/a", "b:left", "b:right", f"{REFERENCE[0]}_X"])
-    recordings = {name: load(trace, unit="mm", rate_hz=500) for name, trace in by_name.items()}
+    recordings = {name: load(entry, unit="mm", rate_hz=500) for name, entry in by_name.items()}
     assert recordings["deep/a"].samples[0, 0] == pytest.approx(4) and recordings["deep/a"].unit == "m/s^2"
     assert recordings["b:right"].samples[0, 0] == 2 and recordings["b:right"].rate_hz == 1000
     assert recordings[f"{REFERENCE[0]}_X"].unit == "m/s^2"
@@ -202,9 +202,9 @@ def test_a_manifest_states_what_files_do_not(tmp_path: Path) -> None:
 
 def test_what_a_manifest_states_must_not_contradict_the_file(tmp_path: Path) -> None:
     textures.save(tmp_path / "a.wav", wood(0, 0.1))
-    (trace,) = traces(manifest(tmp_path, "file,rate_hz\na.wav,1000\n"))
+    (entry,) = entries(manifest(tmp_path, "file,rate_hz\na.wav,1000\n"))
     with pytest.raises(TextureError, match="states 2800 Hz"):
-        load(trace)
+        load(entry)
 
 
 @pytest.mark.parametrize(
@@ -238,33 +238,33 @@ def test_other_files_are_no_data_sets(tmp_path: Path) -> None:
         read(tmp_path / "a.wav")
 
 
-def stated(*rows: tuple[str, str, str, str]) -> list[Trace]:
-    return [Trace(name, Path(name), {}, material, subject, part) for name, material, subject, part in rows]
+def stated(*rows: tuple[str, str, str, str]) -> list[DatasetEntry]:
+    return [DatasetEntry(name, Path(name), {}, material, subject, part) for name, material, subject, part in rows]
 
 
 def test_the_split_of_a_manifest_goes_before_any_other() -> None:
     everything = stated(("a", "cork", "", "test"), ("b", "felt", "", "train"), ("c", "foam", "", ""))
-    assert [[trace.name for trace in split(everything, part)] for part in ("train", "test")] == [["b"], ["a"]]
+    assert [[entry.name for entry in split(everything, part)] for part in ("train", "test")] == [["b"], ["a"]]
     assert len(split(everything, "all")) == 3
     assert len(split(everything, "test", by="material")) == 1
-    with pytest.raises(DatasetError, match="marks no trace as train"):
+    with pytest.raises(DatasetError, match="marks no recording as train"):
         split(everything[:1], "train")
 
 
 def test_materials_of_a_manifest_are_never_torn() -> None:
     everything = stated(*((f"{number:02}", "cork" if number % 4 else "felt", "", "") for number in range(20)))
-    assert {trace.material for trace in split(everything, "test")} == {"felt"}
+    assert {entry.material for entry in split(everything, "test")} == {"felt"}
     with pytest.raises(DatasetError, match="split by material"):
         split(everything, "test", by="trace")
     with pytest.raises(DatasetError, match="x: its name does not state the material"):
-        split([*everything, Trace("x", Path("x"))], "test")
+        split([*everything, DatasetEntry("x", Path("x"))], "test")
 
 
 def test_a_split_by_subject() -> None:
     everything = stated(*((f"{number:02}", "cork", "anna" if number % 4 else "ben", "") for number in range(20)))
-    assert {trace.subject for trace in split(everything, "test", by="subject")} == {"ben"}
+    assert {entry.subject for entry in split(everything, "test", by="subject")} == {"ben"}
     with pytest.raises(DatasetError, match="x: states no subject"):
-        split([*everything, Trace("x", Path("x"))], "test", by="subject")
+        split([*everything, DatasetEntry("x", Path("x"))], "test", by="subject")
 
 
 def test_a_material_in_both_parts_is_told(tmp_path: Path) -> None:
@@ -278,9 +278,11 @@ def test_a_high_pass_goes_before_the_resampling(tmp_path: Path) -> None:
     texture = wood(1, 1.0)
     for name, added in (("flat", 0.0), ("gravity", 9.81)):
         textures.save(tmp_path / f"{name}.csv", textures.Recording(texture.samples + added, 3000.5, "m/s^2", name))
-    flat, gravity = (load_highpassed(Trace(name, tmp_path / f"{name}.csv"), 20.0, 2800) for name in ("flat", "gravity"))
+    flat, gravity = (
+        load_highpassed(DatasetEntry(name, tmp_path / f"{name}.csv"), 20.0, 2800) for name in ("flat", "gravity")
+    )
     np.testing.assert_allclose(gravity.recording.samples, flat.recording.samples, atol=1e-4)
     assert gravity.removed_energy > flat.removed_energy
     np.save(tmp_path / "drive.npy", np.full(900, 0.5))
-    drive = load_highpassed(Trace("drive", tmp_path / "drive.npy"), 20.0, unit="drive", rate_hz=2800)
+    drive = load_highpassed(DatasetEntry("drive", tmp_path / "drive.npy"), 20.0, unit="drive", rate_hz=2800)
     assert drive.highpass_hz is None and np.all(drive.recording.samples == 0.5)

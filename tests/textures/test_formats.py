@@ -135,7 +135,7 @@ def test_what_no_format_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     with pytest.raises(TextureError, match="`sixteen_bit` is for a"):
         save(tmp_path / "a.csv", recording, sixteen_bit=True)
     for suffix in (".wav", ".csv", ".npy", ".mat"):
-        with pytest.raises(TextureError, match=r"cannot be written .*; make room, or write elsewhere"):
+        with pytest.raises(TextureError, match=r"cannot be written .*; free some space, or write elsewhere"):
             save(tmp_path / "missing" / f"a{suffix}", recording)
     monkeypatch.setattr("vibrocast.textures.mat.MAX_BYTES", 100)
     with pytest.raises(TextureError, match=r"more than the 2 GiB that a \.mat file holds"):
