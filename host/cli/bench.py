@@ -18,6 +18,7 @@ from vibrocast.host.cli.options import (
     BadInput,
     chosen_highpass_hz,
     command_run,
+    own_models_option,
     recording_options,
 )
 from vibrocast.models import ModelError
@@ -55,13 +56,7 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     metavar="NAME,NAME,...",
     help="Codecs, or single sets of rate points of their settings; all if not given.",
 )
-@click.option(
-    "--models",
-    "model_folders",
-    type=INPUT,
-    multiple=True,
-    help="Folder of a model of your own, as `vibrocast export` writes it, beside those that ship; may be repeated.",
-)
+@own_models_option
 @click.option("--programs", "program_list", type=INPUT, help="TOML file that lists codecs in programs of your own.")
 @click.option("--peers", type=INPUT, help="CSV of others' points on the same traces, to compare with.")
 @click.option(

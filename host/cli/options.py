@@ -132,6 +132,13 @@ model_option = click.option(
     metavar="NAME|FOLDER|IMAGE",
     help="A trained model that `vibrocast models` lists, a folder that `vibrocast export` wrote, or a model image.",
 )
+own_models_option = click.option(
+    "--models",
+    "model_folders",
+    type=INPUT,
+    multiple=True,
+    help="Add a model of your own: a folder that `vibrocast export` wrote; may be repeated.",
+)
 codec_option = click.option(
     "--codec",
     "codec_name",

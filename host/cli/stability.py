@@ -14,6 +14,7 @@ from vibrocast.host.cli.options import (
     INPUT,
     BadInput,
     command_run,
+    own_models_option,
     recording_options,
 )
 from vibrocast.models import ModelError
@@ -24,13 +25,7 @@ from vibrocast.textures.dataset import DatasetError
 @click.command()
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the page.")
 @click.option("--codecs", "names", metavar="NAME,...", help="Codecs, or families of models, to try; all if not given.")
-@click.option(
-    "--models",
-    "model_folders",
-    type=INPUT,
-    multiple=True,
-    help="Folder of a model of your own, as `vibrocast export` writes it, beside those that ship; may be repeated.",
-)
+@own_models_option
 @click.option("--peers-edge", type=INPUT, help="CSV of what other codecs do with hard signals, joined to the page.")
 @click.option("--recordings", type=INPUT, help="Folder or manifest of recordings of your own, for a map of them.")
 @click.option("--maps", "map_names", metavar="NAME,...", help="Maps to make, such as recordings. Default: all.")
@@ -57,22 +52,22 @@ def stability(
     from vibrocast.evaluation.stability import page
     from vibrocast.evaluation.stability.maps import Scope, methods
     from vibrocast.evaluation.stability.peers import PeersError, read_peers
-    from vibrocast.host.stability import report
+    from vibrocast.host.stability import MAPS, make_maps
 
     try:
         chosen = methods(None if names is None else names.split(","), trained.known_models(model_folders))
         peers = read_peers(peers_edge) if peers_edge else []
         chosen_maps = [] if map_names is None else map_names.split(",")
-        if unknown := set(chosen_maps) - {each.name for each in report.MAPS}:
-            raise BadInput(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in report.MAPS)}")
+        if unknown := set(chosen_maps) - {each.name for each in MAPS}:
+            raise BadInput(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in MAPS)}")
         if "recordings" in chosen_maps and recordings is None:
             raise BadInput("the map of recordings needs them; give a folder or manifest: --recordings")
         own = load_all(recordings, options) if recordings else ()
         page.folder_in(out)  # what cannot be written is better known before than after
     except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
-    with progress.bar("trying") as update:
-        cells = report.make(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
+    with progress.bar("testing") as update:
+        cells = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
     outcomes = Counter(cell.outcome for cell in cells)
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
     click.echo(f"{out / page.PAGE}: {len(cells)} trials, {counts}")

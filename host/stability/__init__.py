@@ -1,7 +1,5 @@
-"""Stability maps that need the host's player, and the report that joins them with those of evaluation."""
+"""Stability maps: `make_maps` joins the maps that need the host's player with those of evaluation."""
 
-from vibrocast.evaluation.stability import trials
-from vibrocast.host.controller import ControllerError
+from vibrocast.host.stability.report import MAPS, make_maps
 
-CLEAR_ERRORS = (*trials.CLEAR_ERRORS, ControllerError)
-"""Errors that tell a person what to do, those of controllers included."""
+__all__ = ["MAPS", "make_maps"]

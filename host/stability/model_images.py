@@ -20,8 +20,7 @@ from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verd
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
-from vibrocast.host.stability import CLEAR_ERRORS
-from vibrocast.host.stability.transport import flash_with
+from vibrocast.host.stability.transport import CLEAR_ERRORS, flash_with
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.memory_link import MemoryLink
 
@@ -35,7 +34,7 @@ def _stream(rate_point: RatePoint) -> Stream:
 
 
 def _with_payload(rate_point: RatePoint, payload: bytes) -> bytes:
-    """Return a model's image, packed anew with another payload: its CRC is right."""
+    """Return a model's image, packed again with another payload: its CRC is right."""
     assert rate_point.image is not None, "a learned method has models"
     return replace(ModelImage.unpack(rate_point.image), payload=payload).pack()
 
@@ -48,11 +47,11 @@ def _changed(rate_point: RatePoint, place_percent: float) -> bytes:
 
 
 def measure_changed(rate_point: RatePoint, runtime: str, place_percent: float) -> Measured:
-    """Decode with a changed payload that nothing vouches against; judge by what comes out. Raises CodecError."""
+    """Decode with a changed payload that nothing vouches against; rate what comes out. Raises CodecError."""
     stream = _stream(rate_point)
     payloads = ModelImage.unpack(rate_point.image or b"").payload, _changed(rate_point, place_percent)
-    wanted, heard = (_decoded(stream, payload, runtime) for payload in payloads)
-    snr_db = codec.snr_db(wanted, heard)
+    expected, came = (_decoded(stream, payload, runtime) for payload in payloads)
+    snr_db = codec.snr_db(expected, came)
     assert snr_db is not None, "a texture is not silent"
     if math.isinf(snr_db):
         return Measured(Outcome.HOLDS, {"snr_db": None})

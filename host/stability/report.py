@@ -1,4 +1,4 @@
-"""All maps, tried and written by one call."""
+"""All maps, measured and written by one call."""
 
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -17,12 +17,7 @@ from vibrocast.evaluation.stability.recordings import RECORDINGS
 from vibrocast.evaluation.stability.signals import ONSETS, SIGNALS
 from vibrocast.evaluation.stability.trials import Verdict, run
 from vibrocast.host.stability.model_images import IMAGES
-from vibrocast.host.stability.transport import (
-    DRIFT,
-    FLIPS,
-    JITTER,
-    LOSS,
-)
+from vibrocast.host.stability.transport import DRIFT, FLIPS, JITTER, LOSS
 
 MAPS = (
     RECORDINGS,
@@ -49,7 +44,7 @@ MAPS = (
 )
 
 
-def make(
+def make_maps(
     out: Path,
     scope: Scope,
     command: str,
@@ -57,10 +52,10 @@ def make(
     progress: Callable[[float, str], None] = lambda part, details: None,
     chosen: Collection[str] = (),
 ) -> list[Verdict]:
-    """Try every map, write them and the page into the folder `out`, return what was tried. Raises OSError.
+    """Measure every map, write them and the page into the folder `out`, return the verdicts. Raises OSError.
 
     `command`: what was run, for the page. `imported`: cells that were measured elsewhere, which join the page.
-    `progress` is called with the part that is done, from 0 to 1, and what was tried last. `chosen`: names of maps, all
+    `progress` is called with the part that is done, from 0 to 1, and the last trial. `chosen`: names of maps, all
     if none.
     """
     maps = [each for each in MAPS if not chosen or each.name in chosen]

@@ -1,4 +1,4 @@
-"""Bad lines: whole playbacks by the host's player on the simulated controller, in simulated time."""
+"""Bad links: whole playbacks by the host's player on the simulated controller, in simulated time."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,20 +12,22 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Configure, Start, Status, StreamData
-from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability import pictures, trials
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
+from vibrocast.host.controller import ControllerError
 from vibrocast.host.player import BUFFER_S, play
-from vibrocast.host.stability import CLEAR_ERRORS
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
 from vibrocast.simulated_device.flash import FlashMemory
 from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
 
+CLEAR_ERRORS = (*trials.CLEAR_ERRORS, ControllerError)
+"""Errors that tell a person what to do, those of controllers included."""
 SECONDS = 5.0
 LOOPS = 4
 OFF_PART = 0.01
@@ -44,7 +46,7 @@ BUFFERS_S = (BUFFER_S, 0.1, 1.0)
 
 
 @dataclass(frozen=True)
-class Line:
+class LinkFaults:
     """What is wrong between host and controller. `lost`, `flipped`: chance of each frame, in both directions.
 
     `stall_s`: how long nothing goes through, about every STALLS_EVERY_S. `drift_ppm`: of the controller's clock.
@@ -84,7 +86,7 @@ def _stream(rate_point: RatePoint) -> tuple[Stream, NDArray[np.int16]]:
 
 @lru_cache(maxsize=1)
 def flash_with(image: bytes | None) -> FlashMemory:
-    """Return the memory of a controller that has a model image, flashed over a faultless line, or none."""
+    """Return the memory of a controller that has a model image, uploaded over a faultless link, or none."""
     flash = FlashMemory(FLASH_BYTES)
     if image is not None:
         link = MemoryLink(Controller(flash=flash))
@@ -92,37 +94,37 @@ def flash_with(image: bytes | None) -> FlashMemory:
     return flash
 
 
-def measure(rate_point: RatePoint, line: Line, buffer_s: float = BUFFER_S) -> Measured:
-    """Play the texture LOOPS times over a line; judge what came to the DAC. Raises ControllerError and the like."""
-    stream, wanted = _stream(rate_point)
+def measure(rate_point: RatePoint, faults: LinkFaults, buffer_s: float = BUFFER_S) -> Measured:
+    """Play the texture LOOPS times over a faulty link; rate what came to the DAC. Raises as `player.play`."""
+    stream, expected = _stream(rate_point)
     played: list[NDArray[np.int16]] = []
-    controller = Controller(Settings(drift_ppm=line.drift_ppm), flash_with(rate_point.image), on_dac=played.append)
+    controller = Controller(Settings(drift_ppm=faults.drift_ppm), flash_with(rate_point.image), on_dac=played.append)
     link: MemoryLink
-    if line.stall_s:
-        link = StallingLink(controller, line.stall_s)
+    if faults.stall_s:
+        link = StallingLink(controller, faults.stall_s)
     else:
-        link = MemoryLink(controller, *(FaultyLine(seed, line.lost, line.flipped) for seed in (1, 2)))
+        link = MemoryLink(controller, *(FaultyLine(seed, faults.lost, faults.flipped) for seed in (1, 2)))
     packet_samples = stream.decoder().packet_samples
     host = Host(link, link.clock, link.sleep)
     result = play(host, stream.header, stream.packets, packet_samples, loops=LOOPS, buffer_s=buffer_s)
     codes = np.concatenate(played).astype(np.float64)
-    return judge(wanted.astype(np.float64), codes, result.underruns, result.lost_packets, result.reconnects)
+    return rate_codes(expected.astype(np.float64), codes, result.underruns, result.lost_packets, result.reconnects)
 
 
-def judge(
-    wanted: NDArray[np.float64], codes: NDArray[np.float64], underruns: int, lost_packets: int, reconnects: int
+def rate_codes(
+    expected: NDArray[np.float64], codes: NDArray[np.float64], underruns: int, lost_packets: int, reconnects: int
 ) -> Measured:
     """Return the outcome of a playback from the codes (n, 1) that the DAC should have had and those that it had."""
-    length = max(len(wanted), len(codes))
+    length = max(len(expected), len(codes))
     error = np.zeros((length, 1))
-    error[: len(wanted)] = wanted
+    error[: len(expected)] = expected
     error[: len(codes)] -= codes
-    share = float(np.mean(np.abs(error) > OFF_PART * np.abs(wanted).max()))
+    share = float(np.mean(np.abs(error) > OFF_PART * np.abs(expected).max()))
     noise = float(np.sum(error**2))
-    steps = [np.abs(np.diff(each, axis=0, prepend=0)).max() for each in (codes, wanted)]
+    steps = [np.abs(np.diff(each, axis=0, prepend=0)).max() for each in (codes, expected)]
     figures = {
         "off_share": share,
-        "snr_db": 10 * math.log10(float(np.sum(wanted**2)) / noise) if noise else math.inf,
+        "snr_db": 10 * math.log10(float(np.sum(expected**2)) / noise) if noise else math.inf,
         "underruns": underruns,
         "lost_packets": lost_packets,
         "reconnects": reconnects,
@@ -139,7 +141,7 @@ def judge(
 
 
 def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
-    """Play from a source that sends each packet when its own clock says so; judge by the packets that came too late.
+    """Play from a source that sends each packet when its own clock says so; rate it by the packets that came too late.
 
     Raises ControllerError and the like.
     """
@@ -174,7 +176,7 @@ def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
 
 
 def _trials(
-    name: str, values: Sequence[float], line: Callable[[float], Line], buffers_s: Sequence[float], scope: Scope
+    name: str, values: Sequence[float], faults: Callable[[float], LinkFaults], buffers_s: Sequence[float], scope: Scope
 ) -> list[Trial]:
     chosen = (values[0], values[-1]) if scope.quick else values
     return [
@@ -184,7 +186,7 @@ def _trials(
             f"buffer of {buffer_s:g} s",
             middle_rate_point(method).text,
             float(value),
-            partial(measure, middle_rate_point(method), line(value), buffer_s),
+            partial(measure, middle_rate_point(method), faults(value), buffer_s),
             clear_errors=CLEAR_ERRORS,
         )
         for method in scope.methods
@@ -197,7 +199,7 @@ def _drift_trials(scope: Scope) -> list[Trial]:
     """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
     first, rate_point = scope.methods[0], middle_rate_point(scope.methods[0])
     return [
-        *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: Line(drift_ppm=round(ppm)), (BUFFER_S,), scope),
+        *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: LinkFaults(drift_ppm=round(ppm)), (BUFFER_S,), scope),
         *(
             Trial(
                 DRIFT.name,
@@ -246,7 +248,7 @@ LOSS = Map(
     "Lost frames",
     _RULES,
     "{} %",
-    partial(_trials, "loss", LOSSES_PERCENT, lambda percent: Line(lost=percent / 100), (BUFFER_S,)),
+    partial(_trials, "loss", LOSSES_PERCENT, lambda percent: LinkFaults(lost=percent / 100), (BUFFER_S,)),
     partial(_draw, "frames that are lost, %", True),
     folder=Path(__file__).parent / "about",
 )
@@ -255,7 +257,7 @@ FLIPS = Map(
     "Damaged frames",
     _RULES,
     "{} %",
-    partial(_trials, "bit_flips", DAMAGES_PERCENT, lambda percent: Line(flipped=percent / 100), (BUFFER_S,)),
+    partial(_trials, "bit_flips", DAMAGES_PERCENT, lambda percent: LinkFaults(flipped=percent / 100), (BUFFER_S,)),
     partial(_draw, "frames that are damaged, %", True),
     folder=Path(__file__).parent / "about",
 )
@@ -273,7 +275,7 @@ JITTER = Map(
     "Buffer against stalls",
     {**_RULES, "stalls_every_s": STALLS_EVERY_S},
     "{} s",
-    partial(_trials, "buffer", STALLS_S, lambda stall_s: Line(stall_s=stall_s), BUFFERS_S),
+    partial(_trials, "buffer", STALLS_S, lambda stall_s: LinkFaults(stall_s=stall_s), BUFFERS_S),
     partial(_draw, "length of a stall, s", True),
     folder=Path(__file__).parent / "about",
 )

@@ -34,7 +34,8 @@ from vibrocast.evaluation.stability.known_causes import explanation, known_cause
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
 from vibrocast.host.cli.stability import stability
-from vibrocast.host.stability import CLEAR_ERRORS, model_images, report, transport
+from vibrocast.host.stability import MAPS, model_images, report, transport
+from vibrocast.host.stability.transport import CLEAR_ERRORS
 from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood
@@ -259,21 +260,21 @@ def played_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_rules_for_playbacks() -> None:
     wanted = np.round(1000 * np.sin(np.arange(1000) / 5)).reshape(-1, 1)
-    assert transport.judge(wanted, wanted, 0, 0, 0).outcome is Outcome.HOLDS
+    assert transport.rate_codes(wanted, wanted, 0, 0, 0).outcome is Outcome.HOLDS
     for half_periods, outcome in ((2, Outcome.HOLDS), (20, Outcome.DEGRADED), (50, Outcome.FAILS)):
         lost = wanted * (np.arange(1000)[:, None] > half_periods * np.pi * 5)
-        measured = transport.judge(wanted, lost, 1, 2, 0)
+        measured = transport.rate_codes(wanted, lost, 1, 2, 0)
         assert measured.outcome is outcome
         assert measured.figures["off_share"] == pytest.approx(half_periods * np.pi / 200, abs=0.01)
     click = wanted.copy()
     click[500] = 3000
-    assert transport.judge(wanted, click, 0, 0, 0).outcome is Outcome.FAILS
-    assert transport.judge(wanted, wanted[:100], 0, 0, 0).outcome is Outcome.FAILS
+    assert transport.rate_codes(wanted, click, 0, 0, 0).outcome is Outcome.FAILS
+    assert transport.rate_codes(wanted, wanted[:100], 0, 0, 0).outcome is Outcome.FAILS
 
 
 @pytest.mark.usefixtures("played_once")
 def test_a_longer_stall_than_the_buffer_is_heard_and_a_shorter_is_not() -> None:
-    short, long = (transport.measure(STEP, transport.Line(stall_s=stall_s), 0.3) for stall_s in (0.05, 1.0))
+    short, long = (transport.measure(STEP, transport.LinkFaults(stall_s=stall_s), 0.3) for stall_s in (0.05, 1.0))
     assert (short.outcome, short.figures["off_share"]) == (Outcome.HOLDS, 0)
     assert long.figures["underruns"] > 0  # type: ignore[operator]
 
@@ -318,7 +319,7 @@ def test_a_trained_model_is_tried_as_codecs_are() -> None:
 
 @pytest.mark.usefixtures("played_once")
 def test_a_controller_with_the_model_plays_it_and_one_without_rejects() -> None:
-    assert transport.measure(LEARNED, transport.Line()).outcome is Outcome.HOLDS
+    assert transport.measure(LEARNED, transport.LinkFaults()).outcome is Outcome.HOLDS
     for image in (None, dataclasses.replace(ModelImage.unpack(TINY.image), version="another").pack()):
         tried = trial(partial(model_images.measure_on_controller, LEARNED, image), to_be_rejected=True)
         rejected = attempt(dataclasses.replace(tried, clear_errors=CLEAR_ERRORS))
@@ -474,7 +475,7 @@ def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
 
 
 def test_causes_are_about_maps_that_there_are() -> None:
-    names = {each.name for each in report.MAPS} | {peers.PEERS.name}
+    names = {each.name for each in MAPS} | {peers.PEERS.name}
     assert {cause.map for cause in known_causes()} <= names
     assert all(len(explanation(cell(outcome))) == 2 for outcome in (Outcome.REJECTED, Outcome.DEGRADED, Outcome.FAILS))
 
@@ -482,7 +483,7 @@ def test_causes_are_about_maps_that_there_are() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("played_once")
 def test_every_map_on_a_tiny_grid(tmp_path: Path) -> None:
-    for each in report.MAPS:
+    for each in MAPS:
         trials = each.trials(QUICK)
         assert trials and all(made.map == each.name for made in trials)
         cells = [attempt(made) for made in trials[:1]]
