@@ -9,9 +9,17 @@ import click
 
 from studies.page import errors_in_one_line, render, write
 from vibrocast.host import live
-from vibrocast.host.harness import bench_file, measurements
+from vibrocast.host.harness import (
+    PARTS,
+    Latency,
+    MinLatency,
+    bench_file,
+    find_min_latency,
+    machine,
+    measure_latency,
+    subject,
+)
 from vibrocast.host.harness.bench_file import Bench, BenchController
-from vibrocast.host.harness.latency import PARTS, Latency, SmallestDelay, measure, smallest
 
 ADDRESSES = ("sim", "sim-usb", "host", "cortex-m4", "cortex-m7")
 # A computer that does other work as well delays some runs: the median of these is shown.
@@ -28,19 +36,19 @@ def main(path: Path, addresses: tuple[str, ...]) -> None:
     for address in addresses:
         bench = Bench((BenchController(address, address),))
         with bench_file.connect(bench, bench.first) as controller:
-            subject = measurements.subject(bench, controller)
-            texture = subject.scene[0]
-            runs = sorted((measure(controller, subject.actuator, texture) for _ in range(RUNS)), key=_total_ms)
+            measured = subject(bench, controller)
+            texture = measured.scene[0]
+            runs = sorted((measure_latency(controller, measured.actuator, texture) for _ in range(RUNS)), key=_total_ms)
             budgets[address] = runs
-            searches[address] = smallest(controller, subject.actuator, texture)
+            searches[address] = find_min_latency(controller, measured.actuator, texture)
         click.echo(f"{address}: {statistics.median(map(_total_ms, runs)):.1f} ms", err=True)
     command = shlex.join(["python", "-m", "studies.latency", *sys.argv[1:]])
     with errors_in_one_line():
-        write(path, page(budgets, searches, measurements.machine(), command))
+        write(path, page(budgets, searches, machine(), command))
 
 
 def page(
-    budgets: dict[str, list[Latency]], searches: dict[str, SmallestDelay], machine: dict[str, str], command: str
+    budgets: dict[str, list[Latency]], searches: dict[str, MinLatency], machine: dict[str, str], command: str
 ) -> str:
     """Return the page, of what was measured by address. `budgets`: runs with default buffers, sorted by their total."""
     middle = {address: _middle(runs) for address, runs in budgets.items()}

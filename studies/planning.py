@@ -24,7 +24,7 @@ from vibrocast.host.planner.plan_file import prepared
 from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import Profile, Recording, TextureError
-from vibrocast.textures.dataset import entries
+from vibrocast.textures.dataset import DatasetEntry, entries
 
 ADDRESS, CORE, CLOCK_HZ = "cortex-m4", "M4F", 168e6
 HAND_SPEED_MM_S = 50.0

@@ -1,1 +1,44 @@
-"""The hardware-in-the-loop harness: a pytest plugin, measurements of a controller on its bench, their report."""
+"""The hardware-in-the-loop harness: measures a controller on its bench, reports, and compares with an earlier run.
+
+pytest imports this package in every project, for the plugin: all else is loaded at its first use.
+"""
+
+# ruff: noqa: F403, F405 - type checkers find the names of __all__ in these modules
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vibrocast.host.harness.latency import *
+    from vibrocast.host.harness.measurements import *
+    from vibrocast.host.harness.results import *
+    from vibrocast.host.harness.run import *
+
+__all__ = [
+    "ACTUATOR",
+    "JSON",
+    "NAMES",
+    "PAGE",
+    "PARTS",
+    "Latency",
+    "MinLatency",
+    "Results",
+    "compare",
+    "figures",
+    "find_min_latency",
+    "machine",
+    "measure_bench",
+    "measure_latency",
+    "read_results",
+    "subject",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name at its first use."""
+    if name in __all__:
+        for module in ("results", "latency", "measurements", "run"):
+            names = vars(import_module(f"{__name__}.{module}"))
+            if name in names:
+                return names[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

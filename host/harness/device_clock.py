@@ -9,8 +9,8 @@ from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controll
 
 # Round trips kept: those that no queue on the way has held up.
 _KEPT_PART = 0.25
-_FEWEST_KEPT = 8
-# A read is given up so long before its time, for it may take longer than asked: USB counts in whole milliseconds.
+_MIN_KEPT = 8
+# A read is given up so long before its time, for it may take longer than requested: USB counts in whole milliseconds.
 _READ_EARLY_S = 0.001
 _MIN_READ_S = 1e-6
 
@@ -37,31 +37,31 @@ class ClockFit:
 class DeviceClock:
     """Collects Status round trips with a controller, none of which is waited for: a slow link holds nothing up.
 
-    `trips`: of each, by the number it was asked under, when it was asked and answered, and the answer.
+    `trips`: of each, by the number it was requested under, when it was requested and answered, and the answer.
     """
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
-        self._asked: tuple[int, float] | None = None
+        self._pending: tuple[int, float] | None = None
         self.trips: dict[int, tuple[float, float, Status]] = {}
 
     def ask(self, number: int) -> None:
         """Ask, unless an answer is still awaited. Raises TransportError."""
         now_s = self._controller.clock()
-        if self._asked is None or now_s - self._asked[1] > ANSWER_TIMEOUT_S:
-            self._asked = number, now_s
+        if self._pending is None or now_s - self._pending[1] > ANSWER_TIMEOUT_S:
+            self._pending = number, now_s
             self._controller.ask_status()
 
     def sleep(self, seconds: float) -> None:
         """Let time pass and take in what is answered. Raises as `Controller.poll`."""
         until_s = self._controller.clock() + seconds
         read_until_s = until_s - _READ_EARLY_S
-        while self._asked is not None and (left_s := read_until_s - self._controller.clock()) >= _MIN_READ_S:
+        while self._pending is not None and (left_s := read_until_s - self._controller.clock()) >= _MIN_READ_S:
             answer = self._controller.poll(left_s)
             if isinstance(answer, Status):
-                number, asked_s = self._asked
-                self.trips[number] = asked_s, self._controller.clock(), answer
-                self._asked = None
+                number, requested_s = self._pending
+                self.trips[number] = requested_s, self._controller.clock(), answer
+                self._pending = None
         self._controller.sleep(max(0.0, until_s - self._controller.clock()))
 
     def fit(self) -> ClockFit:
@@ -76,7 +76,7 @@ class DeviceClock:
             [(sent_s, answered_s, status.device_time_us / 1e6) for sent_s, answered_s, status in self.trips.values()]
         ).T
         round_trips_s = answered_s - sent_s
-        kept = np.argsort(round_trips_s, kind="stable")[: max(_FEWEST_KEPT, round(_KEPT_PART * len(round_trips_s)))]
+        kept = np.argsort(round_trips_s, kind="stable")[: max(_MIN_KEPT, round(_KEPT_PART * len(round_trips_s)))]
         middle_s = (sent_s[kept] + answered_s[kept]) / 2
         host_s, offset_s = float(np.mean(middle_s)), device_s[kept] - middle_s
         spread = float(np.sum(np.square(middle_s - host_s)))

@@ -42,7 +42,7 @@ class Fidelity:
     are bit for bit what the host computes; None where the controller has no read-back. `coding_snr_db`: of the decoded
     signal, in the texture's unit; `decoded_snr_db`: of the same as displacement above 20 Hz, for which acceleration is
     integrated twice: the codec's noise at low frequencies weighs most then. The rest is of that displacement at the
-    skin, `source` says by what it is known: `snr_db` and `st_sim` hold it against the texture, `playing_snr_db` against
+    skin, `source` says by what it is known: `snr_db` and `st_sim` compare it with the texture, `playing_snr_db` with
     the decoded signal, which leaves the codec out.
     `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock.
     """
@@ -62,7 +62,7 @@ class Fidelity:
     spectrum: Spectrum
 
 
-def measure(
+def measure_fidelity(
     controller: Controller,
     address: str,
     texture: Recording,
@@ -74,7 +74,7 @@ def measure(
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     progress: Callable[[float], None] | None = None,
 ) -> Fidelity:
-    """Play the first channel of a texture and hold the skin against what was sent.
+    """Play the first channel of a texture and compare the skin with what was sent.
 
     `actuator`: the one that the controller works with. `recorder`: the sensor on that channel; None = the DAC's codes
     through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
@@ -101,7 +101,7 @@ def measure(
             recorded, source = finish(), sensor_name
     rate_hz = round(sent.rate_hz)
     recorded_um = displacement_above_20_hz(recorded, rate_hz)
-    sent_um, decoded_um = (_high_passed(trace.displacement_um[:, 0], rate_hz) for trace in (sent, decoded))
+    sent_um, decoded_um = (_high_passed(signal.displacement_um[:, 0], rate_hz) for signal in (sent, decoded))
     margin = np.zeros(rate_hz // 10)  # the model's skin has no time before and after
     laid = align(sent_um, np.concatenate((margin, recorded_um, margin)), rate_hz)
     laid_on_decoded = align(decoded_um, np.concatenate((margin, recorded_um, margin)), rate_hz)

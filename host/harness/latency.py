@@ -1,4 +1,4 @@
-"""Measures the delay from a block's last sample at the host to the DAC, part by part, and the least that is stable."""
+"""Measures the delay from a block's last sample at the host to the DAC, by part; searches the lowest that is stable."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ PARTS = {
     "drive": "resampling to the DAC's rate and the compensation's low-pass",
     "dac": "one DAC sample, by which the compensation looks back",
 }
-# A trial of the search is as long as some hundred packets; what it finds is tried once more for longer.
+# A trial of the search is as long as some hundred packets; what it finds is measured once more, for longer.
 TRIAL_S = 1.5
 MARGINS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
 HOPS = ("16", "32")
@@ -47,8 +47,8 @@ class Latency:
     """The delay of a live stream, from a block's last sample at the host to the DAC.
 
     `parts`: by the names of PARTS. `total_ms`: the median, the sum of what a sample waits; every sample of a stream has
-    the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, held against when their
-    samples were taken. `margin_ms`: what was asked for as the time that packets lie ready. `stable`: no underrun and no
+    the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, relative to when their
+    samples were taken. `margin_ms`: the time that packets should lie ready. `stable`: no underrun and no
     lost packet. `as_sent`: what the controller decoded, as far as it keeps that, is bit for bit what the packets hold.
     """
 
@@ -74,7 +74,7 @@ class Latency:
 
 @dataclass(frozen=True)
 class Trial:
-    """One setting that the search for the least delay has tried; `total_ms` is None where it was not stable."""
+    """One setting that the search for the lowest delay has measured; `total_ms` is None where it was not stable."""
 
     hop: str
     margin_ms: float
@@ -82,14 +82,14 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class SmallestDelay:
-    """What the search has found: the least stable delay, None where nothing was stable, and all trials."""
+class MinLatency:
+    """What the search has found: the lowest stable delay, None where nothing was stable, and all trials."""
 
     found: Latency | None
     trials: tuple[Trial, ...]
 
 
-def measure(
+def measure_latency(
     controller: Controller,
     actuator: Actuator,
     texture: Recording,
@@ -172,7 +172,7 @@ def measure(
     )
 
 
-def smallest(
+def find_min_latency(
     controller: Controller,
     actuator: Actuator,
     texture: Recording,
@@ -180,19 +180,20 @@ def smallest(
     seconds: float = 4.0,
     rate_hz: int = 2800,
     progress: Callable[[float], None] | None = None,
-) -> SmallestDelay:
-    """Search the least delay that is stable: for each length of a block, the margin down until it fails twice.
+) -> MinLatency:
+    """Search the lowest delay that is stable: for each length of a block, the margin down until it fails twice.
 
-    The best is tried again for `seconds`, and given up for the next where it does not hold. Raises as `measure`.
+    The best is measured again for `seconds`, and given up for the next where it does not hold. Raises as
+    `measure_latency`.
     """
     trials: list[Trial] = []
     stable: list[tuple[float, str, float]] = []
     for hop in HOPS:
         for margin_s in MARGINS_S:
             arguments: dict[str, Any] = {"rate_hz": rate_hz, "setting": {"hop": hop}, "margin_s": margin_s}
-            once = measure(controller, actuator, texture, seconds=TRIAL_S, **arguments)
+            once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
             if not once.stable:  # the computer may have been busy with something else
-                once = measure(controller, actuator, texture, seconds=TRIAL_S, **arguments)
+                once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
             trials.append(Trial(hop, 1e3 * margin_s, once.total_ms if once.stable else None))
             if progress is not None:
                 progress((HOPS.index(hop) + MARGINS_S.index(margin_s) / len(MARGINS_S)) / len(HOPS))
@@ -200,12 +201,12 @@ def smallest(
                 break
             stable.append((once.total_ms, hop, margin_s))
     for _, hop, margin_s in sorted(stable):
-        found = measure(
+        found = measure_latency(
             controller, actuator, texture, seconds=seconds, rate_hz=rate_hz, setting={"hop": hop}, margin_s=margin_s
         )
         if found.stable:
-            return SmallestDelay(found, tuple(trials))
-    return SmallestDelay(None, tuple(trials))
+            return MinLatency(found, tuple(trials))
+    return MinLatency(None, tuple(trials))
 
 
 def looped(texture: Recording, seconds: float, rate_hz: int) -> codec.Signal:

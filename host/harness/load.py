@@ -30,7 +30,7 @@ _AFTER_GAP_S = 0.3
 
 @dataclass(frozen=True)
 class Throughput:
-    """What the link carries, in bytes on the wire a second. `to_host`: asked for frame by frame, as captures are.
+    """What the link carries, in bytes on the wire a second. `to_host`: requested frame by frame, as captures are.
 
     `bad_frames`: of those sent, how many arrived damaged.
     """
@@ -60,7 +60,7 @@ class Gap:
     """How long the host may be silent while the controller holds `buffer_ms`.
 
     `survived_ms`: the longest silence without an underrun. `ended_by`: what ended the next longer one, "buffer" or
-    "watchdog"; None where none that was tried did.
+    "watchdog"; None where none did.
     """
 
     buffer_ms: float
@@ -115,7 +115,7 @@ def underruns(
     return tuple(measured)
 
 
-def longest_gap(
+def max_gap(
     controller: Controller,
     texture: Recording,
     buffer_s: float = BUFFER_S,

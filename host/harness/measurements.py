@@ -89,11 +89,11 @@ def _processor() -> str:
 
 
 def _latency(measured: Subject, progress: Progress) -> Any:
-    return latency.measure(measured.controller, measured.actuator, measured.scene[0], progress=progress)
+    return latency.measure_latency(measured.controller, measured.actuator, measured.scene[0], progress=progress)
 
 
 def _smallest(measured: Subject, progress: Progress) -> Any:
-    return latency.smallest(measured.controller, measured.actuator, measured.scene[0], progress=progress)
+    return latency.find_min_latency(measured.controller, measured.actuator, measured.scene[0], progress=progress)
 
 
 def _throughput(measured: Subject, _: Progress) -> Any:
@@ -106,7 +106,7 @@ def _load(measured: Subject, progress: Progress) -> Any:
 
 def _gap(measured: Subject, progress: Progress) -> Any:
     return [
-        load.longest_gap(
+        load.max_gap(
             measured.controller,
             measured.scene[0],
             buffer_s,
@@ -119,7 +119,7 @@ def _gap(measured: Subject, progress: Progress) -> Any:
 def _fidelity(measured: Subject, progress: Progress) -> Any:
     count = len(measured.scene)
     return [
-        fidelity.measure(
+        fidelity.measure_fidelity(
             measured.controller,
             measured.address,
             texture,
@@ -134,7 +134,7 @@ def _fidelity(measured: Subject, progress: Progress) -> Any:
 
 
 def _response(measured: Subject, progress: Progress) -> Any:
-    return response.measure(
+    return response.measure_response(
         measured.controller,
         measured.skin_model,
         recorder=measured.recorder,
@@ -155,7 +155,7 @@ MEASUREMENTS: Mapping[str, Callable[[Subject, Progress], Any]] = {
 
 
 def together(bench: Bench) -> list[Together]:
-    """Play the bench's first texture on all its controllers at once, and hold each one's codes against those computed.
+    """Play the bench's first texture on all its controllers at once, and compare each one's codes with those computed.
 
     A controller that fails does so alone. Raises BenchFileError, CodecError.
     """

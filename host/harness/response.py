@@ -76,7 +76,7 @@ class Response:
     actuator: Actuator
 
 
-def measure(
+def measure_response(
     controller: Controller,
     actuator: Actuator,
     *,
@@ -129,7 +129,7 @@ def play_sweep(
     seconds: float = SWEEP_S,
     progress: Callable[[float], None] | None = None,
 ) -> Sweep:
-    """Play an exponential sweep (Farina 2000) from MIN_HZ up, and record it. Raises as `measure`."""
+    """Play an exponential sweep (Farina 2000) from MIN_HZ up, and record it. Raises as `measure_response`."""
     limits = controller.description.limits
     rate_hz = min(actuator.dac_rate_hz, limits.maximum_rate_hz, _MAX_RATE_HZ)
     highest_hz = min(MAX_HZ, 0.4 * rate_hz)

@@ -1,4 +1,4 @@
-"""What a run has measured: kept as JSON, and held against an earlier run."""
+"""What a run has measured: kept as JSON, and compared with an earlier run."""
 
 import json
 from collections.abc import Iterator
@@ -8,13 +8,16 @@ from typing import Any
 
 from vibrocast.files import InputFileError, atomic_write
 
+NAMES = ("latency", "smallest", "throughput", "load", "gap", "fidelity", "response", "together")
+"""The measurements, in the order of a run."""
+PAGE, JSON, ACTUATOR = "measured.html", "measured.json", "actuator.toml"
 FORMAT = "vibrocast measurements 1"
 _MAX_BYTES = 1 << 26
 
 
 @dataclass
 class Results:
-    """A run: what was measured on what, by the names of host.harness.measurements; `failed`: why others were not."""
+    """A run: the device, the host, and what was measured, by NAMES; `failed`: why others were not."""
 
     device: dict[str, Any]
     host: dict[str, str]
@@ -81,7 +84,7 @@ TOLERANCES = {
 }
 
 
-def read(path: Path) -> dict[str, Any]:
+def read_results(path: Path) -> dict[str, Any]:
     """Read the JSON of an earlier run. Raises InputFileError for anything else, OSError where it cannot be read."""
     if path.exists() and not path.is_file():
         raise InputFileError(f"{path}: no file; give the JSON of an earlier `vibrocast measure`")

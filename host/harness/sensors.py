@@ -96,8 +96,8 @@ def read_recording(sensor: Sensor, file: Path) -> Recording:
         )
     except textures.TextureError as error:
         raise SensorError(f"sensor {sensor.name}: {error}") from error
-    wanted = {"accelerometer": "m/s^2", "laser": "um"}[sensor.kind]
-    if recording.unit != wanted:
+    required = {"accelerometer": "m/s^2", "laser": "um"}[sensor.kind]
+    if recording.unit != required:
         raise SensorError(
             f"sensor {sensor.name}: a {sensor.kind} whose recording is in {recording.unit}; give its unit and "
             "sensitivity in the bench file"

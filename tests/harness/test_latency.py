@@ -51,7 +51,7 @@ def noise(seconds: float = 1.0) -> Recording:
 @pytest.mark.parametrize("drift_ppm", [0, 200])
 @pytest.mark.parametrize("margin_s", [0.004, 0.02])
 def test_the_whole_is_the_sum_of_its_parts_and_the_margin_is_kept(margin_s: float, drift_ppm: int) -> None:
-    measured = latency.measure(Bench(drift_ppm).session, PIEZO_STACK, noise(), seconds=2.0, margin_s=margin_s)
+    measured = latency.measure_latency(Bench(drift_ppm).session, PIEZO_STACK, noise(), seconds=2.0, margin_s=margin_s)
     assert measured.stable
     assert measured.as_sent
     assert measured.total_ms == pytest.approx(sum(part.median_ms for part in measured.parts.values()), abs=0.5)
@@ -66,7 +66,7 @@ def test_what_is_measured_is_when_the_dac_has_it() -> None:
     silence, knock = np.zeros((RATE_HZ, 1)), np.zeros((RATE_HZ, 1))
     knock[RATE_HZ // 2] = 30.0
     texture = Recording(np.concatenate((silence, knock)), RATE_HZ, "um", "knock")
-    measured = latency.measure(bench.session, PIEZO_STACK, texture, seconds=2.0)
+    measured = latency.measure_latency(bench.session, PIEZO_STACK, texture, seconds=2.0)
     peak_s = max((np.max(np.abs(codes)), time_s) for time_s, codes in bench.played)[1]
     # The source begins when the stream does, which is set up without time passing.
     assert 1e3 * (peak_s - 1.5) == pytest.approx(measured.total_ms, abs=2.0)
@@ -75,7 +75,7 @@ def test_what_is_measured_is_when_the_dac_has_it() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("late_ms", [1, 3, 4])
 def test_a_link_of_long_round_trips_is_measured_without_holding_the_stream_up(late_ms: int) -> None:
-    measured = latency.measure(long_line(late_ms / 1000), PIEZO_STACK, noise(), seconds=2.0)
+    measured = latency.measure_latency(long_line(late_ms / 1000), PIEZO_STACK, noise(), seconds=2.0)
     assert measured.stable
     assert measured.as_sent
     assert measured.parts["wire"].median_ms == pytest.approx(late_ms, abs=0.2)
@@ -83,14 +83,14 @@ def test_a_link_of_long_round_trips_is_measured_without_holding_the_stream_up(la
 
 
 def test_default_buffers_stay_below_30_ms_with_a_usb_class_link() -> None:
-    measured = latency.measure(Bench().session, PIEZO_STACK, noise(), seconds=1.0)
+    measured = latency.measure_latency(Bench().session, PIEZO_STACK, noise(), seconds=1.0)
     assert measured.margin_ms == 1e3 * live.MARGIN_S
     assert measured.total_ms < 30.0
 
 
 @pytest.mark.slow
 def test_search_finds_the_least_that_is_stable() -> None:
-    found = latency.smallest(Bench().session, PIEZO_STACK, noise(), seconds=1.0)
+    found = latency.find_min_latency(Bench().session, PIEZO_STACK, noise(), seconds=1.0)
     assert found.found is not None
     stable = [trial.total_ms for trial in found.trials if trial.total_ms is not None]
     assert found.found.total_ms == pytest.approx(min(stable), abs=1.0)

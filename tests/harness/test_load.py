@@ -56,10 +56,10 @@ def test_load_beyond_the_line_is_seen_as_underruns() -> None:
     ("buffer_s", "watchdog_ms", "survived_ms", "ended_by"),
     [(0.3, 2000, 300.0, "buffer"), (3600.0, 500, 500.0, "watchdog")],
 )
-def test_the_longest_gap_is_the_buffer_or_the_watchdog(
+def test_the_max_gap_is_the_buffer_or_the_watchdog(
     buffer_s: float, watchdog_ms: int, survived_ms: float, ended_by: str
 ) -> None:
     link = MemoryLink(SimulatedController(Settings(watchdog_ms=watchdog_ms)))
-    gap = load.longest_gap(session(link), noise(), buffer_s)
+    gap = load.max_gap(session(link), noise(), buffer_s)
     assert gap.survived_ms == pytest.approx(survived_ms, rel=0.06)
     assert gap.ended_by == ended_by

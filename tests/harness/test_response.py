@@ -67,7 +67,7 @@ def bench(
 )
 def test_an_unknown_actuator_is_recovered_from_a_noisy_sensor(believed: Actuator, real: Actuator, unit: str) -> None:
     controller, recorder = bench(believed, real, unit, DRIFT_PPM)
-    measured = response.measure(controller, believed, recorder=recorder, seconds=SWEEP_S)
+    measured = response.measure_response(controller, believed, recorder=recorder, seconds=SWEEP_S)
     fit = measured.fit
     assert fit.corner_hz == pytest.approx(real.corner_hz, rel=0.02)
     assert fit.stroke_um == pytest.approx(real.stroke_um, rel=0.02)
@@ -82,7 +82,7 @@ def test_an_unknown_actuator_is_recovered_from_a_noisy_sensor(believed: Actuator
 def test_compensation_with_the_fitted_actuator_flattens_the_response() -> None:
     real = replace(PIEZO_STACK, corner_hz=150.0, stroke_um=93.0)
     controller, recorder = bench(PIEZO_STACK, real, "um")
-    fitted = response.measure(controller, PIEZO_STACK, recorder=recorder, seconds=SWEEP_S).actuator
+    fitted = response.measure_response(controller, PIEZO_STACK, recorder=recorder, seconds=SWEEP_S).actuator
     flatness_db = []
     for believed in (PIEZO_STACK, fitted):
         controller, recorder = bench(believed, real, "um")
@@ -103,12 +103,12 @@ def test_a_sensor_that_is_not_there_is_told() -> None:
         yield lambda: Recording(noise, 8000.0, "um", "sensor")
 
     with pytest.raises(AlignmentError, match="check the sensor"):
-        response.measure(controller, PIEZO_STACK, recorder=silent, seconds=SWEEP_S)
+        response.measure_response(controller, PIEZO_STACK, recorder=silent, seconds=SWEEP_S)
 
 
 def test_without_a_sensor_the_model_is_found_again() -> None:
     controller, _ = bench(LRA, LRA, "um")
-    measured = response.measure(controller, LRA, seconds=SWEEP_S)
+    measured = response.measure_response(controller, LRA, seconds=SWEEP_S)
     assert measured.source == "the model itself"
     assert measured.fit.corner_hz == pytest.approx(LRA.corner_hz, rel=1e-3)
     assert measured.fit.quality == pytest.approx(LRA.quality, rel=1e-2)

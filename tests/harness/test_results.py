@@ -40,7 +40,7 @@ RUN = results.Results(
 
 def test_a_run_is_read_as_it_was_written(tmp_path: Path) -> None:
     RUN.write(tmp_path / "run.json")
-    document = results.read(tmp_path / "run.json")
+    document = results.read_results(tmp_path / "run.json")
     assert document == json.loads(json.dumps(RUN.document()))
     assert document["measured"]["fidelity"][0]["snr_db"] is None
     assert not any(change.regressed for change in results.compare(document, document))
@@ -76,7 +76,7 @@ def test_another_file_is_no_earlier_run(text: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     path.write_text(text)
     with pytest.raises(InputFileError, match="not the JSON of an earlier `vibrocast measure`"):
-        results.read(path)
+        results.read_results(path)
 
 
 def test_the_page_needs_nothing_else_and_shows_what_is_worse(tmp_path: Path) -> None:

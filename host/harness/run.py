@@ -1,0 +1,102 @@
+"""Measures a bench by the names of the measurements, times that have become worse again, and writes what there is."""
+
+import contextlib
+import sys
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+from vibrocast import progress
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import MessageError
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import ConnectionLost, ControllerError
+from vibrocast.host.harness import bench_file, measurements, page
+from vibrocast.host.harness.alignment import AlignmentError
+from vibrocast.host.harness.bench_file import Bench
+from vibrocast.host.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare
+from vibrocast.host.harness.sensors import SensorError
+
+# Measured again where they have become worse: the computer may have been busy with something else.
+_TIMED = NAMES[:5]
+_RETAKES = 2
+
+
+def measure_bench(
+    bench: Bench, folder: Path, names: Collection[str] = NAMES, earlier: dict[str, Any] | None = None
+) -> Results:
+    """Measure a bench, write PAGE, JSON and the fitted ACTUATOR into a folder, and show how far it is on stderr.
+
+    `names`: some of NAMES. `earlier`: the document of an earlier run to compare with (`read_results`). A measurement
+    that fails leaves the others; after a lost controller, or Ctrl-C, what was measured before is written. Raises
+    BenchFileError, ControllerError, TransportError, OSError.
+    """
+    results = Results({}, {})
+    folder.mkdir(parents=True, exist_ok=True)
+    with _written(folder, results, earlier, bench):
+        _measure(bench, names, results)
+        for _ in range(_RETAKES):
+            if earlier is None:
+                break
+            again = [name for name in _TIMED if name in results.measured and _is_worse(earlier, results, name)]
+            if not again:
+                break
+            print(f"worse, measured again: {', '.join(again)}", file=sys.stderr)
+            retaken = Results({}, {})
+            _measure(bench, again, retaken)
+            results.measured.update(
+                {name: value for name, value in retaken.measured.items() if not _is_worse(earlier, retaken, name)}
+            )
+    return results
+
+
+def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
+    """Take the measurements of these names; one that fails leaves the others, a lost controller ends all."""
+    results.host.update(measurements.machine())
+    with bench_file.connect(bench, bench.first) as controller:
+        results.device.update(measurements.device_facts(bench, controller))
+        subject = measurements.subject(bench, controller)
+        for name, measurement in measurements.MEASUREMENTS.items():
+            if name not in names:
+                continue
+            with progress.bar(name) as update:
+                try:
+                    results.measured[name] = measurement(subject, update)
+                except (ConnectionLost, TransportError):
+                    raise
+                except (AlignmentError, CodecError, ControllerError, MessageError, SensorError, StreamError) as error:
+                    results.failed[name] = str(error)
+                    controller.stop()
+                except KeyboardInterrupt:
+                    with contextlib.suppress(ControllerError, TransportError):
+                        controller.stop()
+                    raise
+    if "together" in names and len(bench.controllers) > 1:
+        with progress.bar("together"):
+            results.measured["together"] = measurements.together(bench)
+
+
+def _is_worse(earlier: dict[str, Any], results: Results, name: str) -> bool:
+    """Return whether a figure of one measurement has become worse than in an earlier run."""
+    now = Results(results.device, results.host, {name: results.measured[name]})
+    return any(change.regressed for change in compare(earlier, now.document()))
+
+
+@contextlib.contextmanager
+def _written(folder: Path, results: Results, earlier: dict[str, Any] | None, bench: Bench) -> Iterator[None]:
+    """Write the results when the block ends, however it ends."""
+    try:
+        yield
+    except BaseException as error:
+        results.failed["the rest"] = str(error) or "interrupted"
+        raise
+    finally:
+        if results.measured:
+            table = ""
+            if response := results.measured.get("response"):
+                table = bench_file.actuator_toml(response.actuator, bench.first.name)
+                (folder / ACTUATOR).write_text(table, encoding="utf-8")
+            document = results.document()
+            results.write(folder / JSON)
+            page.write(folder / PAGE, document, [] if earlier is None else compare(earlier, document), table)
