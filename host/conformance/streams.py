@@ -56,7 +56,9 @@ def stream_for(
     if buffered:
         seconds = min(seconds, 0.8 * limits.buffer_samples / rate_hz)
     peak = amplitude(hello.actuator, unit)
-    stream = coded(make_signal or texture, codec_name, rate_hz, channels, unit, peak, seconds, limits.sendable_packet_bytes)
+    stream = coded(
+        make_signal or texture, codec_name, rate_hz, channels, unit, peak, seconds, limits.sendable_packet_bytes
+    )
     if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
         pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
     return stream
