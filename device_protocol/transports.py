@@ -103,11 +103,6 @@ class SerialTransport(_Closing):
         self._is_socket = port.startswith("socket://")
         self._open()
 
-    @property
-    def file(self) -> Any:
-        """The port, where the system can wait for it together with others; Windows cannot."""
-        return self._serial if os.name == "posix" else None
-
     def _open(self) -> None:
         self.unsent = b""
         self._taken_s = 0.0
@@ -119,6 +114,11 @@ class SerialTransport(_Closing):
                 f"cannot open serial port {self._port}: {error}. Check the name (`vibrocast devices` lists the ports), "
                 "that no other program uses it and that you may read and write it."
             ) from error
+        # Windows, and some URLs, have nothing that one can wait for together with others.
+        self.file: Any = None
+        with contextlib.suppress(AttributeError, OSError):
+            self._serial.fileno()
+            self.file = self._serial if os.name == "posix" else None
 
     def _broken(self, reason: object) -> TransportError:
         return TransportError(
@@ -290,7 +290,11 @@ class ThreadedTransport(_Closing):
 
     def reopen(self) -> None:
         self._end()
-        self._transport.reopen()
+        try:
+            self._transport.reopen()
+        except TransportError as error:
+            self._error = error
+            raise
         self._start()
 
     def close(self) -> None:

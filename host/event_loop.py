@@ -227,7 +227,7 @@ class _Loop(Generic[_Key, _Result]):
             self._selector.unregister(member.descriptor)
         member.file, member.events, member.descriptor = file, events, None
         if file is not None:
-            with contextlib.suppress(OSError):  # a closed port: reading it tells why
+            with contextlib.suppress(OSError, ValueError):  # a closed port: reading it tells why
                 member.descriptor = file.fileno()
                 self._selector.register(member.descriptor, events, member)
         (self._polled.add if waits and member.descriptor is None else self._polled.discard)(member)

@@ -110,6 +110,20 @@ def test_serial_port_keeps_what_its_controller_does_not_take_at_once(pseudo_term
         assert received == (data[:1024] * (written // 1024))
 
 
+def test_serial_port_without_a_file_is_read_by_pyserial() -> None:
+    with SerialTransport("loop://") as transport:
+        assert transport.file is None
+        assert transport.read(0.01) == b""
+        transport.write(EVERY_BYTE)
+        received = b""
+        while len(received) < len(EVERY_BYTE):
+            received += transport.read(1.0)
+        assert received == EVERY_BYTE
+        threaded = selectable(transport)
+        assert isinstance(threaded, ThreadedTransport)
+        threaded.close()
+
+
 def test_serial_port_whose_other_end_closes_is_an_error() -> None:
     controller, port = os.openpty()
     with SerialTransport(os.ttyname(port)) as transport:
