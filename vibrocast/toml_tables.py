@@ -106,8 +106,10 @@ def _explained(reason: str, value: Any, node: inspect.Type) -> str:
 def _misfit(key: str, node: inspect.Type, value: Any) -> str:
     """Return the error of a value that its type rejects; where another prefix of the unit would be right, say so."""
     number = next((part for part in _parts(node) if isinstance(part, inspect.IntType | inspect.FloatType)), None)
-    low, high = (number.ge, number.le) if number else (None, None)
-    if low is None or high is None or not _is_number(value) or low <= value <= high:
+    if number is None or number.ge is None or number.le is None or not _is_number(value):
+        return f"{key} must be {_expected(key, node)}, not {_shown(value)}"
+    low, high = number.ge, number.le
+    if low <= value <= high:
         return f"{key} must be {_expected(key, node)}, not {_shown(value)}"
     meaning = _meanings(node)[-1:]
     meant = [value * factor for factor in (1e3, 1e-3, 1e6, 1e-6) if low <= value * factor <= high]
