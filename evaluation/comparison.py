@@ -313,9 +313,9 @@ def rate_excesses(measurements: Measurements) -> pl.DataFrame:
 
 def trace_bd_rates(measurements: Measurements) -> pl.DataFrame:
     """Return the BD-rate of every codec relative to each anchor on every trace at every quality, as `pair_bd_rates`."""
-    anchors, codecs = measurements.anchors, measurements.curves
+    anchors, others = measurements.anchors, measurements.curves
     return pair_bd_rates(
-        measurements, [(scale, anchor, codec) for anchor in anchors for scale in SCALES for codec in codecs]
+        measurements, [(scale, anchor, codec) for anchor in anchors for scale in SCALES for codec in others]
     )
 
 
@@ -359,8 +359,8 @@ def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -
 
 def rival_bd_rates(measurements: Measurements) -> pl.DataFrame:
     """Return the mean BD-rate of every learned codec relative to every other curve, over all traces and each kind."""
-    learned, codecs = measurements.learned, measurements.curves
-    pairs = [(scale, rival, codec) for scale in LEARNED_SCALES for codec in learned for rival in codecs]
+    learned, others = measurements.learned, measurements.curves
+    pairs = [(scale, rival, codec) for scale in LEARNED_SCALES for codec in learned for rival in others]
     return mean_bd_rates(pair_bd_rates(measurements, pairs), measurements.kind_of)
 
 
@@ -386,9 +386,9 @@ def curve_costs(measurements: Measurements, rate: float = BITS_PER_SAMPLE) -> pl
 
 def _costs_at(measurements: Measurements, rates: Mapping[str, float]) -> pl.DataFrame:
     """Return what codecs cost, each at the rate given, by timings of single traces at the nearest setting."""
-    wanted = _table(rates.items(), {"codec": pl.String, "rate": pl.Float64})
+    targets = _table(rates.items(), {"codec": pl.String, "rate": pl.Float64})
     nearest = (
-        measurements.timed.join(wanted, on="codec", maintain_order="left")
+        measurements.timed.join(targets, on="codec", maintain_order="left")
         .with_columns(distance=(pl.col("bits_per_sample") / pl.col("rate")).log(2).abs())
         .sort("distance", maintain_order=True)
         .unique(["codec", "trace"], keep="first")
@@ -398,7 +398,7 @@ def _costs_at(measurements: Measurements, rates: Mapping[str, float]) -> pl.Data
     whole = measurements.drawn.group_by("codec").agg(
         pl.first("source"), pl.n_unique("setting").cast(pl.Int64).alias("settings"), pl.median("delay_ms")
     )
-    table = wanted
+    table = targets
     for each in (whole, nearest, measurements.codec_costs):
         table = table.join(each, on="codec", how="left", maintain_order="left")
     return table.with_columns(pl.col("note").fill_null(""), setting=pl.lit(""))
