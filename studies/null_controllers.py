@@ -16,6 +16,7 @@ from vibrocast.device_protocol.frames import FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
     NOTIFICATION,
     ActuatorDescription,
+    CodecDescription,
     Configure,
     Error,
     ErrorCode,
@@ -39,7 +40,7 @@ HELLO = HelloResponse(
     hardware="null",
     limits=Limits(4096, 4084, BUFFER_SAMPLES, 0, MAX_CHANNELS, 100, 48_000, 2000),
     actuator=ActuatorDescription("none", 80.0, 150.0, 0.0, 270.0, 0.0, 16, 8000),
-    codecs=((1, "mdct"),),
+    codecs=(CodecDescription(1, "mdct"),),
 )
 STATUS_INTERVAL_S = 0.1
 TURN_S = 0.01
