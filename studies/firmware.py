@@ -22,7 +22,7 @@ from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.evaluation import trained
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import live
-from vibrocast.host.harness.device_clock import DeviceClock
+from vibrocast.host.device_clock import DeviceClock
 from vibrocast.host.planner import costs, playing
 from vibrocast.host.planner.costs import BOARD_CORES, quiet_part
 from vibrocast.models import Model

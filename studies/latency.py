@@ -8,18 +8,17 @@ from pathlib import Path
 import click
 
 from studies.page import errors_in_one_line, render, write
-from vibrocast.host import live
+from vibrocast.host import bench_file, live
+from vibrocast.host.bench_file import Bench, BenchController
 from vibrocast.host.harness import (
     PARTS,
     Latency,
     MinLatency,
-    bench_file,
     find_min_latency,
     machine,
     measure_latency,
     subject,
 )
-from vibrocast.host.harness.bench_file import Bench, BenchController
 
 ADDRESSES = ("sim", "sim-usb", "host", "cortex-m4", "cortex-m7")
 # A computer that does other work as well delays some runs: the median of these is shown.

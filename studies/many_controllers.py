@@ -20,7 +20,7 @@ from vibrocast.firmware.build import build
 from vibrocast.host import player
 from vibrocast.host.controller import Controller
 from vibrocast.host.event_loop import run_all
-from vibrocast.host.harness import measurements
+from vibrocast.host.harness import machine
 from vibrocast.textures import Recording
 
 KINDS = {
@@ -131,7 +131,7 @@ def page(rows: Sequence[Measured], seconds: float, buffer_s: float) -> str:
         kinds=KINDS,
         seconds=seconds,
         buffer_s=buffer_s,
-        processor=measurements.machine()["processor"],
+        processor=machine()["processor"],
         cores=os.cpu_count(),
     )
 

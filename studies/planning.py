@@ -15,7 +15,7 @@ from vibrocast.codec import mdct
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
-from vibrocast.host.harness.bench_file import BenchActuator
+from vibrocast.host.bench_file import BenchActuator
 from vibrocast.host.planner import costs
 from vibrocast.host.planner.band import BandError, band_of, rendering_s
 from vibrocast.host.planner.candidates import BUFFERS_MS, Workbench

@@ -45,12 +45,13 @@ def sources() -> dict[str, Path]:
 
 
 SOURCES = sources()
+STUDIES = {f"studies.{path.stem}": path for path in sorted((ROOT / "studies").glob("*.py"))}
 
 
 def imports(module: str) -> set[str]:
     """Return the modules of this project that a module imports, wherever in it."""
     names = set()
-    for node in ast.walk(ast.parse(SOURCES[module].read_text())):
+    for node in ast.walk(ast.parse((SOURCES | STUDIES)[module].read_text())):
         assert not (isinstance(node, ast.ImportFrom) and node.level), f"{module}: import vibrocast.PACKAGE instead"
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
@@ -76,6 +77,14 @@ def test_arrows_point_one_way(module: str) -> None:
         assert "cli" not in inner_packages
         assert inner[:1] in [[product] for product in PRODUCTS] or not inner_packages & set(PRODUCTS)
         assert "import click" not in SOURCES[module].read_text()
+
+
+@pytest.mark.parametrize("module", [*SOURCES, *STUDIES])
+def test_products_are_used_by_their_public_names(module: str) -> None:
+    for product in ("conformance", "harness", "stability"):
+        if not module.startswith(f"host.{product}"):
+            inside = {name for name in imports(module) if name.startswith(f"host.{product}.")}
+            assert not inside, f"import the names that host.{product} itself exports"
 
 
 def test_no_module_imports_itself_through_others() -> None:

@@ -51,13 +51,14 @@ def measure(
     exit code is 1 where something could not be measured or has become worse than in the earlier run.
     """
     extras.require("bench")
-    from vibrocast.host.harness import bench_file, compare, figures, measure_bench, read_results
+    from vibrocast.host.bench_file import choose_controller, read_bench
+    from vibrocast.host.harness import compare, figures, measure_bench, read_results
     from vibrocast.host.planner.plan_file import read_plan
 
     if plan_path is not None and bench_path is not None:
         raise click.UsageError("a plan and a bench file both say what is there: drop one of them.")
-    bench = None if bench_path is None else bench_file.read_bench(bench_path)
-    bench = bench_file.chosen(bench if plan_path is None else read_plan(plan_path).bench(), device)
+    bench = None if bench_path is None else read_bench(bench_path)
+    bench = choose_controller(bench if plan_path is None else read_plan(plan_path).bench(), device)
     before = None if earlier is None else read_results(earlier)
     results = measure_bench(bench, out, names, before)
     changes = [] if before is None else compare(before, results.document())

@@ -11,7 +11,7 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import State, Tap
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.harness.device_clock import ClockFit, DeviceClock
+from vibrocast.host.device_clock import ClockFit, DeviceClock
 from vibrocast.host.stream_session import read_capture, stopped_on_error
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import Drive

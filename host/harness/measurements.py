@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from vibrocast.codec.encoding import encode_recording
-from vibrocast.host import devices, player
+from vibrocast.host import bench_file, devices, player
+from vibrocast.host.bench_file import Bench
 from vibrocast.host.controller import Controller
 from vibrocast.host.event_loop import run_all
-from vibrocast.host.harness import bench_file, fidelity, latency, load, response
-from vibrocast.host.harness.bench_file import Bench
+from vibrocast.host.harness import fidelity, latency, load, response
 from vibrocast.host.harness.sensors import Recorder, recorder
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import render

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
+    from vibrocast.host.bench_file import Bench
     from vibrocast.host.controller import Controller
     from vibrocast.host.end_to_end import Outcome
-    from vibrocast.host.harness.bench_file import Bench
     from vibrocast.output.actuator import Actuator
     from vibrocast.textures import Recording
 
@@ -51,7 +51,7 @@ def _read(config: pytest.Config) -> Bench | None:
 
     try:
         if path is not None:
-            from vibrocast.host.harness.bench_file import read_bench
+            from vibrocast.host.bench_file import read_bench
 
             return read_bench(Path(path))
         from vibrocast.host.planner.plan_file import read_plan
@@ -64,10 +64,10 @@ def _read(config: pytest.Config) -> Bench | None:
 @pytest.fixture(scope="session")
 def vibrocast_bench(pytestconfig: pytest.Config) -> Bench:
     """The bench of --vibrocast-bench or --vibrocast-plan; without them, the controller of --vibrocast-device alone."""
-    from vibrocast.host.harness.bench_file import BenchFileError, chosen
+    from vibrocast.host.bench_file import BenchFileError, choose_controller
 
     try:
-        return chosen(_read(pytestconfig), pytestconfig.getoption("vibrocast_device"))
+        return choose_controller(_read(pytestconfig), pytestconfig.getoption("vibrocast_device"))
     except BenchFileError as error:
         raise pytest.UsageError(str(error)) from error
 
@@ -75,7 +75,7 @@ def vibrocast_bench(pytestconfig: pytest.Config) -> Bench:
 @pytest.fixture
 def vibrocast_device(vibrocast_bench: Bench) -> Iterator[Controller]:
     """A session with the controller under test; its output is brought to rest after the test."""
-    from vibrocast.host.harness.bench_file import connect
+    from vibrocast.host.bench_file import connect
 
     with connect(vibrocast_bench, vibrocast_bench.first) as session:
         yield session
@@ -85,7 +85,7 @@ def vibrocast_device(vibrocast_bench: Bench) -> Iterator[Controller]:
 @pytest.fixture
 def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> Actuator:
     """The model of the actuator on the controller's first channel: of the bench file, or as the controller says."""
-    from vibrocast.host.harness.bench_file import actuator_of
+    from vibrocast.host.bench_file import actuator_of
 
     return actuator_of(vibrocast_bench, vibrocast_bench.first, vibrocast_device.description.actuator)
 
@@ -97,7 +97,7 @@ def vibrocast_play(
     """A function that codes a texture, plays it and compares: options of `host.coding.encode`, returns an Outcome."""
     from vibrocast.codec.encoding import encode_recording
     from vibrocast.host import end_to_end
-    from vibrocast.host.harness.bench_file import driven_actuator
+    from vibrocast.host.bench_file import driven_actuator
 
     first = vibrocast_bench.first
     driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)

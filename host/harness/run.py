@@ -11,10 +11,11 @@ from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import bench_file
+from vibrocast.host.bench_file import Bench
 from vibrocast.host.controller import ConnectionLost, ControllerError
-from vibrocast.host.harness import bench_file, measurements, page
+from vibrocast.host.harness import measurements, page
 from vibrocast.host.harness.alignment import AlignmentError
-from vibrocast.host.harness.bench_file import Bench
 from vibrocast.host.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare
 from vibrocast.host.harness.sensors import SensorError
 

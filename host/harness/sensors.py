@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
 from vibrocast import textures
-from vibrocast.host.harness.bench_file import Sensor
+from vibrocast.host.bench_file import Sensor
 from vibrocast.textures import Recording
 
 Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]

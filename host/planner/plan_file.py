@@ -20,7 +20,7 @@ from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import DETECTION_THRESHOLD
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.files import InputFileError, atomic_write
-from vibrocast.host.harness.bench_file import (
+from vibrocast.host.bench_file import (
     Bench,
     BenchActuator,
     BenchController,

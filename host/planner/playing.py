@@ -19,10 +19,10 @@ from vibrocast.device_protocol.messages import Position, State, StreamData, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.evaluation import metrics
 from vibrocast.host import devices, live, position_playback, uploader
+from vibrocast.host.bench_file import Bench, actuator_of, choose_controller, driven_actuator
 from vibrocast.host.concurrency import run_concurrently
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.harness.bench_file import Bench, actuator_of, chosen, driven_actuator
-from vibrocast.host.harness.device_clock import DeviceClock
+from vibrocast.host.device_clock import DeviceClock
 from vibrocast.host.planner import band
 from vibrocast.host.planner.candidates import spqi
 from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
@@ -268,7 +268,7 @@ class _Player:
         self._planned = planned
         self._controller = controller
         self._threshold = read_threshold(plan.threshold_path)
-        bench: Bench = chosen(plan.bench(), planned.name)
+        bench: Bench = choose_controller(plan.bench(), planned.name)
         described = controller.description.actuator
         self._driven = driven_actuator(bench, bench.first, described)
         self._skin_model = actuator_of(bench, bench.first, described)

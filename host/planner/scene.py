@@ -15,7 +15,7 @@ from vibrocast import textures
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.device_protocol.transports import BAUD
 from vibrocast.files import InputFileError
-from vibrocast.host.harness.bench_file import (
+from vibrocast.host.bench_file import (
     BenchActuator,
     BenchController,
     TextureTable,

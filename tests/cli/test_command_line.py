@@ -24,8 +24,8 @@ from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host import devices
+from vibrocast.host.bench_file import actuator_toml
 from vibrocast.host.cli.command_line import main
-from vibrocast.host.harness.bench_file import actuator_toml
 from vibrocast.host.report import Report
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller

@@ -7,8 +7,8 @@ import pytest
 
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
+from vibrocast.host.device_clock import DeviceClock
 from vibrocast.host.harness import latency
-from vibrocast.host.harness.device_clock import DeviceClock
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings

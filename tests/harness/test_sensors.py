@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from vibrocast.host.bench_file import Sensor
 from vibrocast.host.harness import sensors
-from vibrocast.host.harness.bench_file import Sensor
 from vibrocast.host.harness.sensors import SensorError, recorder
 
 

@@ -207,7 +207,7 @@ def check_places(kind: str, entries: Sequence[BenchActuator | Sensor]) -> None:
             raise ValueError(f"[[{kind}]] {number + 1}: there is another one on that channel; leave one out")
 
 
-def chosen(bench: Bench | None, device: str | None) -> Bench:
+def choose_controller(bench: Bench | None, device: str | None) -> Bench:
     """Return the bench with the controller that `device` names, by name or address, as the first; None = as it is.
 
     Without a bench, one with that controller alone. Raises BenchFileError for what is neither.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.host.harness.bench_file import BenchFileError, actuator_toml, chosen, read_bench
+from vibrocast.host.bench_file import BenchFileError, actuator_toml, choose_controller, read_bench
 from vibrocast.output.actuator import (
     ACTUATORS,
     LRA,
@@ -126,9 +126,9 @@ def test_no_value_of_a_key_passes_unseen(key: str, value: object, tmp_path_facto
 
 def test_a_device_is_a_name_an_address_or_an_error() -> None:
     bench = read_bench(EXAMPLE)
-    assert chosen(bench, "right").first.address == "sim-usb"
-    assert chosen(bench, "sim-usb").first.name == "right"
-    assert chosen(bench, "serial:/dev/ttyACM0").first.address == "serial:/dev/ttyACM0"
-    assert chosen(None, None).first.address == "sim"
+    assert choose_controller(bench, "right").first.address == "sim-usb"
+    assert choose_controller(bench, "sim-usb").first.name == "right"
+    assert choose_controller(bench, "serial:/dev/ttyACM0").first.address == "serial:/dev/ttyACM0"
+    assert choose_controller(None, None).first.address == "sim"
     with pytest.raises(BenchFileError, match="'elsewhere' is no controller"):
-        chosen(bench, "elsewhere")
+        choose_controller(bench, "elsewhere")
