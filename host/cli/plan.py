@@ -41,7 +41,7 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
         click.echo(json.dumps({each.name: structs.asdict(each.forecast) for each in planned.textures}, indent=2))
     if not as_json:
         for choice, texture in zip(choices, planned.textures, strict=True):
-            for line in page.lines(choice, texture):
+            for line in page.summary(choice, texture).splitlines():
                 click.echo(plain(line))
         click.echo(str(out / page.PLAN))
     if plays:

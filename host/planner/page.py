@@ -7,11 +7,11 @@ from pathlib import Path
 
 from msgspec import structs
 
+from vibrocast import pages
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.evaluation.points import write_rows
 from vibrocast.files import atomic_write
 from vibrocast.host.planner.band import MARGIN_DB
-from vibrocast.host.planner.candidates import Candidate
 from vibrocast.host.planner.choose import Choice
 from vibrocast.host.planner.plan_file import PlannedTexture
 from vibrocast.host.planner.scene import Scene
@@ -196,40 +196,15 @@ def wanted(scene: Scene) -> float:
     return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
 
 
-def lines(choice: Choice, planned: PlannedTexture) -> Iterator[str]:
-    """Yield what a person is told of one texture: what was chosen, what it costs, and why."""
-    unit = "/m" if planned.over_position else " Hz"
-    forecast = planned.forecast
-    yield (
-        f"{planned.name}: {choice.chosen.measured.way.name}, {planned.rate}{unit}, "
-        f"band {planned.lowest:.0f} to {planned.highest:.0f}{unit}, packets of {planned.packet_samples} samples"
+def summary(choice: Choice, planned: PlannedTexture) -> str:
+    """Return, in lines for a person, what was chosen for one texture, what it costs, and why."""
+    left_out_db = [min(each.level_db, each.reach_db) for each in choice.workbench.band.levels if not each.worth]
+    return pages.render(
+        Path(__file__).with_name("plan.txt.jinja"),
+        texture=planned,
+        chosen=choice.chosen.measured.way.name,
+        unit="/m" if planned.over_position else " Hz",
+        quality=choice.chosen.forecast,
+        left_out_db=max(left_out_db) if left_out_db and not planned.over_position else None,
+        reasons=choice.reasons,
     )
-    if planned.packet_snr_db is not None:
-        yield f"  no setting keeps the rate: packets of {planned.packet_snr_db:g} dB SNR, less where the cap takes it"
-    told = [f"{forecast.wire_bps:.0f} bit/s on the wire ({forecast.payload_bps:.0f} in packets)"]
-    if forecast.load_percent is not None and forecast.flash_bytes is not None and forecast.ram_bytes is not None:
-        told.append(f"load {forecast.load_percent:.1f} %")
-        told.append(f"{forecast.flash_bytes / 1e3:.0f} kB flash, {forecast.ram_bytes / 1e3:.0f} kB RAM")
-    told.append(f"{forecast.delay_ms:.0f} ms to the skin")
-    yield f"  forecast: {', '.join(told)}"
-    yield f"  quality: {', '.join(_qualities(choice.chosen))}"
-    band = choice.workbench.band
-    left_out_db = [min(each.level_db, each.reach_db) for each in band.levels if not each.worth]
-    if left_out_db and not planned.over_position:
-        yield (
-            f"  left out, and no part of that quality: what is outside the band, at most {max(left_out_db):.1f} dB re "
-            "detection threshold in a third octave at the skin"
-        )
-    for reason in choice.reasons:
-        yield f"  {reason.way.name}: {reason.why}"
-
-
-def _qualities(chosen: Candidate) -> Iterator[str]:
-    forecast = chosen.forecast
-    for name, value, unit in (
-        ("SNR", forecast.snr_db, " dB"),
-        ("SPQI", forecast.spqi, ""),
-        ("third-octave distance", forecast.third_octave_distance_db, " dB"),
-        ("error re detection threshold", forecast.error_over_threshold_db, " dB"),
-    ):
-        yield f"{name} {'none' if value is None else f'{value:.3g}{unit}'}"
