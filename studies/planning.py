@@ -18,7 +18,7 @@ from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.host.bench_file import BenchActuator
 from vibrocast.host.planner import costs
 from vibrocast.host.planner.band import BandError, band_of, rendering_s
-from vibrocast.host.planner.candidates import BUFFERS_MS, Workbench
+from vibrocast.host.planner.candidates import BUFFERS_MS, Evaluator
 from vibrocast.host.planner.choose import PlanningError, choose
 from vibrocast.host.planner.plan_file import prepared
 from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
@@ -97,11 +97,11 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
         default.stream, PIEZO_STACK
     )
     limits_ms = {FREE: None, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
-    bench: Workbench | None = None
+    evaluator: Evaluator | None = None
     for (delay, limit_ms), (name, weights) in product(limits_ms.items(), WEIGHTS.items()):
         scene = _scene(trace, recording, default_snr_db, limit_ms, weights)
-        bench = bench or Workbench(scene, scene.textures[0])
-        chosen = choose(bench, scene).chosen
+        evaluator = evaluator or Evaluator(scene, scene.textures[0])
+        chosen = choose(evaluator, scene).chosen
         forecast = chosen.forecast
         assert forecast.instructions_per_second is not None and forecast.snr_db is not None
         assert forecast.flash_bytes is not None and forecast.ram_bytes is not None
@@ -117,7 +117,7 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
             delay=delay,
             highest_hz=band.highest,
             rate_hz=band.rate,
-            chosen=chosen.measured.way.name,
+            chosen=chosen.measured.option.name,
             default_snr_db=round(default_snr_db, 2),
             planned_snr_db=round(forecast.snr_db, 2),
             default_wire_bps=round(wire_bps),

@@ -53,7 +53,7 @@ def measure(
     extras.require("bench")
     from vibrocast.host.bench_file import choose_controller, read_bench
     from vibrocast.host.harness import compare, figures, measure_bench, read_results
-    from vibrocast.host.planner.plan_file import read_plan
+    from vibrocast.host.planner import read_plan
 
     if plan_path is not None and bench_path is not None:
         raise click.UsageError("a plan and a bench file both say what is there: drop one of them.")

@@ -28,15 +28,16 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
     --play also forecast.csv and forecast.json. What is then measured more than 10 % off its forecast fails.
     """
     extras.require("bench")
-    from vibrocast.host.planner import choose, page, plan_file, scene
+    from vibrocast.host import planner
+    from vibrocast.host.planner import page
 
-    read = scene.read_scene(scene_path)
+    scene = planner.read_scene(scene_path)
     with progress.bar("planning") as update:
-        planned, choices = choose.plan(read, update)
+        planned, choices = planner.plan(scene, update)
     out.mkdir(parents=True, exist_ok=True)
-    plan_file.write_plan(out / page.PLAN, planned)
+    planner.write_plan(out / page.PLAN, planned)
     page.write_tables(out, choices)
-    page.draw(out / page.PICTURE, read, choices)
+    page.draw(out / page.PICTURE, scene, choices)
     if as_json and not plays:
         click.echo(json.dumps({each.name: structs.asdict(each.forecast) for each in planned.textures}, indent=2))
     if not as_json:
@@ -46,5 +47,5 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
         click.echo(str(out / page.PLAN))
     if plays:
         # From the file, which says it all.
-        written = plan_file.read_plan(out / page.PLAN)
+        written = planner.read_plan(out / page.PLAN)
         play_plan(written, (), out / FORECAST_JSON, out / FORECAST_CSV, as_json)

@@ -15,7 +15,7 @@ from vibrocast.files import atomic_write
 from vibrocast.host.plain import plain
 
 if TYPE_CHECKING:  # what plans and measures takes a second to load, which other commands need not wait for
-    from vibrocast.host.planner.plan_file import Plan
+    from vibrocast.host.planner import Plan
 
 
 def read(path: Path, allowed: Sequence[str]) -> "Plan":
@@ -23,7 +23,7 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
 
     The addresses of --device replace those of the plan's controllers, in its order. Raises PlanError, click.UsageError.
     """
-    from vibrocast.host.planner import plan_file
+    from vibrocast.host.planner import read_plan
 
     context = click.get_current_context()
     for parameter in context.command.params:
@@ -32,7 +32,7 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
         if given and name not in ("plan_path", *allowed):
             label = parameter.opts[-1] if isinstance(parameter, click.Option) else parameter.human_readable_name
             raise click.UsageError(f"the plan says how: drop {label}, or change {path}.")
-    plan = plan_file.read_plan(path)
+    plan = read_plan(path)
     option = "addresses" if "addresses" in context.params else "address"
     if context.get_parameter_source(option) != ParameterSource.COMMANDLINE:
         return plan
@@ -53,13 +53,14 @@ def play(
 
     `as_json`: tell them as JSON. Raises click.ClickException where something was not as planned.
     """
-    from vibrocast.host.planner import comparison, playing
+    from vibrocast.host import planner
+    from vibrocast.host.planner import comparison
 
-    failure: playing.PartlyPlayedError | None = None
+    failure: planner.PartlyPlayedError | None = None
     with progress.bar("playing") as update:
         try:
-            played = playing.play(plan, names, progress=update)
-        except playing.PartlyPlayedError as error:
+            played = planner.play(plan, names, progress=update)
+        except planner.PartlyPlayedError as error:
             played, failure = error.played, error
     compared = comparison.rows(played)
     document = json.dumps([comparison.document(each) for each in played], indent=2, allow_nan=False)
@@ -80,7 +81,7 @@ def needed_models(path: Path) -> Iterator[tuple[str, str, models.Model]]:
 
     Raises PlanError where they need several, for a controller runs one at a time; ModelError.
     """
-    from vibrocast.host.planner.plan_file import PlanError
+    from vibrocast.host.planner import PlanError
 
     plan = read(path, ("address",))
     for controller in plan.controllers:

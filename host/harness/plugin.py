@@ -54,7 +54,7 @@ def _read(config: pytest.Config) -> Bench | None:
             from vibrocast.host.bench_file import read_bench
 
             return read_bench(Path(path))
-        from vibrocast.host.planner.plan_file import read_plan
+        from vibrocast.host.planner import read_plan
 
         return read_plan(Path(plan_path)).bench()
     except (InputFileError, OSError) as error:

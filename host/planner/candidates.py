@@ -1,4 +1,4 @@
-"""The ways to code a texture, and what each costs and gives: measured on the texture itself, each coding only once."""
+"""The options to code a texture, and what each costs and gives, measured on the texture itself, each only once."""
 
 import math
 from dataclasses import dataclass, replace
@@ -52,8 +52,8 @@ _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way to code: all but the quality. `block`: samples, None where the codec has one length only.
+class CodingOption:
+    """An option to code: all but the quality. `block`: samples, None where the codec has one length only.
 
     `rate_limit_bps`: what the rate is capped to keep, over any second; None = every packet is by the setting.
     """
@@ -86,7 +86,7 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredCoding:
     """One coding of a texture, measured; what the asked quality does not need may be None.
 
     `peak_bps`: of the frames on the wire, the most in any second. `max_frame_bytes`: of all frames.
@@ -94,7 +94,7 @@ class Measured:
     `quiet`: as costs.quiet_part. `target`: what it was rate-controlled to hold, None = every packet is by the setting.
     """
 
-    way: Way
+    option: CodingOption
     setting: Setting
     target: RateTarget | None
     packet_samples: int
@@ -145,15 +145,15 @@ class Limit:
 class Candidate:
     """A coding as the scene sees it.
 
-    `quality`: in the asked measure, None for silence. `lack`: how far it is from what is asked, 0 or less where that is
-    met. `limits`: of the scene, all but the quality. `cost`: weighted sum.
+    `quality`: in the asked measure, None for silence. `shortfall`: how far it is from what is asked, 0 or less where
+    that is met. `limits`: of the scene, all but the quality. `cost`: weighted sum.
     """
 
-    measured: Measured
+    measured: MeasuredCoding
     forecast: Forecast
     buffer_ms: float
     quality: float | None
-    lack: float
+    shortfall: float
     limits: tuple[Limit, ...]
     cost: float
 
@@ -165,11 +165,11 @@ class Candidate:
     @property
     def meets(self) -> bool:
         """Whether it has the asked quality within all limits."""
-        return self.lack <= 0 and not self.broken
+        return self.shortfall <= 0 and not self.broken
 
 
-class Workbench:
-    """One texture of a scene, ready to be coded every way; each coding is measured once.
+class Evaluator:
+    """One texture of a scene, ready to be coded by every option; each coding is measured once.
 
     `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises TextureError, CodecError,
     BandError.
@@ -196,11 +196,11 @@ class Workbench:
                 )
         self.excerpt = self.whole if self.over_position else _strongest(self.whole)
         self.drive_s = self._drive_s()
-        self._settings: dict[Way, list[Setting]] = {}
-        self._measured: dict[tuple[Way, int, int, bool], Measured | None] = {}
+        self._settings: dict[CodingOption, list[Setting]] = {}
+        self._measured: dict[tuple[CodingOption, int, int, bool], MeasuredCoding | None] = {}
 
     @property
-    def measured(self) -> list[Measured]:
+    def measured(self) -> list[MeasuredCoding]:
         """All codings so far."""
         return [each for each in self._measured.values() if each is not None]
 
@@ -223,69 +223,79 @@ class Workbench:
         hand_us = HAND_DELAY_US + 2 * HAND_SMOOTHING_US if self.over_position else 0
         return output + 1 / self.actuator.dac_rate_hz + hand_us / 1e6
 
-    def ways(self, core: str | None) -> list[Way]:
-        """Return the ways that a controller can decode, those first that are cheapest as a rule."""
+    def options(self, core: str | None) -> list[CodingOption]:
+        """Return the options that a controller can decode, those first that are cheapest as a rule."""
         found = []
         for name, each in codec.CODECS.items():
             if self._waveform and not each.keeps_waveform:
                 continue
             shipped = [model.name for model in smallest_first(each)]
             names = shipped if each.needs_model else [None, *shipped]
-            found += [Way(name, model, block) for model in names for block in each.blocks or (None,)]
+            found += [CodingOption(name, model, block) for model in names for block in each.blocks or (None,)]
         longest = MAX_PACKET_S * self.samples_per_second
-        found = [way for way in found if way.block is None or int(way.block) <= longest]
-        return [way for way in found if core is None or costs.decoder_cost(way.decoder, core) is not None]
+        found = [option for option in found if option.block is None or int(option.block) <= longest]
+        return [option for option in found if core is None or costs.decoder_cost(option.decoder, core) is not None]
 
-    def settings(self, way: Way) -> list[Setting]:
-        """Return the settings of a way, the coarsest first; empty where it has none for this texture."""
-        if way not in self._settings:
-            chosen = codec.codec_by_name(way.codec)
+    def settings(self, option: CodingOption) -> list[Setting]:
+        """Return the settings of an option, the coarsest first; empty where it has none for this texture."""
+        if option not in self._settings:
+            chosen = codec.codec_by_name(option.codec)
             part = self.excerpt
-            tables = encoder_model(None if way.model is None else models.find(way.model))
+            tables = encoder_model(None if option.model is None else models.find(option.model))
             try:
-                source = Source(part.samples, round(part.rate_hz), way.codec, part.unit, True, tables)
-                self._settings[way] = [chosen.complete(setting) for setting in settings(source, way.given)]
+                source = Source(part.samples, round(part.rate_hz), option.codec, part.unit, True, tables)
+                self._settings[option] = [chosen.complete(setting) for setting in settings(source, option.given)]
             except CodecError:
-                self._settings[way] = []
-        return self._settings[way]
+                self._settings[option] = []
+        return self._settings[option]
 
-    def qualities(self, way: Way) -> list[tuple[Setting, float | None]]:
-        """Return the settings of a way, the coarsest first; of a capped one, its setting with each SNR of a packet."""
-        if way.rate_limit_bps is None:
-            return [(setting, None) for setting in self.settings(way)]
-        setting = codec.codec_by_name(way.codec).complete(way.given)
+    def qualities(self, option: CodingOption) -> list[tuple[Setting, float | None]]:
+        """Return the settings of an option, the coarsest first; of a capped one, that with each SNR of a packet."""
+        if option.rate_limit_bps is None:
+            return [(setting, None) for setting in self.settings(option)]
+        setting = codec.codec_by_name(option.codec).complete(option.given)
         return [(setting, snr_db) for snr_db in PACKET_SNRS_DB]
 
-    def packet_blocks(self, way: Way) -> list[int]:
-        """Return the packet lengths of a way, in blocks."""
-        longest = MAX_PACKET_S * self.samples_per_second / _block_samples(way)
+    def packet_blocks(self, option: CodingOption) -> list[int]:
+        """Return the packet lengths of an option, in blocks."""
+        longest = MAX_PACKET_S * self.samples_per_second / _block_samples(option)
         return [blocks for blocks in PACKET_BLOCKS if blocks <= longest] or [1]
 
-    def code(self, way: Way, index: int, packet_blocks: int, whole: bool = False) -> Measured | None:
-        """Code by a setting of a way, in packets of so many blocks; None where the codec rejects.
+    def evaluate(
+        self, option: CodingOption, index: int, packet_blocks: int, whole: bool = False
+    ) -> MeasuredCoding | None:
+        """Code by a setting of an option, in packets of so many blocks; None where the codec rejects.
 
         `whole`: all of the texture, and every quality measured.
         """
-        key = way, index, packet_blocks, whole
+        key = option, index, packet_blocks, whole
         if key not in self._measured:
             recording = self.whole if whole else self.excerpt
             try:
-                self._measured[key] = self._coded(way, index, packet_blocks, recording, whole)
+                self._measured[key] = self._coded(option, index, packet_blocks, recording, whole)
             except CodecError:
                 self._measured[key] = None
         return self._measured[key]
 
-    def _coded(self, way: Way, index: int, packet_blocks: int, recording: Recording, every: bool) -> Measured:
-        setting, packet_snr_db = self.qualities(way)[index]
+    def _coded(
+        self, option: CodingOption, index: int, packet_blocks: int, recording: Recording, every: bool
+    ) -> MeasuredCoding:
+        setting, packet_snr_db = self.qualities(option)[index]
         target = None
-        if way.rate_limit_bps is not None:
-            target = RateTarget(capped_rate_bps=math.floor(_CAP * way.rate_limit_bps), snr_db=packet_snr_db)
+        if option.rate_limit_bps is not None:
+            target = RateTarget(capped_rate_bps=math.floor(_CAP * option.rate_limit_bps), snr_db=packet_snr_db)
         rate_hz = self.samples_per_second
-        packet_samples = packet_blocks * _block_samples(way)
+        packet_samples = packet_blocks * _block_samples(option)
         refresh_packets = max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples))
-        model = None if way.model is None else models.find(way.model)
+        model = None if option.model is None else models.find(option.model)
         encoding = encode(
-            recording, way.codec, setting, model, Framing(packet_samples, refresh_packets), self.over_position, target
+            recording,
+            option.codec,
+            setting,
+            model,
+            Framing(packet_samples, refresh_packets),
+            self.over_position,
+            target,
         )
         decoder = encoding.stream.decoder()
         decoded = encoding.stream.decode()
@@ -300,8 +310,8 @@ class Workbench:
         packet_s = decoder.packet_samples / rate_hz
         seconds = len(packets) * packet_s
         spectral = every or self._measure == "third_octave_distance_db"
-        return Measured(
-            way=way,
+        return MeasuredCoding(
+            option=option,
             setting=setting,
             target=target,
             packet_samples=decoder.packet_samples,
@@ -334,14 +344,14 @@ class Workbench:
             stream, encoding.recording, codes, self.actuator, self.actuator, self._threshold
         )
 
-    def judged(self, measured: Measured, scene: Scene) -> Candidate:
-        """Return a coding as a scene sees it, which may have other limits and targets than that of the workbench."""
+    def assessed(self, measured: MeasuredCoding, scene: Scene) -> Candidate:
+        """Return a coding as a scene sees it, which may have other limits and targets than that of the evaluator."""
         controller, asked = scene.controller(self.texture.controller), scene.asked
         channels, rate_hz = self.texture.channels, self.samples_per_second
         decoding = (
             None
             if controller.core is None
-            else costs.decoder_cost(measured.way.decoder, controller.core, measured.way.block)
+            else costs.decoder_cost(measured.option.decoder, controller.core, measured.option.block)
         )
         instructions = load_percent = flash_bytes = ram_bytes = None
         if decoding is not None and controller.core is not None and controller.clock_hz is not None:
@@ -382,7 +392,7 @@ class Workbench:
             delay_ms=fixed_ms + buffer_ms,
         )
         peak_bps = 0.0 if self.over_position else measured.peak_bps  # a profile is loaded before
-        quality, lack = quality_of(measured, asked)
+        quality, shortfall = quality_of(measured, asked)
         senders = len({texture.controller for texture in scene.textures})
         limits = (
             Limit("asked", "rate_limit_bps", peak_bps, asked.rate_limit_bps),
@@ -392,10 +402,10 @@ class Workbench:
             Limit("controllers", "flash_bytes", flash_bytes or 0, controller.flash_bytes),
             Limit("controllers", "ram_bytes", ram_bytes or 0, controller.ram_bytes),
         )
-        return Candidate(measured, forecast, buffer_ms, quality, lack, limits, weighted(forecast, scene.weights))
+        return Candidate(measured, forecast, buffer_ms, quality, shortfall, limits, weighted(forecast, scene.weights))
 
 
-def quality_of(measured: Measured, asked: Asked) -> tuple[float | None, float]:
+def quality_of(measured: MeasuredCoding, asked: Asked) -> tuple[float | None, float]:
     """Return the quality in the asked measure, and how far it is from what is asked: 0 or less where it is met."""
     if asked.snr_db is not None:
         return measured.snr_db, 0.0 if measured.snr_db is None else asked.snr_db - measured.snr_db
@@ -445,5 +455,5 @@ def _peak_bps(frames: list[int], packet_s: float) -> float:
     return float(8 * np.max(sums[count:] - sums[:-count]) / (count * packet_s))
 
 
-def _block_samples(way: Way) -> int:
-    return DEFAULT_BLOCK_SAMPLES if way.block is None else int(way.block)
+def _block_samples(option: CodingOption) -> int:
+    return DEFAULT_BLOCK_SAMPLES if option.block is None else int(option.block)

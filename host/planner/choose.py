@@ -1,19 +1,19 @@
 """Chooses how each texture of a scene is coded: the least weighted cost that meets what is asked, and says why."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.files import InputFileError
 from vibrocast.host.planner.band import MARGIN_DB, BandError
-from vibrocast.host.planner.candidates import BUFFERS_MS, Candidate, Limit, Measured, Way, Workbench
+from vibrocast.host.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator
 from vibrocast.host.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
 from vibrocast.host.planner.scene import Asked, Scene
 
 Progress = Callable[[float, str], None]
 FIRST_PACKET_BLOCKS = 4
-"""With packets of so many blocks a way's setting is looked for."""
+"""The search for a setting of an option begins with packets of so many blocks."""
 _FINER, _FINER_ON_THE_WHOLE = 3, 16
 """Settings that are tried beyond the one found, in other packets, and on the whole of a long texture."""
 _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
@@ -21,23 +21,23 @@ _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
 
 
 class PlanningError(InputFileError):
-    """What a scene requires cannot be met; the message names the limits in the way, and says what to do."""
+    """A scene whose requirements cannot be met; the message names the limits that are exceeded and the action."""
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why a way was not chosen. `best`: the nearest that it came; None where it has no setting at all."""
+    """Why an option was not chosen. `best`: the nearest that it came; None where it has no setting at all."""
 
-    way: Way
+    option: CodingOption
     best: Candidate | None
     why: str
 
 
 @dataclass(frozen=True)
-class Choice:
-    """What was chosen for a texture, among what, and why the others were not."""
+class TextureChoice:
+    """The choice for a texture, the candidates, and why the others were not chosen."""
 
-    workbench: Workbench
+    evaluator: Evaluator
     chosen: Candidate
     candidates: tuple[Candidate, ...]
     reasons: tuple[Reason, ...]
@@ -45,11 +45,11 @@ class Choice:
     @property
     def name(self) -> str:
         """Name of the texture."""
-        return self.workbench.texture.name
+        return self.evaluator.texture.name
 
 
-def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[Choice, ...]]:
-    """Plan every texture of a scene. Raises PlanningError, also for a texture of which nothing can be felt."""
+def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[TextureChoice, ...]]:
+    """Plan every texture of a scene. Raises PlanningError, also for a texture that nobody can feel."""
     choices = []
     for place, texture in enumerate(scene.textures):
 
@@ -57,176 +57,203 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
             progress((place + part) / len(scene.textures), f"{name}: {details}")
 
         try:
-            bench = Workbench(scene, texture)
+            evaluator = Evaluator(scene, texture)
         except BandError as error:
             raise PlanningError(f"{scene.path}: {error}") from error
-        choices.append(choose(bench, scene, tell))
-    planned = tuple(_planned(choice) for choice in choices)
+        choices.append(choose(evaluator, scene, tell))
+    planned = tuple(map(_planned, choices))
     controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
     return Plan(scene.path, controllers, scene.actuators, planned, scene.threshold_path), tuple(choices)
 
 
-def choose(bench: Workbench, scene: Scene, progress: Progress = lambda part, details: None) -> Choice:
-    """Choose for one texture. Raises PlanningError."""
-    found = _search(bench, scene, progress)
-    if found is None:
-        raise _impossible(bench, scene)
-    chosen, bests = found
-    candidates = tuple(bench.judged(measured, scene) for measured in bench.measured)
-    reasons = tuple(
-        Reason(way, best, _why(bench, way, best, chosen, scene))
-        for way, best in bests.items()
-        if way != chosen.measured.way
-    )
-    return Choice(bench, chosen, candidates, (_coarser(bench, chosen, scene, candidates), *reasons))
-
-
-def _search(
-    bench: Workbench, scene: Scene, progress: Progress = lambda part, details: None
-) -> tuple[Candidate, dict[Way, Candidate | None]] | None:
-    """Return the cheapest candidate that meets all, and the nearest that each way came; None where none meets all.
+def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part, details: None) -> TextureChoice:
+    """Choose for one texture. Raises PlanningError.
 
     The rate is capped where it has to be: to code by a setting takes fewer bits, but more of them in a loud second.
     """
-    ways = bench.ways(scene.controller(bench.texture.controller).core)
-    chosen, bests = _search_among(bench, scene, ways, progress)
+    search = _Search(evaluator, scene, progress)
+    options = evaluator.options(scene.controller(evaluator.texture.controller).core)
+    chosen = search.cheapest(options) or search.cheapest(search.capped(options))
     if chosen is None:
-        chosen, capped = _search_among(bench, scene, _capped(bench, scene, ways), progress)
-        bests |= capped
-    return None if chosen is None else (chosen, bests)
+        raise search.error()
+    reasons = (
+        Reason(option, best, search.why_not(option, best, chosen))
+        for option, best in search.bests.items()
+        if option != chosen.measured.option
+    )
+    return TextureChoice(evaluator, chosen, search.candidates(), (search.why_not_coarser(chosen), *reasons))
 
 
-def _capped(bench: Workbench, scene: Scene, ways: list[Way]) -> list[Way]:
-    """Return, with their rate capped, those ways that have the quality and lack no more than rate."""
-    limit_bps = scene.asked.rate_limit_bps
-    if limit_bps is None or bench.over_position:
-        return []
-    candidates = [bench.judged(measured, scene) for measured in bench.measured]
-    enough = {
-        candidate.measured.way
-        for candidate in candidates
-        if candidate.lack <= 0 and {limit.key for limit in candidate.broken} <= _RATE_LIMITS
-    }
-    return [replace(way, rate_limit_bps=limit_bps) for way in ways if way in enough]
+class _Search:
+    """The search for the cheapest candidate of one texture. `bests`: the nearest that each option came."""
 
+    def __init__(self, evaluator: Evaluator, scene: Scene, progress: Progress) -> None:
+        self.bests: dict[CodingOption, Candidate | None] = {}
+        self._evaluator, self._scene, self._progress = evaluator, scene, progress
 
-def _search_among(
-    bench: Workbench, scene: Scene, ways: list[Way], progress: Progress
-) -> tuple[Candidate | None, dict[Way, Candidate | None]]:
-    """Return the cheapest candidate of these ways that meets all, if there is one, and the nearest that each came.
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Return all that has been measured, as the scene sees it."""
+        return tuple(self._evaluator.assessed(measured, self._scene) for measured in self._evaluator.measured)
 
-    A way is given up where it already costs more than the best one does without having the quality: finer costs more.
-    """
-    meeting: list[tuple[Candidate, Way, int, int]] = []
-    bests: dict[Way, Candidate | None] = {}
-    for place, way in enumerate(ways):
-        progress(place / len(ways), way.name)
-        bound = min((candidate.cost for candidate, *_ in meeting), default=math.inf)
-        found = list(_of_way(bench, scene, way, bound))
-        bests[way] = min((candidate for candidate, *_ in found), key=_preference, default=None)
-        meeting += [(candidate, way, index, blocks) for candidate, index, blocks in found if candidate.meets]
-    for _, way, index, blocks in sorted(meeting, key=lambda each: each[0].cost):
-        whole = _on_the_whole(bench, scene, way, index, blocks)
-        if whole is not None:
-            return whole, {**bests, way: whole}
-    return None, bests
+    def cheapest(self, options: list[CodingOption]) -> Candidate | None:
+        """Return the cheapest candidate of these options that meets all, if there is one.
 
+        An option is given up where it already costs more than the best one does without having the quality: finer
+        costs more.
+        """
+        meeting: list[tuple[Candidate, CodingOption, int, int]] = []
+        for place, option in enumerate(options):
+            self._progress(place / len(options), option.name)
+            bound = min((candidate.cost for candidate, *_ in meeting), default=math.inf)
+            found = list(self._of_option(option, bound))
+            self.bests[option] = min((candidate for candidate, *_ in found), key=_preference, default=None)
+            meeting += [(candidate, option, index, blocks) for candidate, index, blocks in found if candidate.meets]
+        for _, option, index, blocks in sorted(meeting, key=lambda each: each[0].cost):
+            whole = self._on_the_whole(option, index, blocks)
+            if whole is not None:
+                self.bests[option] = whole
+                return whole
+        return None
 
-def _of_way(bench: Workbench, scene: Scene, way: Way, bound: float) -> Iterator[tuple[Candidate, int, int]]:
-    """Yield candidates of a way, each with the place of its setting and the blocks in its packets.
+    def capped(self, options: list[CodingOption]) -> list[CodingOption]:
+        """Return, with their rate capped, those options that have the quality and exceed no limit but that of rate."""
+        limit_bps = self._scene.asked.rate_limit_bps
+        if limit_bps is None or self._evaluator.over_position:
+            return []
+        enough = {
+            candidate.measured.option
+            for candidate in self.candidates()
+            if candidate.shortfall <= 0 and {limit.key for limit in candidate.broken} <= _RATE_LIMITS
+        }
+        return [replace(option, rate_limit_bps=limit_bps) for option in options if option in enough]
 
-    First the coarsest setting with the asked quality is found, by halving; then packets of other lengths are tried.
-    """
-    first_length = _first_length(bench, way)
-    low, high, found = 0, len(bench.qualities(way)) - 1, None
-    while low <= high:
-        middle = (low + high) // 2
-        candidate = _candidate(bench, scene, way, middle, first_length)
-        if candidate is not None:
-            yield candidate, middle, first_length
-        if candidate is not None and candidate.lack <= 0:
-            found, high = candidate, middle - 1
-            place = middle
-        elif candidate is not None and candidate.cost >= bound:
-            return
+    def why_not(self, option: CodingOption, best: Candidate | None, chosen: Candidate) -> str:
+        """Return in a line why an option was not chosen."""
+        if best is None and option.rate_limit_bps is not None:
+            return "cannot be held to this rate"
+        if best is None:
+            return "cannot code this signal at this rate"
+        costs = f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g}"
+        if best.meets:
+            return f"{costs} ({_differences(best, chosen, self._scene)})"
+        if best.cost >= chosen.cost:
+            return f"{costs}, and is not enough: {self._missing(best)}"
+        return f"cheaper, but not enough: {self._missing(best)}"
+
+    def why_not_coarser(self, chosen: Candidate) -> Reason:
+        """Return why no coarser setting of the chosen option was taken."""
+        option = chosen.measured.option
+        nearest = min(
+            (
+                each
+                for each in self.candidates()
+                if each.measured.option == option and each.shortfall > 0 and each.cost < chosen.cost
+            ),
+            key=lambda each: each.shortfall,
+            default=None,
+        )
+        if nearest is None:
+            return Reason(option, None, "it has no coarser setting")
+        return Reason(option, nearest, f"coarser: cheaper, but not enough: {reached(nearest, self._scene.asked)}")
+
+    def error(self) -> PlanningError:
+        """Return the error that names the limits which the nearest candidate exceeds, or the best quality."""
+        texture, candidates = self._evaluator.texture, self.candidates()
+        where = f"{self._scene.path}: {texture.name}"
+        if not candidates:
+            return PlanningError(
+                f"{where}: no codec that {texture.controller} decodes takes this signal; give another controller"
+            )
+        enough = [candidate for candidate in candidates if candidate.shortfall <= 0 and candidate.broken]
+        if enough:
+            nearest, action = min(enough, key=_octaves_over), "raise that, or require less"
         else:
-            low = middle + 1
-    if found is None:
-        return
-    for blocks in _other_lengths(bench, scene, way, found, first_length):
-        # A packet's length moves the quality a little, as refreshes lie elsewhere.
-        for index in range(place, min(place + _FINER, len(bench.qualities(way)))):
-            candidate = _candidate(bench, scene, way, index, blocks)
+            nearest, action = min(candidates, key=lambda candidate: candidate.shortfall), "require less"
+        return PlanningError(
+            f"{where} cannot be planned: {nearest.measured.option.name} comes nearest: {self._missing(nearest)}; "
+            f"{action}"
+        )
+
+    def _missing(self, candidate: Candidate) -> str:
+        """Return the quality where a candidate falls short of it, and the limits that it exceeds."""
+        controller = self._evaluator.texture.controller
+        quality = [reached(candidate, self._scene.asked)] * (candidate.shortfall > 0)
+        limits = [
+            f"needs {limit.place(controller)} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
+            for limit in candidate.broken
+        ]
+        return "; ".join([*quality, *limits])
+
+    def _of_option(self, option: CodingOption, bound: float) -> Iterator[tuple[Candidate, int, int]]:
+        """Yield candidates of an option, each with the place of its setting and the blocks in its packets.
+
+        First the coarsest setting with the asked quality is found, by halving; then packets of other lengths are tried.
+        """
+        lengths = self._evaluator.packet_blocks(option)
+        if option.rate_limit_bps is not None:
+            first_length = lengths[-1]  # the fewest frames leave the most for quality
+        else:
+            first_length = min(lengths, key=lambda blocks: abs(blocks - FIRST_PACKET_BLOCKS))
+        last = len(self._evaluator.qualities(option)) - 1
+        low, high, found = 0, last, None
+        while low <= high:
+            middle = (low + high) // 2
+            candidate = self._candidate(option, middle, first_length)
             if candidate is not None:
-                yield candidate, index, blocks
-                if candidate.lack <= 0:
-                    break
+                yield candidate, middle, first_length
+            if candidate is not None and candidate.shortfall <= 0:
+                found, high = candidate, middle - 1
+            elif candidate is not None and candidate.cost >= bound:
+                return
+            else:
+                low = middle + 1
+        if found is None:
+            return
+        for blocks in self._other_lengths(lengths, found, first_length):
+            # A packet's length moves the quality a little, as refreshes lie elsewhere.
+            for index in range(low, min(low + _FINER, last + 1)):
+                candidate = self._candidate(option, index, blocks)
+                if candidate is not None:
+                    yield candidate, index, blocks
+                    if candidate.shortfall <= 0:
+                        break
 
+    def _other_lengths(self, lengths: list[int], found: Candidate, blocks: int) -> list[int]:
+        """Return the packet lengths left to try, in blocks, where `found` has so many.
 
-def _other_lengths(bench: Workbench, scene: Scene, way: Way, found: Candidate, blocks: int) -> list[int]:
-    """Return the packet lengths left to try, in blocks, where `found` has so many: the usual ones, and the longest that
-    the asked delay leaves room for, which have the fewest frames.
-    """
-    lengths = set(bench.packet_blocks(way))
-    if scene.asked.delay_limit_ms is not None and not bench.over_position:
-        block_ms = 1e3 * found.measured.packet_samples / blocks / bench.samples_per_second
-        for buffer_ms in BUFFERS_MS:
-            left_ms = scene.asked.delay_limit_ms - (found.forecast.delay_ms - found.buffer_ms) - buffer_ms
-            longest = blocks + math.floor(left_ms / block_ms)
-            if 0 < longest <= max(lengths):
-                lengths.add(longest)
-    return sorted(lengths - {blocks})
+        The usual ones, and the longest for which the asked delay leaves time, which have the fewest frames.
+        """
+        usual, limit_ms = set(lengths), self._scene.asked.delay_limit_ms
+        if limit_ms is not None and not self._evaluator.over_position:
+            block_ms = 1e3 * found.measured.packet_samples / blocks / self._evaluator.samples_per_second
+            for buffer_ms in BUFFERS_MS:
+                left_ms = limit_ms - (found.forecast.delay_ms - found.buffer_ms) - buffer_ms
+                longest = blocks + math.floor(left_ms / block_ms)
+                if 0 < longest <= max(usual):
+                    usual.add(longest)
+        return sorted(usual - {blocks})
 
+    def _on_the_whole(self, option: CodingOption, index: int, blocks: int) -> Candidate | None:
+        """Return the candidate measured on all of the texture, finer where that is needed; None where it fails."""
+        for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(self._evaluator.qualities(option)))):
+            candidate = self._candidate(option, finer, blocks, whole=True)
+            if candidate is not None and candidate.shortfall <= 0:
+                return candidate if candidate.meets else None
+        return None
 
-def _first_length(bench: Workbench, way: Way) -> int:
-    if way.rate_limit_bps is not None:
-        return bench.packet_blocks(way)[-1]  # the fewest frames leave the most for quality
-    return min(bench.packet_blocks(way), key=lambda blocks: abs(blocks - FIRST_PACKET_BLOCKS))
-
-
-def _candidate(
-    bench: Workbench, scene: Scene, way: Way, index: int, blocks: int, whole: bool = False
-) -> Candidate | None:
-    measured = bench.code(way, index, blocks, whole)
-    return None if measured is None else bench.judged(measured, scene)
-
-
-def _on_the_whole(bench: Workbench, scene: Scene, way: Way, index: int, blocks: int) -> Candidate | None:
-    """Return the candidate measured on all of the texture, a little finer where that is needed; None where it fails."""
-    for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(bench.qualities(way)))):
-        candidate = _candidate(bench, scene, way, finer, blocks, whole=True)
-        if candidate is not None and candidate.lack <= 0:
-            return candidate if candidate.meets else None
-    return None
+    def _candidate(self, option: CodingOption, index: int, blocks: int, whole: bool = False) -> Candidate | None:
+        measured = self._evaluator.evaluate(option, index, blocks, whole)
+        return None if measured is None else self._evaluator.assessed(measured, self._scene)
 
 
 def _preference(candidate: Candidate) -> tuple[bool, int, float, float]:
-    """Order a way's candidates: what meets all first, the cheapest of those; else what is nearest to it."""
-    return not candidate.meets, len(candidate.broken), max(0.0, candidate.lack), candidate.cost
+    """Order an option's candidates: one that meets all first, the cheapest of those; else the nearest to it."""
+    return not candidate.meets, len(candidate.broken), max(0.0, candidate.shortfall), candidate.cost
 
 
-def _coarser(bench: Workbench, chosen: Candidate, scene: Scene, candidates: tuple[Candidate, ...]) -> Reason:
-    """Return why no coarser setting of the chosen way was taken."""
-    way = chosen.measured.way
-    short = [each for each in candidates if each.measured.way == way and each.lack > 0 and each.cost < chosen.cost]
-    nearest = min(short, key=lambda each: each.lack, default=None)
-    if nearest is None:
-        return Reason(way, None, "it has no coarser setting")
-    return Reason(way, nearest, f"coarser: cheaper, but not enough: {reached(nearest, scene.asked)}")
-
-
-def _why(bench: Workbench, way: Way, best: Candidate | None, chosen: Candidate, scene: Scene) -> str:
-    """Return in a line why a way was not chosen."""
-    if best is None and way.rate_limit_bps is not None:
-        return "cannot be held to this rate"
-    if best is None:
-        return "cannot code this signal at this rate"
-    if best.meets:
-        return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g} ({_differences(best, chosen, scene)})"
-    told = _short_of(best, scene, bench.texture.controller)
-    if best.cost >= chosen.cost:
-        return f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g}, and is not enough: {'; '.join(told)}"
-    return f"cheaper, but not enough: {'; '.join(told)}"
+def _octaves_over(candidate: Candidate) -> float:
+    """Return by how many octaves a candidate exceeds limits, all together."""
+    return sum(math.log2(limit.needed / limit.available) for limit in candidate.broken if limit.available)
 
 
 def _differences(best: Candidate, chosen: Candidate, scene: Scene) -> str:
@@ -257,65 +284,28 @@ def reached(candidate: Candidate, asked: Asked) -> str:
     return f"{asked.measure} {candidate.quality:.3g}, {wanted:.3g} is asked"
 
 
-def _needs(limit: Limit, controller: str) -> str:
-    return f"needs {limit.place(controller)} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
-
-
-def _impossible(evaluator: Workbench, scene: Scene) -> PlanningError:
-    """Return the error that names the limits in the way, by the candidate that comes nearest to what is required."""
-    candidates = [evaluator.judged(measured, scene) for measured in evaluator.measured]
-    name, controller = evaluator.texture.name, evaluator.texture.controller
-    if not candidates:
-        return PlanningError(
-            f"{scene.path}: {name}: no codec that {controller} decodes takes this signal; give another controller"
-        )
-    enough = [candidate for candidate in candidates if candidate.lack <= 0 and candidate.broken]
-    if enough:
-        nearest = min(enough, key=lambda candidate: _octaves_over(candidate.broken))
-        action = "raise that, or require less"
-    else:
-        nearest = min(candidates, key=lambda candidate: candidate.lack)
-        action = "require less"
-    return PlanningError(
-        f"{scene.path}: {name} cannot be planned: {nearest.measured.way.name} comes nearest: "
-        f"{'; '.join(_short_of(nearest, scene, controller))}; {action}"
-    )
-
-
-def _octaves_over(broken: Sequence[Limit]) -> float:
-    """Return by how many octaves limits are exceeded, all together."""
-    return sum(math.log2(limit.needed / limit.available) for limit in broken if limit.available)
-
-
-def _short_of(candidate: Candidate, scene: Scene, controller: str) -> list[str]:
-    """Return what a candidate lacks: quality, and the limits that it breaks."""
-    return [reached(candidate, scene.asked)] * (candidate.lack > 0) + [
-        _needs(limit, controller) for limit in candidate.broken
-    ]
-
-
-def _planned(choice: Choice) -> PlannedTexture:
-    bench, chosen = choice.workbench, choice.chosen
-    measured: Measured = chosen.measured
+def _planned(choice: TextureChoice) -> PlannedTexture:
+    evaluator, chosen = choice.evaluator, choice.chosen
+    measured = chosen.measured
     target = measured.target or RateTarget()
     return PlannedTexture(
-        name=bench.texture.name,
-        source=bench.texture.source,
-        controller=bench.texture.controller,
-        hand_speed_mm_s=bench.hand_speed_mm_s,
-        over_position=bench.over_position,
-        codec=measured.way.codec,
-        model=measured.way.model,
+        name=evaluator.texture.name,
+        source=evaluator.texture.source,
+        controller=evaluator.texture.controller,
+        hand_speed_mm_s=evaluator.hand_speed_mm_s,
+        over_position=evaluator.over_position,
+        codec=measured.option.codec,
+        model=measured.option.model,
         setting=measured.setting,
-        rate=bench.band.rate,
-        lowest=bench.band.lowest,
-        highest=bench.band.highest,
+        rate=evaluator.band.rate,
+        lowest=evaluator.band.lowest,
+        highest=evaluator.band.highest,
         packet_samples=measured.packet_samples,
         refresh_packets=measured.refresh_packets,
         rate_mode=SETTING_MODE if measured.target is None else CAPPED_MODE,
         buffer_ms=chosen.buffer_ms,
         forecast=chosen.forecast,
-        sha256=bench.texture.source.sha256(),
+        sha256=evaluator.texture.source.sha256(),
         capped_rate_bps=target.capped_rate_bps,
         packet_snr_db=target.snr_db,
     )

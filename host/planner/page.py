@@ -12,7 +12,7 @@ from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.evaluation.points import write_rows
 from vibrocast.files import atomic_write
 from vibrocast.host.planner.band import MARGIN_DB
-from vibrocast.host.planner.choose import Choice
+from vibrocast.host.planner.choose import TextureChoice
 from vibrocast.host.planner.plan_file import PlannedTexture
 from vibrocast.host.planner.scene import Scene
 
@@ -74,7 +74,7 @@ class BandRow:
     worth_coding: bool
 
 
-def write_tables(folder: Path, choices: Sequence[Choice]) -> None:
+def write_tables(folder: Path, choices: Sequence[TextureChoice]) -> None:
     """Write candidates.csv and bands.csv. Raises OSError."""
     with atomic_write(folder / CANDIDATES) as path:
         write_rows(path, [row for choice in choices for row in _candidate_rows(choice)], CandidateRow)
@@ -84,19 +84,19 @@ def write_tables(folder: Path, choices: Sequence[Choice]) -> None:
                 choice.name, round(each.frequency_hz, 2), round(each.level_db, 2), round(each.reach_db, 2), each.worth
             )
             for choice in choices
-            for each in choice.workbench.band.levels
+            for each in choice.evaluator.band.levels
         ]
         write_rows(path, rows, BandRow)
 
 
-def _candidate_rows(choice: Choice) -> Iterator[CandidateRow]:
+def _candidate_rows(choice: TextureChoice) -> Iterator[CandidateRow]:
     for candidate in choice.candidates:
         measured = candidate.measured
         target = measured.target or RateTarget()
         yield CandidateRow(
             choice.name,
-            measured.way.codec,
-            measured.way.model,
+            measured.option.codec,
+            measured.option.model,
             json.dumps(measured.setting),
             target.snr_db,
             target.capped_rate_bps,
@@ -107,12 +107,12 @@ def _candidate_rows(choice: Choice) -> Iterator[CandidateRow]:
             candidate.quality,
             candidate.meets,
             candidate == choice.chosen,
-            "; ".join(["quality"] * (candidate.lack > 0) + [limit.key for limit in candidate.broken]),
+            "; ".join(["quality"] * (candidate.shortfall > 0) + [limit.key for limit in candidate.broken]),
             **structs.asdict(candidate.forecast),
         )
 
 
-def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
+def draw(path: Path, scene: Scene, choices: Sequence[TextureChoice]) -> None:
     """Draw cost against quality of all candidates, a panel for each texture, the choice marked. Raises OSError."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -127,13 +127,13 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
         f"{scene.path.name}: cost against quality of all candidates{left}", fontweight="bold", parse_math=False
     )
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    codecs = list(dict.fromkeys(each.measured.way.codec for choice in shown for each in choice.candidates))
+    codecs = list(dict.fromkeys(each.measured.option.codec for choice in shown for each in choice.candidates))
     asked = scene.asked
     for axes, choice in zip(panels, shown, strict=False):
         points = [each for each in choice.candidates if each.quality is not None]
         low, high = _shown(scene, [each.quality for each in points if each.quality is not None])
         for place, name in enumerate(codecs):
-            of_codec = [each for each in points if each.measured.way.codec == name]
+            of_codec = [each for each in points if each.measured.option.codec == name]
             grey = _GREYS[place % len(_GREYS)]
             axes.scatter(
                 [min(max(each.quality or 0.0, low), high) for each in of_codec],
@@ -150,7 +150,7 @@ def draw(path: Path, scene: Scene, choices: Sequence[Choice]) -> None:
             place_of_chosen = min(max(chosen.quality, low), high), chosen.cost
             axes.scatter(*place_of_chosen, marker="o", s=190, facecolors="none", edgecolors="black", linewidths=2)
             axes.annotate(
-                f"{chosen.measured.way.name}\n"
+                f"{chosen.measured.option.name}\n"
                 f"{chosen.forecast.wire_bps / 1e3:.2f} kbit/s, {chosen.forecast.delay_ms:.0f} ms",
                 place_of_chosen,
                 textcoords="offset points",
@@ -196,13 +196,13 @@ def wanted(scene: Scene) -> float:
     return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
 
 
-def summary(choice: Choice, planned: PlannedTexture) -> str:
+def summary(choice: TextureChoice, planned: PlannedTexture) -> str:
     """Return, in lines for a person, what was chosen for one texture, what it costs, and why."""
-    left_out_db = [min(each.level_db, each.reach_db) for each in choice.workbench.band.levels if not each.worth]
+    left_out_db = [min(each.level_db, each.reach_db) for each in choice.evaluator.band.levels if not each.worth]
     return pages.render(
         Path(__file__).with_name("plan.txt.jinja"),
         texture=planned,
-        chosen=choice.chosen.measured.way.name,
+        chosen=choice.chosen.measured.option.name,
         unit="/m" if planned.over_position else " Hz",
         quality=choice.chosen.forecast,
         left_out_db=max(left_out_db) if left_out_db and not planned.over_position else None,

@@ -68,7 +68,7 @@ Opener = Callable[[str, Actuator | None], AbstractContextManager[CountingControl
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredPlayback:
     """What was measured of the figures of a Forecast, by the same names; None where nothing measured them.
 
     Rates by the bytes that were sent, quality by the samples that the controller decoded, the error at the skin by the
@@ -96,7 +96,7 @@ class Played:
     """
 
     texture: PlannedTexture
-    measured: Measured
+    measured: MeasuredPlayback
     underruns: int
     lost_packets: int
     as_decoded: bool | None
@@ -187,9 +187,9 @@ def play(
 
 
 class _Load:
-    """What a processor that is counted has to do from the first time that a stream is heard to play until last noted.
+    """What a processor that is counted has to do from the first time that a stream is known to play until last noted.
 
-    `stream`: its number; None = the one that is heard to play.
+    `stream`: its number; None = the one that is known to play.
     """
 
     def __init__(self, controller: CountingController, stream: int | None = None) -> None:
@@ -338,14 +338,14 @@ class _Player:
         codes = band.played_codes(sent, offline, self._driven)
         as_computed, played_codes = self._read_back(Tap.DAC, codes)
         gains = np.array(stream.header.gains) / 32768
-        heard = decoded[decoder.delay_samples : decoder.delay_samples + len(recording.samples)] * gains
+        decoded_samples = decoded[decoder.delay_samples : decoder.delay_samples + len(recording.samples)] * gains
         error_db = band.played_error_over_threshold_db(
             sent, recording, played_codes, self._driven, self._skin_model, self._threshold
         )
         measured = self._measured(
             texture,
             recording,
-            heard,
+            decoded_samples,
             payload_bps=8 * sum(map(len, sent.packets)) / seconds,
             wire_bps=8 * controller.frame_bytes[stream.stream] / seconds,
             instructions_per_second=instructions,
@@ -365,26 +365,26 @@ class _Player:
         self,
         texture: PlannedTexture,
         recording: Recording,
-        heard: Signal,
+        decoded_samples: Signal,
         *,
         payload_bps: float,
         wire_bps: float,
         instructions_per_second: float | None,
         error_over_threshold_db: float | None = None,
         delay_ms: float | None = None,
-    ) -> Measured:
-        """Return what was measured; `heard`: what was decoded, in the recording's unit and of its length."""
-        quality = metrics.measure(recording.samples, heard, recording.rate_hz, recording.unit)
+    ) -> MeasuredPlayback:
+        """Return what was measured; `decoded_samples`: what was decoded, in the recording's unit and of its length."""
+        quality = metrics.measure(recording.samples, decoded_samples, recording.rate_hz, recording.unit)
         clock_hz = self._planned.clock_hz
         load = None if instructions_per_second is None or clock_hz is None else 100 * instructions_per_second / clock_hz
-        return Measured(
+        return MeasuredPlayback(
             payload_bps=payload_bps,
             wire_bps=wire_bps,
             instructions_per_second=instructions_per_second,
             load_percent=load,
             snr_db=quality.snr_db,
             # It takes long, so only where it was forecast.
-            spqi=None if texture.forecast.spqi is None else spqi(recording, heard),
+            spqi=None if texture.forecast.spqi is None else spqi(recording, decoded_samples),
             third_octave_distance_db=quality.third_octave_distance_db,
             error_over_threshold_db=error_over_threshold_db,
             delay_ms=delay_ms,
@@ -424,7 +424,7 @@ class _Player:
     def _delay_ms(self, sent: Stream, clock: DeviceClock, began_s: float) -> float | None:
         """Return the delay from a sample at the host, the first of which came at `began_s`, to the skin.
 
-        None for a texture that is over before the controller was heard to play.
+        None for a texture that is over before the controller was known to play.
         """
         playing = [status for _, _, status in clock.trips.values() if status.state == State.PLAYING and status.position]
         if not playing:

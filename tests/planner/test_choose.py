@@ -10,29 +10,29 @@ import pytest
 from msgspec import structs
 
 from tests.planner.scenes import ASKED, CONTROLLER, scene
-from vibrocast.host.planner.candidates import Workbench
-from vibrocast.host.planner.choose import Choice, PlanningError, choose, plan
+from vibrocast.host.planner.candidates import Evaluator
+from vibrocast.host.planner.choose import PlanningError, TextureChoice, choose, plan
 from vibrocast.host.planner.scene import SceneError
 from vibrocast.textures import Recording, save
 
 
 @pytest.fixture(scope="module")
-def choice(tmp_path_factory: pytest.TempPathFactory) -> Choice:
+def choice(tmp_path_factory: pytest.TempPathFactory) -> TextureChoice:
     read = scene(tmp_path_factory.mktemp("scene"))
-    return choose(Workbench(read, read.textures[0]), read)
+    return choose(Evaluator(read, read.textures[0]), read)
 
 
-def test_the_choice_is_the_cheapest_that_meets_what_is_asked(choice: Choice) -> None:
+def test_the_choice_is_the_cheapest_that_meets_what_is_asked(choice: TextureChoice) -> None:
     assert choice.chosen.meets and choice.chosen.measured.snr_db is not None
     assert choice.chosen.measured.snr_db >= 10
     assert all(each.cost >= choice.chosen.cost for each in choice.candidates if each.meets)
-    assert len({each.measured.way.codec for each in choice.candidates}) >= 4
+    assert len({each.measured.option.codec for each in choice.candidates}) >= 4
 
 
-def test_every_other_way_has_a_reason_that_fits_its_cost(choice: Choice) -> None:
+def test_every_other_way_has_a_reason_that_fits_its_cost(choice: TextureChoice) -> None:
     coarser, *others = choice.reasons
-    assert coarser.way == choice.chosen.measured.way and "coarser" in coarser.why
-    assert len(others) == len(choice.workbench.ways("M4F")) - 1
+    assert coarser.option == choice.chosen.measured.option and "coarser" in coarser.why
+    assert len(others) == len(choice.evaluator.options("M4F")) - 1
     for reason in others:
         if reason.best is not None:
             dearer = reason.best.cost >= choice.chosen.cost
@@ -52,9 +52,9 @@ def test_a_plan_is_the_same_every_time_and_codes_as_it_forecasts(tmp_path: Path)
     assert encoding.quality.snr_db == pytest.approx(texture.forecast.snr_db)
 
 
-def test_weights_decide(choice: Choice, tmp_path: Path) -> None:
-    def chosen(weights: str) -> Choice:
-        return choose(choice.workbench, scene(tmp_path, weights="[weights]\n" + weights))
+def test_weights_decide(choice: TextureChoice, tmp_path: Path) -> None:
+    def chosen(weights: str) -> TextureChoice:
+        return choose(choice.evaluator, scene(tmp_path, weights="[weights]\n" + weights))
 
     nothing_else = "per_kilobyte = 0\nper_million_instructions_per_second = 0\n"
     few_bits = chosen(nothing_else + "per_millisecond = 0\n").chosen.forecast
@@ -75,12 +75,12 @@ def test_weights_decide(choice: Choice, tmp_path: Path) -> None:
     ],
 )
 def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
-    changed: dict[str, str], limit: str, choice: Choice, tmp_path: Path
+    changed: dict[str, str], limit: str, choice: TextureChoice, tmp_path: Path
 ) -> None:
     read = scene(tmp_path, **changed)
-    bench = choice.workbench  # of the same texture: what it has measured is measured already
+    evaluator = choice.evaluator  # of the same texture: what it has measured is measured already
     with pytest.raises(PlanningError) as raised:
-        choose(bench, read)
+        choose(evaluator, read)
     told = re.search(rf"needs {re.escape(limit)} = ([\d.e+]+), the scene has", str(raised.value))
     assert told is not None, str(raised.value)
     value = 1.001 * float(told[1])  # four digits are told
@@ -91,7 +91,7 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
         mended = replace(read, link=replace(read.link, bytes_per_second=value))
     else:
         mended = replace(read, controllers=(structs.replace(read.controllers[0], **given),))
-    assert choose(bench, mended).chosen.meets
+    assert choose(evaluator, mended).chosen.meets
 
 
 @pytest.mark.slow
@@ -106,16 +106,16 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
     ],
 )
 def test_an_impossible_scene_says_how_near_it_comes(
-    changed: dict[str, str], message: str, choice: Choice, tmp_path: Path
+    changed: dict[str, str], message: str, choice: TextureChoice, tmp_path: Path
 ) -> None:
     with pytest.raises(PlanningError, match=message):
-        choose(choice.workbench, scene(tmp_path, **changed))
+        choose(choice.evaluator, scene(tmp_path, **changed))
 
 
 @pytest.mark.slow
 def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_path: Path) -> None:
     read = scene(tmp_path, asked="[asked]\nimperceptible = true\n")
-    chosen = choose(Workbench(read, read.textures[0]), read).chosen
+    chosen = choose(Evaluator(read, read.textures[0]), read).chosen
     assert chosen.forecast.error_over_threshold_db is not None and chosen.forecast.error_over_threshold_db <= -8
 
 

@@ -90,7 +90,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
         asked="[asked]\nsnr_db = 8\nrate_limit_bps = 2000\n",
     )
     plan, (choice,) = choose.plan(limited)
-    enough = [each for each in choice.candidates if each.measured.target is None and each.lack <= 0]
+    enough = [each for each in choice.candidates if each.measured.target is None and each.shortfall <= 0]
     assert enough and not any(each.meets for each in enough)
     write_plan(tmp_path / "plan.toml", plan)
     plan = read_plan(tmp_path / "plan.toml")

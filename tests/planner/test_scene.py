@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
-from vibrocast.host.planner.candidates import Workbench
+from vibrocast.host.planner.candidates import Evaluator
 from vibrocast.host.planner.scene import SceneError, read_scene
 from vibrocast.textures import Recording, save
 
@@ -158,7 +158,7 @@ def test_an_offset_changes_no_plan_but_of_a_drive_signal(tmp_path: Path) -> None
         added = np.linspace(*ends, 2800)[:, None]
         save(tmp_path / f"{number}.wav", Recording(noise + added, 2800, "m/s^2", "noise"))
         read = scene(tmp_path, texture=f'[[textures]]\nname = "noise"\nfile = "{number}.wav"\n')
-        workbenches.append(Workbench(read, read.textures[0]))
+        workbenches.append(Evaluator(read, read.textures[0]))
     still = workbenches[0]
     for moved in workbenches[1:]:
         assert (moved.band.lowest, moved.band.highest, moved.band.rate) == (
