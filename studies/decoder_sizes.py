@@ -1,0 +1,89 @@
+"""Counts the bytes of the codecs' decoders for the benchmark's cost tables: `python -m studies.decoder_sizes`."""
+
+import json
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+
+from vibrocast import codec
+from vibrocast.evaluation.cost import DECODER_SIZES, DecoderSize
+from vibrocast.files import atomic_write
+
+_CORE = Path(__file__).parents[1] / "firmware" / "core"
+_TARGET = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp")
+_FLAGS = ("-Os", "-std=c99", "-ffreestanding", "-fno-builtin", "-ffunction-sections", "-fdata-sections", "-g0")
+
+
+def count_decoder_size(codec_name: str) -> DecoderSize:
+    """Count the bytes of a codec's decoder: compiled where it is in the C core, else in PyAV's wheel.
+
+    Raises click.ClickException where the core cannot be compiled.
+    """
+    if functions := _decoder_functions(codec_name):
+        compiler = f"ziglang {metadata.version('ziglang')} {_FLAGS[0]}"
+        note = f"for Cortex-M4 by {compiler}, without memcpy, memset and the compiler's arithmetic routines"
+        return DecoderSize(_linked_bytes(functions), note)
+    library = codec.codec_by_name(codec_name).library
+    if not library:
+        reason = "not in the C core" if library is None else "one of many in libavcodec"
+        return DecoderSize(None, f"decoder not counted: {reason}")
+    files = [file for file in metadata.files("av") or () if file.name.startswith(library)]
+    size = sum(Path(str(file.locate())).stat().st_size for file in files)
+    return DecoderSize(
+        size or None, f"{library} of PyAV {metadata.version('av')}, {platform.machine()}, encoder included"
+    )
+
+
+def _decoder_functions(codec_name: str) -> list[str]:
+    """Return the core's functions that decode for a codec, as its headers declare them; none for other codecs."""
+    headers = "\n".join(path.read_text(encoding="utf-8") for path in _CORE.glob("*.h"))
+    return sorted(set(re.findall(rf"\bvc_{re.escape(codec_name)}_(?:decode\w*|conceal)(?=\()", headers)))
+
+
+def _linked_bytes(functions: list[str]) -> int:
+    """Return the size of the image with these functions, all that they need, and nothing else."""
+    zig = [sys.executable, "-m", "ziglang"]
+    with tempfile.TemporaryDirectory() as folder:
+        sources = sorted(str(path) for path in _CORE.glob("*.c"))
+        _run([*zig, "cc", "-c", *_TARGET, *_FLAGS, "-fno-unwind-tables", *sources], folder)
+        roots = [f"--undefined={name}" for name in functions]
+        layout = ["--gc-sections", "--omagic", "--entry=0", "--oformat=binary", "--unresolved-symbols=ignore-all"]
+        objects = sorted(path.name for path in Path(folder).glob("*.o"))
+        _run([*zig, "ld.lld", *layout, *roots, *objects, "-o", "decoder.bin"], folder)
+        return (Path(folder) / "decoder.bin").stat().st_size
+
+
+def _run(command: list[str], folder: str) -> None:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if done.returncode:
+        raise click.ClickException(f"the core cannot be compiled:\n{done.stderr}")
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), default=DECODER_SIZES, show_default="as shipped"
+)
+def main(out: Path) -> None:
+    """Count the bytes of every codec's decoder and write them as JSON; needs ziglang."""
+    if find_spec("ziglang") is None:
+        raise click.ClickException("the core is compiled to count it: run `pip install ziglang` first")
+    sizes = {name: asdict(count_decoder_size(name)) for name in codec.CODECS}
+    try:
+        with atomic_write(out) as path:
+            path.write_text(json.dumps(sizes, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise click.ClickException(f"{out}: cannot be written: {error.strerror}") from error
+    for name, size in sizes.items():
+        click.echo(f"{name}: {size['bytes'] or 'no'} bytes ({size['note']})")
+
+
+if __name__ == "__main__":
+    main()
