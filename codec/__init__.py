@@ -25,13 +25,13 @@ from vibrocast.codec.rate_control import (
     CappedRate,
     ConstantQuality,
     ConstantRate,
-    Group,
     Policy,
     RatePolicy,
     equal_error,
     rate_controlled_encoder,
     rate_controlled_framing,
 )
+from vibrocast.codec.rate_group import Group
 from vibrocast.codec.registry import (
     BUILT_IN,
     CODECS,

@@ -31,7 +31,6 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
-from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES, PROFILE_UNIT
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import ffi, library
@@ -107,7 +106,8 @@ class DctEncoder(PacketwiseEncoder):
         entropy = word(setting, "entropy")
         self._range_coded = entropy == "range" or (entropy == AUTO and rate_control is not None)
         self._levels = int(number(setting, "levels"))
-        self._rate_control, self._quantiser_offset = rate_control, 0
+        self._rate_control, own_code = rate_control, level_code(self._levels)
+        self._quantiser_offsets = range(own_code - LEVEL_CODES + 1, own_code + _CUTTING_QUANTISER_OFFSETS + 1)
         self._bins = _kept_bins(setting, signal_format, self._block)
         self._cuts = _cuts(setting, signal_format, self._block)[:, self._bins]
         self._smallest = [range_code(value) for value in _smallest(setting, signal_format, self._block)]
@@ -142,7 +142,6 @@ class DctEncoder(PacketwiseEncoder):
 
     def _rate_controlled(self, coefficients: Signal, samples: Signal) -> bytes:
         """Return one packet at the quantiser offset chosen for it."""
-        assert self._rate_control is not None
         own_code = level_code(self._levels)
 
         def code(quantiser_offset: int) -> bytes:
@@ -151,10 +150,7 @@ class DctEncoder(PacketwiseEncoder):
             cut = self._cut(coefficients, levels, quantiser_offset - own_code)
             return self._code(cut, levels, bytes((packet_code,)))
 
-        quantiser_offsets = range(own_code - LEVEL_CODES + 1, own_code + _CUTTING_QUANTISER_OFFSETS + 1)
-        trial = PacketTrial(samples, quantiser_offsets, self._quantiser_offset, code)
-        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, code)
-        return packet
+        return self._chosen(samples, code)
 
     def _cut(self, coefficients: Signal, levels: int, quantiser_offset: int) -> Signal:
         """Return the coefficients of a rate-controlled packet without those that count as zero.

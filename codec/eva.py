@@ -23,13 +23,11 @@ from vibrocast.codec.interface import (
     Setting,
     Signal,
     SignalFormat,
-    check_channels,
-    checked_parts,
     number,
     numbers,
 )
 from vibrocast.codec.mdct import LAMBDA, RATE_CONTROLLED, step_code
-from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
+from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import Structure, ffi, library
@@ -54,7 +52,6 @@ _MAX_LATENT = 2**30
 # last all of them: at any rate there is something coarse enough.
 _DEAD_ZONES = 12 * 16
 _CHANNEL_FIELDS = np.dtype([("level", "<u2"), ("quality", "u1")])
-_CHUNK_SAMPLES = 1 << 16
 
 
 class LatentEncoder:
@@ -111,7 +108,7 @@ class LatentEncoder:
         return bytes(ffi.buffer(tables))
 
 
-class EvaEncoder:
+class EvaEncoder(PacketwiseEncoder):
     """Encoder of `eva`; see codec.interface.Encoder. Samples beyond full scale are clipped to it.
 
     The analysis runs once for each packet on just the samples that the packet depends on, so that packets do not depend
@@ -119,6 +116,7 @@ class EvaEncoder:
     """
 
     delay_samples = _REACH + _LOOK_AHEAD
+    _history = _HISTORY
 
     def __init__(
         self,
@@ -138,14 +136,7 @@ class EvaEncoder:
         are. Raises CodecError on a channel count or packet length that the codec does not have, a model that is none or
         does not have the quality, and where it brings no analysis that fits.
         """
-        self._channels = len(levels)
-        check_channels(self._channels)
-        self._columns = -(-framing.packet_samples // HOP)
-        if not 1 <= self._columns <= MAX_PACKET_COLUMNS:
-            raise CodecError(
-                f"packets of {framing.packet_samples} samples; 1 to {MAX_PACKET_COLUMNS * HOP} are allowed"
-            )
-        self.packet_samples = self._columns * HOP
+        super().__init__(len(levels), framing, HOP, MAX_PACKET_COLUMNS)
         image = EvaImage.unpack(model.tables)
         if not model.analysis:
             raise CodecError(
@@ -157,47 +148,19 @@ class EvaEncoder:
         if max(qualities) > image.rates - 1:
             raise CodecError(f"quality {max(qualities):g} is above the model's finest, {image.rates - 1}; ask for less")
         self._qualities = [round(quality * QUALITY_PARTS) for quality in qualities]
-        self.configuration = configuration(self._columns, level_codes, self._qualities, rate_control is not None)
+        self.configuration = configuration(self._packet_blocks, level_codes, self._qualities, rate_control is not None)
         self._rate_control = rate_control
         self._quantiser_offsets = range(
             min(self._qualities) - image.finest_quality_code, max(self._qualities) + _DEAD_ZONES + 1
         )
-        self._quantiser_offset = 0
         self._levels = [level_of(code) for code in level_codes]
         self._encoder = LatentEncoder(
             self.configuration, self._channels, model.tables, framing.refresh_packets, rd_weight
         )
-        self._pending: Signal = np.zeros((_HISTORY, self._channels))
-        self._begun = False
 
-    def encode(self, samples: Signal) -> list[bytes]:
-        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        packets: list[bytes] = []
-        for part in checked_parts(samples, self._channels, _CHUNK_SAMPLES):
-            self._pending = np.concatenate([self._pending, part])
-            self._begun = True
-            packets += self._complete_packets()
-        return packets
-
-    def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
-        if not self._begun:
-            return []
-        self._begun = False
-        left = len(self._pending) - _HISTORY
-        packets = -(-(left + self.delay_samples) // self.packet_samples)
-        missing = packets * self.packet_samples - left
-        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
-        return self._complete_packets()
-
-    def _complete_packets(self) -> list[bytes]:
-        packets = []
-        start = 0
-        while len(self._pending) >= start + _HISTORY + self.packet_samples:
-            packets.append(self._code(self._pending[start : start + _HISTORY + self.packet_samples]))
-            start += self.packet_samples
-        self._pending = self._pending[start:]
-        return packets
+    def _code_packets(self, samples: Signal) -> list[bytes]:
+        starts = range(0, len(samples) - _HISTORY, self.packet_samples)
+        return [self._code(samples[start : start + _HISTORY + self.packet_samples]) for start in starts]
 
     def _code(self, samples: Signal) -> bytes:
         latents = [self._analyse(channel, level) for channel, level in zip(samples.T, self._levels, strict=True)]
@@ -213,25 +176,16 @@ class EvaEncoder:
                 scaled = [np.where(np.abs(part) < 2 ** (beyond / 16 - 1), 0.0, part) for part in scaled]
             return encoder.encode(scaled, within)
 
-        if self._rate_control is None:
-            return code(self._encoder, 0)
         late = samples[_HISTORY - self.delay_samples :][: self.packet_samples]
-        trial = PacketTrial(
-            late,
-            self._quantiser_offsets,
-            self._quantiser_offset,
-            lambda quantiser_offset: code(self._encoder.copy(), quantiser_offset),
-        )
-        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, partial(code, self._encoder))
-        return packet
+        return self._chosen(late, partial(code, self._encoder), lambda offset: code(self._encoder.copy(), offset))
 
     def _analyse(self, samples: Signal, level: float) -> Signal:
         """Return the latents (latents, columns) of one channel's samples for a packet."""
-        columns = _COLUMNS_BEFORE + self._columns + _COLUMNS_AFTER
+        columns = _COLUMNS_BEFORE + self._packet_blocks + _COLUMNS_AFTER
         signal = np.zeros((1, 1, columns * HOP), dtype=np.float32)
         signal[0, 0, : len(samples)] = samples / level
         latents = run(self._analysis, signal, (1, self._image.latents, columns))[0]
-        return np.asarray(latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._columns], dtype=np.float64)
+        return np.asarray(latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._packet_blocks], dtype=np.float64)
 
 
 class EvaDecoder(CoreDecoder):

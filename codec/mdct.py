@@ -20,13 +20,11 @@ from vibrocast.codec.interface import (
     Setting,
     Signal,
     SignalFormat,
-    check_channels,
-    checked_parts,
     number,
     numbers,
     word,
 )
-from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
+from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import Structure, ffi, library
@@ -40,7 +38,7 @@ STEP_CODES_OF_QUANTISER_OFFSET = 4
 """By how many codes the steps of a packet are larger for each unit of its quantiser offset."""
 RATE_CONTROLLED = b"\x01"
 """What ends the configuration of a stream whose packets carry their quantiser offset."""
-MAX_FILL = 31 / 128
+MAX_NOISE_FILLING = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
 
@@ -48,7 +46,7 @@ _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
 _RESOLVING_SAMPLES = 1 << 16
 _RESOLVING_PACKET = 1024
-_FILL_UNIT = 128
+_NOISE_FILLING_UNIT = 128
 
 
 MIN_STEP = 2.0**-18
@@ -68,11 +66,11 @@ def step_code(step: float) -> int:
 
 
 def configuration(
-    hop: int, packet_blocks: int, step_codes: Sequence[int], fill_code: int = 0, rate_controlled: bool = False
+    hop: int, packet_blocks: int, step_codes: Sequence[int], noise_filling_code: int = 0, rate_controlled: bool = False
 ) -> bytes:
     """Return the codec's bytes in the stream header."""
     head = pack_varint(packet_blocks << 2 | HOPS.index(hop))
-    steps = b"".join((fill_code << 11 | code).to_bytes(2, "little") for code in step_codes)
+    steps = b"".join((noise_filling_code << 11 | code).to_bytes(2, "little") for code in step_codes)
     return head + steps + RATE_CONTROLLED * rate_controlled
 
 
@@ -104,7 +102,7 @@ def analysis_matrix(hop: int) -> Signal:
     return matrix
 
 
-class MdctEncoder:
+class MdctEncoder(PacketwiseEncoder):
     """Encoder of `mdct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
     def __init__(
@@ -115,41 +113,40 @@ class MdctEncoder:
         tables: bytes | None = None,
         rd_weight: float = 1.0,
         hop: int | None = None,
-        fill: float = 0.0,
+        noise_filling: float = 0.0,
         rate_control: RateControl | None = None,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
         `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
-        `hop`: one of HOPS, None = that of live streams. `fill`: magnitude that stands in for coefficients rounded to
-        zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave of the
-        steps; None = all have the steps as they are. Raises CodecError on a channel count, step, packet length, hop,
-        fill or tables that the codec does not have.
+        `hop`: one of HOPS, None = that of live streams. `noise_filling`: magnitude that stands in for coefficients
+        rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
+        of the steps; None = all have the steps as they are. Raises CodecError on a channel count, step, packet length,
+        hop, noise filling or tables that the codec does not have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
             raise CodecError(f"hop {self._hop} is not one of {HOPS}")
         if not all(math.isfinite(step) and step > 0 for step in steps):
             raise CodecError("quantiser steps must be positive numbers")
-        self._packet_blocks = -(-framing.packet_samples // self._hop)
-        if not 1 <= self._packet_blocks <= MAX_PACKET_BLOCKS:
-            raise CodecError(
-                f"packets of {framing.packet_samples} samples; 1 to {MAX_PACKET_BLOCKS * self._hop} are allowed"
-            )
-        self._channels = len(steps)
-        check_channels(self._channels)
-        if not 0 <= fill <= MAX_FILL:
-            raise CodecError(f"fill {fill} is not from 0 to {MAX_FILL}")
+        self._history = self.delay_samples = self._hop
+        self._chunk_samples = max(1, _CHUNK_BLOCKS * self._hop // max(1, len(steps)))
+        super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
+        if not 0 <= noise_filling <= MAX_NOISE_FILLING:
+            raise CodecError(f"noise_filling {noise_filling} is not from 0 to {MAX_NOISE_FILLING}")
         step_codes = [step_code(step) for step in steps]
         self.configuration = configuration(
-            self._hop, self._packet_blocks, step_codes, round(fill * _FILL_UNIT), rate_control is not None
+            self._hop,
+            self._packet_blocks,
+            step_codes,
+            round(noise_filling * _NOISE_FILLING_UNIT),
+            rate_control is not None,
         )
         self._rate_control = rate_control
         self._quantiser_offsets = range(
             -(max(step_codes) // STEP_CODES_OF_QUANTISER_OFFSET),
             (STEP_CODES - 1 - min(step_codes)) // STEP_CODES_OF_QUANTISER_OFFSET + 1,
         )
-        self._quantiser_offset = 0
         core = library()
         self._tables, table_arguments = _tables_arguments(tables)
         self._state = Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
@@ -165,38 +162,6 @@ class MdctEncoder:
             )
         )
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
-        # The last hop samples, which the next block ends, then those that no block has begun.
-        self._pending: Signal = np.zeros((self._hop, self._channels))
-        self._begun = False
-
-    @property
-    def packet_samples(self) -> int:
-        """Samples per channel in every packet."""
-        return self._packet_blocks * self._hop
-
-    @property
-    def delay_samples(self) -> int:
-        """Samples per channel by which decoded signal lags the input: one hop."""
-        return self._hop
-
-    def encode(self, samples: Signal) -> list[bytes]:
-        """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
-        packets: list[bytes] = []
-        for part in checked_parts(samples, self._channels, max(1, _CHUNK_BLOCKS * self._hop // self._channels)):
-            self._pending = np.concatenate([self._pending, part])
-            self._begun = True
-            packets += self._complete_packets()
-        return packets
-
-    def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
-        if not self._begun:
-            return []
-        self._begun = False
-        packets = -(-len(self._pending) // self.packet_samples)
-        missing = packets * self.packet_samples + self._hop - len(self._pending)
-        self._pending = np.concatenate([self._pending, np.zeros((missing, self._channels))])
-        return self._complete_packets()
 
     def adapted_tables(self) -> bytes:
         """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
@@ -215,20 +180,15 @@ class MdctEncoder:
         """Return what was kept (n, inputs + 2): the network's inputs in 1/16, the quantiser and the index."""
         return self._examples[: library().vc_mdct_encoder_recorded(self._state.pointer)]
 
-    def _complete_packets(self) -> list[bytes]:
-        count = (len(self._pending) - self._hop) // self.packet_samples
-        blocks = count * self._packet_blocks
-        if blocks <= 0:
-            return []
-        frames = np.lib.stride_tricks.sliding_window_view(self._pending, 2 * self._hop, axis=0)[:: self._hop][:blocks]
+    def _code_packets(self, samples: Signal) -> list[bytes]:
+        count = (len(samples) - self._hop) // self.packet_samples
+        frames = np.lib.stride_tricks.sliding_window_view(samples, 2 * self._hop, axis=0)[:: self._hop]
         exact = frames @ analysis_matrix(self._hop) * UNIT
         coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
-        packets = [
-            self._packet_of(part, self._pending[index * self.packet_samples : (index + 1) * self.packet_samples])
+        return [
+            self._packet_of(part, samples[index * self.packet_samples : (index + 1) * self.packet_samples])
             for index, part in enumerate(np.split(coefficients, count))
         ]
-        self._pending = self._pending[blocks * self._hop :]
-        return packets
 
     def _packet_of(self, coefficients: NDArray[np.int32], samples: Signal) -> bytes:
         coefficients = np.ascontiguousarray(coefficients)
@@ -240,16 +200,7 @@ class MdctEncoder:
                 raise does_not_fit(self.packet_samples)
             return bytes(ffi.buffer(self._packet, length))
 
-        if self._rate_control is None:
-            return code(self._state, 0)
-        trial = PacketTrial(
-            samples,
-            self._quantiser_offsets,
-            self._quantiser_offset,
-            lambda quantiser_offset: code(self._state.copy(), quantiser_offset),
-        )
-        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, partial(code, self._state))
-        return packet
+        return self._chosen(samples, partial(code, self._state), lambda offset: code(self._state.copy(), offset))
 
 
 class MdctDecoder(CoreDecoder):
@@ -323,7 +274,7 @@ def make_encoder(
         model.tables if model else None,
         number(setting, "rd_weight"),
         hop,
-        number(setting, "fill"),
+        number(setting, "noise_filling"),
         rate_control,
     )
 
@@ -338,7 +289,9 @@ CODEC = Codec(
             "weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1
         ),
         "hop": Parameter("samples from block to block", AUTO, choices=(AUTO, *map(str, HOPS))),
-        "fill": Parameter("noise in place of zeros, in quantiser steps", 1 / 32, low=0, high=MAX_FILL),
+        "noise_filling": Parameter(
+            "noise in place of zeros, in quantiser steps", 1 / 32, low=0, high=MAX_NOISE_FILLING
+        ),
     },
     # From some 2 dB of SNR to some 42; the second with the delay of a live stream at 2800 Hz.
     rate_point_sets={

@@ -1,10 +1,21 @@
-"""Encoders whose packets end with their own last sample: input is gathered until it fills whole packets."""
+"""Encoders gather their input until it fills whole packets; decoders in Python fade out alike where one is missing."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 
-from vibrocast.codec.interface import CodecError, Framing, Signal, check_channels, checked_parts
+from vibrocast.codec.interface import (
+    CodecError,
+    Decoded,
+    Framing,
+    RateControl,
+    Signal,
+    check_channels,
+    checked_parts,
+)
+from vibrocast.codec.trial import PacketTrial
+from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 
 _CHUNK_SAMPLES = 1 << 16
 
@@ -13,6 +24,14 @@ class PacketwiseEncoder(ABC):
     """The part of codec.interface.Encoder that gathers; samples beyond full scale are clipped to it."""
 
     delay_samples = 0
+    _history = 0
+    """Samples before those of a packet that it is coded from, too; zeros before the first."""
+    _chunk_samples = _CHUNK_SAMPLES
+    _rate_control: RateControl | None = None
+    """Chooses the quantiser offset of each packet, one of `_quantiser_offsets`; None = all have 0."""
+    _quantiser_offsets = range(1)
+    _quantiser_offset = 0
+    """That of the last packet."""
 
     def __init__(self, channels: int, framing: Framing, block: int, max_blocks: int) -> None:
         """Gather into packets of whole blocks of `block` samples, at most `max_blocks` of them.
@@ -25,24 +44,60 @@ class PacketwiseEncoder(ABC):
             raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {max_blocks * block} are allowed")
         self.packet_samples = self._packet_blocks * block
         self._channels = channels
-        self._pending: Signal = np.zeros((0, channels))
+        self._pending: Signal = np.zeros((self._history, channels))
+        self._begun = False
 
     def encode(self, samples: Signal) -> list[bytes]:
         """Take samples (n, channels), return packets completed. Raises CodecError on NaN, infinity or a wrong shape."""
         packets: list[bytes] = []
-        for part in checked_parts(samples, self._channels, _CHUNK_SAMPLES):
+        for part in checked_parts(samples, self._channels, self._chunk_samples):
+            self._begun = True
             packets += self._complete(part)
         return packets
 
     def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packet that remains, if samples do."""
-        return self._complete(np.zeros((-len(self._pending) % self.packet_samples, self._channels)))
+        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
+        if not self._begun:
+            return []
+        self._begun = False
+        left = len(self._pending) - self._history
+        packets = -(-(left + self.delay_samples) // self.packet_samples)
+        return self._complete(np.zeros((packets * self.packet_samples - left, self._channels)))
 
     def _complete(self, samples: Signal) -> list[bytes]:
         gathered = np.concatenate([self._pending, samples])
-        whole, self._pending = np.split(gathered, [len(gathered) // self.packet_samples * self.packet_samples])
-        return self._code_packets(whole) if len(whole) else []
+        taken = (len(gathered) - self._history) // self.packet_samples * self.packet_samples
+        self._pending = gathered[taken:]
+        return self._code_packets(gathered[: self._history + taken]) if taken else []
+
+    def _chosen(
+        self, samples: Signal, code: Callable[[int], bytes], attempt: Callable[[int], bytes] | None = None
+    ) -> bytes:
+        """Return the packet that `code` codes at the quantiser offset chosen for it, padded as asked.
+
+        `samples`: what the packet decodes to, without loss. `attempt`: as `code`, but the encoder stays as it was; None
+        = so does `code`. Raises CodecError on a choice that no packet can have.
+        """
+        if self._rate_control is None:
+            return code(0)
+        offsets = self._quantiser_offsets
+        choice = self._rate_control(PacketTrial(samples, offsets, self._quantiser_offset, attempt or code))
+        if choice.quantiser_offset not in offsets or choice.min_bytes > MAX_PACKET_BYTES:
+            raise CodecError(
+                f"a quantiser offset of {choice.quantiser_offset} in {choice.min_bytes} bytes cannot be chosen: it "
+                f"must be {offsets[0]} to {offsets[-1]}, in at most {MAX_PACKET_BYTES} bytes"
+            )
+        self._quantiser_offset = choice.quantiser_offset
+        return code(choice.quantiser_offset).ljust(choice.min_bytes, b"\0")
 
     @abstractmethod
     def _code_packets(self, samples: Signal) -> list[bytes]:
-        """Return the packets that samples (n, channels) fill to the last."""
+        """Return the packets that samples (n, channels), behind those of the history, fill to the last."""
+
+
+def faded_backwards(last: Decoded, fade_samples: int) -> Decoded:
+    """Return what stands in for a missing packet: the last one, backwards and faded out, then silence."""
+    samples = np.zeros_like(last)
+    fade = np.linspace(1, 0, min(fade_samples, len(last)))[:, None]
+    samples[: len(fade)] = np.rint(last[::-1][: len(fade)] * fade)
+    return samples

@@ -126,20 +126,7 @@ class ParametricEncoder(PacketwiseEncoder):
             )
         )
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
-        self._begun = False
         self._analyses = [_Analysis(shape) for _ in range(channels)]
-
-    def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
-        if not self._begun:
-            return []
-        self._begun = False
-        left = len(self._pending) + self.delay_samples
-        return self._complete(np.zeros((self.delay_samples + -left % self.packet_samples, self._channels)))
-
-    def _complete(self, samples: Signal) -> list[bytes]:
-        self._begun |= len(samples) > 0
-        return super()._complete(samples)
 
     def _code_packets(self, signal: Signal) -> list[bytes]:
         count = len(signal) // self.packet_samples

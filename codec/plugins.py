@@ -22,7 +22,7 @@ from vibrocast.codec.interface import (
     number,
     reject_rate_control,
 )
-from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.packetwise import PacketwiseEncoder, faded_backwards
 from vibrocast.device_protocol.encoding import pack_varint
 
 GROUP = "vibrocast.codecs"
@@ -206,8 +206,6 @@ class PluginDecoder:
 
     def conceal(self) -> Decoded:
         """Stand in for one missing packet: the last sound, backwards and faded out, then silence."""
-        samples = np.zeros_like(self._last)
-        fade = np.linspace(1, 0, min(_FADE_SAMPLES, self.packet_samples))[:, None]
-        samples[: len(fade)] = np.rint(self._last[::-1][: len(fade)] * fade)
+        samples = faded_backwards(self._last, _FADE_SAMPLES)
         self._last = np.zeros_like(self._last)
         return samples

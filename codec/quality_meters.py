@@ -20,7 +20,7 @@ _NOTHING = 1e-20
 
 
 class QualityMeter(Protocol):
-    """Measures in dB how well a decoded packet stands for its samples; more is finer. Remembers what it has heard."""
+    """Measures in dB how well a decoded packet stands for its samples; more is finer. Remembers earlier packets."""
 
     def quality_db(self, samples: Signal, decoded: Signal) -> float:
         """Return the quality of a packet if it were next; both are float64 (packet_samples, channels), full scale 1."""
@@ -92,4 +92,4 @@ class ThresholdMeter:
         return float(np.min(10 * np.log10(self._min_power / power)))
 
     def update(self, samples: Signal, decoded: Signal) -> None:
-        """Each packet is judged by itself; see QualityMeter."""
+        """Each packet is measured by itself; see QualityMeter."""

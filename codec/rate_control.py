@@ -8,7 +8,7 @@ docs/rate_control.md shows what they do.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Protocol, Self, TypeAlias, cast
+from typing import TypeAlias
 
 import numpy as np
 
@@ -21,12 +21,12 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Setting,
-    Signal,
     SignalFormat,
     TargetUnreachable,
     Trial,
 )
 from vibrocast.codec.quality_meters import QualityMeter
+from vibrocast.codec.trial import Attempts, DecoderProbe, within
 
 DEFAULT_RATE_BUFFER_S = 0.018
 """The rate buffer's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
@@ -41,7 +41,6 @@ REFRESH_S = 2.0
 FrameBytes: TypeAlias = Callable[[bytes], int]
 """Bytes that the frame of a packet adds to it on the way. Raises CodecError for a packet that no frame carries."""
 
-_FIRST_STRIDE = 2
 # A constant rate aims at the mean quality of the last _MEMORY_RATE_BUFFERS times of the rate buffer, and up to half
 # _SWING_DB more as the rate buffer is empty, less as it is full; the swing is less where it holds few packets, or it
 # overshoots.
@@ -51,13 +50,6 @@ _PACKETS_FOR_FULL_SWING = 4.0
 _PROBE_PACKETS = 4
 # A sequence number takes one byte at first, and four from packet 2^20 on.
 _SEQUENCE_GROWTH_BYTES = 3
-
-
-class CopyableDecoder(Decoder, Protocol):
-    """A decoder on whose state packets can be tried."""
-
-    def copy(self) -> Self:
-        """Return an independent decoder in the same state."""
 
 
 class RateBuffer:
@@ -113,117 +105,12 @@ class RateBuffer:
         return self.bits_per_second * seconds / 8
 
 
-class _Attempts:
-    """The packets of trials that are due together, each coded once at a quantiser offset that is common to all."""
-
-    def __init__(self, trials: Sequence[Trial], sent_bytes: Callable[[bytes], int]) -> None:
-        self.trials = trials
-        finest, coarsest = min(t.quantiser_offsets[0] for t in trials), max(t.quantiser_offsets[-1] for t in trials)
-        self.quantiser_offsets = range(finest, coarsest + 1)
-        self.previous = max(trial.previous for trial in trials)
-        self._sent_bytes = sent_bytes
-        self._packets: dict[int, list[bytes] | None] = {}
-
-    def packets(self, quantiser_offset: int) -> list[bytes] | None:
-        """Return each trial's packet at the quantiser offset, or the nearest; None where one would be too long."""
-        if quantiser_offset not in self._packets:
-            try:
-                packets = [trial.packet(_within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials]
-            except CodecError:
-                packets = None
-            self._packets[quantiser_offset] = packets
-        return self._packets[quantiser_offset]
-
-    def coded(self, quantiser_offset: int) -> list[bytes]:
-        """Return the packets at a quantiser offset. Raises CodecError where one would be too long."""
-        return self.packets(quantiser_offset) or [
-            trial.packet(_within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials
-        ]
-
-    def size_bytes(self, quantiser_offset: int) -> float:
-        """Return what all packets take on the way, infinity where one would be too long."""
-        packets = self.packets(quantiser_offset)
-        try:
-            return math.inf if packets is None else sum(map(self._sent_bytes, packets))
-        except CodecError:
-            return math.inf  # no frame carries one of them
-
-    def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
-        """Return a quantiser offset at which `holds`, and not at the next finer one; None where it holds at none.
-
-        `holds`: on the whole, of coarse ones and not of fine ones. Steps away from `start` double until the change
-        lies between two that were tried; then what is between them is halved.
-        """
-        first, last = self.quantiser_offsets[0], self.quantiser_offsets[-1]
-        fails, succeeds = first - 1, last + 1
-        quantiser_offset, stride = _within(self.quantiser_offsets, start), _FIRST_STRIDE
-        while succeeds - fails > 1:
-            if holds(quantiser_offset):
-                succeeds = quantiser_offset
-            else:
-                fails = quantiser_offset
-            if fails < first:
-                quantiser_offset = max(first, succeeds - stride)
-            elif succeeds > last:
-                quantiser_offset = min(last, fails + stride)
-            else:
-                quantiser_offset = (fails + succeeds) // 2
-            stride *= 2
-        if succeeds <= last:
-            return succeeds
-        return next(filter(holds, reversed(self.quantiser_offsets)), None)
-
-
-def _within(quantiser_offsets: range, quantiser_offset: int) -> int:
-    return min(max(quantiser_offset, quantiser_offsets[0]), quantiser_offsets[-1])
-
-
-class _DecoderProbe:
-    """Takes in packets as the far end will, and lets a meter say how good they are; of one stream."""
-
-    def __init__(self, meter: QualityMeter) -> None:
-        self._meter = meter
-        self._decoder: CopyableDecoder | None = None
-
-    def begin(self, decoder: Decoder) -> None:
-        """Listen to what this decoder decodes. Raises CodecError for one whose state cannot be copied."""
-        if not hasattr(decoder, "copy"):
-            raise CodecError("this codec cannot be held to a quality; ask for a constant rate, or choose another codec")
-        self._decoder = cast(CopyableDecoder, decoder)
-
-    def quality_db(self, attempts: _Attempts, quantiser_offset: int) -> float:
-        """Return the quality of the first trial's packet; infinity where it is too long to be coded."""
-        packets = attempts.packets(quantiser_offset)
-        if packets is None:
-            return math.inf
-        assert self._decoder is not None, "it has begun"
-        return self._meter.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
-
-    def coarsest_with(self, attempts: _Attempts, quality_db: float) -> int:
-        """Return the coarsest that has the quality; the finest that can be coded where none has."""
-        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.previous)
-        quantiser_offset = (
-            attempts.quantiser_offsets[-1] if worse is None else _within(attempts.quantiser_offsets, worse - 1)
-        )
-        if attempts.packets(quantiser_offset) is not None:
-            return quantiser_offset
-        codable = attempts.finest(lambda each: attempts.packets(each) is not None, quantiser_offset)
-        return attempts.quantiser_offsets[-1] if codable is None else codable
-
-    def update(self, attempts: _Attempts, quantiser_offset: int) -> None:
-        """Take in the packet that was chosen."""
-        assert self._decoder is not None, "it has begun"
-        self._meter.update(
-            attempts.trials[0].samples, self._decoder.decode(attempts.coded(quantiser_offset)[0]) / 32768
-        )
-
-
 class Policy(ABC):
     """A rate control with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its
     place.
     """
 
-    _probe: _DecoderProbe | None = None
+    _probe: DecoderProbe | None = None
 
     def __init__(self, frame_bytes: FrameBytes | int = 0) -> None:
         """`frame_bytes`: what the frame of a packet adds to it on the way."""
@@ -236,7 +123,7 @@ class Policy(ABC):
         """Begin a stream of packets of so many seconds, which `decoder` decodes from its first one on.
 
         `min_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
-        where the codec's packets cannot be judged, TargetUnreachable where they do not fit the rate.
+        where the codec's packets cannot be measured, TargetUnreachable where they do not fit the rate.
         """
         if self._probe is not None:
             self._probe.begin(decoder)
@@ -289,7 +176,7 @@ class RatePolicy(Policy):
             f"{math.ceil(least)} bit/s however coarse, with their frames; ask for that, or for longer packets"
         )
 
-    def _finest_that_fits(self, attempts: _Attempts, start: int) -> int:
+    def _finest_that_fits(self, attempts: Attempts, start: int) -> int:
         """Return the finest that the rate buffer holds; the coarsest where a lower rate has left too much in it."""
         max_bytes = self.rate_buffer.max_bytes(self._seconds)
         found = attempts.finest(lambda each: attempts.size_bytes(each) <= max_bytes, start)
@@ -309,7 +196,7 @@ class RatePolicy(Policy):
 class CappedRate(RatePolicy):
     """A constant quality as far as the rate buffer holds it, and else the finest that it holds."""
 
-    _probe: _DecoderProbe
+    _probe: DecoderProbe
 
     def __init__(
         self,
@@ -321,11 +208,11 @@ class CappedRate(RatePolicy):
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.0), frame_bytes)
         self.quality_db = quality_db
-        self._probe = _DecoderProbe(meter)
+        self._probe = DecoderProbe(meter)
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises TargetUnreachable."""
-        attempts = _Attempts([trial], self.sent_bytes)
+        attempts = Attempts([trial], self.sent_bytes)
         quantiser_offset = self._probe.coarsest_with(attempts, self.quality_db)
         if attempts.size_bytes(quantiser_offset) > self.rate_buffer.max_bytes(self._seconds):
             quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
@@ -363,8 +250,8 @@ class ConstantRate(RatePolicy):
         meter: QualityMeter | None = None,
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.5), frame_bytes)
-        self._probe = None if meter is None else _DecoderProbe(meter)
-        self._mean_db, self._heard = 0.0, 0  # the mean quality, and of how many packets
+        self._probe = None if meter is None else DecoderProbe(meter)
+        self._mean_db, self._measured = 0.0, 0  # the mean quality, and of how many packets
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the packet's quantiser offset and padding. Raises TargetUnreachable where none fits."""
@@ -372,7 +259,7 @@ class ConstantRate(RatePolicy):
 
     def choose(self, trials: Sequence[Trial]) -> list[Choice]:
         """Choose for packets of several streams that are due together: one quantiser offset, and their sum fits."""
-        attempts = _Attempts(trials, self.sent_bytes)
+        attempts = Attempts(trials, self.sent_bytes)
         min_bytes, max_bytes = self.rate_buffer.min_bytes(self._seconds), self.rate_buffer.max_bytes(self._seconds)
         quantiser_offset = self._aim(attempts)
         if attempts.size_bytes(quantiser_offset) > max_bytes:
@@ -390,33 +277,33 @@ class ConstantRate(RatePolicy):
         packets = [*packets[:-1], padded]
         self._send(packets)
         return [
-            Choice(_within(trial.quantiser_offsets, quantiser_offset), len(packet))
+            Choice(within(trial.quantiser_offsets, quantiser_offset), len(packet))
             for trial, packet in zip(trials, packets, strict=True)
         ]
 
-    def _aim(self, attempts: _Attempts) -> int:
+    def _aim(self, attempts: Attempts) -> int:
         """Return the quantiser offset of the quality aimed at; that of the packet's share of the rate where none is
         known.
         """
-        if self._probe is None or self._heard == 0:
+        if self._probe is None or self._measured == 0:
             share_bytes = self.bits_per_second * self._seconds / 8
             aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.previous)
             return attempts.quantiser_offsets[-1] if aim is None else aim
         swing_db = _SWING_DB * min(1.0, self.rate_buffer.rate_buffer_s / self._seconds / _PACKETS_FOR_FULL_SWING)
         return self._probe.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
 
-    def _coarsest_that_fills(self, attempts: _Attempts, start: int, min_bytes: int, max_bytes: int) -> int:
+    def _coarsest_that_fills(self, attempts: Attempts, start: int, min_bytes: int, max_bytes: int) -> int:
         """Return the coarsest that needs no padding, or the finest that fits where the least padding is needed."""
         short = attempts.finest(lambda each: attempts.size_bytes(each) < min_bytes, start)
         assert short is not None, "the one that is aimed at is too short"
-        finer = _within(attempts.quantiser_offsets, short - 1)
+        finer = within(attempts.quantiser_offsets, short - 1)
         return finer if attempts.size_bytes(finer) <= max_bytes else short
 
     def _remember(self, quality_db: float) -> None:
         """Take a quality into the mean."""
-        self._heard += 1
+        self._measured += 1
         kept = math.exp(-self._seconds / (_MEMORY_RATE_BUFFERS * self.rate_buffer.rate_buffer_s))
-        self._mean_db += max(1 / self._heard, 1 - kept) * (quality_db - self._mean_db)
+        self._mean_db += max(1 / self._measured, 1 - kept) * (quality_db - self._mean_db)
 
     def _padded(self, packets: Sequence[bytes], min_bytes: int, max_bytes: int) -> bytes:
         """Return the last of the packets, padded with zero bytes to bring all of them to the least."""
@@ -427,86 +314,6 @@ class ConstantRate(RatePolicy):
         while len(padded) > len(last) and others_bytes + self.sent_bytes(padded) > max_bytes:
             padded = padded[:-1]
         return padded
-
-
-class Group:
-    """Several streams whose packets are due together, under one constant rate for the sum of their bytes.
-
-    All have one quantiser offset. Where a quantiser offset means the same step in a physical unit in all of them, the
-    bits go where the power is: reverse water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed.,
-    10.3.3). `members`: the policies of the streams' encoders, one each.
-    """
-
-    def __init__(self, policy: ConstantRate, streams: int) -> None:
-        self.policy = policy
-        self.members = tuple(_Member(self, index, policy.sent_bytes) for index in range(streams))
-        self._trials: dict[int, Trial] = {}
-        self._choices: dict[int, Choice] = {}
-        self._seconds = math.nan
-        self._min_bytes: dict[int, int] = {}
-        self._code_next: Callable[[int], None] | None = None
-
-    def code(self, coders: Sequence[Callable[[Signal], list[bytes]]], blocks: Sequence[Signal]) -> list[list[bytes]]:
-        """Code one packet's samples of each stream by its encoder's `encode`, or what calls it; return the packets.
-
-        Raises CodecError for blocks that make more than one packet, and as the encoders do.
-        """
-        packets: list[list[bytes]] = [[] for _ in self.members]
-        self._trials, self._choices = {}, {}
-
-        # Each encoder waits for its choice while the next one makes its trial; behind the last one all are chosen.
-        def code_from(index: int) -> None:
-            if index == len(self.members):
-                chosen = self.policy.choose(list(self._trials.values())) if self._trials else []
-                self._choices = dict(zip(self._trials, chosen, strict=True))
-                return
-            packets[index] = coders[index](blocks[index])
-            if index not in self._trials:  # it completed no packet
-                code_from(index + 1)
-
-        self._code_next = code_from
-        try:
-            code_from(0)
-        finally:
-            self._code_next = None
-        return packets
-
-    def begin(self, index: int, decoder: Decoder, min_bytes: int, seconds: float) -> None:
-        """Begin the stream of one member; see Policy. Raises CodecError where its packets last longer or less."""
-        if self._min_bytes and not math.isclose(seconds, self._seconds):
-            raise CodecError("streams that share a rate need packets of one duration; give all the same")
-        self._seconds = seconds
-        self._min_bytes[index] = min_bytes
-        self.policy.begin(decoder, sum(self._min_bytes.values()), seconds)
-
-    def choose(self, index: int, trial: Trial) -> Choice:
-        """Choose for one member when all have made their trials. Raises CodecError outside `code`."""
-        if self._code_next is None or index in self._trials:
-            raise CodecError("streams that share a rate are coded together, a packet of each at a time")
-        self._trials[index] = trial
-        self._code_next(index + 1)
-        return self._choices[index]
-
-
-class _Member(Policy):
-    """The policy of one stream of a group."""
-
-    def __init__(self, group: Group, index: int, frame_bytes: FrameBytes) -> None:
-        super().__init__()
-        self._group, self._index = group, index
-
-    def begin(self, decoder: Decoder, min_bytes: int, seconds: float) -> None:
-        """Begin a stream; see Policy."""
-        super().begin(decoder, min_bytes, seconds)
-        self._group.begin(self._index, decoder, min_bytes, seconds)
-
-    def sent_bytes(self, packet: bytes) -> int:
-        """Return what a packet and its frame take on the way."""
-        return self._group.policy.sent_bytes(packet)
-
-    def __call__(self, trial: Trial) -> Choice:
-        """Choose with the others of the group."""
-        return self._group.choose(self._index, trial)
 
 
 def rate_controlled_encoder(

@@ -141,7 +141,7 @@ def encode(
     progress: Callable[[float], None] | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
 ) -> tuple[Stream, Outcome]:
-    """Resample a recording to the stream's rate and code it as a live stream, rate-controlled as wished.
+    """Resample a recording to the stream's rate and code it as a live stream to a rate target.
 
     `highpass_hz` as in `coding.encode`.
 

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from vibrocast.codec import dct, eva, libav, mdct, parametric, plugins, slp
+from vibrocast.codec import dct, eva, general_codecs, mdct, parametric, plugins, slp
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -36,7 +36,8 @@ _MIN_GAIN = 2.0**-120
 Progress: TypeAlias = Callable[[float], None]
 
 BUILT_IN: dict[str, Codec] = {
-    codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *libav.CODECS, parametric.CODEC)
+    codec.name: codec
+    for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *general_codecs.CODECS, parametric.CODEC)
 }
 DEFAULT_CODEC = mdct.NAME
 

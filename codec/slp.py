@@ -27,7 +27,6 @@ from vibrocast.codec.interface import (
 from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
 from vibrocast.codec.mdct import RATE_CONTROLLED
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.codec.trial import PacketTrial, rate_controlled_packet
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
@@ -80,7 +79,7 @@ class SlpEncoder(PacketwiseEncoder):
         super().__init__(signal_format.channels, framing, frame, MAX_PACKET_FRAMES)
         self._frame, self._order = frame, order
         step_codes = [step_code(step * rms) for rms in signal_format.rms]
-        self._rate_control, self._quantiser_offset = rate_control, 0
+        self._rate_control = rate_control
         # What is loud has levels at the largest steps too; one more is silence, which fits any rate.
         self._silent = QUANTISER_OFFSETS_OF_STEP_CODE * (STEP_CODES - 1 - min(step_codes)) + 1
         self._quantiser_offsets = range(-QUANTISER_OFFSETS_OF_STEP_CODE * max(step_codes), self._silent + 1)
@@ -146,16 +145,7 @@ class SlpEncoder(PacketwiseEncoder):
                 raise does_not_fit(self.packet_samples)
             return bytes(ffi.buffer(self._packet, length))
 
-        if self._rate_control is None:
-            return code(self._state, 0)
-        trial = PacketTrial(
-            samples,
-            self._quantiser_offsets,
-            self._quantiser_offset,
-            lambda quantiser_offset: code(self._state.copy(), quantiser_offset),
-        )
-        self._quantiser_offset, packet = rate_controlled_packet(trial, self._rate_control, partial(code, self._state))
-        return packet
+        return self._chosen(samples, partial(code, self._state), lambda offset: code(self._state.copy(), offset))
 
 
 def make_encoder(

@@ -1,10 +1,14 @@
-"""Packets of rate-controlled streams: tried at several quantiser offsets, then coded at the one that is chosen."""
+"""Packets tried at several quantiser offsets before one is chosen: as encoders offer them, and as policies try them."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, Self, cast
 
-from vibrocast.codec.interface import CodecError, RateControl, Signal
-from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
+from vibrocast.codec.interface import CodecError, Decoder, Signal, Trial
+from vibrocast.codec.quality_meters import QualityMeter
+
+_FIRST_STRIDE = 2
 
 
 @dataclass(frozen=True)
@@ -26,17 +30,113 @@ class PacketTrial:
         return self.code(quantiser_offset)
 
 
-def rate_controlled_packet(
-    trial: PacketTrial, rate_control: RateControl, code: Callable[[int], bytes]
-) -> tuple[int, bytes]:
-    """Ask the rate control; return the quantiser offset, and the packet that `code` codes at it, padded as asked.
+class CopyableDecoder(Decoder, Protocol):
+    """A decoder on whose state packets can be tried."""
 
-    `code`: as that of the trial, but the encoder goes on. Raises CodecError on a choice that no packet can have.
-    """
-    choice = rate_control(trial)
-    if choice.quantiser_offset not in trial.quantiser_offsets or choice.min_bytes > MAX_PACKET_BYTES:
-        raise CodecError(
-            f"a quantiser offset of {choice.quantiser_offset} in {choice.min_bytes} bytes cannot be chosen: it must be "
-            f"{trial.quantiser_offsets[0]} to {trial.quantiser_offsets[-1]}, in at most {MAX_PACKET_BYTES} bytes"
+    def copy(self) -> Self:
+        """Return an independent decoder in the same state."""
+
+
+class Attempts:
+    """The packets of trials that are due together, each coded once at a quantiser offset that is common to all."""
+
+    def __init__(self, trials: Sequence[Trial], sent_bytes: Callable[[bytes], int]) -> None:
+        self.trials = trials
+        finest, coarsest = min(t.quantiser_offsets[0] for t in trials), max(t.quantiser_offsets[-1] for t in trials)
+        self.quantiser_offsets = range(finest, coarsest + 1)
+        self.previous = max(trial.previous for trial in trials)
+        self._sent_bytes = sent_bytes
+        self._packets: dict[int, list[bytes] | None] = {}
+
+    def packets(self, quantiser_offset: int) -> list[bytes] | None:
+        """Return each trial's packet at the quantiser offset, or the nearest; None where one would be too long."""
+        if quantiser_offset not in self._packets:
+            try:
+                packets = [trial.packet(within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials]
+            except CodecError:
+                packets = None
+            self._packets[quantiser_offset] = packets
+        return self._packets[quantiser_offset]
+
+    def coded(self, quantiser_offset: int) -> list[bytes]:
+        """Return the packets at a quantiser offset. Raises CodecError where one would be too long."""
+        return self.packets(quantiser_offset) or [
+            trial.packet(within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials
+        ]
+
+    def size_bytes(self, quantiser_offset: int) -> float:
+        """Return what all packets take on the way, infinity where one would be too long."""
+        packets = self.packets(quantiser_offset)
+        try:
+            return math.inf if packets is None else sum(map(self._sent_bytes, packets))
+        except CodecError:
+            return math.inf  # no frame carries one of them
+
+    def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
+        """Return a quantiser offset at which `holds`, and not at the next finer one; None where it holds at none.
+
+        `holds`: on the whole, of coarse ones and not of fine ones. Steps away from `start` double until the change
+        lies between two that were tried; then what is between them is halved.
+        """
+        first, last = self.quantiser_offsets[0], self.quantiser_offsets[-1]
+        fails, succeeds = first - 1, last + 1
+        quantiser_offset, stride = within(self.quantiser_offsets, start), _FIRST_STRIDE
+        while succeeds - fails > 1:
+            if holds(quantiser_offset):
+                succeeds = quantiser_offset
+            else:
+                fails = quantiser_offset
+            if fails < first:
+                quantiser_offset = max(first, succeeds - stride)
+            elif succeeds > last:
+                quantiser_offset = min(last, fails + stride)
+            else:
+                quantiser_offset = (fails + succeeds) // 2
+            stride *= 2
+        if succeeds <= last:
+            return succeeds
+        return next(filter(holds, reversed(self.quantiser_offsets)), None)
+
+
+def within(quantiser_offsets: range, quantiser_offset: int) -> int:
+    return min(max(quantiser_offset, quantiser_offsets[0]), quantiser_offsets[-1])
+
+
+class DecoderProbe:
+    """Takes in packets as the far end will, and lets a meter say how good they are; of one stream."""
+
+    def __init__(self, meter: QualityMeter) -> None:
+        self._meter = meter
+        self._decoder: CopyableDecoder | None = None
+
+    def begin(self, decoder: Decoder) -> None:
+        """Listen to what this decoder decodes. Raises CodecError for one whose state cannot be copied."""
+        if not hasattr(decoder, "copy"):
+            raise CodecError("this codec cannot be held to a quality; ask for a constant rate, or choose another codec")
+        self._decoder = cast(CopyableDecoder, decoder)
+
+    def quality_db(self, attempts: Attempts, quantiser_offset: int) -> float:
+        """Return the quality of the first trial's packet; infinity where it is too long to be coded."""
+        packets = attempts.packets(quantiser_offset)
+        if packets is None:
+            return math.inf
+        assert self._decoder is not None, "it has begun"
+        return self._meter.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
+
+    def coarsest_with(self, attempts: Attempts, quality_db: float) -> int:
+        """Return the coarsest that has the quality; the finest that can be coded where none has."""
+        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.previous)
+        quantiser_offset = (
+            attempts.quantiser_offsets[-1] if worse is None else within(attempts.quantiser_offsets, worse - 1)
         )
-    return choice.quantiser_offset, code(choice.quantiser_offset).ljust(choice.min_bytes, b"\0")
+        if attempts.packets(quantiser_offset) is not None:
+            return quantiser_offset
+        codable = attempts.finest(lambda each: attempts.packets(each) is not None, quantiser_offset)
+        return attempts.quantiser_offsets[-1] if codable is None else codable
+
+    def update(self, attempts: Attempts, quantiser_offset: int) -> None:
+        """Take in the packet that was chosen."""
+        assert self._decoder is not None, "it has begun"
+        self._meter.update(
+            attempts.trials[0].samples, self._decoder.decode(attempts.coded(quantiser_offset)[0]) / 32768
+        )

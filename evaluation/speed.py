@@ -30,7 +30,7 @@ SAMPLES = 1 << 17
 class Speed:
     """What a method takes for each million samples: processor seconds of one core, without process start.
 
-    `rate`: bits per sample that were wished for, of which its setting comes nearest. `runtime`: what decodes where a
+    `rate`: bits per sample that its setting comes nearest to. `runtime`: what decodes where a
     model leaves the choice, of codec.RUNTIMES; "" for codecs without. `snr_db`: of this signal as that runtime decodes
     it.
     """

@@ -1,4 +1,4 @@
-"""What the judge wants to know of a trained model: which settings it takes, its runtimes, sizes and identity."""
+"""Facts of a trained model that the evaluation needs: which settings it takes, its runtimes, sizes and identity."""
 
 import hashlib
 from collections.abc import Iterable

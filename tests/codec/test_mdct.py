@@ -25,11 +25,13 @@ def coded(
     framing: Framing,
     hop: int | None = None,
     tables: bytes | None = None,
-    fill: float = 0.0,
+    noise_filling: float = 0.0,
     rate_control: RateControl | None = None,
 ) -> tuple[bytes, list[bytes]]:
     steps = [step] * signal.shape[1]
-    encoder = mdct.MdctEncoder(steps, RATE_HZ, framing, tables, hop=hop, fill=fill, rate_control=rate_control)
+    encoder = mdct.MdctEncoder(
+        steps, RATE_HZ, framing, tables, hop=hop, noise_filling=noise_filling, rate_control=rate_control
+    )
     packets = encoder.encode(signal) + encoder.finish()
     return encoder.configuration, packets
 
@@ -40,12 +42,12 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int, tables: b
 
 
 @pytest.mark.parametrize("hop", mdct.HOPS)
-@pytest.mark.parametrize(("channels", "fill"), [(1, 0.0), (3, 1 / 32)])
+@pytest.mark.parametrize(("channels", "noise_filling"), [(1, 0.0), (3, 1 / 32)])
 @pytest.mark.parametrize("tables", TABLES.values(), ids=TABLES)
-def test_core_agrees_with_the_documented_decoder(hop: int, channels: int, fill: float, tables: bytes) -> None:
+def test_core_agrees_with_the_documented_decoder(hop: int, channels: int, noise_filling: float, tables: bytes) -> None:
     """Levels equal, and samples at least 80 dB below full scale from the exact transform."""
     signal = np.concatenate([texture(800, channels), np.zeros((300, channels)), texture(400, channels)])
-    configuration, packets = coded(signal, 0.05, Framing(4 * hop, 5), hop, tables, fill)
+    configuration, packets = coded(signal, 0.05, Framing(4 * hop, 5), hop, tables, noise_filling)
     reference = ReferenceDecoder(configuration, channels, tables)
     exact = np.concatenate([reference.samples(packet) for packet in packets])
     difference = np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels, tables)
@@ -80,7 +82,9 @@ def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
 ) -> None:
     signal = texture(300, channels)
     framing = Framing(2 * hop, refresh_packets)
-    configuration, packets = coded(signal, 0.1, framing, hop, fill=1 / 8, rate_control=in_turn(quantiser_offsets))
+    configuration, packets = coded(
+        signal, 0.1, framing, hop, noise_filling=1 / 8, rate_control=in_turn(quantiser_offsets)
+    )
     reference = ReferenceDecoder(configuration, channels, mdct.built_in_tables())
     exact = np.concatenate([reference.samples(packet) for packet in packets])
     assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels))) < 0.51
@@ -105,8 +109,10 @@ def test_a_constant_quantiser_offset_is_that_of_the_step_and_costs_at_most_a_bit
     quantiser_offset: int,
 ) -> None:
     signal = texture(50_000)
-    plain = coded(signal, 0.125 * 2 ** (quantiser_offset / 16), Framing(128, 5), fill=1 / 8)
-    rate_controlled = coded(signal, 0.125, Framing(128, 5), fill=1 / 8, rate_control=in_turn([quantiser_offset]))
+    plain = coded(signal, 0.125 * 2 ** (quantiser_offset / 16), Framing(128, 5), noise_filling=1 / 8)
+    rate_controlled = coded(
+        signal, 0.125, Framing(128, 5), noise_filling=1 / 8, rate_control=in_turn([quantiser_offset])
+    )
     np.testing.assert_array_equal(decoded(*plain, 1), decoded(*rate_controlled, 1))
     added_bits = 8 * (sum(map(len, rate_controlled[1])) - sum(map(len, plain[1])))
     at_refreshes = 0 if quantiser_offset == 0 else 10 * len(plain[1]) / 5
@@ -237,7 +243,7 @@ def test_any_tables_and_network_decode_what_they_coded(pattern: bytes, hop: int)
 
 def test_decoding_that_begins_at_a_refresh_gives_the_same_samples() -> None:
     """To the last bit, what stands in for zeros included, from the first hop on, which the block before overlaps."""
-    configuration, packets = coded(texture(3000), 0.1, Framing(128, 5), fill=1 / 8)
+    configuration, packets = coded(texture(3000), 0.1, Framing(128, 5), noise_filling=1 / 8)
     whole = decoded(configuration, packets, 1)
     late = decoded(configuration, packets[10:], 1)
     assert np.array_equal(late[32:], whole[1280 + 32 :])
@@ -276,7 +282,8 @@ def test_fill_takes_the_place_of_zeros_and_leaves_silence() -> None:
     tone = np.sin(2 * np.pi * 100 * np.arange(1400) / RATE_HZ)[:, None]
     signal = np.concatenate([tone, np.zeros((1400, 1))])
     filled, bare = (
-        codec.decode(codec.encode(signal, RATE_HZ, {"step": 1, "hop": "32", "fill": fill})) for fill in (0.1, 0)
+        codec.decode(codec.encode(signal, RATE_HZ, {"step": 1, "hop": "32", "noise_filling": noise_filling}))
+        for noise_filling in (0.1, 0)
     )
     above_700_hz = [np.sqrt(np.mean(np.abs(np.fft.rfft(samples[:1344, 0])[336:]) ** 2)) for samples in (filled, bare)]
     assert above_700_hz[0] > 5 * above_700_hz[1]
@@ -313,10 +320,10 @@ def test_parameters_out_of_range_are_rejected(steps: list[float], framing: Frami
         mdct.MdctEncoder(steps, RATE_HZ, framing, hop=hop)
 
 
-@pytest.mark.parametrize("fill", [-0.01, 0.25, float("nan")])
-def test_a_fill_out_of_range_is_rejected(fill: float) -> None:
-    with pytest.raises(CodecError, match="fill"):
-        mdct.MdctEncoder([0.1], RATE_HZ, Framing(32, 0), fill=fill)
+@pytest.mark.parametrize("noise_filling", [-0.01, 0.25, float("nan")])
+def test_noise_filling_out_of_range_is_rejected(noise_filling: float) -> None:
+    with pytest.raises(CodecError, match="noise_filling"):
+        mdct.MdctEncoder([0.1], RATE_HZ, Framing(32, 0), noise_filling=noise_filling)
 
 
 def test_a_packet_that_does_not_fit_is_rejected() -> None:
@@ -359,7 +366,7 @@ def test_golden_stream() -> None:
 
 
 def test_golden_stream_with_a_network() -> None:
-    """Network, fill and the longest hop: a stream that was coded with a model that ships stays playable likewise."""
+    """Network, noise filling and longest hop: a stream coded with a model that ships stays playable likewise."""
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_network.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 2)
     model = models.by_hash(header.image_hash)

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("device_protocol", "evaluation", "host", "output", "simulated_device", "textures")
 SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 SOURCES += sorted((ROOT / "vibrocast").glob("*.py"))
-MODULES = {"dct", "eva", "eva_image", "libav", "mdct", "parametric", "slp"}
+MODULES = {"dct", "eva", "eva_image", "general_codecs", "libav", "mdct", "parametric", "slp"}
 ABOUT_ONE_CODEC = {
     "evaluation/comparison.py": "the curves that others are compared with",
     "evaluation/model_card.py": "the card of a model that export/ has trained",

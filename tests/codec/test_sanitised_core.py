@@ -60,7 +60,13 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
         (1, generator.bytes(len(network)), 128, None),
     ):
         encoder = mdct.MdctEncoder(
-            [0.02] * channels, RATE_HZ, Framing(96, 4), tables or None, hop=hop, fill=0.1, rate_control=rate_control
+            [0.02] * channels,
+            RATE_HZ,
+            Framing(96, 4),
+            tables or None,
+            hop=hop,
+            noise_filling=0.1,
+            rate_control=rate_control,
         )
         packets = encoder.encode(texture(3000, channels))
         records = record(0, tables) + record(channels, encoder.configuration)
@@ -77,7 +83,9 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
 def test_extreme_steps_and_levels(program: Path) -> None:
     for code, rate_controlled in itertools.product((0, mdct.STEP_CODES - 1), (False, True)):
         for hop in mdct.HOPS:
-            configuration = mdct.configuration(hop, 2, [code] * 2, fill_code=31, rate_controlled=rate_controlled)
+            configuration = mdct.configuration(
+                hop, 2, [code] * 2, noise_filling_code=31, rate_controlled=rate_controlled
+            )
             records = record(0, b"") + record(2, configuration)
             records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))
             done = run(program, records)

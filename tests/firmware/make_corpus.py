@@ -46,7 +46,7 @@ HEADER = StreamHeader(
 IMAGE = ModelImage(4, "oak", "1.0", "board", random_image(1, 2, 2, 1).pack()).pack()
 SETTINGS: tuple[tuple[str, Setting], ...] = (
     ("mdct", {"step": 0.05}),
-    ("mdct", {"step": 0.05, "fill": 0.1, "hop": "16"}),
+    ("mdct", {"step": 0.05, "noise_filling": 0.1, "hop": "16"}),
     ("dct", {"levels": 14, "entropy": "huffman", "block": "64"}),
     ("dct", {"levels": 100, "entropy": "range", "quantiser": "log", "block": "64"}),
     ("slp", {"quality": 20}),
