@@ -1,8 +1,11 @@
 """Tests of the workers: a piece of work that raises or kills its process costs only itself."""
 
+import multiprocessing
 import os
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
@@ -58,6 +61,35 @@ def check(outcomes: dict[int, int | Exception]) -> None:
 
 def test_on_cores_a_bad_piece_costs_only_itself() -> None:
     check(dict(on_cores(pieces(), 2)))
+
+
+def note(path: Path, seconds: float) -> int:
+    with path.open("a") as file:
+        file.write("once\n")
+    time.sleep(seconds)
+    return 1
+
+
+def die_later(path: Path) -> NoReturn:
+    while not path.exists():
+        time.sleep(0.01)
+    die()
+
+
+def test_on_cores_the_neighbour_of_a_crash_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "notes"
+    works: list[tuple[int, Work]] = [(0, partial(note, path, 0.5)), (1, partial(die_later, path))]
+    outcomes = dict(on_cores(iter(works), 2))
+    assert outcomes[0] == 1 and isinstance(outcomes[1], WorkerDiedError)
+    assert path.read_text() == "once\n"
+
+
+def test_no_process_is_left_where_the_work_is_cut(tmp_path: Path) -> None:
+    works: list[tuple[int, Work]] = [(0, partial(double, 1)), (1, partial(note, tmp_path / "notes", 600.0))]
+    outcomes = on_cores(iter(works), 2)
+    assert next(outcomes) == (0, 2)
+    outcomes.close()
+    assert multiprocessing.active_children() == []
 
 
 def test_an_error_that_cannot_be_carried_back_costs_only_itself() -> None:
