@@ -70,7 +70,7 @@ class Tally:
     measured: int = 0
 
 
-Piece: TypeAlias = tuple[tuple[int, Cell], Callable[[], Measured]]
+Task: TypeAlias = tuple[tuple[int, Cell], Callable[[], Measured]]
 Outcomes: TypeAlias = Generator[tuple[tuple[int, Cell], Measured | Exception], None, None]
 
 
@@ -80,7 +80,7 @@ def run(
     chosen: Sequence[Method],
     repeats: int,
     journal: Journal,
-    workers: Callable[[Iterator[Piece]], Outcomes],
+    workers: Callable[[Iterator[Task]], Outcomes],
     progress: Callable[[Tally], None],
 ) -> list[Measured | Failure]:
     """Measure all cells that the journal does not hold; return what all gave, by trace, method and setting.
@@ -99,7 +99,7 @@ def run(
         tally.failed += cells * isinstance(result, Failure)
         progress(tally)
 
-    def pieces() -> Iterator[Piece]:
+    def tasks() -> Iterator[Task]:
         places = count()
         for trace in traces:
             try:
@@ -116,7 +116,7 @@ def run(
                     yield (place, cell), cell.measure
 
     # However this ends, no process is left behind.
-    with closing(workers(pieces())) as outcomes:
+    with closing(workers(tasks())) as outcomes:
         for (place, cell), outcome in outcomes:
             tally.measured += 1
             if isinstance(outcome, Measured):

@@ -1,4 +1,4 @@
-"""Runs many pieces of work on all cores or on a Dask cluster; a piece that fails, or crashes, costs only itself."""
+"""Runs many tasks on all cores or on a Dask cluster; a task that fails, or crashes, costs only itself."""
 
 import logging
 import multiprocessing
@@ -15,8 +15,8 @@ from typing import Any, TypeAlias, TypeVar
 
 Key = TypeVar("Key")
 Result = TypeVar("Result")
-Piece: TypeAlias = tuple[Key, Callable[[], Result]]
-"""A piece of work: what it is known by, and a function that can be pickled."""
+Task: TypeAlias = tuple[Key, Callable[[], Result]]
+"""A task: what it is known by, and a function that can be pickled."""
 Outcomes: TypeAlias = Generator[tuple[Key, Result | Exception], None, None]
 
 CONNECT_S = 10.0
@@ -34,7 +34,7 @@ class OtherVersionError(RuntimeError):
 
 
 class WorkerDiedError(RuntimeError):
-    """The process that did a piece of work ended before the work was done."""
+    """The process that did a task ended before the work was done."""
 
     def __init__(self) -> None:
         super().__init__("the process that ran it crashed, or was killed for want of memory")
@@ -45,10 +45,10 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Outcomes[Key, Result]:
-    """Yield the key of every piece with the result of its work, or the exception that ended it, as they are finished.
+def on_cores(tasks: Iterator[Task[Key, Result]], processes: int) -> Outcomes[Key, Result]:
+    """Yield the key of every task with the result of its work, or the exception that ended it, as they are finished.
 
-    The work runs in so many processes, each on one core. Pieces are taken as they are needed. No process is left
+    The work runs in so many processes, each on one core. Tasks are taken as they are needed. No process is left
     where the generator is closed.
     """
     from pebble import ProcessExpired, ProcessPool
@@ -56,8 +56,8 @@ def on_cores(pieces: Iterator[Piece[Key, Result]], processes: int) -> Outcomes[K
     # A forked process would share the locks of threads that it does not have.
     pool = ProcessPool(processes, initializer=_prepare_process, context=multiprocessing.get_context("spawn"))
     try:
-        for piece, outcome in _outcomes(partial(pool.submit, _carried, None), pieces, lambda: 2 * processes):
-            yield piece[0], WorkerDiedError() if isinstance(outcome, ProcessExpired) else outcome
+        for task, outcome in _outcomes(partial(pool.submit, _carried, None), tasks, lambda: 2 * processes):
+            yield task[0], WorkerDiedError() if isinstance(outcome, ProcessExpired) else outcome
     finally:
         pool.stop()
         pool.join()
@@ -75,7 +75,7 @@ def _carried(work: Callable[[], Result]) -> Result:
         raise
 
 
-def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Callable[[], str]) -> Outcomes[Key, Result]:
+def on_cluster(tasks: Iterator[Task[Key, Result]], address: str, version: Callable[[], str]) -> Outcomes[Key, Result]:
     """Do as `on_cores` on the workers of the Dask scheduler at an address, such as "tcp://host:8786".
 
     `version` must return the same here and there. Raises WorkersError without scheduler or workers, and for workers
@@ -94,20 +94,20 @@ def on_cluster(pieces: Iterator[Piece[Key, Result]], address: str, version: Call
         raise WorkersError(
             f"no Dask scheduler answers at {address} ({error}); start one, or check --scheduler"
         ) from error
-    same = ((piece, partial(_same_version, version(), version, piece[1])) for piece in pieces)
-    lost: list[Piece[Key, Result]] = []
+    same = ((task, partial(_same_version, version(), version, task[1])) for task in tasks)
+    lost: list[Task[Key, Result]] = []
     with client:
         executor = client.get_executor(pure=False)
-        for (piece, _), outcome in _outcomes(executor.submit, same, lambda: 2 * _threads(client, address)):
+        for (task, _), outcome in _outcomes(executor.submit, same, lambda: 2 * _threads(client, address)):
             if _is_of_another_version(outcome):
                 raise WorkersError(f"a Dask worker does not have this version of vibrocast: {outcome}")
             if _is_of_dask(outcome):
-                lost.append(piece)
+                lost.append(task)
             else:
-                yield piece[0], outcome
+                yield task[0], outcome
         # Some of these have killed their workers, others only waited there. Which, is seen where each runs alone.
-        for piece, outcome in _outcomes(executor.submit, iter(lost), lambda: min(1, _threads(client, address))):
-            yield piece[0], WorkerDiedError() if isinstance(outcome, distributed.KilledWorker) else outcome
+        for task, outcome in _outcomes(executor.submit, iter(lost), lambda: min(1, _threads(client, address))):
+            yield task[0], WorkerDiedError() if isinstance(outcome, distributed.KilledWorker) else outcome
 
 
 def _same_version(wanted: str, version: Callable[[], str], work: Callable[[], Result]) -> Result:
@@ -159,24 +159,24 @@ def _end_with_parent() -> None:
 
 def _outcomes(
     submit: Callable[[Callable[[], Result]], Future[Result]],
-    pieces: Iterator[Piece[Key, Result]],
-    room: Callable[[], int],
-) -> Iterator[tuple[Piece[Key, Result], Result | Exception]]:
-    """Yield pieces with their outcomes; no more of them than `room` returns are under way at once."""
-    running: dict[Future[Result], Piece[Key, Result]] = {}
+    tasks: Iterator[Task[Key, Result]],
+    capacity: Callable[[], int],
+) -> Iterator[tuple[Task[Key, Result], Result | Exception]]:
+    """Yield tasks with their outcomes; no more of them than `capacity` returns are under way at once."""
+    running: dict[Future[Result], Task[Key, Result]] = {}
     while True:
-        for piece in islice(pieces, max(0, room() - len(running))):
-            running[submit(piece[1])] = piece
+        for task in islice(tasks, max(0, capacity() - len(running))):
+            running[submit(task[1])] = task
         if not running:
             return
         done, _ = wait(running, CHECK_S, FIRST_COMPLETED)
         for future in done:
-            piece = running.pop(future)
+            task = running.pop(future)
             try:
-                yield piece, future.result()
+                yield task, future.result()
             except CancelledError as error:
                 raise WorkersError(
                     "the Dask cluster has dropped the work; start it, and this command, again"
                 ) from error
             except Exception as error:
-                yield piece, error
+                yield task, error

@@ -119,8 +119,8 @@ def run(
     cell only. `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
     """
     cells: dict[int, Verdict] = {}
-    pieces = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
-    for number, outcome in on_cores(pieces, cores()):
+    tasks = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
+    for number, outcome in on_cores(tasks, cores()):
         cells[number] = outcome if isinstance(outcome, Verdict) else _lost(trials[number], outcome, limit_s)
         progress(len(cells) / len(trials), f"{cells[number].map}: {cells[number].method}, {cells[number].case}")
     return [cells[number] for number in range(len(trials))]

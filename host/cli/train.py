@@ -71,10 +71,10 @@ def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
     work: Any = partial(workers.on_cores, processes=workers.cores())
     if scheduler:
         work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
-    pieces: Iterator[Any] = iter(trainings.items())
+    tasks: Iterator[Any] = iter(trainings.items())
     failed = []
     try:
-        with progress.bar("training") as update, closing(work(pieces)) as outcomes:
+        with progress.bar("training") as update, closing(work(tasks)) as outcomes:
             update(0, f"0 of {len(trainings)}")
             for done, (name, outcome) in enumerate(outcomes, 1):
                 if isinstance(outcome, Exception):

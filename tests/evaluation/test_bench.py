@@ -37,16 +37,16 @@ class Deadly(Recording):
         return os._exit, (1,)
 
 
-def here(pieces: Iterator[bench.Piece]) -> bench.Outcomes:
-    for key, work in pieces:
+def here(tasks: Iterator[bench.Task]) -> bench.Outcomes:
+    for key, work in tasks:
         try:
             yield key, work()
         except Exception as error:
             yield key, error
 
 
-def cut_after(count: int, pieces: Iterator[bench.Piece]) -> bench.Outcomes:
-    for number, outcome in enumerate(here(pieces)):
+def cut_after(count: int, tasks: Iterator[bench.Task]) -> bench.Outcomes:
+    for number, outcome in enumerate(here(tasks)):
         if number == count:
             raise KeyboardInterrupt
         yield outcome

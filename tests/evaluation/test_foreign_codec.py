@@ -33,8 +33,8 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "CODECS", registry.CODECS)
 
 
-def here(pieces: Iterator[Any], processes: int) -> Iterator[Any]:
-    for key, work in pieces:
+def here(tasks: Iterator[Any], processes: int) -> Iterator[Any]:
+    for key, work in tasks:
         yield key, work()
 
 

@@ -1,4 +1,4 @@
-"""Tests of the workers: a piece of work that raises or kills its process costs only itself."""
+"""Tests of the workers: a task that raises or kills its process costs only itself."""
 
 import multiprocessing
 import os
@@ -14,7 +14,7 @@ from vibrocast.evaluation import workers
 from vibrocast.evaluation.workers import WorkerDiedError, WorkersError, on_cluster, on_cores
 
 Work = Callable[[], int]
-Pieces = Iterator[tuple[int, Work]]
+Tasks = Iterator[tuple[int, Work]]
 
 
 class NotPicklableError(Exception):
@@ -46,7 +46,7 @@ def version_by_process() -> str:
     return str(os.getpid())
 
 
-def pieces() -> Pieces:
+def tasks() -> Tasks:
     bad: dict[int, Work] = {1: reject, 4: die}
     return ((number, bad.get(number, partial(double, number))) for number in range(6))
 
@@ -59,8 +59,8 @@ def check(outcomes: dict[int, int | Exception]) -> None:
     assert outcomes == {number: 2 * number for number in (0, 2, 3, 5)}
 
 
-def test_on_cores_a_bad_piece_costs_only_itself() -> None:
-    check(dict(on_cores(pieces(), 2)))
+def test_on_cores_a_bad_task_costs_only_itself() -> None:
+    check(dict(on_cores(tasks(), 2)))
 
 
 def note(path: Path, seconds: float) -> int:
@@ -99,10 +99,10 @@ def test_an_error_that_cannot_be_carried_back_costs_only_itself() -> None:
     assert outcomes == {1: 2}
 
 
-def test_pieces_are_taken_as_they_are_needed() -> None:
+def test_tasks_are_taken_as_they_are_needed() -> None:
     taken: list[int] = []
 
-    def endless() -> Pieces:
+    def endless() -> Tasks:
         while True:
             taken.append(len(taken))
             yield len(taken), partial(double, len(taken))
@@ -126,24 +126,24 @@ def scheduler() -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_on_a_cluster_a_bad_piece_costs_only_itself(scheduler: str) -> None:
-    check(dict(on_cluster(pieces(), scheduler, version)))
+def test_on_a_cluster_a_bad_task_costs_only_itself(scheduler: str) -> None:
+    check(dict(on_cluster(tasks(), scheduler, version)))
 
 
 @pytest.mark.slow
 def test_workers_of_another_version_are_rejected(scheduler: str) -> None:
     with pytest.raises(WorkersError, match="does not have this version"):
-        list(on_cluster(pieces(), scheduler, version_by_process))
+        list(on_cluster(tasks(), scheduler, version_by_process))
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "http://127.0.0.1:80"])
 def test_an_address_without_a_scheduler_is_rejected(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "CONNECT_S", 0.2)
     with pytest.raises(WorkersError, match="no Dask scheduler answers"):
-        list(on_cluster(pieces(), address, version))
+        list(on_cluster(tasks(), address, version))
 
 
 def test_a_scheduler_without_workers_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "PATIENCE_S", 0.2)
     with cluster(workers=0) as running, pytest.raises(WorkersError, match="has no workers"):
-        list(on_cluster(pieces(), running.scheduler_address, version))
+        list(on_cluster(tasks(), running.scheduler_address, version))
