@@ -54,7 +54,7 @@ SUBCOMMANDS: Mapping[str, Subcommand] = {
     "measure": Subcommand("measure", "measure", "Measure a controller: latency, load, fidelity, frequency response."),
     "models": Subcommand("models", "list_models", "List the trained models that ship, with their rates and quality."),
     "plan": Subcommand("plan", "plan", "Choose how each texture of a scene is coded, with no more than it needs."),
-    "play": Subcommand("play", "play", "Play a recording or a .vct file on a controller."),
+    "play": Subcommand("play", "play", "Play a recording or a .vct file on a controller, or on several at once."),
     "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),
     "stability": Subcommand("stability", "stability", "Map where each codec holds and where it fails."),
     "status": Subcommand("devices", "status", "Show the properties and the state of a controller."),

@@ -628,12 +628,12 @@ def test_play_asks_how_one_actuator_plays_three_axes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "cause"),
     [
-        ("", "stroke_um is missing"),
+        ("", "name is missing"),
         ("actuators = 3", "not one actuator"),
         ("actuators = []", "not one actuator"),
         ("[[actuators]]\n[[actuators]]", "not one actuator"),
-        ('model = "lra"\ncorner_hz = nan', "corner_hz must be a positive number"),
-        ('model = "lra"\nvolts = 1e300', "no controller can drive this actuator"),
+        ('model = "lra"\ncorner_hz = nan', "a number from 2 to 5000, not nan"),
+        ('model = "lra"\nvolts = 1e300', "a number from 0.1 to 2000, not 1e+300"),
         ('model = "lra"\ncorner = 80', "there is no key corner"),
         ("\0", "not a TOML file"),
     ],
@@ -656,7 +656,7 @@ def test_a_level_beyond_any_stream_is_rejected(texture: Path) -> None:
 def test_the_actuator_that_measure_writes_is_taken(texture: Path, tmp_path: Path) -> None:
     path = tmp_path / "measured.toml"
     measured = replace(ACTUATORS["lra"], name="measured", corner_hz=161.0)
-    path.write_text(actuator_toml(measured, "one") + "channel = 0\n")
+    path.write_text(actuator_toml(measured, "one") + "channel = 1\n")
     assert "measured, clipped" in succeeds("play", texture, "--actuator", path)
 
 
