@@ -12,7 +12,7 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, encod
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, REFRESH_S, RatePolicy
 from vibrocast.codec.stream import Stream, as_stream
-from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameError, write_frame
+from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, FrameError, write_frame
 from vibrocast.device_protocol.messages import StreamData, pack
 
 WINDOW_S = 2.0
@@ -31,7 +31,7 @@ def added_bytes(packet: bytes) -> int:
         return len(write_frame(pack(StreamData(0, 0, (packet,))))) - len(packet)
     except FrameError as error:
         raise codec.TargetUnreachable(
-            f"a packet of {len(packet)} bytes cannot be sent, a frame carries {MAXIMUM_PAYLOAD_BYTES}: "
+            f"a packet of {len(packet)} bytes cannot be sent, a frame carries {MAX_PAYLOAD_BYTES}: "
             "ask for a lower rate or quality, or for shorter packets"
         ) from error
 

@@ -6,12 +6,12 @@ from cobs import cobs
 
 from vibrocast.device_protocol.encoding import crc16
 
-MAXIMUM_PAYLOAD_BYTES = 4096
+MAX_PAYLOAD_BYTES = 4096
 DELIMITER = b"\x00"
 
 _CRC = struct.Struct("<H")
 # COBS adds one byte, and one more for every 254 bytes (Cheshire and Baker, IEEE/ACM Trans. Networking 7(2), 1999).
-_MAX_ENCODED_BYTES = MAXIMUM_PAYLOAD_BYTES + _CRC.size + 1 + (MAXIMUM_PAYLOAD_BYTES + _CRC.size) // 254
+_MAX_ENCODED_BYTES = MAX_PAYLOAD_BYTES + _CRC.size + 1 + (MAX_PAYLOAD_BYTES + _CRC.size) // 254
 
 
 class FrameError(ValueError):
@@ -21,10 +21,10 @@ class FrameError(ValueError):
 def write_frame(payload: bytes) -> bytes:
     """Return the frame of a payload: COBS(payload, CRC-16 little-endian), then the delimiter.
 
-    Raises FrameError for a payload that is empty or longer than MAXIMUM_PAYLOAD_BYTES.
+    Raises FrameError for a payload that is empty or longer than MAX_PAYLOAD_BYTES.
     """
-    if not 1 <= len(payload) <= MAXIMUM_PAYLOAD_BYTES:
-        raise FrameError(f"a frame carries 1 to {MAXIMUM_PAYLOAD_BYTES} bytes, not {len(payload)}: send less at a time")
+    if not 1 <= len(payload) <= MAX_PAYLOAD_BYTES:
+        raise FrameError(f"a frame carries 1 to {MAX_PAYLOAD_BYTES} bytes, not {len(payload)}: send less at a time")
     encoded: bytes = cobs.encode(payload + _CRC.pack(crc16(payload)))
     return encoded + DELIMITER
 
@@ -75,6 +75,6 @@ def _payload(encoded: bytes) -> bytes:
         return b""
     payload = decoded[: -_CRC.size]
     # An empty payload is no frame, nor is a long one that COBS has encoded in another way.
-    if len(payload) > MAXIMUM_PAYLOAD_BYTES or not decoded.endswith(_CRC.pack(crc16(payload))):
+    if len(payload) > MAX_PAYLOAD_BYTES or not decoded.endswith(_CRC.pack(crc16(payload))):
         return b""
     return payload

@@ -50,7 +50,7 @@ def constants() -> str:
         "FIRST_UNSEQUENCED": f"0x{messages.FIRST_UNSEQUENCED:02X} /* types from here on have no sequence number */",
         "FIRST_FROM_CONTROLLER": f"0x{messages.FIRST_FROM_CONTROLLER:02X}",
         "VARINT_BITS": layout.VARINT_BITS,
-        "PROTOCOL_PAYLOAD_BYTES": f"{frames.MAXIMUM_PAYLOAD_BYTES} /* at most, of any board */",
+        "PROTOCOL_MAX_PAYLOAD_BYTES": f"{frames.MAX_PAYLOAD_BYTES} /* at most, of any board */",
         "PACKET_OVERHEAD_BYTES": f"{messages.PACKET_OVERHEAD_BYTES} /* of a payload, before its first packet */",
         "CAPTURE_DATA_HEAD_BYTES": messages.SEQUENCED_HEAD.size + messages.CaptureData.FIXED.size,
         "STREAM_MAGIC": f'"{coded_stream.MAGIC.decode()}"',
@@ -195,7 +195,7 @@ def header() -> str:
 
 #include "frames.h"
 #include "protocol.h"
-#include "refusal.h"
+#include "rejection.h"
 
 /* cffi: begin */
 {_joined([_structure(owner) for owner in (*with_body, *_NESTED, *RESPONSES)])}
@@ -209,14 +209,14 @@ typedef struct {{
     }} body;
 }} vc_message;
 
-/* Reads a payload whose type is below VC_FIRST_FROM_CONTROLLER. Returns 0, or the refusal's code: VC_MALFORMED,
+/* Reads a payload whose type is below VC_FIRST_FROM_CONTROLLER. Returns 0, or the rejection's code: VC_MALFORMED,
  * VC_BAD_VALUE or VC_UNKNOWN_MESSAGE; `sequence` is then the number to answer with (VC_NOTIFICATION where none could be
  * read). Any bytes are safe. */
-int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_refusal *refusal);
+int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_rejection *rejection);
 
 /* Write a message into a frame that has begun. After a CaptureData the caller writes its samples. */
 {_joined([f"{_writer(message)};" for message in RESPONSES])}
-void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal);
+void vc_write_rejection(vc_frame_writer *writer, uint16_t sequence, const vc_rejection *rejection);
 /* cffi: end */
 
 #endif
@@ -260,7 +260,7 @@ static int is_factor(uint32_t float_bits)
     return float_bits < INFINITY_BITS || float_bits == SIGN_BIT;
 }}
 
-int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_refusal *refusal)
+int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_rejection *rejection)
 {{
     vc_fields fields;
     vc_piece *value = NULL;
@@ -271,22 +271,22 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
     if (message->type < VC_FIRST_UNSEQUENCED)
         message->sequence = (uint16_t)vc_take_number(&fields, 2);
     if (fields.cut)
-        return vc_refuse_numbers(refusal, VC_MALFORMED, "a message of # bytes, at least 3 are needed", length, 0);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "a message of # bytes, at least 3 are needed", length, 0);
     switch (message->type) {{
 {_joined([_reading(message) for message in FROM_HOST])}
     default:
-        return vc_refuse_numbers(refusal, VC_UNKNOWN_MESSAGE,
+        return vc_reject_numbers(rejection, VC_UNKNOWN_MESSAGE,
                                  "message type # is not known to protocol version #: update the controller",
                                  message->type, VC_PROTOCOL_MAJOR);
     }}
     if (!fields.cut && flags > 1)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "flags # are set, only # is known", flags, 1);
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "flags # are set, only # is known", flags, 1);
     if (value != NULL)
         value->bytes = NULL;
     if (!read_tags(&fields, tag, value))
-        return vc_refuse_numbers(refusal, VC_MALFORMED, "message of type #: a field or tag is cut", message->type, 0);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: a field or tag is cut", message->type, 0);
     if (value != NULL && value->bytes == NULL)
-        return vc_refuse_numbers(refusal, VC_MALFORMED, "message of type #: tag # is missing", message->type, tag);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: tag # is missing", message->type, tag);
     switch (message->type) {{
 {_joined([checks for message in FROM_HOST if (checks := _checking(message))])}
     default:
@@ -320,9 +320,9 @@ static void write_sha256(vc_frame_writer *writer, const uint8_t *sha256)
 {_joined([_writing_nested(owner) for owner in _NESTED])}
 {_joined([_writing(message) for message in RESPONSES])}
 
-void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal)
+void vc_write_rejection(vc_frame_writer *writer, uint16_t sequence, const vc_rejection *rejection)
 {{
-    const vc_error error = {{refusal->code, {{(const uint8_t *)refusal->text, refusal->length}}}};
+    const vc_error error = {{rejection->code, {{(const uint8_t *)rejection->text, rejection->length}}}};
     vc_write_error(writer, sequence, &error);
 }}
 """
@@ -344,14 +344,14 @@ def _checking(message: type[Message]) -> str:
         place = f"message->body.{_snake(message)}.{field.name}"
         text = f'"{message.__name__}: {field.name}'
         if isinstance(field.wire, Fixed) and field.wire.check is layout.check_factor:
-            no_factor = f'vc_refuse(refusal, VC_BAD_VALUE, {text} is not a finite factor of at least 0")'
+            no_factor = f'vc_reject(rejection, VC_BAD_VALUE, {text} is not a finite factor of at least 0")'
             checks.append((f"!is_factor({place}_float_bits)", no_factor))
         elif isinstance(field.wire, Fixed) and issubclass(field.type, IntEnum):
             last = len(field.type) - 1
-            unknown = f'vc_refuse_numbers(refusal, VC_BAD_VALUE, {text} # is none of 0 to #", {place}, {last})'
+            unknown = f'vc_reject_numbers(rejection, VC_BAD_VALUE, {text} # is none of 0 to #", {place}, {last})'
             checks.append((f"{place} > {last}", unknown))
         elif isinstance(field.wire, Tag) and field.type is str:
-            no_text = f'vc_refuse(refusal, VC_MALFORMED, {text} is not UTF-8")'
+            no_text = f'vc_reject(rejection, VC_MALFORMED, {text} is not UTF-8")'
             checks.append((f"!vc_is_utf8({place})", no_text))
     if not checks:
         return ""

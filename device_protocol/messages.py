@@ -34,7 +34,7 @@ PROTOCOL_MINOR = 1
 
 NOTIFICATION = 0
 """The sequence number of a message that answers no request."""
-MAXIMUM_SEQUENCE = 0xFFFF
+MAX_SEQUENCE = 0xFFFF
 
 FIRST_UNSEQUENCED = 0x40
 FIRST_FROM_CONTROLLER = 0x80
@@ -75,7 +75,7 @@ class ErrorCode(Described):
     BEYOND_LIMITS = 9, "rate, channels, packet or image size are more than the limits in hello"
     NO_SUCH_SLOT = 10, "a slot number that is not there"
     WRONG_HARDWARE = 11, "the image is for other hardware"
-    IMAGE_REFUSED = 12, "hash, CRC or contents of the image are wrong"
+    IMAGE_REJECTED = 12, "hash, CRC or contents of the image are wrong"
     FLASH_FAILED = 13, "the flash did not take the data"
 
 
@@ -106,7 +106,7 @@ class SlotState(IntEnum):
     EMPTY = 0
     WRITING = 1
     VERIFIED = 2
-    TRIAL = 3
+    TESTING = 3
     CONFIRMED = 4
 
 
@@ -355,20 +355,20 @@ class Limits:
     `profile_samples`: of a height profile, of all channels together; 0, or left out by protocol 1.0: none.
     """
 
-    maximum_payload_bytes: U16
-    maximum_packet_bytes: U16
+    max_payload_bytes: U16
+    max_packet_bytes: U16
     buffer_samples: U32
     capture_samples: U32
     channels: U8
-    minimum_rate_hz: U32
-    maximum_rate_hz: U32
+    min_rate_hz: U32
+    max_rate_hz: U32
     watchdog_ms: U16
     profile_samples: ADDED_U32 = 0
 
     @property
     def sendable_packet_bytes(self) -> int:
         """Bytes of the longest packet that a frame carries to this controller."""
-        return min(self.maximum_packet_bytes, self.maximum_payload_bytes - PACKET_OVERHEAD_BYTES)
+        return min(self.max_packet_bytes, self.max_payload_bytes - PACKET_OVERHEAD_BYTES)
 
 
 @dataclass(frozen=True)
@@ -508,8 +508,8 @@ def pack(message: Message, sequence: int = NOTIFICATION) -> bytes:
     """
     head = message.HEAD
     if not head:
-        if not 0 <= sequence <= MAXIMUM_SEQUENCE:
-            raise MessageError(f"sequence {sequence} is not in 0 to {MAXIMUM_SEQUENCE}")
+        if not 0 <= sequence <= MAX_SEQUENCE:
+            raise MessageError(f"sequence {sequence} is not in 0 to {MAX_SEQUENCE}")
         head = SEQUENCED_HEAD.pack(message.TYPE, sequence)
     try:
         return head + message.LAYOUT.pack(message)

@@ -8,12 +8,12 @@ from typing import Self
 
 MAGIC = b"VCMI"
 LAYOUT_VERSION = 1
-MAXIMUM_IMAGE_BYTES = 16 * 1024 * 1024
+MAX_IMAGE_BYTES = 16 * 1024 * 1024
 
 # Magic, layout version, codec identifier, lengths of name, version and hardware, length of the payload.
 _FIXED = struct.Struct("<4sBBBBBI")
 _CRC_BYTES = 4
-_MAXIMUM_TEXT_BYTES = 255
+_MAX_TEXT_BYTES = 255
 
 
 class ModelImageError(ValueError):
@@ -37,14 +37,14 @@ class ModelImage:
     def pack(self) -> bytes:
         """Return the image's bytes, CRC-32 (as in zlib) last. Raises ModelImageError for a value out of range."""
         texts = [text.encode() for text in (self.name, self.version, self.hardware)]
-        if max(map(len, texts)) > _MAXIMUM_TEXT_BYTES:
-            raise ModelImageError(f"name, version and hardware have at most {_MAXIMUM_TEXT_BYTES} bytes each")
+        if max(map(len, texts)) > _MAX_TEXT_BYTES:
+            raise ModelImageError(f"name, version and hardware have at most {_MAX_TEXT_BYTES} bytes each")
         if not 0 <= self.codec_identifier <= 0xFF:
             raise ModelImageError(f"codec identifier {self.codec_identifier} is not in 0 to 255")
         fixed = _FIXED.pack(MAGIC, LAYOUT_VERSION, self.codec_identifier, *map(len, texts), len(self.payload))
         checked = fixed + b"".join(texts) + self.payload
-        if len(checked) + _CRC_BYTES > MAXIMUM_IMAGE_BYTES:
-            raise ModelImageError(f"an image has at most {MAXIMUM_IMAGE_BYTES} bytes")
+        if len(checked) + _CRC_BYTES > MAX_IMAGE_BYTES:
+            raise ModelImageError(f"an image has at most {MAX_IMAGE_BYTES} bytes")
         return checked + zlib.crc32(checked).to_bytes(_CRC_BYTES, "little")
 
     @classmethod

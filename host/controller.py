@@ -8,7 +8,7 @@ from typing import Any, Self, TypeVar
 
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
-    MAXIMUM_SEQUENCE,
+    MAX_SEQUENCE,
     NOTIFICATION,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
@@ -148,7 +148,7 @@ class Controller:
                 ErrorCode.UNSUPPORTED_VERSION,
             )
         if (
-            description.limits.maximum_payload_bytes < SMALLEST_PAYLOAD_LIMIT_BYTES
+            description.limits.max_payload_bytes < SMALLEST_PAYLOAD_LIMIT_BYTES
             or description.limits.watchdog_ms < SMALLEST_WATCHDOG_MS
             or not 1 <= description.actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ
         ):
@@ -168,7 +168,7 @@ class Controller:
         while True:
             # Drawn at random: a late answer to an earlier session is not taken for an answer to this one. Drawn again
             # if the number was one of the last session's, whose copy the controller ignores or answers as it did then.
-            self._sequence = random.randrange(MAXIMUM_SEQUENCE)
+            self._sequence = random.randrange(MAX_SEQUENCE)
             tries_left -= HELLO_TRIES
             try:
                 return (yield from self.request_steps(Hello(), HelloResponse, tries=HELLO_TRIES))
@@ -303,7 +303,7 @@ class Controller:
 
     def _next_request(self, message: Message) -> bytes:
         """Return the frame of a new request."""
-        self._sequence = self._sequence % MAXIMUM_SEQUENCE + 1
+        self._sequence = self._sequence % MAX_SEQUENCE + 1
         return write_frame(pack(message, self._sequence))
 
     def _write(self, data: bytes) -> None:

@@ -35,9 +35,9 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
     limits = controller.description.limits
     if channels > limits.channels:
         raise StreamError(f"{channels} channels, the controller has {limits.channels}: leave some out of the recording")
-    if not limits.minimum_rate_hz <= rate_hz <= limits.maximum_rate_hz:
+    if not limits.min_rate_hz <= rate_hz <= limits.max_rate_hz:
         raise StreamError(
-            f"a stream of {rate_hz} Hz, the controller takes {limits.minimum_rate_hz} to {limits.maximum_rate_hz} Hz: "
+            f"a stream of {rate_hz} Hz, the controller takes {limits.min_rate_hz} to {limits.max_rate_hz} Hz: "
             "encode with another `stream_rate_hz`"
         )
 
@@ -72,7 +72,7 @@ class StreamSession:
 
     def fitting(self, packets: Sequence[bytes]) -> int:
         """Return how many packets, from the first on, one frame holds."""
-        left_bytes = self.controller.description.limits.maximum_payload_bytes - STREAM_DATA_HEAD_BYTES
+        left_bytes = self.controller.description.limits.max_payload_bytes - STREAM_DATA_HEAD_BYTES
         for count, packet in enumerate(packets):
             left_bytes -= len(packet) + MAX_VARINT_BYTES
             if left_bytes < 0:
@@ -151,7 +151,7 @@ class Capture:
         self._controller, self._tap, self._channels = controller, tap, channels
         self._pieces = [np.zeros((0, channels), np.int16)]
         fixed_bytes = len(CaptureData(tap, channels, 0, 0, b"").body()) + 3
-        self._frame_samples = (controller.description.limits.maximum_payload_bytes - fixed_bytes) // (2 * channels)
+        self._frame_samples = (controller.description.limits.max_payload_bytes - fixed_bytes) // (2 * channels)
 
     def request(self) -> CaptureRead:
         """Return the request for the next frame."""

@@ -1,4 +1,4 @@
-"""Flashes a model image into a controller: transfer, verify, trial, confirm; goes on where a cut left it."""
+"""Flashes a model image into a controller: transfer, verify, test, confirm; goes on where a cut left it."""
 
 import contextlib
 from collections.abc import Callable
@@ -27,7 +27,7 @@ RECONNECT_S = 10.0
 _SLOT_TIMEOUT_S = 0.5
 _RESTART_S = 10.0
 _RESTART_PAUSE_S = 0.1
-_RUNNING = (SlotState.TRIAL, SlotState.CONFIRMED)
+_RUNNING = (SlotState.TESTING, SlotState.CONFIRMED)
 
 
 def flash(
@@ -37,7 +37,7 @@ def flash(
     progress: Callable[[int, int], None] | None = None,
     reconnect_s: float = RECONNECT_S,
 ) -> ImageDescription:
-    """Flash a packed model image, start it on trial, confirm it; return what the slot then holds.
+    """Flash a packed model image, start it as a test, confirm it; return what the slot then holds.
 
     `slot`: None = one that is not running. `progress` is called with the bytes that the slot has and the image's size.
     A cut connection is opened anew for `reconnect_s` and the transfer resumed; a later call resumes it as well.
@@ -53,7 +53,7 @@ def flash(
     for found in controller.description.images:
         if slot in (None, found.slot) and found == described(found.slot, SlotState.CONFIRMED):
             return found
-        if slot in (None, found.slot) and found == described(found.slot, SlotState.TRIAL):
+        if slot in (None, found.slot) and found == described(found.slot, SlotState.TESTING):
             return _confirm(controller, described(found.slot, SlotState.CONFIRMED))
     if slot is None:
         slot = _free_slot(controller)
@@ -78,7 +78,7 @@ def flash(
         raise ControllerError(
             f"slot {slot} reads back otherwise than it was written. Flash it again or use another slot."
         )
-    _start_trial(controller, described(slot, SlotState.TRIAL))
+    _start_test(controller, described(slot, SlotState.TESTING))
     return _confirm(controller, described(slot, SlotState.CONFIRMED))
 
 
@@ -113,14 +113,14 @@ def _free_slot(controller: Controller) -> int:
     free = [image for image in controller.description.images if image.state not in _RUNNING]
     if not free:
         raise ControllerError(
-            "the controller has no slot to flash: it takes no model images, or one is on trial (a restart ends that)"
+            "the controller has no slot to flash: it takes no model images, or one is being tested (restart it)"
         )
     return min(free, key=lambda image: (image.state != SlotState.WRITING, image.state)).slot
 
 
 def _send_piece(controller: Controller, slot: int, image: bytes, offset: int) -> int:
     """Send the piece at `offset`; return the offset to go on from."""
-    room = controller.description.limits.maximum_payload_bytes - len(pack(FlashData(slot, 0, b"")))
+    room = controller.description.limits.max_payload_bytes - len(pack(FlashData(slot, 0, b"")))
     piece = image[offset : offset + room]
     next_offset = controller.request(FlashData(slot, offset, piece), FlashStatus).next_offset
     if next_offset != offset + len(piece):
@@ -130,7 +130,7 @@ def _send_piece(controller: Controller, slot: int, image: bytes, offset: int) ->
     return next_offset
 
 
-def _start_trial(controller: Controller, wanted: ImageDescription) -> None:
+def _start_test(controller: Controller, wanted: ImageDescription) -> None:
     """Activate the slot and wait until the controller runs the image in it. Raises ControllerError if it does not."""
     # A restart may cut off the answer; what counts is what runs afterwards.
     with contextlib.suppress(TransportError, ConnectionLost):
@@ -148,7 +148,7 @@ def _start_trial(controller: Controller, wanted: ImageDescription) -> None:
 
 
 def _confirm(controller: Controller, wanted: ImageDescription) -> ImageDescription:
-    """Keep the image that is on trial. Raises ControllerError if the controller does not."""
+    """Keep the image that is being tested. Raises ControllerError if the controller does not."""
     controller.request(FlashConfirm(wanted.slot), FlashStatus)
     controller.open_session()
     if wanted not in controller.description.images:

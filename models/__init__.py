@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vibrocast.device_protocol.model_image import MAXIMUM_IMAGE_BYTES, ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.model_image import MAX_IMAGE_BYTES, ModelImage, ModelImageError, sha256
 
 CARD = "card.json"
 ANALYSIS = "analysis.onnx"
@@ -121,6 +121,6 @@ def _read(path: Path) -> bytes:
     # Opening a pipe would wait for its writer, and a device may never end.
     if path.exists() and not path.is_file():
         raise ModelError(f"{path}: no file; give a model's name, its folder or its image")
-    if path.stat().st_size > MAXIMUM_IMAGE_BYTES:
-        raise ModelError(f"{path}: longer than any file of a model, {MAXIMUM_IMAGE_BYTES} bytes; give another")
+    if path.stat().st_size > MAX_IMAGE_BYTES:
+        raise ModelError(f"{path}: longer than any file of a model, {MAX_IMAGE_BYTES} bytes; give another")
     return path.read_bytes()

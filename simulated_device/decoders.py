@@ -24,9 +24,9 @@ class PythonDecoders:
         named = [(number, (text, len(names[number]))) for number, text in zip(names, texts, strict=True)]
         functions = {
             "check_tables": callbacks.make(
-                "int(void *, uint8_t, const uint8_t *, size_t, vc_refusal *)", self._check_tables, -1
+                "int(void *, uint8_t, const uint8_t *, size_t, vc_rejection *)", self._check_tables, -1
             ),
-            "check": callbacks.make("int(void *, vc_coding *, vc_refusal *)", self._check, -1),
+            "check": callbacks.make("int(void *, vc_coding *, vc_rejection *)", self._check, -1),
             "init": callbacks.make("void(void *, const vc_coding *)", self._init),
             "decode": callbacks.make("int(void *, const uint8_t *, size_t, int16_t *)", self._decode, 0),
             "conceal": callbacks.make("void(void *, int16_t *)", self._conceal),
@@ -41,7 +41,7 @@ class PythonDecoders:
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             codec.check_tables(identifier, bytes(self._ffi.buffer(tables, length)))
         except CodecError as error:
-            return self._reject(refusal, ErrorCode.IMAGE_REFUSED, error)
+            return self._reject(refusal, ErrorCode.IMAGE_REJECTED, error)
         return 0
 
     def _check(self, context: Any, coding: Any, refusal: Any) -> int:
@@ -88,4 +88,4 @@ class PythonDecoders:
         return bytes(self._ffi.buffer(coding.tables, coding.tables_length)) if coding.tables else None
 
     def _reject(self, refusal: Any, code: ErrorCode, error: CodecError) -> int:
-        return int(self._library.vc_refuse(refusal, code, str(error).encode()))
+        return int(self._library.vc_reject(refusal, code, str(error).encode()))

@@ -75,7 +75,7 @@ static vc_status_report status_of(vc_controller *controller)
     return status;
 }
 
-static void put_status(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
+static void write_status(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
 {
     controller->last_report = status_of(controller);
     controller->reported = 1;
@@ -85,12 +85,12 @@ static void put_status(vc_controller *controller, vc_frame_writer *writer, uint1
 /* Frames that are not kept: errors and notifications. */
 #define SMALL_FRAME_BYTES 256
 
-static void send_error(vc_controller *controller, uint16_t sequence, const vc_refusal *refusal)
+static void send_error(vc_controller *controller, uint16_t sequence, const vc_rejection *rejection)
 {
     uint8_t frame[SMALL_FRAME_BYTES];
     vc_frame_writer writer;
     vc_frame_begin(&writer, frame, sizeof frame);
-    vc_write_refusal(&writer, sequence, refusal);
+    vc_write_rejection(&writer, sequence, rejection);
     send(controller, frame, (uint32_t)vc_frame_end(&writer));
 }
 
@@ -105,18 +105,18 @@ static void notify(vc_controller *controller)
         return;
     status = status_of(controller);
     if (controller->reported && status.state == last->state && status.underruns <= last->underruns &&
-        status.credit_until < last->credit_until + vc_playback_room_samples(&controller->playback) / 4 &&
+        status.credit_until < last->credit_until + vc_playback_capacity_samples(&controller->playback) / 4 &&
         !((status.state == VC_STATE_ARMED || status.state == VC_STATE_PLAYING) &&
           status.device_time_us - last->device_time_us >= STATUS_INTERVAL_US))
         return;
     if (outgoing_bytes(controller) >= UNREAD_NOTIFICATIONS_BYTES)
         return;
     vc_frame_begin(&writer, frame, sizeof frame);
-    put_status(controller, &writer, VC_NOTIFICATION);
+    write_status(controller, &writer, VC_NOTIFICATION);
     send(controller, frame, (uint32_t)vc_frame_end(&writer));
 }
 
-/* ---- requests: each puts its answer and returns 0, or returns the refusal's code ---- */
+/* ---- requests: each puts its answer and returns 0, or returns the rejection's code ---- */
 
 /* Ramps down at once: the DAC takes the whole ramp, and is free for another stream when it has played it. */
 static void stop(vc_controller *controller)
@@ -133,8 +133,8 @@ static void stop(vc_controller *controller)
         controller->dac_free_us = free_us;
 }
 
-/* Refuses what is not carried out in this state; `states`: those in which it is, a bit for each. */
-static int refuse_outside(const vc_controller *controller, unsigned states, vc_refusal *refusal)
+/* Rejects what is not carried out in this state; `states`: those in which it is, a bit for each. */
+static int reject_outside(const vc_controller *controller, unsigned states, vc_rejection *rejection)
 {
     static const char *const names[] = {"idle",     "buffering", "armed",    "playing", "paused",
                                         "finished", "stopped",   "watchdog", "fault"};
@@ -142,27 +142,27 @@ static int refuse_outside(const vc_controller *controller, unsigned states, vc_r
     unsigned state;
     if (controller->configured && (states >> state_of(controller) & 1u))
         return 0;
-    vc_refuse(refusal, VC_WRONG_STATE, "the controller is ");
-    vc_refusal_add(refusal, names[state_of(controller)]);
+    vc_reject(rejection, VC_WRONG_STATE, "the controller is ");
+    vc_rejection_add(rejection, names[state_of(controller)]);
     for (state = 0; state < sizeof names / sizeof names[0]; state++)
         if (states >> state & 1u) {
-            vc_refusal_add(refusal, before);
-            vc_refusal_add(refusal, names[state]);
+            vc_rejection_add(rejection, before);
+            vc_rejection_add(rejection, names[state]);
             before = " or ";
         }
-    return refusal->code;
+    return rejection->code;
 }
 
-static int refuse_while_active(const vc_controller *controller, vc_refusal *refusal)
+static int reject_while_active(const vc_controller *controller, vc_rejection *rejection)
 {
     return is_active(state_of(controller))
-               ? vc_refuse(refusal, VC_WRONG_STATE, "a stream is being played: stop it first")
+               ? vc_reject(rejection, VC_WRONG_STATE, "a stream is being played: stop it first")
                : 0;
 }
 
 /* Finds what the stream's decoders are made from: an image chooses its tables. */
 static int find_coding(const vc_controller *controller, const vc_stream_header *header, vc_coding *coding,
-                       vc_refusal *refusal)
+                       vc_rejection *rejection)
 {
     const vc_model_image *image = vc_image_store_running(&controller->images);
     memset(coding, 0, sizeof *coding);
@@ -174,47 +174,48 @@ static int find_coding(const vc_controller *controller, const vc_stream_header *
         return 0;
     if (image == NULL ||
         !vc_same_bytes(vc_image_store_running_sha256(&controller->images), header->image_hash, VC_IMAGE_HASH_BYTES)) {
-        vc_refuse(refusal, VC_UNKNOWN_IMAGE, "the stream needs model image ");
-        vc_refusal_add_hex(refusal, header->image_hash, VC_IMAGE_HASH_BYTES);
-        return vc_refusal_add(refusal, ", which does not run here: flash it first");
+        vc_reject(rejection, VC_UNKNOWN_IMAGE, "the stream needs model image ");
+        vc_rejection_add_hex(rejection, header->image_hash, VC_IMAGE_HASH_BYTES);
+        return vc_rejection_add(rejection, ", which does not run here: flash it first");
     }
     if (image->codec != header->codec)
-        return vc_refuse_numbers(refusal, VC_UNKNOWN_IMAGE, "the model image is for codec #, the stream is of codec #",
-                                 image->codec, header->codec);
+        return vc_reject_numbers(rejection, VC_UNKNOWN_IMAGE,
+                                 "the model image is for codec #, the stream is of codec #", image->codec,
+                                 header->codec);
     coding->tables = image->payload.bytes;
     coding->tables_length = image->payload.length;
     return 0;
 }
 
-static int configure(vc_controller *controller, const vc_configure *configure, vc_refusal *refusal)
+static int configure(vc_controller *controller, const vc_configure *configure, vc_rejection *rejection)
 {
     vc_stream_header header;
     vc_coding coding;
-    int refused = vc_stream_header_read(&header, configure->header.bytes, configure->header.length, refusal);
-    if (!refused)
-        refused = find_coding(controller, &header, &coding, refusal);
-    if (!refused)
-        refused = vc_playback_check(configure, &header, &coding, controller->settings, refusal);
-    if (refused)
-        return refused;
+    int rejected = vc_stream_header_read(&header, configure->header.bytes, configure->header.length, rejection);
+    if (!rejected)
+        rejected = find_coding(controller, &header, &coding, rejection);
+    if (!rejected)
+        rejected = vc_playback_check(configure, &header, &coding, controller->settings, rejection);
+    if (rejected)
+        return rejected;
     stop(controller);
     vc_playback_init(&controller->playback, configure, &header, &coding);
     controller->configured = 1;
     return 0;
 }
 
-static int end_stream(vc_controller *controller, const vc_end_stream *end, vc_refusal *refusal)
+static int end_stream(vc_controller *controller, const vc_end_stream *end, vc_rejection *rejection)
 {
     vc_playback *playback = &controller->playback;
     if (!playback->live || end->stream != playback->stream)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "stream # is not a live stream that plays here", end->stream,
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "stream # is not a live stream that plays here", end->stream,
                                  0);
     vc_playback_end_live(playback, end->packets);
     return 0;
 }
 
-static int put_capture(vc_controller *controller, const vc_capture_read *read, uint16_t sequence,
-                       vc_frame_writer *writer, vc_refusal *refusal)
+static int write_capture(vc_controller *controller, const vc_capture_read *read, uint16_t sequence,
+                         vc_frame_writer *writer, vc_rejection *rejection)
 {
     const vc_playback *playback = &controller->playback;
     uint64_t offset = read->offset;
@@ -222,9 +223,9 @@ static int put_capture(vc_controller *controller, const vc_capture_read *read, u
     vc_run runs[2];
     unsigned channels, room, run;
     if (!controller->configured)
-        return vc_refuse(refusal, VC_WRONG_STATE, "nothing has been captured yet: configure a stream first");
+        return vc_reject(rejection, VC_WRONG_STATE, "nothing has been captured yet: configure a stream first");
     channels = playback->header.output.channels;
-    room = (VC_MAXIMUM_PAYLOAD_BYTES - VC_CAPTURE_DATA_HEAD_BYTES) / (2u * channels);
+    room = (VC_MAX_PAYLOAD_BYTES - VC_CAPTURE_DATA_HEAD_BYTES) / (2u * channels);
     vc_playback_captured(playback, read->tap, &offset, read->count < room ? read->count : room, runs);
     capture.tap = read->tap;
     capture.channels = (uint8_t)channels;
@@ -236,98 +237,100 @@ static int put_capture(vc_controller *controller, const vc_capture_read *read, u
     return 0;
 }
 
-static int put_flash(vc_controller *controller, const vc_message *message, vc_frame_writer *writer, vc_refusal *refusal)
+static int write_flash(vc_controller *controller, const vc_message *message, vc_frame_writer *writer,
+                       vc_rejection *rejection)
 {
     vc_image_store *images = &controller->images;
     vc_flash_status report;
-    int refused = 0;
+    int rejected = 0;
     if (message->type == VC_FLASH_BEGIN || message->type == VC_FLASH_ACTIVATE)
-        refused = refuse_while_active(controller, refusal);
-    if (refused)
-        return refused;
+        rejected = reject_while_active(controller, rejection);
+    if (rejected)
+        return rejected;
     switch (message->type) {
     case VC_FLASH_BEGIN:
-        refused = vc_image_store_begin(images, &message->body.flash_begin, &report, refusal);
+        rejected = vc_image_store_begin(images, &message->body.flash_begin, &report, rejection);
         break;
     case VC_FLASH_DATA:
-        refused = vc_image_store_write(images, &message->body.flash_data, &report, refusal);
+        rejected = vc_image_store_write(images, &message->body.flash_data, &report, rejection);
         break;
     case VC_FLASH_VERIFY:
-        refused = vc_image_store_verify(images, message->body.flash_verify.slot, &report, refusal);
+        rejected = vc_image_store_verify(images, message->body.flash_verify.slot, &report, rejection);
         break;
     case VC_FLASH_ACTIVATE:
-        refused = vc_image_store_activate(images, message->body.flash_activate.slot, &report, refusal);
+        rejected = vc_image_store_activate(images, message->body.flash_activate.slot, &report, rejection);
         break;
     default:
-        refused = vc_image_store_confirm(images, message->body.flash_confirm.slot, &report, refusal);
+        rejected = vc_image_store_confirm(images, message->body.flash_confirm.slot, &report, rejection);
         break;
     }
-    if (!refused)
+    if (!rejected)
         vc_write_flash_status(writer, message->sequence, &report);
-    return refused;
+    return rejected;
 }
 
 #define IN(state) (1u << (state))
 #define IN_STREAM (IN(VC_STATE_BUFFERING) | IN(VC_STATE_ARMED) | IN(VC_STATE_PLAYING) | IN(VC_STATE_PAUSED))
 
 /* Carries out a request other than Hello and puts its answer. */
-static int carry_out(vc_controller *controller, const vc_message *message, vc_frame_writer *writer, vc_refusal *refusal)
+static int dispatch(vc_controller *controller, const vc_message *message, vc_frame_writer *writer,
+                    vc_rejection *rejection)
 {
     vc_playback *playback = &controller->playback;
     uint64_t start_us;
-    int refused = 0;
+    int rejected = 0;
     switch (message->type) {
     case VC_STATUS_REQUEST:
         break;
     case VC_CONFIGURE:
-        refused = configure(controller, &message->body.configure, refusal);
+        rejected = configure(controller, &message->body.configure, rejection);
         break;
     case VC_START:
-        refused = refuse_outside(controller, IN(VC_STATE_BUFFERING), refusal);
+        rejected = reject_outside(controller, IN(VC_STATE_BUFFERING), rejection);
         start_us = message->body.start.device_time_us;
-        if (!refused)
+        if (!rejected)
             vc_playback_start(playback, start_us > controller->dac_free_us ? start_us : controller->dac_free_us,
                               controller->time_us);
         break;
     case VC_PAUSE:
-        refused = refuse_outside(controller, IN(VC_STATE_PLAYING), refusal);
-        if (!refused)
+        rejected = reject_outside(controller, IN(VC_STATE_PLAYING), rejection);
+        if (!rejected)
             vc_playback_pause(playback);
         break;
     case VC_RESUME:
-        refused = refuse_outside(controller, IN(VC_STATE_PAUSED), refusal);
-        if (!refused)
+        rejected = reject_outside(controller, IN(VC_STATE_PAUSED), rejection);
+        if (!rejected)
             vc_playback_resume(playback);
         break;
     case VC_STOP:
         stop(controller);
         break;
     case VC_LOOP:
-        refused = refuse_outside(controller, IN_STREAM, refusal);
-        if (!refused)
-            refused = vc_playback_set_loops(playback, message->body.loop.loops, refusal);
+        rejected = reject_outside(controller, IN_STREAM, rejection);
+        if (!rejected)
+            rejected = vc_playback_set_loops(playback, message->body.loop.loops, rejection);
         break;
     case VC_GAIN:
-        refused = refuse_outside(controller, IN_STREAM, refusal);
-        if (!refused)
+        rejected = reject_outside(controller, IN_STREAM, rejection);
+        if (!rejected)
             vc_playback_set_gain(playback, message->body.gain.gain_float_bits);
         break;
     case VC_END_STREAM:
-        refused = refuse_outside(controller, IN_STREAM, refusal);
-        if (!refused)
-            refused = end_stream(controller, &message->body.end_stream, refusal);
+        rejected = reject_outside(controller, IN_STREAM, rejection);
+        if (!rejected)
+            rejected = end_stream(controller, &message->body.end_stream, rejection);
         break;
     case VC_CAPTURE_READ:
-        return put_capture(controller, &message->body.capture_read, message->sequence, writer, refusal);
+        return write_capture(controller, &message->body.capture_read, message->sequence, writer, rejection);
     default:
-        return put_flash(controller, message, writer, refusal);
+        return write_flash(controller, message, writer, rejection);
     }
-    if (!refused)
-        put_status(controller, writer, message->sequence);
-    return refused;
+    if (!rejected)
+        write_status(controller, writer, message->sequence);
+    return rejected;
 }
 
-static void put_description(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
+static void write_description(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
 {
     const vc_actuator *actuator = controller->settings->actuator;
     const vc_decoder_callbacks *callbacks = controller->settings->callbacks;
@@ -341,13 +344,13 @@ static void put_description(vc_controller *controller, vc_frame_writer *writer, 
     hello.minor = VC_PROTOCOL_MINOR;
     hello.build = vc_text_piece(controller->settings->build);
     hello.hardware = vc_text_piece(controller->settings->hardware);
-    hello.limits.maximum_payload_bytes = VC_MAXIMUM_PAYLOAD_BYTES;
-    hello.limits.maximum_packet_bytes = VC_MAXIMUM_PACKET_BYTES;
+    hello.limits.max_payload_bytes = VC_MAX_PAYLOAD_BYTES;
+    hello.limits.max_packet_bytes = VC_MAX_PACKET_BYTES;
     hello.limits.buffer_samples = sizes.buffer_samples;
     hello.limits.capture_samples = sizes.capture_samples;
     hello.limits.channels = sizes.channels;
-    hello.limits.minimum_rate_hz = VC_MINIMUM_RATE_HZ;
-    hello.limits.maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
+    hello.limits.min_rate_hz = VC_MIN_RATE_HZ;
+    hello.limits.max_rate_hz = vc_playback_max_rate_hz(actuator);
     hello.limits.watchdog_ms = controller->settings->watchdog_ms;
     hello.limits.profile_samples = sizes.profile_samples;
     hello.actuator.name = vc_text_piece(actuator->name);
@@ -411,11 +414,11 @@ static void begin_answer(vc_controller *controller, vc_frame_writer *writer)
     vc_frame_begin(writer, controller->answer, sizeof controller->answer);
 }
 
-static void answer_error(vc_controller *controller, uint16_t sequence, const vc_refusal *refusal)
+static void answer_error(vc_controller *controller, uint16_t sequence, const vc_rejection *rejection)
 {
     vc_frame_writer writer;
     begin_answer(controller, &writer);
-    vc_write_refusal(&writer, sequence, refusal);
+    vc_write_rejection(&writer, sequence, rejection);
     answer(controller, sequence, &writer);
 }
 
@@ -423,20 +426,20 @@ static void answer_error(vc_controller *controller, uint16_t sequence, const vc_
 static void greet(vc_controller *controller, uint16_t sequence, const vc_hello *hello)
 {
     vc_frame_writer writer;
-    vc_refusal refusal;
+    vc_rejection rejection;
     if (controller->in_session && sequence == controller->opened_by) {
         if (sequence == controller->last_sequence)
             send_again(controller);
     } else if (hello->major != VC_PROTOCOL_MAJOR) {
-        vc_refuse_numbers(&refusal, VC_UNSUPPORTED_VERSION,
+        vc_reject_numbers(&rejection, VC_UNSUPPORTED_VERSION,
                           "this controller speaks protocol " VERSION_TEXT ", the host #.#: update the older one",
                           hello->major, hello->minor);
-        send_error(controller, sequence, &refusal);
+        send_error(controller, sequence, &rejection);
     } else {
         controller->in_session = 1;
         controller->opened_by = sequence;
         begin_answer(controller, &writer);
-        put_description(controller, &writer, sequence);
+        write_description(controller, &writer, sequence);
         answer(controller, sequence, &writer);
     }
 }
@@ -444,21 +447,21 @@ static void greet(vc_controller *controller, uint16_t sequence, const vc_hello *
 static void take_request(vc_controller *controller, const vc_message *message)
 {
     vc_frame_writer writer;
-    vc_refusal refusal;
-    int refused;
+    vc_rejection rejection;
+    int rejected;
     if (!controller->in_session && message->type != VC_STOP) {
-        vc_refuse(&refusal, VC_HELLO_FIRST, "no session is open: say hello first");
-        answer_error(controller, message->sequence, &refusal);
+        vc_reject(&rejection, VC_HELLO_FIRST, "no session is open: say hello first");
+        answer_error(controller, message->sequence, &rejection);
         return;
     }
     if (!is_new(controller, message->sequence))
         return;
     begin_answer(controller, &writer);
-    refused = carry_out(controller, message, &writer, &refusal);
-    if (refused)
-        vc_write_refusal(&writer, message->sequence, &refusal);
+    rejected = dispatch(controller, message, &writer, &rejection);
+    if (rejected)
+        vc_write_rejection(&writer, message->sequence, &rejection);
     answer(controller, message->sequence, &writer);
-    if (message->type == VC_FLASH_ACTIVATE && !refused) {
+    if (message->type == VC_FLASH_ACTIVATE && !rejected) {
         stop(controller);
         boot(controller);
     }
@@ -469,21 +472,21 @@ static void handle(vc_controller *controller, vc_piece payload)
 {
     vc_playback *playback = &controller->playback;
     vc_message message;
-    vc_refusal refusal;
+    vc_rejection rejection;
     vc_piece packet;
-    int refused;
+    int rejected;
     if (payload.bytes[0] >= VC_FIRST_FROM_CONTROLLER)
         return;
     controller->heard_us = controller->time_us;
-    refused = vc_message_read(&message, payload.bytes, payload.length, &refusal);
-    if (!refused && message.sequence == VC_NOTIFICATION && message.type < VC_FIRST_UNSEQUENCED)
-        refused = vc_refuse(&refusal, VC_MALFORMED, "a request needs a sequence number of 1 or more");
-    if (refused && message.sequence == VC_NOTIFICATION) {
+    rejected = vc_message_read(&message, payload.bytes, payload.length, &rejection);
+    if (!rejected && message.sequence == VC_NOTIFICATION && message.type < VC_FIRST_UNSEQUENCED)
+        rejected = vc_reject(&rejection, VC_MALFORMED, "a request needs a sequence number of 1 or more");
+    if (rejected && message.sequence == VC_NOTIFICATION) {
         if (outgoing_bytes(controller) < UNREAD_NOTIFICATIONS_BYTES)
-            send_error(controller, VC_NOTIFICATION, &refusal);
-    } else if (refused) {
+            send_error(controller, VC_NOTIFICATION, &rejection);
+    } else if (rejected) {
         if (is_new(controller, message.sequence))
-            answer_error(controller, message.sequence, &refusal);
+            answer_error(controller, message.sequence, &rejection);
     } else if (message.type == VC_HELLO) {
         greet(controller, message.sequence, &message.body.hello);
     } else if (message.type == VC_POSITION) {

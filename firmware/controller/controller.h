@@ -17,8 +17,8 @@ size_t vc_controller_size(void);
 /* Bytes of memory, aligned for int64_t, for the height profiles of one. */
 size_t vc_controller_profile_size(void);
 
-/* Boots: reads the flash, starts the image on trial or the confirmed one. `settings`, `flash` and `dac_context` must
- * stay valid. `now_us`: the controller's clock, which never goes back. */
+/* Boots: reads the flash, starts the image to be tested or the confirmed one. `settings`, `flash` and `dac_context`
+ * must stay valid. `now_us`: the controller's clock, which never goes back. */
 void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
                         vc_dac_sink dac, void *dac_context, uint64_t now_us);
 

@@ -29,51 +29,52 @@ void vc_codecs_describe(vc_codec_description *descriptions)
     }
 }
 
-/* Returns 0 if a codec in C takes the payload of a model image; else refuses with `code`. */
+/* Returns 0 if a codec in C takes the payload of a model image; else rejects with `code`. */
 static int check_tables(uint8_t identifier, const uint8_t *tables, size_t length, enum vc_error_code code,
-                        vc_refusal *refusal)
+                        vc_rejection *rejection)
 {
     const vc_codec *codec = find(identifier);
     const char *flaw;
     if (codec == NULL || codec->check_tables == NULL)
-        return vc_refuse_numbers(refusal, code, "codec # takes no model image on this controller", identifier, 0);
+        return vc_reject_numbers(rejection, code, "codec # takes no model image on this controller", identifier, 0);
     flaw = codec->check_tables(tables, length);
-    return flaw == NULL ? 0 : vc_refuse(refusal, code, flaw);
+    return flaw == NULL ? 0 : vc_reject(rejection, code, flaw);
 }
 
-int vc_tables_check(const void *context, uint8_t codec, const uint8_t *tables, size_t length, vc_refusal *refusal)
+int vc_tables_check(const void *context, uint8_t codec, const uint8_t *tables, size_t length, vc_rejection *rejection)
 {
     const vc_decoder_callbacks *callbacks = context;
-    int refused = VC_NOT_BY_CALLBACKS;
+    int rejected = VC_NOT_BY_CALLBACKS;
     if (callbacks != NULL)
-        refused = callbacks->check_tables(callbacks->context, codec, tables, length, refusal);
-    return refused != VC_NOT_BY_CALLBACKS ? refused : check_tables(codec, tables, length, VC_IMAGE_REFUSED, refusal);
+        rejected = callbacks->check_tables(callbacks->context, codec, tables, length, rejection);
+    return rejected != VC_NOT_BY_CALLBACKS ? rejected
+                                           : check_tables(codec, tables, length, VC_IMAGE_REJECTED, rejection);
 }
 
-int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc_refusal *refusal)
+int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc_rejection *rejection)
 {
     const vc_codec *codec = find(coding->codec);
     if (callbacks != NULL && (codec == NULL || coding->tables != NULL)) {
-        const int refused = callbacks->check(callbacks->context, coding, refusal);
+        const int rejected = callbacks->check(callbacks->context, coding, rejection);
         coding->callbacks = callbacks;
-        if (refused != VC_NOT_BY_CALLBACKS)
-            return refused;
+        if (rejected != VC_NOT_BY_CALLBACKS)
+            return rejected;
     }
     coding->callbacks = NULL;
     if (codec == NULL)
-        return vc_refuse_numbers(refusal, VC_UNKNOWN_CODEC, "codec # is needed, which this controller does not have",
+        return vc_reject_numbers(rejection, VC_UNKNOWN_CODEC, "codec # is needed, which this controller does not have",
                                  coding->codec, 0);
     if (coding->tables != NULL &&
-        check_tables(coding->codec, coding->tables, coding->tables_length, VC_UNKNOWN_CODEC, refusal))
+        check_tables(coding->codec, coding->tables, coding->tables_length, VC_UNKNOWN_CODEC, rejection))
         return VC_UNKNOWN_CODEC;
     if (coding->tables == NULL && codec->needs_tables) {
-        vc_refuse(refusal, VC_UNKNOWN_CODEC, "the codec ");
-        vc_refusal_add(refusal, codec->name);
-        return vc_refusal_add(refusal, " needs a model: flash the model image that the stream was coded for");
+        vc_reject(rejection, VC_UNKNOWN_CODEC, "the codec ");
+        vc_rejection_add(rejection, codec->name);
+        return vc_rejection_add(rejection, " needs a model: flash the model image that the stream was coded for");
     }
     return codec->check(coding) == VC_OK
                ? 0
-               : vc_refuse(refusal, VC_UNKNOWN_CODEC, "the codec configuration is damaged or of another version");
+               : vc_reject(rejection, VC_UNKNOWN_CODEC, "the codec configuration is damaged or of another version");
 }
 
 void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding)

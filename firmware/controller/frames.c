@@ -23,7 +23,7 @@ static size_t payload_bytes(vc_frame_reader *reader)
 {
     size_t decoded, length;
     if (reader->length > VC_ENCODED_BYTES || vc_cobs_decode(reader->pending, reader->length, &decoded) != 0 ||
-        decoded <= VC_CRC_BYTES || decoded > VC_MAXIMUM_PAYLOAD_BYTES + VC_CRC_BYTES)
+        decoded <= VC_CRC_BYTES || decoded > VC_MAX_PAYLOAD_BYTES + VC_CRC_BYTES)
         return 0;
     length = decoded - VC_CRC_BYTES;
     if (vc_crc16(reader->pending, length, VC_CRC16_START) != vc_number(reader->pending + length, VC_CRC_BYTES))
@@ -99,7 +99,7 @@ size_t vc_frame_end(vc_frame_writer *writer)
     vc_cobs_put(&writer->cobs, crc, VC_CRC_BYTES);
     encoded = vc_cobs_end(&writer->cobs);
     if (encoded == 0 || encoded == writer->cobs.capacity || writer->payload_bytes == 0 ||
-        writer->payload_bytes > VC_MAXIMUM_PAYLOAD_BYTES)
+        writer->payload_bytes > VC_MAX_PAYLOAD_BYTES)
         return 0;
     writer->cobs.encoded[encoded] = DELIMITER;
     return encoded + 1;

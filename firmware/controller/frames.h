@@ -8,7 +8,7 @@
 
 #define VC_CRC_BYTES 2
 /* The longest frame, without and with the zero that closes it. */
-#define VC_ENCODED_BYTES VC_COBS_BYTES(VC_MAXIMUM_PAYLOAD_BYTES + VC_CRC_BYTES)
+#define VC_ENCODED_BYTES VC_COBS_BYTES(VC_MAX_PAYLOAD_BYTES + VC_CRC_BYTES)
 #define VC_FRAME_BYTES (VC_ENCODED_BYTES + 1)
 
 /* cffi: begin */
@@ -41,7 +41,7 @@ void vc_frame_write(vc_frame_writer *writer, const uint8_t *payload, size_t leng
 void vc_frame_write_number(vc_frame_writer *writer, uint64_t number, unsigned bytes);
 /* Numbers of two bytes, little endian. */
 void vc_frame_write_samples(vc_frame_writer *writer, const int16_t *samples, size_t count);
-/* Ends it; returns its bytes, or 0 where they do not fit, or the payload has not 1 to VC_MAXIMUM_PAYLOAD_BYTES. */
+/* Ends it; returns its bytes, or 0 where they do not fit, or the payload has not 1 to VC_MAX_PAYLOAD_BYTES. */
 size_t vc_frame_end(vc_frame_writer *writer);
 /* cffi: end */
 

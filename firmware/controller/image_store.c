@@ -91,20 +91,20 @@ static int set_slot(vc_image_store *store, unsigned number, const vc_slot *slot)
     return set_slots(store, slots);
 }
 
-/* Looks whether a slot's image is whole, and reads it where it is. Returns 0, or the refusal's code. */
-static int look_at_image(vc_image_store *store, unsigned number, vc_refusal *refusal)
+/* Looks whether a slot's image is whole, and reads it where it is. Returns 0, or the rejection's code. */
+static int look_at_image(vc_image_store *store, unsigned number, vc_rejection *rejection)
 {
     const vc_slot *slot = &store->slots[number];
     uint8_t sha256[VC_SHA256_BYTES];
-    int refused;
+    int rejected;
     store->whole[number] = 0;
     vc_sha256(slot_data(store, number), slot->size_bytes, sha256);
     if (!vc_same_bytes(sha256, slot->sha256, VC_SHA256_BYTES))
-        return vc_refuse(refusal, VC_IMAGE_REFUSED,
+        return vc_reject(rejection, VC_IMAGE_REJECTED,
                          "what was written has another SHA-256 than announced: flash it again");
-    refused = vc_model_image_read(&store->images[number], slot_data(store, number), slot->size_bytes, refusal);
-    store->whole[number] = !refused;
-    return refused;
+    rejected = vc_model_image_read(&store->images[number], slot_data(store, number), slot->size_bytes, rejection);
+    store->whole[number] = !rejected;
+    return rejected;
 }
 
 /* The slot in a state whose image is whole, or NO_SLOT. */
@@ -131,7 +131,7 @@ void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const cha
                          const void *check_context)
 {
     vc_slot slots[VC_SLOTS];
-    vc_refusal unused;
+    vc_rejection unused;
     int changed = 0, spare;
     unsigned i;
     memset(store, 0, sizeof *store);
@@ -146,28 +146,28 @@ void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const cha
             look_at_image(store, i, &unused);
         store->written[i] = programmed_bytes(store, i);
     }
-    /* What is broken is noted; a trial that was not confirmed is over, one that begins is noted. */
+    /* What is broken is noted; a test that was not confirmed is over, one that begins is noted. */
     memcpy(slots, store->slots, sizeof slots);
     spare = whole_slot(store, VC_SLOT_VERIFIED);
     for (i = 0; i < VC_SLOTS; i++) {
         vc_slot *slot = &slots[i];
-        if (slot->state != VC_SLOT_TRIAL && slot->state != VC_SLOT_CONFIRMED)
+        if (slot->state != VC_SLOT_TESTING && slot->state != VC_SLOT_CONFIRMED)
             continue;
         if (!store->whole[i]) {
             if (slot->state == VC_SLOT_CONFIRMED && spare != NO_SLOT)
                 slots[spare].state = VC_SLOT_CONFIRMED;
             *slot = empty_slot;
             changed = 1;
-        } else if (slot->state == VC_SLOT_TRIAL) {
-            slot->state = slot->booted ? VC_SLOT_VERIFIED : VC_SLOT_TRIAL;
+        } else if (slot->state == VC_SLOT_TESTING) {
+            slot->state = slot->booted ? VC_SLOT_VERIFIED : VC_SLOT_TESTING;
             slot->booted = !slot->booted;
             changed = 1;
         }
     }
     store->running = NO_SLOT;
-    /* Without a record of it, a trial would never end. */
+    /* Without a record of it, a test would never end. */
     if (!changed || set_slots(store, slots))
-        store->running = whole_slot(store, VC_SLOT_TRIAL);
+        store->running = whole_slot(store, VC_SLOT_TESTING);
     if (store->running == NO_SLOT)
         store->running = whole_slot(store, VC_SLOT_CONFIRMED);
 }
@@ -194,41 +194,42 @@ void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_im
     }
 }
 
-static int no_such_slot(unsigned number, vc_refusal *refusal)
+static int no_such_slot(unsigned number, vc_rejection *rejection)
 {
     return number < VC_SLOTS ? 0
-                             : vc_refuse_numbers(refusal, VC_NO_SUCH_SLOT, "there is no slot #; slots are 0 to #",
+                             : vc_reject_numbers(rejection, VC_NO_SUCH_SLOT, "there is no slot #; slots are 0 to #",
                                                  number, VC_SLOTS - 1);
 }
 
 static int not_in_state(const vc_image_store *store, unsigned number, uint8_t state, const char *hint,
-                        vc_refusal *refusal)
+                        vc_rejection *rejection)
 {
-    static const char *const names[] = {"empty", "writing", "verified", "trial", "confirmed"};
-    int refused = no_such_slot(number, refusal);
-    if (refused || store->slots[number].state == state)
-        return refused;
-    vc_refuse_numbers(refusal, VC_WRONG_STATE, "slot # is ", number, 0);
-    vc_refusal_add(refusal, names[store->slots[number].state]);
-    return vc_refusal_add(refusal, hint);
+    static const char *const names[] = {"empty", "writing", "verified", "testing", "confirmed"};
+    int rejected = no_such_slot(number, rejection);
+    if (rejected || store->slots[number].state == state)
+        return rejected;
+    vc_reject_numbers(rejection, VC_WRONG_STATE, "slot # is ", number, 0);
+    vc_rejection_add(rejection, names[store->slots[number].state]);
+    return vc_rejection_add(rejection, hint);
 }
 
-static int flash_failed(vc_refusal *refusal)
+static int flash_failed(vc_rejection *rejection)
 {
-    return vc_refuse(refusal, VC_FLASH_FAILED,
+    return vc_reject(rejection, VC_FLASH_FAILED,
                      "the flash did not take the data: try again; if it goes on failing, the flash is worn out");
 }
 
-static int wrong_hardware(const vc_image_store *store, vc_piece wanted, enum vc_error_code code, vc_refusal *refusal)
+static int wrong_hardware(const vc_image_store *store, vc_piece wanted, enum vc_error_code code,
+                          vc_rejection *rejection)
 {
     vc_piece hardware = vc_text_piece(store->hardware);
     if (wanted.length == 0 ||
         (wanted.length == hardware.length && vc_same_bytes(wanted.bytes, hardware.bytes, wanted.length)))
         return 0;
-    vc_refuse(refusal, code, "this controller is ");
-    vc_refusal_add_piece(refusal, hardware);
-    vc_refusal_add(refusal, ", the image is for ");
-    return vc_refusal_add_piece(refusal, wanted);
+    vc_reject(rejection, code, "this controller is ");
+    vc_rejection_add_piece(rejection, hardware);
+    vc_rejection_add(rejection, ", the image is for ");
+    return vc_rejection_add_piece(rejection, wanted);
 }
 
 static uint32_t next_offset(const vc_image_store *store, unsigned number)
@@ -247,23 +248,23 @@ static int tell(const vc_image_store *store, unsigned number, vc_flash_status *r
 }
 
 int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_status *report,
-                         vc_refusal *refusal)
+                         vc_rejection *rejection)
 {
     const vc_flash *flash = store->flash;
     const vc_slot *slot;
     vc_slot wanted = {VC_SLOT_WRITING, 0, begin->size_bytes, {0}};
-    int refused = no_such_slot(begin->slot, refusal);
-    if (refused)
-        return refused;
+    int rejected = no_such_slot(begin->slot, rejection);
+    if (rejected)
+        return rejected;
     slot = &store->slots[begin->slot];
     if ((int)begin->slot == store->running || slot->state == VC_SLOT_CONFIRMED)
-        return vc_refuse_numbers(refusal, VC_WRONG_STATE, "slot # runs or is the one to fall back to: use the other",
+        return vc_reject_numbers(rejection, VC_WRONG_STATE, "slot # runs or is the one to fall back to: use the other",
                                  begin->slot, 0);
-    refused = wrong_hardware(store, begin->hardware, VC_WRONG_HARDWARE, refusal);
-    if (refused)
-        return refused;
+    rejected = wrong_hardware(store, begin->hardware, VC_WRONG_HARDWARE, rejection);
+    if (rejected)
+        return rejected;
     if (begin->size_bytes == 0 || begin->size_bytes > flash->slot_bytes)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "an image of # bytes; a slot holds 1 to #",
+        return vc_reject_numbers(rejection, VC_BEYOND_LIMITS, "an image of # bytes; a slot holds 1 to #",
                                  begin->size_bytes, flash->slot_bytes);
     memcpy(wanted.sha256, begin->sha256, VC_SHA256_BYTES);
     if (slot->state != VC_SLOT_WRITING || slot->size_bytes != wanted.size_bytes ||
@@ -271,83 +272,85 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
         if (!set_slot(store, begin->slot, &empty_slot) ||
             flash->erase(flash->context, flash->slot[begin->slot], flash->slot_bytes) != 0 ||
             !set_slot(store, begin->slot, &wanted))
-            return flash_failed(refusal);
+            return flash_failed(rejection);
     }
     return tell(store, begin->slot, report);
 }
 
-int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_status *report, vc_refusal *refusal)
+int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_status *report,
+                         vc_rejection *rejection)
 {
     const vc_flash *flash = store->flash;
-    int refused = not_in_state(store, data->slot, VC_SLOT_WRITING, ": begin with FlashBegin", refusal);
-    if (refused)
-        return refused;
+    int rejected = not_in_state(store, data->slot, VC_SLOT_WRITING, ": begin with FlashBegin", rejection);
+    if (rejected)
+        return rejected;
     if (data->offset == next_offset(store, data->slot)) {
         uint32_t size_bytes = store->slots[data->slot].size_bytes;
         if (data->data.length > size_bytes - data->offset)
-            return vc_refuse_numbers(refusal, VC_BAD_VALUE, "data up to byte # of an image of # bytes",
+            return vc_reject_numbers(rejection, VC_BAD_VALUE, "data up to byte # of an image of # bytes",
                                      data->offset + (uint64_t)data->data.length, size_bytes);
         if (flash->program(flash->context, flash->slot[data->slot] + data->offset, data->data.bytes,
                            (uint32_t)data->data.length) != 0)
-            return flash_failed(refusal);
+            return flash_failed(rejection);
         store->written[data->slot] = data->offset + (uint32_t)data->data.length;
     }
     return tell(store, data->slot, report);
 }
 
-/* Checks what was written to a slot. Returns 0, or the refusal's code. */
-static int check_image(vc_image_store *store, unsigned number, vc_refusal *refusal)
+/* Checks what was written to a slot. Returns 0, or the rejection's code. */
+static int check_image(vc_image_store *store, unsigned number, vc_rejection *rejection)
 {
     const vc_model_image *image = &store->images[number];
-    int refused = look_at_image(store, number, refusal);
-    if (!refused)
-        refused = wrong_hardware(store, image->hardware, VC_IMAGE_REFUSED, refusal);
-    if (!refused)
-        refused =
-            store->check(store->check_context, image->codec, image->payload.bytes, image->payload.length, refusal);
-    return refused;
+    int rejected = look_at_image(store, number, rejection);
+    if (!rejected)
+        rejected = wrong_hardware(store, image->hardware, VC_IMAGE_REJECTED, rejection);
+    if (!rejected)
+        rejected =
+            store->check(store->check_context, image->codec, image->payload.bytes, image->payload.length, rejection);
+    return rejected;
 }
 
-int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal)
+int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection)
 {
     vc_slot verified;
-    int refused = not_in_state(store, number, VC_SLOT_WRITING, ": there is nothing new to verify", refusal);
-    if (refused)
-        return refused;
-    refused = check_image(store, number, refusal);
-    if (refused)
-        return set_slot(store, number, &empty_slot) ? refused : flash_failed(refusal);
+    int rejected = not_in_state(store, number, VC_SLOT_WRITING, ": there is nothing new to verify", rejection);
+    if (rejected)
+        return rejected;
+    rejected = check_image(store, number, rejection);
+    if (rejected)
+        return set_slot(store, number, &empty_slot) ? rejected : flash_failed(rejection);
     verified = store->slots[number];
     verified.state = VC_SLOT_VERIFIED;
-    return set_slot(store, number, &verified) ? tell(store, number, report) : flash_failed(refusal);
+    return set_slot(store, number, &verified) ? tell(store, number, report) : flash_failed(rejection);
 }
 
-int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal)
+int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection)
 {
-    vc_slot trial;
+    vc_slot tested;
     unsigned i;
-    int refused = not_in_state(store, number, VC_SLOT_VERIFIED, ": verify it first", refusal);
-    if (refused)
-        return refused;
+    int rejected = not_in_state(store, number, VC_SLOT_VERIFIED, ": verify it first", rejection);
+    if (rejected)
+        return rejected;
     for (i = 0; i < VC_SLOTS; i++)
-        if (store->slots[i].state == VC_SLOT_TRIAL)
-            return vc_refuse(refusal, VC_WRONG_STATE, "another slot is on trial: confirm it, or restart to fall back");
-    trial = store->slots[number];
-    trial.state = VC_SLOT_TRIAL;
-    return set_slot(store, number, &trial) ? tell(store, number, report) : flash_failed(refusal);
+        if (store->slots[i].state == VC_SLOT_TESTING)
+            return vc_reject(rejection, VC_WRONG_STATE,
+                             "another slot is being tested: confirm it, or restart to revert");
+    tested = store->slots[number];
+    tested.state = VC_SLOT_TESTING;
+    return set_slot(store, number, &tested) ? tell(store, number, report) : flash_failed(rejection);
 }
 
-int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_status *report, vc_refusal *refusal)
+int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection)
 {
     vc_slot slots[VC_SLOTS];
     unsigned i;
-    int refused = no_such_slot(number, refusal);
-    if (refused)
-        return refused;
+    int rejected = no_such_slot(number, rejection);
+    if (rejected)
+        return rejected;
     if ((int)number != store->running)
-        return vc_refuse_numbers(refusal, VC_WRONG_STATE, "slot # does not run: only what has been tried can be kept",
+        return vc_reject_numbers(rejection, VC_WRONG_STATE, "slot # does not run: only what has been tried can be kept",
                                  number, 0);
-    if (store->slots[number].state == VC_SLOT_TRIAL) {
+    if (store->slots[number].state == VC_SLOT_TESTING) {
         memcpy(slots, store->slots, sizeof slots);
         for (i = 0; i < VC_SLOTS; i++)
             if (slots[i].state == VC_SLOT_CONFIRMED)
@@ -355,7 +358,7 @@ int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_stat
         slots[number].state = VC_SLOT_CONFIRMED;
         slots[number].booted = 0;
         if (!set_slots(store, slots))
-            return flash_failed(refusal);
+            return flash_failed(rejection);
     }
     return tell(store, number, report);
 }

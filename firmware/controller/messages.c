@@ -33,7 +33,7 @@ static int is_factor(uint32_t float_bits)
     return float_bits < INFINITY_BITS || float_bits == SIGN_BIT;
 }
 
-int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_refusal *refusal)
+int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_rejection *rejection)
 {
     vc_fields fields;
     vc_piece *value = NULL;
@@ -44,7 +44,7 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
     if (message->type < VC_FIRST_UNSEQUENCED)
         message->sequence = (uint16_t)vc_take_number(&fields, 2);
     if (fields.cut)
-        return vc_refuse_numbers(refusal, VC_MALFORMED, "a message of # bytes, at least 3 are needed", length, 0);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "a message of # bytes, at least 3 are needed", length, 0);
     switch (message->type) {
     case VC_HELLO:
         message->body.hello.major = (uint8_t)vc_take_number(&fields, 1);
@@ -119,34 +119,34 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
         message->body.position.position_nm = (int64_t)vc_take_number(&fields, 8);
         break;
     default:
-        return vc_refuse_numbers(refusal, VC_UNKNOWN_MESSAGE,
+        return vc_reject_numbers(rejection, VC_UNKNOWN_MESSAGE,
                                  "message type # is not known to protocol version #: update the controller",
                                  message->type, VC_PROTOCOL_MAJOR);
     }
     if (!fields.cut && flags > 1)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "flags # are set, only # is known", flags, 1);
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "flags # are set, only # is known", flags, 1);
     if (value != NULL)
         value->bytes = NULL;
     if (!read_tags(&fields, tag, value))
-        return vc_refuse_numbers(refusal, VC_MALFORMED, "message of type #: a field or tag is cut", message->type, 0);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: a field or tag is cut", message->type, 0);
     if (value != NULL && value->bytes == NULL)
-        return vc_refuse_numbers(refusal, VC_MALFORMED, "message of type #: tag # is missing", message->type, tag);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: tag # is missing", message->type, tag);
     switch (message->type) {
     case VC_CONFIGURE:
         if (!is_factor(message->body.configure.gain_float_bits))
-            return vc_refuse(refusal, VC_BAD_VALUE, "Configure: gain is not a finite factor of at least 0");
+            return vc_reject(rejection, VC_BAD_VALUE, "Configure: gain is not a finite factor of at least 0");
         break;
     case VC_GAIN:
         if (!is_factor(message->body.gain.gain_float_bits))
-            return vc_refuse(refusal, VC_BAD_VALUE, "Gain: gain is not a finite factor of at least 0");
+            return vc_reject(rejection, VC_BAD_VALUE, "Gain: gain is not a finite factor of at least 0");
         break;
     case VC_CAPTURE_READ:
         if (message->body.capture_read.tap > 1)
-            return vc_refuse_numbers(refusal, VC_BAD_VALUE, "CaptureRead: tap # is none of 0 to #", message->body.capture_read.tap, 1);
+            return vc_reject_numbers(rejection, VC_BAD_VALUE, "CaptureRead: tap # is none of 0 to #", message->body.capture_read.tap, 1);
         break;
     case VC_FLASH_BEGIN:
         if (!vc_is_utf8(message->body.flash_begin.hardware))
-            return vc_refuse(refusal, VC_MALFORMED, "FlashBegin: hardware is not UTF-8");
+            return vc_reject(rejection, VC_MALFORMED, "FlashBegin: hardware is not UTF-8");
         break;
     default:
         break;
@@ -180,13 +180,13 @@ static void write_sha256(vc_frame_writer *writer, const uint8_t *sha256)
 static void write_limits(vc_frame_writer *writer, uint8_t tag, const vc_controller_limits *value)
 {
     write_tag(writer, tag, 2 + 2 + 4 + 4 + 1 + 4 + 4 + 2 + 4);
-    vc_frame_write_number(writer, value->maximum_payload_bytes, 2);
-    vc_frame_write_number(writer, value->maximum_packet_bytes, 2);
+    vc_frame_write_number(writer, value->max_payload_bytes, 2);
+    vc_frame_write_number(writer, value->max_packet_bytes, 2);
     vc_frame_write_number(writer, value->buffer_samples, 4);
     vc_frame_write_number(writer, value->capture_samples, 4);
     vc_frame_write_number(writer, value->channels, 1);
-    vc_frame_write_number(writer, value->minimum_rate_hz, 4);
-    vc_frame_write_number(writer, value->maximum_rate_hz, 4);
+    vc_frame_write_number(writer, value->min_rate_hz, 4);
+    vc_frame_write_number(writer, value->max_rate_hz, 4);
     vc_frame_write_number(writer, value->watchdog_ms, 2);
     vc_frame_write_number(writer, value->profile_samples, 4);
 }
@@ -284,8 +284,8 @@ void vc_write_error(vc_frame_writer *writer, uint16_t sequence, const vc_error *
     write_piece(writer, message->text);
 }
 
-void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal)
+void vc_write_rejection(vc_frame_writer *writer, uint16_t sequence, const vc_rejection *rejection)
 {
-    const vc_error error = {refusal->code, {(const uint8_t *)refusal->text, refusal->length}};
+    const vc_error error = {rejection->code, {(const uint8_t *)rejection->text, rejection->length}};
     vc_write_error(writer, sequence, &error);
 }

@@ -8,7 +8,7 @@
 
 #include "frames.h"
 #include "protocol.h"
-#include "refusal.h"
+#include "rejection.h"
 
 /* cffi: begin */
 /* Opens a session; the protocol version that the host speaks. Its layout is the same in every version. */
@@ -106,13 +106,13 @@ typedef struct {
 /* What the controller can take. `watchdog_ms`: longest silence of the host while armed, playing or paused.
  * `profile_samples`: of a height profile, of all channels together; 0, or left out by protocol 1.0: none. */
 typedef struct {
-    uint16_t maximum_payload_bytes;
-    uint16_t maximum_packet_bytes;
+    uint16_t max_payload_bytes;
+    uint16_t max_packet_bytes;
     uint32_t buffer_samples;
     uint32_t capture_samples;
     uint8_t channels;
-    uint32_t minimum_rate_hz;
-    uint32_t maximum_rate_hz;
+    uint32_t min_rate_hz;
+    uint32_t max_rate_hz;
     uint16_t watchdog_ms;
     uint32_t profile_samples;
 } vc_controller_limits;
@@ -227,10 +227,10 @@ typedef struct {
     } body;
 } vc_message;
 
-/* Reads a payload whose type is below VC_FIRST_FROM_CONTROLLER. Returns 0, or the refusal's code: VC_MALFORMED,
+/* Reads a payload whose type is below VC_FIRST_FROM_CONTROLLER. Returns 0, or the rejection's code: VC_MALFORMED,
  * VC_BAD_VALUE or VC_UNKNOWN_MESSAGE; `sequence` is then the number to answer with (VC_NOTIFICATION where none could be
  * read). Any bytes are safe. */
-int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_refusal *refusal);
+int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_rejection *rejection);
 
 /* Write a message into a frame that has begun. After a CaptureData the caller writes its samples. */
 void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const vc_hello_response *message);
@@ -238,7 +238,7 @@ void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message);
 void vc_write_flash_status(vc_frame_writer *writer, uint16_t sequence, const vc_flash_status *message);
 void vc_write_error(vc_frame_writer *writer, uint16_t sequence, const vc_error *message);
-void vc_write_refusal(vc_frame_writer *writer, uint16_t sequence, const vc_refusal *refusal);
+void vc_write_rejection(vc_frame_writer *writer, uint16_t sequence, const vc_rejection *rejection);
 /* cffi: end */
 
 #endif

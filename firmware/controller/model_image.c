@@ -5,7 +5,7 @@
 
 #define CRC_BYTES 4
 
-int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t length, vc_refusal *refusal)
+int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t length, vc_rejection *rejection)
 {
     vc_fields fields;
     vc_piece magic, crc;
@@ -20,22 +20,24 @@ int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t lengt
     hardware_bytes = (unsigned)vc_take_number(&fields, 1);
     payload_bytes = (uint32_t)vc_take_number(&fields, 4);
     if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)VC_IMAGE_MAGIC, magic.length))
-        return vc_refuse(refusal, VC_IMAGE_REFUSED,
+        return vc_reject(rejection, VC_IMAGE_REJECTED,
                          "this is no model image: flash a file that vibrocast packed as one");
     if (layout != VC_IMAGE_LAYOUT_VERSION)
-        return vc_refuse_numbers(refusal, VC_IMAGE_REFUSED, "a model image of layout #; this controller reads layout #",
-                                 layout, VC_IMAGE_LAYOUT_VERSION);
+        return vc_reject_numbers(rejection, VC_IMAGE_REJECTED,
+                                 "a model image of layout #; this controller reads layout #", layout,
+                                 VC_IMAGE_LAYOUT_VERSION);
     image->name = vc_take_piece(&fields, name_bytes);
     image->version = vc_take_piece(&fields, version_bytes);
     image->hardware = vc_take_piece(&fields, hardware_bytes);
     image->payload = vc_take_piece(&fields, payload_bytes);
     crc = vc_take_piece(&fields, CRC_BYTES);
     if (fields.cut || fields.rest.length > 0)
-        return vc_refuse_numbers(refusal, VC_IMAGE_REFUSED,
+        return vc_reject_numbers(rejection, VC_IMAGE_REJECTED,
                                  "the model image has another length than # bytes: get the file again", length, 0);
     if (vc_crc32(data, length - CRC_BYTES, 0) != vc_number(crc.bytes, CRC_BYTES))
-        return vc_refuse(refusal, VC_IMAGE_REFUSED, "the model image is damaged (CRC-32 differs): get the file again");
+        return vc_reject(rejection, VC_IMAGE_REJECTED,
+                         "the model image is damaged (CRC-32 differs): get the file again");
     if (!vc_is_utf8(image->name) || !vc_is_utf8(image->version) || !vc_is_utf8(image->hardware))
-        return vc_refuse(refusal, VC_IMAGE_REFUSED, "the model image's texts are not UTF-8: get the file again");
+        return vc_reject(rejection, VC_IMAGE_REJECTED, "the model image's texts are not UTF-8: get the file again");
     return 0;
 }

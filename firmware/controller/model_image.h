@@ -4,7 +4,7 @@
 
 #include "fields.h"
 #include "protocol.h"
-#include "refusal.h"
+#include "rejection.h"
 
 /* cffi: begin */
 /* Pieces point into the bytes that were read. Texts are UTF-8. */
@@ -15,8 +15,9 @@ typedef struct {
     vc_piece payload;  /* what the codec's decoder takes as its tables */
 } vc_model_image;
 
-/* Reads the image that `data` is, all of it. Returns 0, or the refusal's code, VC_IMAGE_REFUSED. Any bytes are safe. */
-int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t length, vc_refusal *refusal);
+/* Reads the image that `data` is, all of it. Returns 0, or the rejection's code, VC_IMAGE_REJECTED. Any bytes are safe.
+ */
+int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t length, vc_rejection *rejection);
 /* cffi: end */
 
 #endif

@@ -9,13 +9,13 @@ void vc_packet_buffer_clear(vc_packet_buffer *buffer)
 
 uint32_t vc_packet_buffer_room(const vc_packet_buffer *buffer)
 {
-    return (VC_BUFFER_BYTES - buffer->used) / VC_MAXIMUM_PACKET_BYTES;
+    return (VC_BUFFER_BYTES - buffer->used) / VC_MAX_PACKET_BYTES;
 }
 
 int vc_packet_buffer_add(vc_packet_buffer *buffer, uint64_t number, const uint8_t *packet, size_t length)
 {
     vc_buffered_packet *place = &buffer->packets[number % VC_BUFFER_PACKETS];
-    if (place->length > 0 || length < 1 || length > VC_MAXIMUM_PACKET_BYTES || length > VC_BUFFER_BYTES - buffer->used)
+    if (place->length > 0 || length < 1 || length > VC_MAX_PACKET_BYTES || length > VC_BUFFER_BYTES - buffer->used)
         return 0;
     memcpy(buffer->bytes + buffer->used, packet, length);
     place->offset = buffer->used;

@@ -22,7 +22,7 @@ void vc_packet_buffer_clear(vc_packet_buffer *buffer);
 uint32_t vc_packet_buffer_room(const vc_packet_buffer *buffer);
 
 /* Keeps a copy of packet `number`, unless it is there already. All numbers held must lie within VC_BUFFER_PACKETS.
- * Returns whether it was kept: not where it is longer than VC_MAXIMUM_PACKET_BYTES or has no room. */
+ * Returns whether it was kept: not where it is longer than VC_MAX_PACKET_BYTES or has no room. */
 int vc_packet_buffer_add(vc_packet_buffer *buffer, uint64_t number, const uint8_t *packet, size_t length);
 
 /* Returns packet `number` where it lies, until the buffer is next changed; NULL where it is not there. */

@@ -96,39 +96,39 @@ static vc_output_stream output_of(const vc_stream_header *header, const vc_actua
 }
 
 /* What a profile must be to be loaded as a whole and rendered. */
-static int refuse_profile(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
-                          const vc_controller_settings *settings, vc_refusal *refusal)
+static int reject_profile(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
+                          const vc_controller_settings *settings, vc_rejection *rejection)
 {
     const uint32_t room = vc_playback_sizes(settings).profile_samples;
     const uint32_t least_samples = vc_profile_least_samples(header->output.rate_hz, settings->actuator->dac_rate_hz);
     if (header->samples == VC_LENGTH_UNKNOWN || configure->first_packet > 0 ||
         (uint64_t)configure->packets * coding->packet_samples < coding->delay_samples + header->samples)
-        return vc_refuse(refusal, VC_BAD_VALUE,
+        return vc_reject(rejection, VC_BAD_VALUE,
                          "a profile is loaded as a whole: its header says its length, and its packets hold all of it");
     if (header->samples > room / header->output.channels)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+        return vc_reject_numbers(rejection, VC_BEYOND_LIMITS,
                                  "a profile of # samples; there is room for # in all channels together",
                                  header->samples, room);
     if (least_samples == 0 || header->samples < least_samples)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+        return vc_reject_numbers(rejection, VC_BEYOND_LIMITS,
                                  "a profile of # samples; at its pitch it needs # to be rendered at 300 mm/s",
                                  header->samples, least_samples);
     return 0;
 }
 
-static int refuse_short_iterations(const vc_stream_header *header, const vc_coding *coding, uint32_t packets,
-                                   vc_refusal *refusal)
+static int reject_short_iterations(const vc_stream_header *header, const vc_coding *coding, uint32_t packets,
+                                   vc_rejection *rejection)
 {
     const uint64_t decoded = (uint64_t)packets * coding->packet_samples;
     const uint64_t end = least(decoded, recording_end(header, coding));
     const uint64_t played = end - least(end, coding->delay_samples);
     if (is_spatial(header))
-        return vc_refuse(refusal, VC_BAD_VALUE, "a profile repeats by itself as the hand goes on: loops is 1");
+        return vc_reject(rejection, VC_BAD_VALUE, "a profile repeats by itself as the hand goes on: loops is 1");
     if (packets == 0)
-        return vc_refuse(refusal, VC_BAD_VALUE, "a live stream cannot loop");
+        return vc_reject(rejection, VC_BAD_VALUE, "a live stream cannot loop");
     if (played * 1000 < (uint64_t)SHORTEST_ITERATION_MS * header->output.rate_hz ||
         played * DECODED_PER_PLAYED < decoded)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE,
+        return vc_reject_numbers(rejection, VC_BAD_VALUE,
                                  "an iteration would play # of the # samples in its packets, too few or too small a "
                                  "part to be repeated: send a longer one that holds several repeats",
                                  played, decoded);
@@ -156,50 +156,50 @@ vc_sizes vc_playback_sizes(const vc_controller_settings *settings)
     return sizes;
 }
 
-uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator)
+uint32_t vc_playback_max_rate_hz(const vc_actuator *actuator)
 {
-    return (uint32_t)least(VC_MAXIMUM_RATE_HZ, (uint64_t)VC_RATE_RATIO * actuator->dac_rate_hz);
+    return (uint32_t)least(VC_MAX_RATE_HZ, (uint64_t)VC_RATE_RATIO * actuator->dac_rate_hz);
 }
 
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
-                      const vc_controller_settings *settings, vc_refusal *refusal)
+                      const vc_controller_settings *settings, vc_rejection *rejection)
 {
     const vc_actuator *actuator = settings->actuator;
     const vc_output_stream output = output_of(header, actuator);
-    const uint32_t maximum_rate_hz = vc_playback_maximum_rate_hz(actuator);
+    const uint32_t max_rate_hz = vc_playback_max_rate_hz(actuator);
     const vc_sizes sizes = vc_playback_sizes(settings);
     uint64_t end, room;
     if (configure->packets > 0 && configure->first_packet >= configure->packets)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
                                  configure->packets);
     if (output.channels > sizes.channels)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "# channels; there are # here", output.channels,
+        return vc_reject_numbers(rejection, VC_BEYOND_LIMITS, "# channels; there are # here", output.channels,
                                  sizes.channels);
-    if (!is_spatial(header) && (output.rate_hz < VC_MINIMUM_RATE_HZ || output.rate_hz > maximum_rate_hz))
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS, "a rate outside # to # Hz: resample first",
-                                 VC_MINIMUM_RATE_HZ, maximum_rate_hz);
-    if (vc_coding_check(coding, settings->callbacks, refusal))
-        return refusal->code;
+    if (!is_spatial(header) && (output.rate_hz < VC_MIN_RATE_HZ || output.rate_hz > max_rate_hz))
+        return vc_reject_numbers(rejection, VC_BEYOND_LIMITS, "a rate outside # to # Hz: resample first",
+                                 VC_MIN_RATE_HZ, max_rate_hz);
+    if (vc_coding_check(coding, settings->callbacks, rejection))
+        return rejection->code;
     if (vc_drive_size(actuator, &output) == 0)
-        return vc_refuse(refusal, VC_BEYOND_LIMITS, "the output cannot play a stream of this kind");
+        return vc_reject(rejection, VC_BEYOND_LIMITS, "the output cannot play a stream of this kind");
     end = recording_end(header, coding);
     if (end != NO_END && (uint64_t)configure->packets * coding->packet_samples >= end + 2 * coding->packet_samples)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE,
+        return vc_reject_numbers(rejection, VC_BAD_VALUE,
                                  "# packets are too many for the # samples that the stream header announces",
                                  configure->packets, header->samples);
     if (coding->packet_samples > VC_PACKET_SAMPLES)
-        return vc_refuse_numbers(refusal, VC_BEYOND_LIMITS,
+        return vc_reject_numbers(rejection, VC_BEYOND_LIMITS,
                                  "packets of # samples; here they have at most #: encode with shorter packets",
                                  coding->packet_samples, VC_PACKET_SAMPLES);
     room = (uint64_t)buffer_packets_of(coding, &sizes) * coding->packet_samples;
     if (room == 0 || configure->prebuffer_samples > room)
-        return vc_refuse_numbers(
-            refusal, VC_BEYOND_LIMITS,
+        return vc_reject_numbers(
+            rejection, VC_BEYOND_LIMITS,
             "a prebuffer of # samples; the buffer has room for # samples in packets of this stream",
             configure->prebuffer_samples, room);
-    if (is_spatial(header) && refuse_profile(configure, header, coding, settings, refusal))
-        return refusal->code;
-    return configure->loops == 1 ? 0 : refuse_short_iterations(header, coding, configure->packets, refusal);
+    if (is_spatial(header) && reject_profile(configure, header, coding, settings, rejection))
+        return rejection->code;
+    return configure->loops == 1 ? 0 : reject_short_iterations(header, coding, configure->packets, rejection);
 }
 
 static vc_drive *drive_of(vc_playback *playback)
@@ -279,9 +279,9 @@ static uint64_t credit_of(const vc_playback *playback)
     return playback->next + least(playback->buffer_packets, buffer->count + vc_packet_buffer_room(buffer));
 }
 
-uint32_t vc_playback_room_samples(const vc_playback *playback)
+uint32_t vc_playback_capacity_samples(const vc_playback *playback)
 {
-    return (uint32_t)least(playback->buffer_packets, VC_BUFFER_BYTES / VC_MAXIMUM_PACKET_BYTES) *
+    return (uint32_t)least(playback->buffer_packets, VC_BUFFER_BYTES / VC_MAX_PACKET_BYTES) *
            playback->coding.packet_samples;
 }
 
@@ -344,7 +344,7 @@ void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet,
         return;
     number = (uint64_t)iteration * playback->packets + sequence;
     if (number < playback->next || number >= credit_of(playback) || number >= end_of(playback) ||
-        packet.length > VC_MAXIMUM_PACKET_BYTES)
+        packet.length > VC_MAX_PACKET_BYTES)
         return;
     (void)vc_packet_buffer_add(&playback->buffer, number, packet.bytes, packet.length);
     if (number >= playback->newest_end)
@@ -399,14 +399,14 @@ void vc_playback_stop(vc_playback *playback, enum vc_state state)
     playback->decoded_at = playback->decoded_end = playback->drive_at = playback->drive_end = 0;
 }
 
-int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_refusal *refusal)
+int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_rejection *rejection)
 {
     const uint32_t packets = playback->live ? 0 : playback->packets;
-    const int refused =
-        loops == 1 ? 0 : refuse_short_iterations(&playback->header, &playback->coding, packets, refusal);
-    if (!refused)
+    const int rejected =
+        loops == 1 ? 0 : reject_short_iterations(&playback->header, &playback->coding, packets, rejection);
+    if (!rejected)
         playback->loops = loops;
-    return refused;
+    return rejected;
 }
 
 void vc_playback_set_gain(vc_playback *playback, uint32_t gain_float_bits)

@@ -13,8 +13,8 @@
 #include "stream_header.h"
 
 /* Rates of a stream, in Hz. */
-#define VC_MINIMUM_RATE_HZ 100u
-#define VC_MAXIMUM_RATE_HZ 48000u
+#define VC_MIN_RATE_HZ 100u
+#define VC_MAX_RATE_HZ 48000u
 
 /* Samples that are made and put out at a time. */
 #define VC_PIECE_SAMPLES 32u
@@ -75,15 +75,15 @@ typedef struct {
 } vc_playback;
 
 /* The highest rate of a stream for a DAC. */
-uint32_t vc_playback_maximum_rate_hz(const vc_actuator *actuator);
+uint32_t vc_playback_max_rate_hz(const vc_actuator *actuator);
 
 /* The sizes that are compiled in, or those of the settings where they are smaller. */
 vc_sizes vc_playback_sizes(const vc_controller_settings *settings);
 
-/* Says whether a stream can be played: returns 0, or the refusal's code. `coding`: of the header's codec and
+/* Says whether a stream can be played: returns 0, or the rejection's code. `coding`: of the header's codec and
  * configuration; what its packets are is filled in. */
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
-                      const vc_controller_settings *settings, vc_refusal *refusal);
+                      const vc_controller_settings *settings, vc_rejection *rejection);
 /* Sets up what vc_playback_check has passed, in the place of what has stopped. `sizes` and what follows it stay. */
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding);
@@ -101,8 +101,8 @@ void vc_playback_pause(vc_playback *playback);
 void vc_playback_resume(vc_playback *playback);
 /* Ramps down at once, drops the stream and stays in `state`. The captures remain. */
 void vc_playback_stop(vc_playback *playback, enum vc_state state);
-/* Sets all iterations, those played counted; 0 = until stopped. Returns 0, or the refusal's code. */
-int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_refusal *refusal);
+/* Sets all iterations, those played counted; 0 = until stopped. Returns 0, or the rejection's code. */
+int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_rejection *rejection);
 /* Moves to another gain, along a ramp. */
 void vc_playback_set_gain(vc_playback *playback, uint32_t gain_float_bits);
 /* Says how many packets the live stream has; if more have been decoded, it ends with those. */
@@ -116,7 +116,7 @@ void vc_playback_flush(vc_playback *playback, uint64_t time_us);
 uint64_t vc_playback_free_us(const vc_playback *playback);
 
 /* Samples per channel of the first credit. */
-uint32_t vc_playback_room_samples(const vc_playback *playback);
+uint32_t vc_playback_capacity_samples(const vc_playback *playback);
 /* What a Status says of the stream; device time and bad frames are left to the caller. */
 void vc_playback_report(vc_playback *playback, vc_status_report *status);
 

@@ -8,7 +8,7 @@
 #define VC_FIRST_UNSEQUENCED 0x40 /* types from here on have no sequence number */
 #define VC_FIRST_FROM_CONTROLLER 0x80
 #define VC_VARINT_BITS 32
-#define VC_PROTOCOL_PAYLOAD_BYTES 4096 /* at most, of any board */
+#define VC_PROTOCOL_MAX_PAYLOAD_BYTES 4096 /* at most, of any board */
 #define VC_PACKET_OVERHEAD_BYTES 12 /* of a payload, before its first packet */
 #define VC_CAPTURE_DATA_HEAD_BYTES 21
 #define VC_STREAM_MAGIC "VCT"
@@ -64,7 +64,7 @@ enum vc_error_code {
     VC_BEYOND_LIMITS = 9,
     VC_NO_SUCH_SLOT = 10,
     VC_WRONG_HARDWARE = 11,
-    VC_IMAGE_REFUSED = 12,
+    VC_IMAGE_REJECTED = 12,
     VC_FLASH_FAILED = 13
 };
 
@@ -89,7 +89,7 @@ enum vc_slot_state {
     VC_SLOT_EMPTY = 0,
     VC_SLOT_WRITING = 1,
     VC_SLOT_VERIFIED = 2,
-    VC_SLOT_TRIAL = 3,
+    VC_SLOT_TESTING = 3,
     VC_SLOT_CONFIRMED = 4
 };
 

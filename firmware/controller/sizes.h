@@ -18,7 +18,7 @@
 #define VC_BUFFER_PACKETS 1024
 #endif
 #ifndef VC_BUFFER_BYTES
-#define VC_BUFFER_BYTES (VC_BUFFER_PACKETS * VC_MAXIMUM_PACKET_BYTES)
+#define VC_BUFFER_BYTES (VC_BUFFER_PACKETS * VC_MAX_PACKET_BYTES)
 #endif
 
 /* Samples per channel of the longest packet: one is decoded at a time. */
@@ -38,17 +38,17 @@
 #endif
 
 /* Payload of a frame, both ways: 576, where what hello tells has room, to 4096. */
-#ifndef VC_MAXIMUM_PAYLOAD_BYTES
-#define VC_MAXIMUM_PAYLOAD_BYTES VC_PROTOCOL_PAYLOAD_BYTES
+#ifndef VC_MAX_PAYLOAD_BYTES
+#define VC_MAX_PAYLOAD_BYTES VC_PROTOCOL_MAX_PAYLOAD_BYTES
 #endif
-#define VC_MAXIMUM_PACKET_BYTES (VC_MAXIMUM_PAYLOAD_BYTES - VC_PACKET_OVERHEAD_BYTES)
+#define VC_MAX_PACKET_BYTES (VC_MAX_PAYLOAD_BYTES - VC_PACKET_OVERHEAD_BYTES)
 /* Bytes of an image's name, and of its version, in a HelloResponse: what its other parts leave of a payload when there
  * are two slots and eight codecs, and build, hardware and actuator have the longest names that they may have. */
-#define VC_IMAGE_TEXT_BYTES ((VC_MAXIMUM_PAYLOAD_BYTES - 512) / 4)
+#define VC_IMAGE_TEXT_BYTES ((VC_MAX_PAYLOAD_BYTES - 512) / 4)
 
 /* What waits for the host: a few answers, which it repeats its requests for. */
 #ifndef VC_OUTGOING_BYTES
-#define VC_OUTGOING_BYTES (4 * VC_MAXIMUM_PAYLOAD_BYTES)
+#define VC_OUTGOING_BYTES (4 * VC_MAX_PAYLOAD_BYTES)
 #endif
 
 /* Highest rate of a stream, in rates of the DAC: what the resampler has memory for. */
@@ -59,10 +59,10 @@
 #if VC_CHANNELS < 1 || VC_CHANNELS > VC_MAX_CHANNELS
 #error "VC_CHANNELS: 1 to VC_MAX_CHANNELS"
 #endif
-#if VC_MAXIMUM_PAYLOAD_BYTES < 576 || VC_MAXIMUM_PAYLOAD_BYTES > VC_PROTOCOL_PAYLOAD_BYTES
-#error "VC_MAXIMUM_PAYLOAD_BYTES: 576 to VC_PROTOCOL_PAYLOAD_BYTES"
+#if VC_MAX_PAYLOAD_BYTES < 576 || VC_MAX_PAYLOAD_BYTES > VC_PROTOCOL_MAX_PAYLOAD_BYTES
+#error "VC_MAX_PAYLOAD_BYTES: 576 to VC_PROTOCOL_MAX_PAYLOAD_BYTES"
 #endif
-#if VC_BUFFER_BYTES < 4 * VC_MAXIMUM_PACKET_BYTES
+#if VC_BUFFER_BYTES < 4 * VC_MAX_PACKET_BYTES
 #error "VC_BUFFER_BYTES: room for four of the longest packets, or a host is kept waiting"
 #endif
 #if VC_RATE_RATIO < 1 || VC_RATE_RATIO > VC_RESAMPLER_MAX_RATIO

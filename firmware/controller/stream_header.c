@@ -5,7 +5,7 @@
 
 #define INFINITE_GAIN 0x7F80u
 
-int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_refusal *refusal)
+int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_rejection *rejection)
 {
     vc_fields fields;
     vc_piece magic, hash, configuration;
@@ -16,9 +16,9 @@ int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t 
     magic = vc_take_piece(&fields, sizeof VC_STREAM_MAGIC - 1);
     version_and_codec = (unsigned)vc_take_number(&fields, 1);
     if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)VC_STREAM_MAGIC, magic.length))
-        return vc_refuse(refusal, VC_BAD_VALUE, "no stream header: it does not start with '" VC_STREAM_MAGIC "'");
+        return vc_reject(rejection, VC_BAD_VALUE, "no stream header: it does not start with '" VC_STREAM_MAGIC "'");
     if (version_and_codec >> 4 != VC_STREAM_VERSION)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "a stream of version #; this controller reads version #",
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "a stream of version #; this controller reads version #",
                                  version_and_codec >> 4, VC_STREAM_VERSION);
     header->codec = version_and_codec & 0x0Fu;
     flags = (unsigned)vc_take_number(&fields, 1);
@@ -33,20 +33,20 @@ int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t 
     hash = vc_take_piece(&fields, header->needs_image ? VC_IMAGE_HASH_BYTES : 0);
     configuration = vc_take_piece(&fields, (size_t)vc_take_number(&fields, 1));
     if (fields.cut)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE,
+        return vc_reject_numbers(rejection, VC_BAD_VALUE,
                                  "the stream header is cut at # bytes, or a number in it is too long", length, 0);
     if (fields.rest.length > 0)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "# bytes are left after the stream header", fields.rest.length,
-                                 0);
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "# bytes are left after the stream header",
+                                 fields.rest.length, 0);
     if (header->codec == 0)
-        return vc_refuse(refusal, VC_BAD_VALUE, "the stream header is damaged: no codec has number 0");
+        return vc_reject(rejection, VC_BAD_VALUE, "the stream header is damaged: no codec has number 0");
     if (rate_hz < 1 || rate_hz > VC_STREAM_MAX_RATE_HZ)
-        return vc_refuse_numbers(refusal, VC_BAD_VALUE, "a rate of # Hz is outside 1 to # Hz: resample the signal",
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "a rate of # Hz is outside 1 to # Hz: resample the signal",
                                  rate_hz, VC_STREAM_MAX_RATE_HZ);
     header->output.rate_hz = (uint32_t)rate_hz;
     for (channel = 0; channel < header->output.channels; channel++)
         if (header->output.gain[channel] == 0 || header->output.gain[channel] >= INFINITE_GAIN)
-            return vc_refuse_numbers(refusal, VC_BAD_VALUE, "the full scale of channel # is no positive number",
+            return vc_reject_numbers(rejection, VC_BAD_VALUE, "the full scale of channel # is no positive number",
                                      channel, 0);
     if (hash.length > 0)
         memcpy(header->image_hash, hash.bytes, hash.length);

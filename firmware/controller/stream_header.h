@@ -5,7 +5,7 @@
 #include "fields.h"
 #include "output.h"
 #include "protocol.h"
-#include "refusal.h"
+#include "rejection.h"
 
 #define VC_LENGTH_UNKNOWN UINT64_MAX
 
@@ -21,8 +21,8 @@ typedef struct {
     uint8_t configuration[255]; /* the codec's own */
 } vc_stream_header;
 
-/* Reads the header that `data` is, all of it. Returns 0, or the refusal's code, VC_BAD_VALUE. Any bytes are safe. */
-int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_refusal *refusal);
+/* Reads the header that `data` is, all of it. Returns 0, or the rejection's code, VC_BAD_VALUE. Any bytes are safe. */
+int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_rejection *rejection);
 
 /* Reads the head of a packet. Returns 0, or -1 for a packet that no decoder takes. Any bytes are safe. */
 int vc_packet_sequence(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);

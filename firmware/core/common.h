@@ -10,7 +10,7 @@
 void *memcpy(void *destination, const void *source, size_t length);
 void *memset(void *destination, int value, size_t length);
 
-/* Channels of a stream. A controller with fewer is compiled with fewer: its decoders refuse streams of more, and are
+/* Channels of a stream. A controller with fewer is compiled with fewer: its decoders reject streams of more, and are
  * smaller. */
 #ifndef VC_MAX_CHANNELS
 #define VC_MAX_CHANNELS 16

@@ -73,7 +73,8 @@ static void receive(bench *test)
             at += vc_frame_reader_feed(test->host, bytes + at, count - at, &payload);
             if (payload.length == 0)
                 continue;
-            vc_fuzz_check(payload.length >= 3 && payload.bytes[0] >= VC_FIRST_FROM_CONTROLLER, "no message of a controller");
+            vc_fuzz_check(payload.length >= 3 && payload.bytes[0] >= VC_FIRST_FROM_CONTROLLER,
+                          "no message of a controller");
             test->stops_answered += payload.bytes[0] == VC_STATUS && vc_number(payload.bytes + 1, 2) == LAST_STOP;
         }
     }

@@ -42,10 +42,10 @@ static int program(void *context, uint32_t offset, const uint8_t *data, uint32_t
     return 0;
 }
 
-static int check(const void *context, uint8_t codec, const uint8_t *payload, size_t length, vc_refusal *refusal)
+static int check(const void *context, uint8_t codec, const uint8_t *payload, size_t length, vc_rejection *rejection)
 {
     (void)context;
-    return length > 0 && payload[0] == codec ? vc_refuse(refusal, VC_IMAGE_REFUSED, "no tables of this codec") : 0;
+    return length > 0 && payload[0] == codec ? vc_reject(rejection, VC_IMAGE_REJECTED, "no tables of this codec") : 0;
 }
 
 static void boot(vc_image_store *store, const vc_flash *flash)
@@ -66,14 +66,14 @@ static void boot(vc_image_store *store, const vc_flash *flash)
     }
 }
 
-static void carry_out(vc_image_store *store, const vc_flash *flash, const uint8_t *record, size_t length)
+static void dispatch(vc_image_store *store, const vc_flash *flash, const uint8_t *record, size_t length)
 {
     unsigned request = record[0] % REQUESTS, slot = record[0] / REQUESTS % (VC_SLOTS + 1);
     vc_piece rest = {record + 1, length - 1};
     vc_flash_begin begin = {(uint8_t)slot, 0, NULL, {NULL, 0}};
     vc_flash_data data = {(uint8_t)slot, 0, {NULL, 0}};
     vc_flash_status report;
-    vc_refusal refusal;
+    vc_rejection rejection;
     vc_fields fields;
     uint8_t sha256[VC_SHA256_BYTES];
     int code = 0;
@@ -84,29 +84,29 @@ static void carry_out(vc_image_store *store, const vc_flash *flash, const uint8_
         vc_sha256(rest.bytes, rest.length, sha256);
         begin.size_bytes = (uint32_t)rest.length;
         begin.sha256 = sha256;
-        code = vc_image_store_begin(store, &begin, &report, &refusal);
+        code = vc_image_store_begin(store, &begin, &report, &rejection);
         break;
     case WRITE:
         data.offset = (uint32_t)vc_take_number(&fields, 2);
         data.data = fields.rest;
         if (!fields.cut)
-            code = vc_image_store_write(store, &data, &report, &refusal);
+            code = vc_image_store_write(store, &data, &report, &rejection);
         break;
     case VERIFY:
-        code = vc_image_store_verify(store, slot, &report, &refusal);
+        code = vc_image_store_verify(store, slot, &report, &rejection);
         break;
     case ACTIVATE:
-        code = vc_image_store_activate(store, slot, &report, &refusal);
+        code = vc_image_store_activate(store, slot, &report, &rejection);
         break;
     case CONFIRM:
-        code = vc_image_store_confirm(store, slot, &report, &refusal);
+        code = vc_image_store_confirm(store, slot, &report, &rejection);
         break;
     default:
         ((flash_memory *)flash->context)->changes_until_cut = (unsigned)vc_take_number(&fields, 1);
         boot(store, flash);
     }
     if (code != 0)
-        vc_fuzz_check(code == refusal.code && refusal.length > 0, "a refusal without a reason");
+        vc_fuzz_check(code == rejection.code && rejection.length > 0, "a rejection without a reason");
 }
 
 void vc_fuzz_flash(const uint8_t *data, size_t length)
@@ -140,7 +140,7 @@ void vc_fuzz_flash(const uint8_t *data, size_t length)
     boot(store, &flash);
     while (vc_fuzz_record(&data, &length, &record, &record_length)) {
         if (record_length > 0)
-            carry_out(store, &flash, record, record_length);
+            dispatch(store, &flash, record, record_length);
         free(record);
     }
     free(store);

@@ -14,7 +14,7 @@ static void decode(const vc_stream_header *header, const uint8_t *tables, size_t
                    size_t length)
 {
     vc_coding coding;
-    vc_refusal refusal;
+    vc_rejection rejection;
     vc_decoder *decoder;
     int16_t *samples;
     uint8_t *packet;
@@ -27,7 +27,7 @@ static void decode(const vc_stream_header *header, const uint8_t *tables, size_t
     coding.configuration_length = header->configuration_length;
     coding.tables = tables;
     coding.tables_length = tables_length;
-    if (vc_coding_check(&coding, NULL, &refusal) != 0 || coding.packet_samples > MAX_PACKET_SAMPLES)
+    if (vc_coding_check(&coding, NULL, &rejection) != 0 || coding.packet_samples > MAX_PACKET_SAMPLES)
         return;
     vc_fuzz_check(coding.packet_samples > 0, "packets without samples");
     decoder = malloc(sizeof *decoder);
@@ -47,10 +47,10 @@ void vc_fuzz_streams(const uint8_t *data, size_t length)
     uint8_t *tables = NULL, *bytes = NULL;
     size_t tables_length, bytes_length;
     vc_stream_header header;
-    vc_refusal refusal;
+    vc_rejection rejection;
     if (vc_fuzz_record(&data, &length, &tables, &tables_length) &&
         vc_fuzz_record(&data, &length, &bytes, &bytes_length) &&
-        vc_stream_header_read(&header, bytes, bytes_length, &refusal) == 0)
+        vc_stream_header_read(&header, bytes, bytes_length, &rejection) == 0)
         decode(&header, tables_length > 0 ? tables : NULL, tables_length, data, length);
     free(bytes);
     free(tables);

@@ -19,25 +19,25 @@ static void touch(vc_piece piece)
         seen ^= piece.bytes[i];
 }
 
-static void check_refusal(int code, const vc_refusal *refusal)
+static void check_rejection(int code, const vc_rejection *rejection)
 {
     uint8_t frame[VC_FRAME_BYTES];
-    vc_piece text = {(const uint8_t *)refusal->text, refusal->length};
+    vc_piece text = {(const uint8_t *)rejection->text, rejection->length};
     vc_frame_writer writer;
-    vc_fuzz_check(code == refusal->code && code >= VC_UNKNOWN_MESSAGE && code <= VC_FLASH_FAILED, "no error code");
+    vc_fuzz_check(code == rejection->code && code >= VC_UNKNOWN_MESSAGE && code <= VC_FLASH_FAILED, "no error code");
     vc_fuzz_check(text.length > 0 && vc_is_utf8(text), "an error without a text");
     vc_frame_begin(&writer, frame, sizeof frame);
-    vc_write_refusal(&writer, 1, refusal);
+    vc_write_rejection(&writer, 1, rejection);
     vc_fuzz_check(vc_frame_end(&writer) > 0, "an error that fits no frame");
 }
 
 static void read_configure(const vc_configure *configure)
 {
     vc_stream_header header;
-    vc_refusal refusal;
-    int code = vc_stream_header_read(&header, configure->header.bytes, configure->header.length, &refusal);
+    vc_rejection rejection;
+    int code = vc_stream_header_read(&header, configure->header.bytes, configure->header.length, &rejection);
     if (code != 0) {
-        check_refusal(code, &refusal);
+        check_rejection(code, &rejection);
         return;
     }
     vc_fuzz_check(header.output.channels >= 1 && header.output.channels <= VC_STREAM_MAX_CHANNELS &&
@@ -60,13 +60,13 @@ static void read_packets(const vc_stream_data *data)
 void vc_fuzz_messages(const uint8_t *data, size_t length)
 {
     vc_message message;
-    vc_refusal refusal;
+    vc_rejection rejection;
     int code;
     if (length > 0 && data[0] >= VC_FIRST_FROM_CONTROLLER)
         return;
-    code = vc_message_read(&message, data, length, &refusal);
+    code = vc_message_read(&message, data, length, &rejection);
     if (code != 0)
-        check_refusal(code, &refusal);
+        check_rejection(code, &rejection);
     else if (message.type == VC_CONFIGURE)
         read_configure(&message.body.configure);
     else if (message.type == VC_STREAM_DATA)
@@ -88,7 +88,7 @@ void vc_fuzz_frames(const uint8_t *data, size_t length)
     while (at < length) {
         piece = 1 + data[at] % 64;
         taken = vc_frame_reader_feed(reader, data + at, piece < length - at ? piece : length - at, &payload);
-        vc_fuzz_check(taken > 0 && payload.length <= VC_MAXIMUM_PAYLOAD_BYTES, "a reader that takes nothing");
+        vc_fuzz_check(taken > 0 && payload.length <= VC_MAX_PAYLOAD_BYTES, "a reader that takes nothing");
         at += taken;
         if (payload.length == 0)
             continue;
@@ -103,18 +103,18 @@ void vc_fuzz_frames(const uint8_t *data, size_t length)
 static void read_image(const uint8_t *data, size_t length)
 {
     vc_model_image image;
-    vc_refusal refusal;
-    int code = vc_model_image_read(&image, data, length, &refusal);
+    vc_rejection rejection;
+    int code = vc_model_image_read(&image, data, length, &rejection);
     if (code != 0) {
-        check_refusal(code, &refusal);
+        check_rejection(code, &rejection);
         return;
     }
     vc_fuzz_check(image.name.length + image.version.length + image.hardware.length + image.payload.length < length,
                   "an image whose parts are longer than it");
     touch(image.payload);
-    code = vc_tables_check(NULL, image.codec, image.payload.bytes, image.payload.length, &refusal);
+    code = vc_tables_check(NULL, image.codec, image.payload.bytes, image.payload.length, &rejection);
     if (code != 0)
-        check_refusal(code, &refusal);
+        check_rejection(code, &rejection);
 }
 
 void vc_fuzz_images(const uint8_t *data, size_t length)

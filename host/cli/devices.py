@@ -34,8 +34,8 @@ def list_devices() -> None:
 def flash(model: models.Model | None, plan_path: Path | None, address: str) -> None:
     """Upload MODEL, or with --plan every model that the plan needs, to a controller.
 
-    MODEL is the name of a model, its folder, or a model image. The command transfers it, reads it back, starts it on
-    trial and confirms it. After an interruption the same command goes on where it stopped; until then the controller
+    MODEL is the name of a model, its folder, or a model image. The command transfers it, reads it back, tests it
+    there and confirms it. After an interruption the same command goes on where it stopped; until then the controller
     runs the previous image.
     """
     if plan_path is not None:

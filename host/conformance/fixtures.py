@@ -79,8 +79,8 @@ def slot(probe: Probe) -> Iterator[int]:
     if not probe.link.may_flash:
         pytest.skip("slots for model images are not to be written")
     images = probe.description.images
-    if any(image.state == SlotState.TRIAL for image in images):
-        pytest.skip("an image is on trial: confirm it, or restart the controller")
+    if any(image.state == SlotState.TESTING for image in images):
+        pytest.skip("an image is being tested: confirm it, or restart the controller")
     kept = next((image for image in images if image.state == SlotState.CONFIRMED), None)
     writable = [image for image in images if image != kept]
     if not writable:
@@ -91,13 +91,13 @@ def slot(probe: Probe) -> Iterator[int]:
 
 
 def _run_again(probe: Probe, kept: ImageDescription | None) -> None:
-    """End a trial that a test has left, and start the image that was kept before it."""
+    """End the test of an image that a check has left, and start the image that was kept before it."""
     probe.link.heal()
     probe.open(ANSWER_S)
     probe.stop()
     states = {image.slot: image.state for image in probe.description.images}
     for number, state in states.items():
-        if state == SlotState.TRIAL:
+        if state == SlotState.TESTING:
             probe.expect(FlashConfirm(number), FlashStatus)
             states[number] = SlotState.CONFIRMED
     if kept is not None and states[kept.slot] != SlotState.CONFIRMED:

@@ -14,7 +14,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
-    MAXIMUM_SEQUENCE,
+    MAX_SEQUENCE,
     NOTIFICATION,
     CaptureData,
     CaptureRead,
@@ -96,7 +96,7 @@ class Probe:
         self.description = answer
         self.opened_by = self.sequence
         # What is less than the protocol allows is a fault of its own, and hides no other.
-        self._limit_bytes = max(answer.limits.maximum_payload_bytes, SMALLEST_PAYLOAD_LIMIT_BYTES)
+        self._limit_bytes = max(answer.limits.max_payload_bytes, SMALLEST_PAYLOAD_LIMIT_BYTES)
         self._max_silence_s = max(_POLL_S, answer.limits.watchdog_ms / 4000)
         if self.answer_s > _COPIED_S:
             self._overlook(ANSWER_S)  # answers to copies of requests of a session before
@@ -114,7 +114,7 @@ class Probe:
             try:
                 self.link.write(DELIMITER)  # ends whatever the link has picked up
                 # A number that means nothing to the controller yet.
-                self.sequence = random.randint(1, MAXIMUM_SEQUENCE)
+                self.sequence = random.randint(1, MAX_SEQUENCE)
                 self.send(pack(message, self.sequence))
                 requested_s = self.link.clock()
                 answer_until_s = requested_s + patience_s
@@ -158,7 +158,7 @@ class Probe:
         Raises NotConforming, TransportError.
         """
         if sequence is None:
-            sequence = self.sequence % MAXIMUM_SEQUENCE + 1
+            sequence = self.sequence % MAX_SEQUENCE + 1
         self.send(bytes([message_type]) + sequence.to_bytes(2, "little") + body)
         return self.answer(sequence, within_s)
 

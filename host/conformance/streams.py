@@ -52,7 +52,7 @@ def stream_for(
         pytest.skip(f"the controller has no codec {' or '.join(names)}")
     if channels > limits.channels:
         pytest.skip(f"the controller has {limits.channels} channels")
-    rate_hz = min(max(RATE_HZ, limits.minimum_rate_hz), limits.maximum_rate_hz)
+    rate_hz = min(max(RATE_HZ, limits.min_rate_hz), limits.max_rate_hz)
     if buffered:
         seconds = min(seconds, 0.8 * limits.buffer_samples / rate_hz)
     peak = amplitude(hello.actuator, unit)

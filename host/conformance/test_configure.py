@@ -81,7 +81,7 @@ def test_more_channels_than_there_are(probe: Probe, stream: Stream) -> None:
 def test_rates_beyond_the_limits(probe: Probe, stream: Stream) -> None:
     """A stream of a rate outside the limits is answered BEYOND_LIMITS."""
     limits = probe.description.limits
-    rates = [rate for rate in (limits.minimum_rate_hz - 1, limits.maximum_rate_hz + 1) if 1 <= rate <= MAX_RATE_HZ]
+    rates = [rate for rate in (limits.min_rate_hz - 1, limits.max_rate_hz + 1) if 1 <= rate <= MAX_RATE_HZ]
     if not rates:
         pytest.skip("the controller takes every rate")
     for rate_hz in rates:

@@ -1,4 +1,4 @@
-"""Flashing: transfer, checks, trial, confirmation; a cut session is resumed, what must not be written is rejected."""
+"""Flashing: transfer, checks, test, confirmation; a cut session is resumed, what must not be written is rejected."""
 
 import zlib
 from dataclasses import replace
@@ -58,7 +58,7 @@ def begin(probe: Probe, slot: int, data: bytes, hardware: str = "", digest: byte
 
 def write(probe: Probe, slot: int, data: bytes, first: int = 0, last: int | None = None) -> None:
     """Write an image from one byte up to another."""
-    room = probe.description.limits.maximum_payload_bytes - len(pack(FlashData(slot, 0, b"")))
+    room = probe.description.limits.max_payload_bytes - len(pack(FlashData(slot, 0, b"")))
     last = len(data) if last is None else last
     while first < last:
         piece = data[first : min(last, first + room)]
@@ -196,7 +196,7 @@ def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> N
     ],
 )
 def test_faulty_image_is_refused(probe: Probe, slot: int, image: ModelImage, fault: str) -> None:
-    """FlashVerify of an image with {fault} is answered IMAGE_REFUSED, and the slot is EMPTY."""
+    """FlashVerify of an image with {fault} is answered IMAGE_REJECTED, and the slot is EMPTY."""
     data = image.pack()
     faulty, digest = {
         "another hash than announced": (data, bytes(32)),
@@ -212,7 +212,7 @@ def test_faulty_image_is_refused(probe: Probe, slot: int, image: ModelImage, fau
     }[fault]
     begin(probe, slot, faulty, digest=digest)
     write(probe, slot, faulty)
-    probe.expect_rejection(FlashVerify(slot), ErrorCode.IMAGE_REFUSED)
+    probe.expect_rejection(FlashVerify(slot), ErrorCode.IMAGE_REJECTED)
     found = described(probe, slot)
     assert found.state == SlotState.EMPTY, f"expected an EMPTY slot, came {found}"
 
@@ -238,7 +238,7 @@ def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> N
 
 @section("Flashing")
 def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> None:
-    """FlashActivate restarts into the verified slot: no session, no stream, state TRIAL; FlashConfirm keeps it."""
+    """FlashActivate restarts into the verified slot: no session, no stream, state TESTING; FlashConfirm keeps it."""
     data = new_image(probe, image)
     before = {found.slot: found for found in probe.description.images}
     probe.play(stream_for(probe.description))
@@ -249,7 +249,7 @@ def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> 
     an_error(probe.ask(FlashActivate(slot)), ErrorCode.HELLO_FIRST, "a copy of FlashActivate after the restart")
     in_state(probe.expect(Stop(), Status), State.STOPPED, "Stop before a hello")
     found = described(probe, slot)
-    expected = ImageDescription(slot, SlotState.TRIAL, sha256(data), image.name, ModelImage.unpack(data).version)
+    expected = ImageDescription(slot, SlotState.TESTING, sha256(data), image.name, ModelImage.unpack(data).version)
     assert found == expected, f"expected {expected}, came {found}"
     probe.expect_rejection(CaptureRead(Tap.DECODED, 0, 1), ErrorCode.WRONG_STATE)
     probe.expect_rejection(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
@@ -291,15 +291,15 @@ def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, imag
 
 
 @section("Flashing")
-def test_trial_that_is_not_confirmed_ends_with_a_restart(probe: Probe, slot: int, image: ModelImage) -> None:
-    """A restart without FlashConfirm falls back to the CONFIRMED slot, and the trial's slot is VERIFIED again."""
+def test_image_that_is_not_confirmed_is_reverted_by_a_restart(probe: Probe, slot: int, image: ModelImage) -> None:
+    """A restart without FlashConfirm falls back to the CONFIRMED slot, and the tested slot is VERIFIED again."""
     if probe.link.restart is None:
         pytest.skip("this controller cannot be restarted from here")
     kept = [found for found in probe.description.images if found.state == SlotState.CONFIRMED]
     data = new_image(probe, image)
     verify(probe, slot, data)
     probe.expect(FlashActivate(slot), FlashStatus)
-    assert described(probe, slot).state == SlotState.TRIAL, f"expected a trial, came {described(probe, slot)}"
+    assert described(probe, slot).state == SlotState.TESTING, f"expected a test, came {described(probe, slot)}"
     probe.link.restart()
     found = described(probe, slot)
     assert found.state == SlotState.VERIFIED, f"expected the slot VERIFIED again, came {found}"

@@ -6,7 +6,7 @@ import pytest
 from cobs import cobs
 
 from vibrocast.device_protocol.encoding import crc16
-from vibrocast.device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, write_frame
+from vibrocast.device_protocol.frames import DELIMITER, MAX_PAYLOAD_BYTES, write_frame
 from vibrocast.device_protocol.messages import HelloResponse, State, Status, StatusRequest, Stop, StreamData, pack
 from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import Probe, describe, in_state
@@ -106,7 +106,7 @@ def test_frame_without_a_payload_is_dropped(probe: Probe, kind: str, data: bytes
 @section("Frames")
 def test_frame_of_the_largest_size_is_read(probe: Probe) -> None:
     """A payload as long as the limit in hello is read, whatever bytes it holds."""
-    limit = probe.description.limits.maximum_payload_bytes
+    limit = probe.description.limits.max_payload_bytes
     room = limit - len(pack(StatusRequest(), 1)) - _TLV_BYTES
     for filler in (bytes(room), b"\xff" * room, random.Random(2).randbytes(room)):
         answer = probe.ask_body(StatusRequest.TYPE, bytes([_UNKNOWN_TAG]) + room.to_bytes(2, "little") + filler)
@@ -117,7 +117,7 @@ def test_frame_of_the_largest_size_is_read(probe: Probe) -> None:
 @pytest.mark.parametrize("surplus", [1, 2, 1000, 20_000])
 def test_frame_that_is_too_long_is_dropped(probe: Probe, surplus: int) -> None:
     """A frame whose payload is {surplus} bytes longer than the limit in hello is dropped and counted once."""
-    limit = probe.description.limits.maximum_payload_bytes
+    limit = probe.description.limits.max_payload_bytes
     payload = next_stop(probe).ljust(limit + surplus, b"\x55")
     dropped(probe, frame(payload), 1, f"a payload of {len(payload)} bytes")
 
@@ -125,7 +125,7 @@ def test_frame_that_is_too_long_is_dropped(probe: Probe, surplus: int) -> None:
 @section("Frames")
 def test_frame_may_come_in_pieces(probe: Probe) -> None:
     """A frame cut in two at any place, or byte by byte, is read as one."""
-    length = len(write_frame(pack(StatusRequest(), MAXIMUM_PAYLOAD_BYTES)))
+    length = len(write_frame(pack(StatusRequest(), MAX_PAYLOAD_BYTES)))
     for cuts in [[cut] for cut in range(1, length)] + [list(range(1, length))]:
         number = probe.sequence % 0xFFFF + 1
         whole = write_frame(pack(StatusRequest(), number))
@@ -153,5 +153,5 @@ def test_frames_may_come_back_to_back(probe: Probe) -> None:
 def test_answers_keep_to_the_limit(probe: Probe) -> None:
     """The controller's own payloads are no longer than its limit, and its answer to Hello no longer than it."""
     probe.open()
-    limit = probe.description.limits.maximum_payload_bytes
+    limit = probe.description.limits.max_payload_bytes
     assert len(probe.last_answer) <= limit, f"expected at most {limit} bytes, came {len(probe.last_answer)}"

@@ -5,9 +5,9 @@ import math
 import pytest
 
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS, MAX_RATE_HZ
-from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES
+from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES
 from vibrocast.device_protocol.messages import (
-    MAXIMUM_SEQUENCE,
+    MAX_SEQUENCE,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
     ErrorCode,
@@ -40,12 +40,12 @@ def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
 def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     """The limits leave room to play: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
     limits = hello.limits
-    assert SMALLEST_PAYLOAD_LIMIT_BYTES <= limits.maximum_payload_bytes <= MAXIMUM_PAYLOAD_BYTES, (
-        f"expected payloads of {SMALLEST_PAYLOAD_LIMIT_BYTES} to {MAXIMUM_PAYLOAD_BYTES} bytes, came {limits}"
+    assert SMALLEST_PAYLOAD_LIMIT_BYTES <= limits.max_payload_bytes <= MAX_PAYLOAD_BYTES, (
+        f"expected payloads of {SMALLEST_PAYLOAD_LIMIT_BYTES} to {MAX_PAYLOAD_BYTES} bytes, came {limits}"
     )
-    assert limits.maximum_packet_bytes > 0, f"expected room for a packet, came {limits}"
+    assert limits.max_packet_bytes > 0, f"expected room for a packet, came {limits}"
     assert 1 <= limits.channels <= MAX_CHANNELS, f"expected 1 to {MAX_CHANNELS} channels, came {limits}"
-    assert 1 <= limits.minimum_rate_hz <= limits.maximum_rate_hz <= MAX_RATE_HZ, f"expected a range of rates: {limits}"
+    assert 1 <= limits.min_rate_hz <= limits.max_rate_hz <= MAX_RATE_HZ, f"expected a range of rates: {limits}"
     assert limits.buffer_samples > 0, f"expected a buffer, came {limits}"
     assert limits.watchdog_ms >= SMALLEST_WATCHDOG_MS, f"expected {SMALLEST_WATCHDOG_MS} ms or more, came {limits}"
 
@@ -87,23 +87,23 @@ def test_codecs_are_named(hello: HelloResponse) -> None:
 
 @section("Flashing")
 def test_slots_are_listed(hello: HelloResponse) -> None:
-    """Hello lists at least two slots, each once; at most one is CONFIRMED and at most one on TRIAL."""
+    """Hello lists at least two slots, each once; at most one is CONFIRMED and at most one TESTING."""
     states = [image.state for image in hello.images]
     assert len({image.slot for image in hello.images}) == len(states) >= 2, f"expected two slots, came {hello.images}"
     assert states.count(SlotState.CONFIRMED) <= 1, f"expected at most one CONFIRMED, came {hello.images}"
-    assert states.count(SlotState.TRIAL) <= 1, f"expected at most one TRIAL, came {hello.images}"
+    assert states.count(SlotState.TESTING) <= 1, f"expected at most one TESTING, came {hello.images}"
 
 
 @section("Session: Version")
 def test_other_major_version_is_refused(probe: Probe) -> None:
     """Another major version is answered UNSUPPORTED_VERSION, with both versions in the text, and opens no session."""
     last = probe.sequence
-    sequence = (last + 1000) % MAXIMUM_SEQUENCE + 1
+    sequence = (last + 1000) % MAX_SEQUENCE + 1
     answer = probe.ask_body(Hello.TYPE, bytes((PROTOCOL_MAJOR + 1, 3)), sequence)
     text = an_error(answer, ErrorCode.UNSUPPORTED_VERSION, f"Hello of version {PROTOCOL_MAJOR + 1}.3").text
     for version in (f"{PROTOCOL_MAJOR + 1}.3", f"{PROTOCOL_MAJOR}.{probe.description.minor}"):
         assert version in text, f"expected {version} in the text, came {text!r}"
-    answer = probe.ask_body(StatusRequest.TYPE, b"", last % MAXIMUM_SEQUENCE + 1)
+    answer = probe.ask_body(StatusRequest.TYPE, b"", last % MAX_SEQUENCE + 1)
     assert isinstance(answer, Status), f"expected the session of before to go on, came {describe(answer)}"
 
 

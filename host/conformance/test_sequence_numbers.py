@@ -1,7 +1,7 @@
 """Sequence numbers: each request is carried out once, however often and however late its frame comes."""
 
 from vibrocast.device_protocol.messages import (
-    MAXIMUM_SEQUENCE,
+    MAX_SEQUENCE,
     ErrorCode,
     Hello,
     HelloResponse,
@@ -18,7 +18,7 @@ from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import Probe, an_error, describe, in_state
 from vibrocast.host.conformance.streams import stream_for
 
-_NUMBERS = MAXIMUM_SEQUENCE + 1
+_NUMBERS = MAX_SEQUENCE + 1
 _HALF = _NUMBERS // 2
 
 
@@ -89,11 +89,11 @@ def test_numbers_may_leave_some_out(probe: Probe) -> None:
 @section("Session: Sequence numbers")
 def test_one_follows_the_highest_number(probe: Probe) -> None:
     """1 follows 65535."""
-    open_as(probe, MAXIMUM_SEQUENCE - 1)
-    for number in (MAXIMUM_SEQUENCE, 1, 2):
+    open_as(probe, MAX_SEQUENCE - 1)
+    for number in (MAX_SEQUENCE, 1, 2):
         answer = probe.ask_body(StatusRequest.TYPE, b"", number)
         assert isinstance(answer, Status), f"number {number}: expected Status, came {describe(answer)}"
-    probe.unanswered(pack(Stop(), MAXIMUM_SEQUENCE), "a late copy of number 65535")
+    probe.unanswered(pack(Stop(), MAX_SEQUENCE), "a late copy of number 65535")
 
 
 @section("Session: Sequence numbers")
@@ -113,7 +113,7 @@ def test_hello_opens_a_new_session_under_any_other_number(probe: Probe) -> None:
     open_as(probe, last)
     probe.status()
     # Far behind the last number: in the session before it would be a late copy.
-    open_as(probe, (last - 1000) % MAXIMUM_SEQUENCE + 1)
+    open_as(probe, (last - 1000) % MAX_SEQUENCE + 1)
     probe.status()
 
 

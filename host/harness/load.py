@@ -75,7 +75,7 @@ def throughput(controller: Controller, texture: Recording, *, rate_hz: int = 280
     """
     _play(controller, texture, 1, rate_hz, 1.0)
     before = controller.request_status()
-    packet = bytes(controller.description.limits.maximum_payload_bytes - PACKET_OVERHEAD_BYTES)
+    packet = bytes(controller.description.limits.max_payload_bytes - PACKET_OVERHEAD_BYTES)
     data = StreamData(next_number(before.stream), 0, (packet,))
     began_s, sent_before = controller.clock(), controller.bytes_sent
     while (seconds := controller.clock() - began_s) < THROUGHPUT_S:
@@ -102,7 +102,7 @@ def underruns(
     loads = [
         (channels, rate_hz)
         for rate_hz in RATES_HZ
-        if limits.minimum_rate_hz <= rate_hz <= limits.maximum_rate_hz
+        if limits.min_rate_hz <= rate_hz <= limits.max_rate_hz
         for channels in CHANNELS
         if channels <= limits.channels
     ]

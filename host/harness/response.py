@@ -131,7 +131,7 @@ def play_sweep(
 ) -> Sweep:
     """Play an exponential sweep (Farina 2000) from MIN_HZ up, and record it. Raises as `measure_response`."""
     limits = controller.description.limits
-    rate_hz = min(actuator.dac_rate_hz, limits.maximum_rate_hz, _MAX_RATE_HZ)
+    rate_hz = min(actuator.dac_rate_hz, limits.max_rate_hz, _MAX_RATE_HZ)
     highest_hz = min(MAX_HZ, 0.4 * rate_hz)
     time_s = np.arange(round(seconds * rate_hz)) / rate_hz
     phase = 2 * np.pi * MIN_HZ * seconds / np.log(highest_hz / MIN_HZ)

@@ -56,7 +56,7 @@ def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
     report = run_suite(link)
     assert report.hello.build
     assert {finding.requirement.test for finding in report.findings if finding.outcome != Outcome.PASSED} == {
-        "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
+        "test_image_that_is_not_confirmed_is_reverted_by_a_restart"  # needs someone to restart it
     }
     assert link.messages == {message.__name__ for message in messages.ALL}
     assert link.error_codes == set(ErrorCode) - NOT_PROVOKED
@@ -142,7 +142,7 @@ def test_controller_that_takes_its_time_to_answer_conforms() -> None:
     link = MemoryLink(Slow(), time=SimulatedTime(step_us=10_000))
     findings = run_suite(TappedLink(link, link.clock, link.sleep), quick=True).findings
     assert {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED} == {
-        "test_trial_that_is_not_confirmed_ends_with_a_restart"  # needs someone to restart it
+        "test_image_that_is_not_confirmed_is_reverted_by_a_restart"  # needs someone to restart it
     }
 
 
@@ -209,12 +209,12 @@ def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Altered], reaso
 @pytest.mark.parametrize(
     ("limits", "actuator", "test"),
     [
-        ({"maximum_payload_bytes": 0}, {}, "test_limits_can_be_kept_to"),
-        ({"maximum_payload_bytes": 0xFFFF}, {}, "test_limits_can_be_kept_to"),
-        ({"maximum_packet_bytes": 1}, {}, "test_stream_can_be_played"),
+        ({"max_payload_bytes": 0}, {}, "test_limits_can_be_kept_to"),
+        ({"max_payload_bytes": 0xFFFF}, {}, "test_limits_can_be_kept_to"),
+        ({"max_packet_bytes": 1}, {}, "test_stream_can_be_played"),
         ({"buffer_samples": 0}, {}, "test_limits_can_be_kept_to"),
         ({"channels": 0}, {}, "test_limits_can_be_kept_to"),
-        ({"minimum_rate_hz": 0, "maximum_rate_hz": 0}, {}, "test_limits_can_be_kept_to"),
+        ({"min_rate_hz": 0, "max_rate_hz": 0}, {}, "test_limits_can_be_kept_to"),
         ({"watchdog_ms": 0}, {}, "test_limits_can_be_kept_to"),
         ({}, {"stroke_um": float("nan")}, "test_actuator_is_described"),
         ({}, {"stroke_um": 1e38}, "test_actuator_is_described"),

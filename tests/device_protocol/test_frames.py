@@ -7,7 +7,7 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.device_protocol.frames import DELIMITER, MAXIMUM_PAYLOAD_BYTES, FrameError, FrameReader, write_frame
+from vibrocast.device_protocol.frames import DELIMITER, MAX_PAYLOAD_BYTES, FrameError, FrameReader, write_frame
 
 payloads = st.binary(min_size=1, max_size=600)
 
@@ -24,13 +24,13 @@ def test_payloads_come_back_however_the_bytes_are_cut(sent: list[bytes], cuts: l
     assert reader.bad_frames == 0
 
 
-@pytest.mark.parametrize("size", [1, 253, 254, 255, 1000, MAXIMUM_PAYLOAD_BYTES])
+@pytest.mark.parametrize("size", [1, 253, 254, 255, 1000, MAX_PAYLOAD_BYTES])
 @pytest.mark.parametrize("byte", [b"\x00", b"\xff"])
 def test_every_size_fits(size: int, byte: bytes) -> None:
     assert FrameReader().feed(write_frame(byte * size)) == [byte * size]
 
 
-@pytest.mark.parametrize("payload", [b"", bytes(MAXIMUM_PAYLOAD_BYTES + 1)])
+@pytest.mark.parametrize("payload", [b"", bytes(MAX_PAYLOAD_BYTES + 1)])
 def test_payload_that_does_not_fit_is_rejected(payload: bytes) -> None:
     with pytest.raises(FrameError, match="send less"):
         write_frame(payload)
@@ -62,7 +62,7 @@ def test_memory_is_bounded_and_an_endless_frame_is_one_bad_frame() -> None:
     reader = FrameReader()
     for _ in range(100):
         assert reader.feed(b"\x01" * 10_000) == []
-    assert len(reader._pending) < 2 * MAXIMUM_PAYLOAD_BYTES
+    assert len(reader._pending) < 2 * MAX_PAYLOAD_BYTES
     assert reader.feed(DELIMITER + write_frame(b"next")) == [b"next"]
     assert reader.bad_frames == 1
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from tests.firmware.native import ffi, native, piece_bytes, refusal_text
+from tests.firmware.native import ffi, native, piece_bytes, rejection_text
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
 from vibrocast.device_protocol.model_image import ModelImage
@@ -28,7 +28,7 @@ class CImageStore:
         self._flash = FlashPort(ffi, flash, self._callbacks)
         self._check = self._callbacks.make("vc_payload_check", self._on_check, -1)
         self._hardware = ffi.new("char[]", hardware.encode())
-        self._store, self._refusal = ffi.new("vc_image_store *"), ffi.new("vc_refusal *")
+        self._store, self._rejection = ffi.new("vc_image_store *"), ffi.new("vc_rejection *")
         self._report = ffi.new("vc_flash_status *")
         native.vc_image_store_boot(self._store, self._flash.pointer, self._hardware, self._check, ffi.NULL)
         self._callbacks.pass_on()
@@ -58,34 +58,34 @@ class CImageStore:
     def begin(self, number: int, size_bytes: int, digest: bytes, hardware: str) -> FlashStatus:
         sha256, text = ffi.new("uint8_t[]", digest), ffi.new("uint8_t[]", hardware.encode())
         begin = ffi.new("vc_flash_begin *", [number, size_bytes, sha256, [text, len(hardware.encode())]])
-        return self._status(native.vc_image_store_begin(self._store, begin, self._report, self._refusal))
+        return self._status(native.vc_image_store_begin(self._store, begin, self._report, self._rejection))
 
     def write(self, number: int, offset: int, data: bytes) -> FlashStatus:
         memory = ffi.new("uint8_t[]", data)
         piece = ffi.new("vc_flash_data *", [number, offset, [memory, len(data)]])
-        return self._status(native.vc_image_store_write(self._store, piece, self._report, self._refusal))
+        return self._status(native.vc_image_store_write(self._store, piece, self._report, self._rejection))
 
     def verify(self, number: int) -> FlashStatus:
-        return self._status(native.vc_image_store_verify(self._store, number, self._report, self._refusal))
+        return self._status(native.vc_image_store_verify(self._store, number, self._report, self._rejection))
 
     def activate(self, number: int) -> FlashStatus:
-        return self._status(native.vc_image_store_activate(self._store, number, self._report, self._refusal))
+        return self._status(native.vc_image_store_activate(self._store, number, self._report, self._rejection))
 
     def confirm(self, number: int) -> FlashStatus:
-        return self._status(native.vc_image_store_confirm(self._store, number, self._report, self._refusal))
+        return self._status(native.vc_image_store_confirm(self._store, number, self._report, self._rejection))
 
-    def _status(self, refused: int) -> FlashStatus:
+    def _status(self, rejected: int) -> FlashStatus:
         self._callbacks.pass_on()
-        if refused:
-            assert refused == self._refusal.code
-            raise RequestError(ErrorCode(refused), refusal_text(self._refusal))
+        if rejected:
+            assert rejected == self._rejection.code
+            raise RequestError(ErrorCode(rejected), rejection_text(self._rejection))
         report = self._report
         sha256 = bytes(ffi.buffer(report.sha256, 32)) if report.sha256 else bytes(32)
         return FlashStatus(report.slot, SlotState(report.state), report.next_offset, sha256)
 
-    def _on_check(self, _: Any, codec_identifier: int, payload: Any, length: int, refusal: Any) -> int:
+    def _on_check(self, _: Any, codec_identifier: int, payload: Any, length: int, rejection: Any) -> int:
         try:
             self._check_payload(codec_identifier, bytes(ffi.buffer(payload, length)))
         except CodecError as error:
-            return int(native.vc_refuse(refusal, ErrorCode.IMAGE_REFUSED, ffi.new("char[]", str(error).encode())))
+            return int(native.vc_reject(rejection, ErrorCode.IMAGE_REJECTED, ffi.new("char[]", str(error).encode())))
         return 0

@@ -137,7 +137,7 @@ def flashes() -> list[bytes]:
     slot = len(image).to_bytes(4, "little") + sha256(image)
     inputs = [b"".join(map(record, [b"", b"", b"", b"", *requests]))]
     for states in (
-        (SlotState.CONFIRMED, SlotState.TRIAL),
+        (SlotState.CONFIRMED, SlotState.TESTING),
         (SlotState.VERIFIED, SlotState.CONFIRMED),
         (SlotState.WRITING, SlotState.EMPTY),
     ):

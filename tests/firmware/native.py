@@ -27,6 +27,6 @@ def piece_bytes(piece: Any) -> bytes:
     return bytes(ffi.buffer(piece.bytes, piece.length)) if piece.length else b""
 
 
-def refusal_text(refusal: Any) -> str:
-    """Return the text of a vc_refusal."""
-    return bytes(ffi.buffer(refusal.text, refusal.length)).decode()
+def rejection_text(rejection: Any) -> str:
+    """Return the text of a vc_rejection."""
+    return bytes(ffi.buffer(rejection.text, rejection.length)).decode()

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.firmware.native import ffi, native, piece_bytes
-from vibrocast.device_protocol.frames import MAXIMUM_PAYLOAD_BYTES, FrameReader, write_frame
+from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, FrameReader, write_frame
 
 payloads = st.binary(min_size=1, max_size=600)
 
@@ -57,7 +57,7 @@ wires = st.lists(
         damaged,
         payloads.map(lambda payload: write_frame(payload)[:-3]),
         st.binary(max_size=20),
-        st.just(b"\x01" * (MAXIMUM_PAYLOAD_BYTES + 50)),
+        st.just(b"\x01" * (MAX_PAYLOAD_BYTES + 50)),
         st.just(b"\0\0"),
     ),
     max_size=6,
@@ -73,7 +73,7 @@ def test_reads_any_bytes_as_the_reader_in_python(pieces: list[bytes], cuts: list
         assert reader.bad_frames == expected.bad_frames
 
 
-@pytest.mark.parametrize("length", [*range(MAXIMUM_PAYLOAD_BYTES + 15, MAXIMUM_PAYLOAD_BYTES + 25)])
+@pytest.mark.parametrize("length", [*range(MAX_PAYLOAD_BYTES + 15, MAX_PAYLOAD_BYTES + 25)])
 @pytest.mark.parametrize("code", [1, 2])
 def test_longest_frames_are_told_from_too_long_ones_as_in_python(length: int, code: int) -> None:
     expected, reader = FrameReader(), CFrameReader()
@@ -87,7 +87,7 @@ def test_writes_what_the_writer_in_python_writes(payload: bytes) -> None:
     assert c_frame(payload) == write_frame(payload)
 
 
-@pytest.mark.parametrize("size", [1, 251, 252, 253, 254, 255, 1000, MAXIMUM_PAYLOAD_BYTES])
+@pytest.mark.parametrize("size", [1, 251, 252, 253, 254, 255, 1000, MAX_PAYLOAD_BYTES])
 @pytest.mark.parametrize("byte", [b"\x00", b"\xff"])
 def test_every_size_fits(size: int, byte: bytes) -> None:
     frame = write_frame(byte * size)
@@ -96,7 +96,7 @@ def test_every_size_fits(size: int, byte: bytes) -> None:
     assert CFrameReader().feed(frame) == [byte * size]
 
 
-@pytest.mark.parametrize("payload", [b"", bytes(MAXIMUM_PAYLOAD_BYTES + 1)])
+@pytest.mark.parametrize("payload", [b"", bytes(MAX_PAYLOAD_BYTES + 1)])
 def test_payload_that_does_not_fit_is_rejected(payload: bytes) -> None:
     assert c_frame(payload) == b""
 

@@ -80,7 +80,7 @@ def test_a_full_disk_is_an_error_and_leaves_no_link(tmp_path: Path) -> None:
     assert not link.is_symlink()
 
 
-def test_options_that_cannot_be_are_refused_with_the_reason(tmp_path: Path) -> None:
+def test_options_that_cannot_be_are_rejected_with_the_reason(tmp_path: Path) -> None:
     (tmp_path / "flash").write_bytes(b"too short")
     for options, reason in (
         (("--flash", tmp_path / "flash"), "delete it"),

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.device_protocol.test_messages import MESSAGES, any_message, u8, u16
-from tests.firmware.native import ffi, load, native, piece_bytes, refusal_text
+from tests.firmware.native import ffi, load, native, piece_bytes, rejection_text
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.layout import Fixed, WireField, wire_fields
@@ -113,14 +113,14 @@ class InC:
 
 
 def check_read_as_in_python(payload: bytes) -> None:
-    message, refusal = ffi.new("vc_message *"), ffi.new("vc_refusal *")
+    message, rejection = ffi.new("vc_message *"), ffi.new("vc_rejection *")
     memory = ffi.new("uint8_t[]", payload)  # of this very length, so that a sanitiser sees what is read beyond it
-    code = native.vc_message_read(message, memory, len(payload), refusal)
+    code = native.vc_message_read(message, memory, len(payload), rejection)
     try:
         sequence, expected = messages.unpack(payload)
     except MessageError as error:
-        assert (code, refusal.code, message.sequence) == (error.code, error.code, error.sequence)
-        assert refusal_text(refusal)
+        assert (code, rejection.code, message.sequence) == (error.code, error.code, error.sequence)
+        assert rejection_text(rejection)
     else:
         assert (code, message.sequence, in_python(message)) == (0, sequence, expected)
 
@@ -217,24 +217,24 @@ def test_hash_that_is_not_there_is_written_as_zeros() -> None:
 def test_error_keeps_as_many_characters_as_fit(code: int, sequence: int, text: str) -> None:
     encoded = text.encode()
     memory = ffi.new("uint8_t[]", encoded)
-    refusal, writer = ffi.new("vc_refusal *"), Writer()
-    assert native.vc_refuse(refusal, 5, b"") == 5
-    native.vc_refusal_add_piece(refusal, [memory, len(encoded)])
-    refusal.code = code
-    native.vc_write_refusal(writer.pointer, sequence, refusal)
+    rejection, writer = ffi.new("vc_rejection *"), Writer()
+    assert native.vc_reject(rejection, 5, b"") == 5
+    native.vc_rejection_add_piece(rejection, [memory, len(encoded)])
+    rejection.code = code
+    native.vc_write_rejection(writer.pointer, sequence, rejection)
     assert writer.payload() == messages.pack(Error(code, encoded[:200].decode(errors="ignore")), sequence)
 
 
 @given(st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1), st.binary(max_size=8))
-def test_texts_of_refusals(first: int, second: int, data: bytes) -> None:
-    refusal = ffi.new("vc_refusal *")
-    native.vc_refuse_numbers(refusal, 9, b"# of #: ", first, second)
-    assert native.vc_refusal_add_hex(refusal, data, len(data)) == 9
-    assert refusal_text(refusal) == f"{first} of {second}: {data.hex()}"
+def test_texts_of_rejections(first: int, second: int, data: bytes) -> None:
+    rejection = ffi.new("vc_rejection *")
+    native.vc_reject_numbers(rejection, 9, b"# of #: ", first, second)
+    assert native.vc_rejection_add_hex(rejection, data, len(data)) == 9
+    assert rejection_text(rejection) == f"{first} of {second}: {data.hex()}"
 
 
 def test_longest_hello_response_fits_the_smallest_payload() -> None:
-    small_ffi, small = load(VC_MAXIMUM_PAYLOAD_BYTES=576)
+    small_ffi, small = load(VC_MAX_PAYLOAD_BYTES=576)
     text, frame = small_ffi.new("uint8_t[]", b"x" * 63), small_ffi.new("uint8_t[]", 600)
     # VC_IMAGE_TEXT_BYTES of sizes.h.
     name = [text, (576 - 512) // 4]

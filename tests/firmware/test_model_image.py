@@ -6,18 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.device_protocol.test_model_image import images
-from tests.firmware.native import ffi, native, piece_bytes, refusal_text
+from tests.firmware.native import ffi, native, piece_bytes, rejection_text
 from vibrocast.device_protocol.model_image import ModelImage, ModelImageError
 
 
 def check_read_as_in_python(data: bytes) -> None:
-    image, refusal, memory = ffi.new("vc_model_image *"), ffi.new("vc_refusal *"), ffi.new("uint8_t[]", data)
-    code = native.vc_model_image_read(image, memory, len(data), refusal)
+    image, rejection, memory = ffi.new("vc_model_image *"), ffi.new("vc_rejection *"), ffi.new("uint8_t[]", data)
+    code = native.vc_model_image_read(image, memory, len(data), rejection)
     try:
         expected = ModelImage.unpack(data)
     except ModelImageError:
-        assert code == refusal.code == native.VC_IMAGE_REFUSED
-        assert refusal_text(refusal)
+        assert code == rejection.code == native.VC_IMAGE_REJECTED
+        assert rejection_text(rejection)
     else:
         name, version, hardware = (piece_bytes(text).decode() for text in (image.name, image.version, image.hardware))
         assert code == 0

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.device_protocol.test_coded_stream import headers
-from tests.firmware.native import ffi, native, refusal_text
+from tests.firmware.native import ffi, native, rejection_text
 from vibrocast.device_protocol.coded_stream import STREAM_UNITS, StreamError, StreamHeader, packet_sequence
 from vibrocast.device_protocol.encoding import pack_varint
 
@@ -15,15 +15,15 @@ LENGTH_UNKNOWN = 2**64 - 1
 
 
 def check_read_as_in_python(data: bytes) -> None:
-    header, refusal, memory = ffi.new("vc_stream_header *"), ffi.new("vc_refusal *"), ffi.new("uint8_t[]", data)
-    code = native.vc_stream_header_read(header, memory, len(data), refusal)
+    header, rejection, memory = ffi.new("vc_stream_header *"), ffi.new("vc_rejection *"), ffi.new("uint8_t[]", data)
+    code = native.vc_stream_header_read(header, memory, len(data), rejection)
     try:
         expected, used = StreamHeader.unpack(data)
     except StreamError:
         used = -1
     if used != len(data):
-        assert code == refusal.code == native.VC_BAD_VALUE
-        assert refusal_text(refusal)
+        assert code == rejection.code == native.VC_BAD_VALUE
+        assert rejection_text(rejection)
         return
     assert code == 0
     assert header.codec == expected.codec_identifier

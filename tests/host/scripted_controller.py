@@ -111,7 +111,7 @@ class ScriptedController:
                 self.last = (sequence, write_frame(pack(answer, sequence)))
                 self.outgoing += self.last[1]
                 if isinstance(message, FlashActivate) and not isinstance(answer, Error):
-                    self.set_slot(1, SlotState.TRIAL)
+                    self.set_slot(1, SlotState.TESTING)
                     self.restart()
 
     def read(self, timeout_s: float) -> bytes:
@@ -194,7 +194,7 @@ class ScriptedController:
 
     def set_slot(self, slot: int, state: SlotState) -> None:
         described = ImageDescription(slot, state, self.begun.sha256)
-        if state in (SlotState.VERIFIED, SlotState.TRIAL, SlotState.CONFIRMED):
+        if state in (SlotState.VERIFIED, SlotState.TESTING, SlotState.CONFIRMED):
             image = ModelImage.unpack(bytes(self.flash))
             described = replace(described, name=image.name, version=image.version)
         others = [image for image in self.description.images if image.slot != slot]
@@ -238,7 +238,7 @@ class ScriptedController:
             return FlashStatus(1, SlotState.WRITING, len(self.flash))
         if isinstance(message, FlashVerify):
             if sha256(bytes(self.flash)) != self.begun.sha256:
-                return Error(ErrorCode.IMAGE_REFUSED, "the hash is wrong")
+                return Error(ErrorCode.IMAGE_REJECTED, "the hash is wrong")
             self.set_slot(1, SlotState.VERIFIED)
             return FlashStatus(1, SlotState.VERIFIED, len(self.flash), self.begun.sha256)
         if isinstance(message, FlashActivate):

@@ -27,7 +27,7 @@ from vibrocast.host.uploader import flash
 IMAGE = ModelImage(1, "oak", "1.0", "none", bytes(range(256)) * 20).pack()
 IMAGES_ON_TRIAL = (
     ImageDescription(0, SlotState.CONFIRMED),
-    ImageDescription(1, SlotState.TRIAL, sha256(IMAGE), "oak", "1.0"),
+    ImageDescription(1, SlotState.TESTING, sha256(IMAGE), "oak", "1.0"),
 )
 
 
@@ -97,7 +97,9 @@ def test_image_that_does_not_start_is_reported_and_not_confirmed(fallen_back: di
 
 def test_image_that_is_not_kept_is_reported() -> None:
     scripted = ScriptedController()
-    scripted.answer = lambda message: FlashStatus(1, SlotState.TRIAL, 0) if isinstance(message, FlashConfirm) else None
+    scripted.answer = lambda message: (
+        FlashStatus(1, SlotState.TESTING, 0) if isinstance(message, FlashConfirm) else None
+    )
     with pytest.raises(ControllerError, match="did not keep"):
         flash(connect(scripted), IMAGE)
 

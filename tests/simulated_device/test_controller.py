@@ -739,7 +739,7 @@ def test_flashed_image_decodes_the_streams_that_name_it() -> None:
     assert error_code(bench.ask(StatusRequest())) == ErrorCode.HELLO_FIRST
     hello = bench.ask(Hello())
     assert isinstance(hello, HelloResponse)
-    assert hello.images[1].state == SlotState.TRIAL
+    assert hello.images[1].state == SlotState.TESTING
     confirmed = bench.ask(FlashConfirm(1))
     assert isinstance(confirmed, FlashStatus)
     assert confirmed.state == SlotState.CONFIRMED

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.export import tiny
-from tests.firmware.native import ffi, native, refusal_text
+from tests.firmware.native import ffi, native, rejection_text
 from vibrocast import codec, models, textures
 from vibrocast.codec import eva
 from vibrocast.codec.encoding import encode_recording
@@ -141,7 +141,7 @@ def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(flaw: str)
 @pytest.mark.parametrize("flaw", [*BAD_PAYLOADS, "no network"])
 def test_decoders_in_c_say_what_is_wrong_with_an_image(flaw: str) -> None:
     payload = tiny.model("onnx").tables if flaw == "no network" else BAD_PAYLOADS[flaw][0]()
-    refusal = ffi.new("vc_refusal *")
-    assert native.vc_tables_check(ffi.NULL, eva.IDENTIFIER, payload, len(payload), refusal) == ErrorCode.IMAGE_REFUSED
+    refusal = ffi.new("vc_rejection *")
+    assert native.vc_tables_check(ffi.NULL, eva.IDENTIFIER, payload, len(payload), refusal) == ErrorCode.IMAGE_REJECTED
     reasons = {"no network": "no integer network", "another layout": "another layout"}
-    assert reasons.get(flaw, "damaged") in refusal_text(refusal)
+    assert reasons.get(flaw, "damaged") in rejection_text(refusal)

@@ -316,6 +316,6 @@ def test_power_cut_while_a_host_flashes_leaves_the_old_image_running() -> None:
         Controller(flash=memory)  # a trial under way is over with this start
         link = MemoryLink(Controller(flash=memory))
         images = Host(link, link.clock, link.sleep).description.images
-        (running,) = [image for image in images if image.state in (SlotState.TRIAL, SlotState.CONFIRMED)]
+        (running,) = [image for image in images if image.state in (SlotState.TESTING, SlotState.CONFIRMED)]
         assert running.sha256 == sha256(OLD_IMAGE) or (running.name == "new" and running.state == SlotState.CONFIRMED)
         flash_over(memory, NEW_IMAGE)

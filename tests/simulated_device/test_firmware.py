@@ -44,10 +44,10 @@ BOARD = {
     "VC_BUFFER_PACKETS": 128,
     "VC_BUFFER_BYTES": 8192,
     "VC_CAPTURE_SAMPLES": 2048,
-    "VC_MAXIMUM_PAYLOAD_BYTES": 1024,
+    "VC_MAX_PAYLOAD_BYTES": 1024,
     "VC_RATE_RATIO": 4,
 }
-PACKET_BYTES = BOARD["VC_MAXIMUM_PAYLOAD_BYTES"] - PACKET_OVERHEAD_BYTES
+PACKET_BYTES = BOARD["VC_MAX_PAYLOAD_BYTES"] - PACKET_OVERHEAD_BYTES
 
 
 def board() -> Bench:
@@ -63,8 +63,8 @@ def test_controller_of_a_small_board_fits_its_memory_and_says_its_limits() -> No
     assert isinstance(hello, HelloResponse)
     limits = hello.limits
     assert (limits.channels, limits.buffer_samples, limits.capture_samples) == (2, 4096, 2048)
-    assert (limits.maximum_payload_bytes, limits.maximum_packet_bytes) == (1024, PACKET_BYTES)
-    assert limits.maximum_rate_hz == 4 * hello.actuator.dac_rate_hz
+    assert (limits.max_payload_bytes, limits.max_packet_bytes) == (1024, PACKET_BYTES)
+    assert limits.max_rate_hz == 4 * hello.actuator.dac_rate_hz
 
 
 def refused(bench: Bench, header: StreamHeader, prebuffer_samples: int = 0) -> ErrorCode:

@@ -55,10 +55,10 @@ def test_trial_runs_once_and_falls_back_unless_confirmed() -> None:
     store = install(flash, 0, OLD)
     assert running_name(store) == "old"
     write_image(store, 1, NEW)
-    assert store.activate(1).state == SlotState.TRIAL
+    assert store.activate(1).state == SlotState.TESTING
     store = boot(flash)
     assert running_name(store) == "new"
-    assert [image.state for image in store.describe()] == [SlotState.CONFIRMED, SlotState.TRIAL]
+    assert [image.state for image in store.describe()] == [SlotState.CONFIRMED, SlotState.TESTING]
     store = boot(flash)
     assert running_name(store) == "old"
     assert [image.state for image in store.describe()] == [SlotState.CONFIRMED, SlotState.VERIFIED]
@@ -92,7 +92,7 @@ def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() 
         store = boot(flash)
         # Before the trial begins the old image runs; from then on the new one, and it falls back unless confirmed.
         confirmed = store.describe()[1].state == SlotState.CONFIRMED
-        on_trial = store.describe()[1].state == SlotState.TRIAL
+        on_trial = store.describe()[1].state == SlotState.TESTING
         assert running_name(store) == ("new" if confirmed or on_trial else "old")
         assert running_name(boot(flash)) == ("new" if confirmed else "old")
         if not confirmed:
@@ -198,7 +198,7 @@ def test_flash_that_fails_while_confirming_keeps_the_slot_to_fall_back_to(change
     with pytest.raises(RequestError, match="flash did not take"):
         store.confirm(1)
     failing.changes = 1 << 30
-    assert states(store) == [SlotState.CONFIRMED, SlotState.TRIAL]
+    assert states(store) == [SlotState.CONFIRMED, SlotState.TESTING]
     with pytest.raises(RequestError, match="fall back"):
         store.begin(0, len(NEW), sha256(NEW), "")
     assert running_name(boot(failing)) == "old"
@@ -265,7 +265,7 @@ def test_garbage_in_flash_boots_without_an_image() -> None:
         ),
         (
             lambda store: (store.begin(1, 10, bytes(32), ""), store.write(1, 0, bytes(10)), store.verify(1)),
-            ErrorCode.IMAGE_REFUSED,
+            ErrorCode.IMAGE_REJECTED,
         ),
     ],
 )
