@@ -268,7 +268,7 @@ class _Sender:
         # Waiting for a full frame must not empty the buffer.
         self._frame_packets = max(1, min(_MAX_FRAME_PACKETS, buffer_packets // 4))
         # Often enough for the watchdog, and to learn in time that playing has begun where the notification was lost.
-        # A controller that tells its status as often need not be asked.
+        # A controller that tells its status as often need not be asked, unless captures are read back in time by it.
         self._max_silence_s = controller.description.limits.watchdog_ms / 4000
         self._status_interval_s = min(_MAX_STATUS_INTERVAL_S, self._max_silence_s, buffer_packets * source.packet_s / 2)
         self._ask_s = self._free_s = self._sent_s = 0.0
@@ -311,7 +311,8 @@ class _Sender:
                     self._free_s = self._ask_s  # nothing new, as far as is known, before the next status
             if self._session.news() is not None:
                 self._note()
-                self._ask_s = min(self._noted_s + self._status_interval_s, self._sent_s + self._max_silence_s)
+                if not self._settings.capture:
+                    self._ask_s = min(self._noted_s + self._status_interval_s, self._sent_s + self._max_silence_s)
                 if self._settings.progress is not None:
                     self._settings.progress(self._progress())
 
