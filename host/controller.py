@@ -34,9 +34,9 @@ from vibrocast.host.event_loop import Pause, Steps
 ANSWER_TIMEOUT_S = 0.1
 TRIES = 20
 HELLO_TRIES = 5
-SMALLEST_PAYLOAD_LIMIT_BYTES = 256
-SMALLEST_WATCHDOG_MS = 50
-LARGEST_DAC_RATE_HZ = 1_000_000
+MIN_PAYLOAD_LIMIT_BYTES = 256
+MIN_WATCHDOG_MS = 50
+MAX_DAC_RATE_HZ = 1_000_000
 
 _RECONNECT_PAUSE_S = 0.1
 
@@ -148,9 +148,9 @@ class Controller:
                 ErrorCode.UNSUPPORTED_VERSION,
             )
         if (
-            description.limits.max_payload_bytes < SMALLEST_PAYLOAD_LIMIT_BYTES
-            or description.limits.watchdog_ms < SMALLEST_WATCHDOG_MS
-            or not 1 <= description.actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ
+            description.limits.max_payload_bytes < MIN_PAYLOAD_LIMIT_BYTES
+            or description.limits.watchdog_ms < MIN_WATCHDOG_MS
+            or not 1 <= description.actuator.dac_rate_hz <= MAX_DAC_RATE_HZ
         ):
             raise ControllerError(
                 f"the controller announces what no host can keep to ({description.limits}, {description.actuator}): "

@@ -22,7 +22,7 @@ A step that yields a Pause waits all that time, and reads nothing. What breaks a
 # So often the loop looks at transports that have no file to wait for, which are those in simulated time.
 _POLL_S = 0.002
 # The simulated clock counts microseconds.
-_SHORTEST_SLEEP_S = 1e-6
+_MIN_SLEEP_S = 1e-6
 
 
 class Pause(float):
@@ -163,7 +163,7 @@ class _Loop(Generic[_Key, _Result]):
         assert self._selector is not None
         watches = bool(self._selector.get_map())
         if timeout_s and (self._polled or not watches):
-            timeout_s = max(_SHORTEST_SLEEP_S, min(timeout_s, _POLL_S) if self._polled else timeout_s)
+            timeout_s = max(_MIN_SLEEP_S, min(timeout_s, _POLL_S) if self._polled else timeout_s)
             self._members[0].reader.sleep(timeout_s)
             timeout_s = 0.0
         ready = self._selector.select(timeout_s) if watches else []

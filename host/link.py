@@ -19,11 +19,11 @@ STATUS_INTERVAL_S = 0.1
 _JITTER_S = 0.005
 # The capacity is taken to double in so long while nothing speaks against it, and halves at most for each frame.
 _DOUBLING_S = 2.0
-_LARGEST_FALL = 0.5
+_MAX_FALL = 0.5
 # Over so long at most what arrives is counted: long enough for whole frames to do, and to follow a link that changes.
 _WINDOW_S = 2.0
 # Of the two clocks against each other.
-_LARGEST_DRIFT = 0.005
+_MAX_DRIFT = 0.005
 
 
 def frame_bytes(message: Message) -> int:
@@ -36,7 +36,7 @@ class _Frame:
     """A frame under way: when it reached the link, when that begins to carry it, when it should arrive
     (`due_s`) and when it is expected to, by now.
 
-    `least`: below so many bytes a second the capacity does not fall because of this frame. `is_first`: all before it
+    `min_rate`: below so many bytes a second the capacity does not fall because of this frame. `is_first`: all before it
     have arrived.
     """
 
@@ -46,7 +46,7 @@ class _Frame:
     begins_s: float
     due_s: float
     arrives_s: float
-    least: float
+    min_rate: float
     is_first: bool = False
 
 
@@ -109,8 +109,8 @@ class Link:
         """Note that the frame of packet `number` is sent; return when it should have arrived."""
         begins_s = now_s + self.queue_s(now_s)
         arrives_s = begins_s + self.seconds(size)
-        least = _LARGEST_FALL * min(self.bytes_per_second, self.needed)
-        self._under_way.append(_Frame(number, size, now_s, begins_s, arrives_s, arrives_s, least))
+        min_rate = _MAX_FALL * min(self.bytes_per_second, self.needed)
+        self._under_way.append(_Frame(number, size, now_s, begins_s, arrives_s, arrives_s, min_rate))
         self._sent.append(number)
         self._packets = number + 1
         return arrives_s
@@ -127,7 +127,7 @@ class Link:
         """Take in a Status that has come."""
         device_s = status.device_time_us / 1e6
         # A Status can come late, but not too early: what the soonest said holds, as far as clocks do not drift.
-        drifted_s = self._offset_s - _LARGEST_DRIFT * (host_s - self._heard_s)
+        drifted_s = self._offset_s - _MAX_DRIFT * (host_s - self._heard_s)
         self._offset_s = max(drifted_s, device_s - host_s + self._round_trip_s)
         self._heard_s = host_s
         # Those that are buffered are the first that were sent from the one on that is decoded next.
@@ -173,8 +173,8 @@ class Link:
             self._under_way.popleft()
         if self.is_late(device_s):
             carried = self._carried + head.size
-            most = min((carried - before) / (device_s - busy_s) for busy_s, before in self._busy)
-            self.bytes_per_second = min(self.bytes_per_second, max(head.least, most))
+            max_rate = min((carried - before) / (device_s - busy_s) for busy_s, before in self._busy)
+            self.bytes_per_second = min(self.bytes_per_second, max(head.min_rate, max_rate))
         elif self.bytes_per_second < self.needed:
             self.bytes_per_second = min(self.needed, self.bytes_per_second * 2 ** (passed_s / _DOUBLING_S))
         if self._under_way and head.reached_s < device_s:

@@ -21,23 +21,23 @@ from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.stream_session import check_limits, check_packet, configure_steps, stopped_on_error
 
 # How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
-MARGIN_S = 0.01
+PLAYOUT_DELAY_S = 0.01
 REFRESH_S = 0.25
 # What a stream may take of the link's capacity, so that its packets do not queue.
 LINK_SHARE = 0.9
 
-# The controller's clock and the source's drift apart: beyond the margin on one side, or so much on the other, for so
-# long, the stream is begun again.
-_LARGEST_GROWTH_S = 0.02
+# The controller's clock and the source's drift apart: beyond the playout delay on one side, or so much on the other,
+# for so long, the stream is begun again.
+_MAX_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 _END_S = 5.0
 # What a live source kept before it was heard may come at once; what floods so many streams in a row is none.
 _FLOOD_FACTOR = 1.5
-_MOST_FLOODS = 4
+_MAX_FLOODS = 4
 _POLL_S = 0.005
 _END_ASK_S = 0.1
 _ASK_S = 0.5
-# A link of so many times what is needed bears whatever happens to it without a longer margin.
+# A link of so many times what is needed bears whatever happens to it without a longer playout delay.
 _AMPLE = 8
 # How much earlier than it is needed a rate-controlled packet has to come.
 _GUARD_S = 0.005
@@ -83,10 +83,10 @@ class LiveResult:
         return 8 * self.wire_bytes / self.seconds if self.seconds else 0.0
 
 
-def limit_rate(policy: codec.RatePolicy, asked_bps: float, carried_bps: float) -> None:
+def limit_rate(policy: codec.RatePolicy, target_bps: float, carried_bps: float) -> None:
     """Set a policy to what is asked or, if that is less, to what a link carries, as far as the policy reaches."""
     # A little above its least, which rounding would put out of reach.
-    policy.bits_per_second = min(asked_bps, max(1.001 * policy.min_bits_per_second, carried_bps))
+    policy.bits_per_second = min(target_bps, max(1.001 * policy.min_bits_per_second, carried_bps))
 
 
 class LiveStream:
@@ -95,10 +95,10 @@ class LiveStream:
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
     `policy`: controls the quality, None = all packets are of the setting's. One with a rate is held to what
     the link carries: quality falls before a packet is late, and rises again. What would come too late is never sent.
-    `margin_s`: how long packets lie on the controller before they are needed; None = MARGIN_S, a quarter of a packet if
-    that is more or, with a policy on a link not much faster than needed, what bears the link's fall to half.
+    `playout_delay_s`: how long packets lie on the controller before they are needed; None = PLAYOUT_DELAY_S, a quarter
+    of a packet if that is more or, with a policy on a link not much faster than needed, what bears its fall to half.
     `packet_samples`: samples per channel in a packet, at least those asked for and the codec's shortest block; None =
-    for a rate the shortest to which the wire adds at most 15 %, within `longest_packet_s`, or else one block.
+    for a rate the shortest to which the wire adds at most 15 %, within `max_packet_s`, or else one block.
     `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of RATE_CONTROLLED_REFRESH_S.
     `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
     `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
@@ -116,17 +116,17 @@ class LiveStream:
         model: models.Model | None = None,
         policy: codec.Policy | None = None,
         packet_samples: int | None = None,
-        longest_packet_s: float = math.inf,
+        max_packet_s: float = math.inf,
         refresh_packets: int | None = None,
         needed_bps: float | None = None,
-        margin_s: float | None = None,
+        playout_delay_s: float | None = None,
         gain: float = 1.0,
         compensation: bool = True,
     ) -> None:
         check_limits(controller, signal_format.channels, signal_format.rate_hz)
         self.controller = controller
         self.format = signal_format
-        self._asked_margin_s = margin_s
+        self._given_playout_delay_s = playout_delay_s
         self.policy = policy
         self.payload_bytes = self.dropped_packets = self._sent_samples = 0
         self._wire_bytes: int | None = None
@@ -134,10 +134,10 @@ class LiveStream:
         self._codec, self._model = chosen_codec(codec_name, model), model
         defaults = {} if policy else self._codec.live_setting(signal_format.rate_hz)
         self.setting = self._codec.complete({**defaults, **(setting or {})})
-        self._asked_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
-        self._needed_bps = needed_bps or self._asked_bps or math.inf
+        self._target_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
+        self._needed_bps = needed_bps or self._target_bps or math.inf
         # To how many samples it is rounded up, an encoder says.
-        encoder = self._make_encoder(codec.Framing(self._packet_samples(packet_samples, longest_packet_s), 1))
+        encoder = self._make_encoder(codec.Framing(self._packet_samples(packet_samples, max_packet_s), 1))
         self.packet_samples = encoder.packet_samples
         self.packet_s = self.packet_samples / signal_format.rate_hz
         refresh_s = REFRESH_S if policy is None else RATE_CONTROLLED_REFRESH_S
@@ -174,11 +174,11 @@ class LiveStream:
         self.earlier.append(self.status)
         self._configure()
 
-    def _packet_samples(self, asked: int | None, longest_packet_s: float) -> int:
+    def _packet_samples(self, asked: int | None, max_packet_s: float) -> int:
         """Return the samples in a packet, to be rounded up to whole blocks: asked for, for the rate, or the fewest."""
-        if asked is None and self._asked_bps is not None:
+        if asked is None and self._target_bps is not None:
             rate_hz = self.format.rate_hz
-            return codec.rate_controlled_framing(self._asked_bps, rate_hz, added_bytes, longest_packet_s).packet_samples
+            return codec.rate_controlled_framing(self._target_bps, rate_hz, added_bytes, max_packet_s).packet_samples
         return asked or 1
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
@@ -223,15 +223,17 @@ class LiveStream:
         self._link = Link(self.controller, self.stream)
         self.carried_bps = math.inf
         self._link.needed = self._needed_bps / 8 / LINK_SHARE
-        self.margin_s = self._margin_s() if self._asked_margin_s is None else self._asked_margin_s
+        self.playout_delay_s = (
+            self._default_playout_delay_s() if self._given_playout_delay_s is None else self._given_playout_delay_s
+        )
         self.packets_sent = 0
         self._plays_from_s: float | None = None
         self._ask_s = 0.0
         self._began_s = self.controller.clock()
         self._out_of_step_since_s: float | None = None
 
-    def _margin_s(self) -> float:
-        """Return the margin by which packets stay in time if the link falls to half, as soon as that can be known.
+    def _default_playout_delay_s(self) -> float:
+        """Return the delay with which packets stay in time if the link falls to half, as soon as that can be known.
 
         A packet that is under way then takes 2 LINK_SHARE of its duration. So does one that is sent behind it before
         that can be seen, which takes up to two Status, and it is needed a duration after the first one would have come.
@@ -239,7 +241,7 @@ class LiveStream:
         than a short one, for more is lost with it.
         """
         if self.policy is None or self._link.bytes_per_second >= _AMPLE * self._link.needed:
-            return max(MARGIN_S, self.packet_s / 4)
+            return max(PLAYOUT_DELAY_S, self.packet_s / 4)
         return max(self.packet_s + 2 * STATUS_INTERVAL_S, (3 * LINK_SHARE - 1) * self.packet_s)
 
     def code(self, samples: Signal) -> list[bytes]:
@@ -257,8 +259,8 @@ class LiveStream:
             start_bytes = frame_bytes(Start()) if self._plays_from_s is None else 0
             arrives_s = self._link.send(self.packets_sent, len(packet) + added_bytes(packet) + start_bytes, now_s)
             if self._plays_from_s is None:
-                # From here on the packets come as evenly as the samples do, so the margin stays as it begins.
-                self._plays_from_s = arrives_s - self._link.seconds(start_bytes) + self.margin_s
+                # From here on the packets come as evenly as the samples do, so the playout delay stays as it begins.
+                self._plays_from_s = arrives_s - self._link.seconds(start_bytes) + self.playout_delay_s
                 answer_s = ANSWER_TIMEOUT_S + self._link.answer_s(now_s)
                 self.controller.ask(Start(round(1e6 * self._plays_from_s)), answer_s)
             self.packets_sent += 1
@@ -313,14 +315,14 @@ class LiveStream:
             left_s = self._plays_from_s + self.packets_sent * self.packet_s - now_s - queue_s
         if self.policy is None:
             return left_s > 0
-        left_s -= min(_GUARD_S, self.margin_s / 2)
-        least_s = self._link.seconds(self.policy.min_bytes)
-        if left_s <= least_s:
+        left_s -= min(_GUARD_S, self.playout_delay_s / 2)
+        min_s = self._link.seconds(self.policy.min_bytes)
+        if left_s <= min_s:
             return False
-        seconds = min(left_s, max(least_s, LINK_SHARE * self.packet_s - drained * queue_s))
+        seconds = min(left_s, max(min_s, LINK_SHARE * self.packet_s - drained * queue_s))
         self.carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
-        if self._asked_bps is not None and isinstance(self.policy, codec.RatePolicy):
-            limit_rate(self.policy, self._asked_bps, self.carried_bps)
+        if self._target_bps is not None and isinstance(self.policy, codec.RatePolicy):
+            limit_rate(self.policy, self._target_bps, self.carried_bps)
         return True
 
     def _drop(self) -> None:
@@ -339,7 +341,7 @@ class LiveStream:
         sent_s = self.packets_sent * self.packet_samples / self.format.rate_hz
         took_s = self.controller.clock() - self._began_s
         self._floods = self._floods + 1 if sent_s > _FLOOD_FACTOR * took_s else 0
-        if self._floods == _MOST_FLOODS:
+        if self._floods == _MAX_FLOODS:
             raise LiveError(
                 f"the source gave {sent_s:.1f} s in {took_s:.1f} s, again and again: a live one keeps its rate; play a "
                 "recording from its file"
@@ -361,8 +363,8 @@ class LiveStream:
         device_s = status.device_time_us / 1e6
         behind = status.position > self._link.arrived_by(device_s) * self.packet_samples
         behind = behind and not self._link.is_late(device_s)  # that is the link's doing, not the clocks'
-        longest_s = self.margin_s + self.packet_samples / self.format.rate_hz + _LARGEST_GROWTH_S
-        too_long = status.buffered_samples > longest_s * self.format.rate_hz
+        max_s = self.playout_delay_s + self.packet_samples / self.format.rate_hz + _MAX_GROWTH_S
+        too_long = status.buffered_samples > max_s * self.format.rate_hz
         if status.state != State.PLAYING or not (behind or too_long):
             self._out_of_step_since_s = None
         elif self._out_of_step_since_s is None:

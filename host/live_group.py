@@ -36,7 +36,7 @@ class LiveGroup:
         self.streams = streams
         self.failed: dict[int, Exception] = {}
         self._group = group
-        self._asked_bps = group.policy.bits_per_second
+        self._target_bps = group.policy.bits_per_second
         self._sent_bps = [0.0] * len(streams)
         self._heard = [(stream.status, stream.controller.clock()) for stream in streams]
 
@@ -83,7 +83,7 @@ class LiveGroup:
         ]
         if carried:
             carried_bps = min(carried) * sum(self._sent_bps[number] for number in alive)
-            limit_rate(policy, self._asked_bps, carried_bps)
+            limit_rate(policy, self._target_bps, carried_bps)
 
     def _coder(self, number: int) -> Callable[[Signal], list[bytes]]:
         return (lambda samples: []) if number in self.failed else self.streams[number].coded

@@ -58,7 +58,7 @@ def page(
         machine=machine,
         runs=RUNS,
         target_ms=TARGET_MS,
-        margin_ms=1e3 * live.MARGIN_S,
+        margin_ms=1e3 * live.PLAYOUT_DELAY_S,
         below=below,
         above=[address for address in middle if address not in below],
         first=next(iter(middle.values())),

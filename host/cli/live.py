@@ -51,10 +51,10 @@ MAX_BLOCK_S = 0.01
 @click.option("--keep-dc", is_flag=True, help="Code the band below 20 Hz too: offset, gravity, drift.")
 @click.option("--full-scale", type=POSITIVE, default=1.0, show_default=True, help="Largest magnitude, in --unit.")
 @click.option(
-    "--margin-ms",
+    "--playout-delay-ms",
     type=Finite(min=0, max=10_000),
     help="How long a packet lies ready on the controller, and so how late it may be. "
-    f"{1e3 * streaming.MARGIN_S:g} if not given; with a rate, on a link not much faster, what bears its fall to half.",
+    f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}; longer with a rate on a link that is not much faster.",
 )
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
 @codec_option
@@ -71,7 +71,7 @@ def live(
     channels: int,
     unit: str | None,
     full_scale: float,
-    margin_ms: float | None,
+    playout_delay_ms: float | None,
     report_path: Path | None,
     codec_name: str | None,
     setting: codec.Setting,
@@ -111,9 +111,9 @@ def live(
                 "policy": target.policy(signal_format),
                 "packet_samples": target.framing(rate_hz).packet_samples,
             }
-        margin_s = None if margin_ms is None else margin_ms / 1e3
+        playout_delay_s = None if playout_delay_ms is None else playout_delay_ms / 1e3
         stream = streaming.LiveStream(
-            controller, signal_format, codec_name=chosen.name, model=model, margin_s=margin_s, **how
+            controller, signal_format, codec_name=chosen.name, model=model, playout_delay_s=playout_delay_s, **how
         )
         # Shorter than long packets, so that what the controller tells meanwhile is heard.
         block_samples = min(stream.packet_samples, math.ceil(MAX_BLOCK_S * rate_hz))
@@ -139,12 +139,14 @@ def live(
         click.echo(
             f"packets {result.payload_bps:.0f} bit/s, on the wire {result.wire_bps:.0f} bit/s "
             f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, due "
-            f"{1000 * stream.margin_s:.0f} ms after they come; {result.dropped_packets} not sent, as too late"
+            f"{1000 * stream.playout_delay_s:.0f} ms after they come; {result.dropped_packets} not sent, as too late"
         )
     anew = f", begun anew {result.streams - 1} times" if result.streams > 1 else ""
     if result.lost_packets or result.dropped_packets:
-        margin = f"{1000 * stream.margin_s:.0f} ms"
-        click.echo(f"packets came too late or not at all: a --margin-ms of more than {margin} bears a busier computer")
+        delay = f"{1000 * stream.playout_delay_s:.0f} ms"
+        click.echo(
+            f"packets came too late or not at all: a --playout-delay-ms of more than {delay} bears a busier computer"
+        )
     click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{anew}")
 
 
@@ -157,7 +159,7 @@ def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[
         "stream_rate_hz": stream.format.rate_hz,
         "seconds": result.seconds,
         "packet_ms": 1000 * stream.packet_s,
-        "margin_ms": 1000 * stream.margin_s,
+        "margin_ms": 1000 * stream.playout_delay_s,
         "payload_bits_per_second": result.payload_bps,
         "wire_bits_per_second": result.wire_bps,
         "wire_adds": result.wire_adds,

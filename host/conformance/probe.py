@@ -39,7 +39,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.conformance.tapped_link import TappedLink
-from vibrocast.host.controller import SMALLEST_PAYLOAD_LIMIT_BYTES
+from vibrocast.host.controller import MIN_PAYLOAD_LIMIT_BYTES
 from vibrocast.host.stream_session import next_number
 
 # docs/protocol.md, "Sequence numbers" and "Flashing": so long a controller may take to answer, and to restart.
@@ -96,7 +96,7 @@ class Probe:
         self.description = answer
         self.opened_by = self.sequence
         # What is less than the protocol allows is a fault of its own, and hides no other.
-        self._limit_bytes = max(answer.limits.max_payload_bytes, SMALLEST_PAYLOAD_LIMIT_BYTES)
+        self._limit_bytes = max(answer.limits.max_payload_bytes, MIN_PAYLOAD_LIMIT_BYTES)
         self._max_silence_s = max(_POLL_S, answer.limits.watchdog_ms / 4000)
         if self.answer_s > _COPIED_S:
             self._overlook(ANSWER_S)  # answers to copies of requests of a session before

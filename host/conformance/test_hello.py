@@ -20,7 +20,7 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.host.conformance.fixtures import prerequisite, section
 from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, describe
 from vibrocast.host.conformance.streams import stream_for
-from vibrocast.host.controller import LARGEST_DAC_RATE_HZ, SMALLEST_PAYLOAD_LIMIT_BYTES, SMALLEST_WATCHDOG_MS
+from vibrocast.host.controller import MAX_DAC_RATE_HZ, MIN_PAYLOAD_LIMIT_BYTES, MIN_WATCHDOG_MS
 
 # A metre: a number beyond it was never set.
 _LARGEST_STROKE_UM = 1e6
@@ -40,14 +40,14 @@ def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
 def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
     """The limits leave room to play: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
     limits = hello.limits
-    assert SMALLEST_PAYLOAD_LIMIT_BYTES <= limits.max_payload_bytes <= MAX_PAYLOAD_BYTES, (
-        f"expected payloads of {SMALLEST_PAYLOAD_LIMIT_BYTES} to {MAX_PAYLOAD_BYTES} bytes, came {limits}"
+    assert MIN_PAYLOAD_LIMIT_BYTES <= limits.max_payload_bytes <= MAX_PAYLOAD_BYTES, (
+        f"expected payloads of {MIN_PAYLOAD_LIMIT_BYTES} to {MAX_PAYLOAD_BYTES} bytes, came {limits}"
     )
     assert limits.max_packet_bytes > 0, f"expected room for a packet, came {limits}"
     assert 1 <= limits.channels <= MAX_CHANNELS, f"expected 1 to {MAX_CHANNELS} channels, came {limits}"
     assert 1 <= limits.min_rate_hz <= limits.max_rate_hz <= MAX_RATE_HZ, f"expected a range of rates: {limits}"
     assert limits.buffer_samples > 0, f"expected a buffer, came {limits}"
-    assert limits.watchdog_ms >= SMALLEST_WATCHDOG_MS, f"expected {SMALLEST_WATCHDOG_MS} ms or more, came {limits}"
+    assert limits.watchdog_ms >= MIN_WATCHDOG_MS, f"expected {MIN_WATCHDOG_MS} ms or more, came {limits}"
 
 
 @prerequisite
@@ -63,7 +63,7 @@ def test_actuator_is_described(hello: HelloResponse) -> None:
     assert 0 <= actuator.lower_hz < actuator.upper_hz, f"expected a band, came {actuator}"
     assert actuator.slew_volts_per_second >= 0, f"expected a slew of 0 or more, came {actuator}"
     assert 2 <= actuator.dac_bits <= 16, f"expected codes of 2 to 16 bits, came {actuator}"
-    assert 1 <= actuator.dac_rate_hz <= LARGEST_DAC_RATE_HZ, f"expected up to {LARGEST_DAC_RATE_HZ} Hz, came {actuator}"
+    assert 1 <= actuator.dac_rate_hz <= MAX_DAC_RATE_HZ, f"expected up to {MAX_DAC_RATE_HZ} Hz, came {actuator}"
 
 
 @prerequisite

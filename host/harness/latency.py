@@ -30,7 +30,7 @@ PARTS = {
 }
 # A trial of the search is as long as some hundred packets; what it finds is measured once more, for longer.
 TRIAL_S = 1.5
-MARGINS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
+PLAYOUT_DELAYS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
 HOPS = ("16", "32")
 
 
@@ -97,7 +97,7 @@ def measure_latency(
     seconds: float = 4.0,
     rate_hz: int = 2800,
     setting: codec.Setting | None = None,
-    margin_s: float = live.MARGIN_S,
+    playout_delay_s: float = live.PLAYOUT_DELAY_S,
     progress: Callable[[float], None] | None = None,
 ) -> Latency:
     """Stream a texture live, as long as `seconds`, and measure where the time goes; `actuator`: the controller's.
@@ -108,7 +108,7 @@ def measure_latency(
     samples = looped(texture, seconds, rate_hz)
     rms = np.sqrt(np.mean(np.square(samples), axis=0))
     signal_format = live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)), list(rms))
-    stream = live.LiveStream(controller, signal_format, setting=setting, margin_s=margin_s)
+    stream = live.LiveStream(controller, signal_format, setting=setting, playout_delay_s=playout_delay_s)
     clock = DeviceClock(controller)
     packets: list[bytes] = []
     times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent
@@ -160,7 +160,7 @@ def measure_latency(
         setting={name: str(value) for name, value in stream.setting.items()},
         rate_hz=rate_hz,
         packet_samples=stream.packet_samples,
-        margin_ms=1e3 * margin_s,
+        margin_ms=1e3 * playout_delay_s,
         blocks=len(numbers),
         parts={name: _spread(values_s) for name, values_s in parts_s.items()},
         total_ms=1e3 * float(np.median(sum(parts_s.values()))),
@@ -189,20 +189,32 @@ def find_min_latency(
     trials: list[Trial] = []
     stable: list[tuple[float, str, float]] = []
     for hop in HOPS:
-        for margin_s in MARGINS_S:
-            arguments: dict[str, Any] = {"rate_hz": rate_hz, "setting": {"hop": hop}, "margin_s": margin_s}
+        for playout_delay_s in PLAYOUT_DELAYS_S:
+            arguments: dict[str, Any] = {
+                "rate_hz": rate_hz,
+                "setting": {"hop": hop},
+                "playout_delay_s": playout_delay_s,
+            }
             once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
             if not once.stable:  # the computer may have been busy with something else
                 once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
-            trials.append(Trial(hop, 1e3 * margin_s, once.total_ms if once.stable else None))
+            trials.append(Trial(hop, 1e3 * playout_delay_s, once.total_ms if once.stable else None))
             if progress is not None:
-                progress((HOPS.index(hop) + MARGINS_S.index(margin_s) / len(MARGINS_S)) / len(HOPS))
+                progress(
+                    (HOPS.index(hop) + PLAYOUT_DELAYS_S.index(playout_delay_s) / len(PLAYOUT_DELAYS_S)) / len(HOPS)
+                )
             if not once.stable:
                 break
-            stable.append((once.total_ms, hop, margin_s))
-    for _, hop, margin_s in sorted(stable):
+            stable.append((once.total_ms, hop, playout_delay_s))
+    for _, hop, playout_delay_s in sorted(stable):
         found = measure_latency(
-            controller, actuator, texture, seconds=seconds, rate_hz=rate_hz, setting={"hop": hop}, margin_s=margin_s
+            controller,
+            actuator,
+            texture,
+            seconds=seconds,
+            rate_hz=rate_hz,
+            setting={"hop": hop},
+            playout_delay_s=playout_delay_s,
         )
         if found.stable:
             return MinLatency(found, tuple(trials))

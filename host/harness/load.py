@@ -148,7 +148,7 @@ def max_gap(
 def _silence(controller: Controller, texture: Recording, buffer_s: float, gap_s: float, rate_hz: int) -> str | None:
     """Send so much ahead, be silent for so long, and send the rest; return what ended the stream before its end."""
     samples = looped(texture, max(buffer_s, gap_s) + 2 * _AFTER_GAP_S, rate_hz)
-    stream = live.LiveStream(controller, _format(texture, samples, rate_hz), margin_s=_START_S)
+    stream = live.LiveStream(controller, _format(texture, samples, rate_hz), playout_delay_s=_START_S)
     packets = stream.code(samples)
     ahead = round((buffer_s - _START_S) * rate_hz / stream.packet_samples)
     stream.send_packets(packets[:ahead])

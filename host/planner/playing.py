@@ -326,7 +326,7 @@ class _Player:
             policy=None if texture.target is None else texture.target.policy(signal_format),
             packet_samples=texture.packet_samples,
             refresh_packets=texture.refresh_packets,
-            margin_s=texture.buffer_ms / 1e3,
+            playout_delay_s=texture.buffer_ms / 1e3,
         )
         clock = DeviceClock(controller)
         began_s = controller.clock()

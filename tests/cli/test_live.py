@@ -15,7 +15,7 @@ def run(*arguments: str, data: bytes = b"") -> Result:
 
 
 def test_a_generated_texture_is_streamed() -> None:
-    result = run("rough", "--seconds", "0.3", "--margin-ms", "300")
+    result = run("rough", "--seconds", "0.3", "--playout-delay-ms", "300")
     assert result.exit_code == 0, result.output
     assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
 
@@ -55,7 +55,7 @@ def test_samples_that_are_no_numbers_are_rejected() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["--model", "eva-16"], ["--codec", "eva"], ["--model", "mdct-network"]])
 def test_a_model_is_flashed_and_streamed_with(arguments: list[str]) -> None:
-    result = run("rough", "--seconds", "0.3", "--margin-ms", "300", *arguments)
+    result = run("rough", "--seconds", "0.3", "--playout-delay-ms", "300", *arguments)
     assert result.exit_code == 0, result.output
     assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
 
@@ -68,7 +68,7 @@ def test_a_model_of_another_codec_is_rejected() -> None:
 
 def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
     report = tmp_path / "live.json"
-    arguments = ["--constant-rate-bps", "4000", "--margin-ms", "300", "--report", str(report)]
+    arguments = ["--constant-rate-bps", "4000", "--playout-delay-ms", "300", "--report", str(report)]
     result = run("rough", "--seconds", "0.6", *arguments)
     assert result.exit_code == 0, result.output
     figures = json.loads(report.read_text())

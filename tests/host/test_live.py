@@ -77,7 +77,7 @@ def test_nothing_is_lost_at_the_start_of_a_stream_over_long_round_trips(delay_ms
 
 def test_the_margin_counts_from_when_the_first_packet_has_come_over_a_slow_line() -> None:
     link = MemoryLink(SlowLine(SimulatedController(), Wire(bits_per_second=80_000), Wire(bits_per_second=80_000)))
-    stream = LiveStream(Controller(link, link.clock, link.sleep), FORMAT, margin_s=0.04)
+    stream = LiveStream(Controller(link, link.clock, link.sleep), FORMAT, playout_delay_s=0.04)
     ahead: list[float] = []
     for _, block in live.paced(stream, noise(1.0), stream.packet_samples):
         stream.send(block)
