@@ -166,11 +166,11 @@ def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path:
     (method,) = cells.families([with_rates("two", slice(2))])
     traces = [DatasetEntry("wood", tmp_path / "wood.wav")]
 
-    def run(name: str, work: Callable[[Iterator[bench.Piece]], bench.Outcomes]) -> list[Measured | Failure]:
+    def run(name: str, work: Callable[[Iterator[bench.Task]], bench.Outcomes]) -> list[Measured | Failure]:
         with bench.Journal(tmp_path / name) as journal:
             return bench.run(traces, lambda _: recording, [method], 0, journal, work, lambda _: None)
 
-    def cut(pieces: Iterator[bench.Piece]) -> bench.Outcomes:
+    def cut(pieces: Iterator[bench.Task]) -> bench.Outcomes:
         key, work = next(pieces)
         yield key, work()
         raise KeyboardInterrupt
