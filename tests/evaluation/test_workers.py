@@ -121,7 +121,8 @@ def cluster(workers: int) -> Any:
 
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
-    with cluster(workers=2) as running:
+    with pytest.MonkeyPatch.context() as patched, cluster(workers=2) as running:
+        patched.setattr(workers, "PATIENCE_S", 100.0)  # on a busy machine a worker takes long to start again
         yield running.scheduler_address
 
 
