@@ -57,7 +57,7 @@ def test_the_load_of_a_board_is_what_was_forecast(tmp_path: Path) -> None:
 def test_a_controller_that_fails_holds_no_other_up(tmp_path: Path) -> None:
     plan = planned(tmp_path, texture=texture("wood", "left") + texture("ridges", "right"), controller=TWO, actuator=LRA)
     left, right = plan.controllers
-    plan = replace(plan, controllers=(left, replace(right, address="serial:/dev/no-such-port")))
+    plan = replace(plan, controllers=(left, structs.replace(right, address="serial:/dev/no-such-port")))
     with pytest.raises(playing.PartlyPlayedError, match="right: cannot open") as failed:
         playing.play(plan)
     (played,) = failed.value.played
