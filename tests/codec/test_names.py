@@ -11,7 +11,8 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("device_protocol", "evaluation", "host", "output", "simulated_device", "textures")
 SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 SOURCES += sorted((ROOT / "vibrocast").glob("*.py"))
-MODULES = {"dct", "eva", "eva_image", "general_codecs", "libav", "mdct", "parametric", "slp"}
+MODULES = {path.stem for path in (ROOT / "codec").glob("*.py") if "\nCODEC" in path.read_text(encoding="utf-8")}
+MODULES = MODULES - {"registry"} | {"eva_image", "libav"}
 ABOUT_ONE_CODEC = {
     "evaluation/comparison.py": "the curves that others are compared with",
     "evaluation/model_card.py": "the card of a model that export/ has trained",

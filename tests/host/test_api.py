@@ -118,7 +118,7 @@ def test_level_and_actuator_are_your_own(tmp_path: Path) -> None:
     with vibrocast.connect("sim", actuator=tmp_path / "mine.toml") as controller:
         report = controller.play(stream, gain_db=-20)
     assert report.actuator.name == "mine" and report.dac_equals_offline
-    for text, message in (("corner_hz = 1", "missing"), ('model = "lra"\ncolour = 1', "colour"), ("[[", "a TOML file")):
+    for text, message in (("corner_hz = 9", "missing"), ('model = "lra"\ncolour = 1', "colour"), ("[[", "a TOML file")):
         (tmp_path / "bad.toml").write_text(text)
         with pytest.raises(ValueError, match=message):
             vibrocast.render(stream, tmp_path / "bad.toml")
