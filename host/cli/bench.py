@@ -3,6 +3,7 @@
 import datetime
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +15,14 @@ from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host.cli.options import (
+    FOLDER,
     INPUT,
     BadInput,
+    RecordingOptions,
     chosen_highpass_hz,
     command_run,
+    grouped,
+    keep_dc_option,
     own_models_option,
     recording_options,
 )
@@ -41,68 +46,113 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
     return [name.strip() for name in (value or "").split(",") if name.strip()]
 
 
+@dataclass(frozen=True)
+class CodecOptions:
+    """What is measured."""
+
+    names: list[str]
+    model_folders: tuple[Path, ...]
+    program_list: Path | None
+
+
+@dataclass(frozen=True)
+class SplitOptions:
+    """The part of the data set that is measured, as `dataset.split` takes it."""
+
+    part: str
+    split_by: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How often, where, and whether again what was measured before."""
+
+    repeats: int
+    scheduler: str | None
+    fresh: bool
+
+
+@dataclass(frozen=True)
+class SignalOptions:
+    """The signal that codecs get."""
+
+    stream_rate_hz: int | None
+    keep_dc: bool
+
+
 @click.command()
 @click.argument("recordings", metavar="FOLDER|MANIFEST", type=INPUT)
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     required=True,
     help="Folder for results.md and results/; where a run was cut, the same command goes on.",
 )
-@click.option(
-    "--codecs",
-    "names",
-    callback=separate_names,
-    metavar="NAME,NAME,...",
-    help="Codecs, or single sets of rate points of their settings; all if not given.",
+@grouped(
+    "codecs",
+    CodecOptions,
+    click.option(
+        "--codecs",
+        "names",
+        callback=separate_names,
+        metavar="NAME,NAME,...",
+        help="Codecs, or single sets of rate points of their settings; all if not given.",
+    ),
+    own_models_option,
+    click.option("--programs", "program_list", type=INPUT, help="TOML file that lists codecs in programs of your own."),
 )
-@own_models_option
-@click.option("--programs", "program_list", type=INPUT, help="TOML file that lists codecs in programs of your own.")
-@click.option("--peers", type=INPUT, help="CSV of others' points on the same traces, to compare with.")
+@click.option("--peers", type=INPUT, help="CSV of others' points on the same recordings, to compare with.")
 @click.option(
     "--kinds", "kinds_table", type=INPUT, help="CSV of file, kind: textures to tell apart; known sets if not given."
 )
-@click.option(
-    "--split", "part", type=click.Choice(dataset.PARTS), default="all", show_default=True, help="Part to measure."
+@grouped(
+    "split",
+    SplitOptions,
+    click.option(
+        "--split", "part", type=click.Choice(dataset.PARTS), default="all", show_default=True, help="Part to measure."
+    ),
+    click.option(
+        "--split-by",
+        type=click.Choice(dataset.SPLITS),
+        default="auto",
+        show_default=True,
+        help="Keep these whole; auto: as the manifest says, else single recordings (trace).",
+    ),
+    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the split."),
 )
-@click.option(
-    "--split-by",
-    type=click.Choice(dataset.SPLITS),
-    default="auto",
-    show_default=True,
-    help="Keep these whole; auto: as the manifest says, else traces.",
+@grouped(
+    "run",
+    RunOptions,
+    click.option(
+        "--repeats",
+        type=click.IntRange(min=0),
+        default=3,
+        show_default=True,
+        help="Take the median time of this number of runs; 0: measure no times.",
+    ),
+    click.option(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure, such as tcp://host:8786."
+    ),
+    click.option("--fresh", is_flag=True, help="Measure all again, whatever a run before has measured."),
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the split.")
-@click.option(
-    "--repeats",
-    type=click.IntRange(min=0),
-    default=3,
-    show_default=True,
-    help="Times are the median of so many runs; 0 for none.",
+@grouped(
+    "signal",
+    SignalOptions,
+    click.option("--stream-rate-hz", type=click.IntRange(1, MAX_RATE_HZ), help="Instead of each recording's own rate."),
+    keep_dc_option,
 )
-@click.option("--stream-rate-hz", type=click.IntRange(1, MAX_RATE_HZ), help="Instead of each recording's own rate.")
-@click.option(
-    "--keep-dc", is_flag=True, help=f"Code all below {textures.HIGHPASS_HZ:g} Hz too. Default: remove it first."
-)
-@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure, such as tcp://host:8786.")
-@click.option("--fresh", is_flag=True, help="Measure all anew, whatever a run before has measured.")
 @recording_options
 def bench(
     recordings: Path,
     out: Path,
-    names: list[str],
-    model_folders: tuple[Path, ...],
-    program_list: Path | None,
+    codecs: CodecOptions,
     peers: Path | None,
     kinds_table: Path | None,
-    part: str,
-    split_by: str,
-    seed: int,
-    repeats: int,
-    keep_dc: bool,
-    scheduler: str | None,
-    fresh: bool,
-    **options: Any,
+    split: SplitOptions,
+    run: RunOptions,
+    signal: SignalOptions,
+    recording: RecordingOptions,
 ) -> None:
     """Measure codecs and trained models on every recording of a folder or a manifest.
 
@@ -117,12 +167,12 @@ def bench(
     from vibrocast.evaluation.external import ProgramError
     from vibrocast.evaluation.points import Failure, PointsError, check_imported, read_imported, write_rows
 
-    highpass_hz = chosen_highpass_hz({**options, "keep_dc": keep_dc})
+    highpass_hz = chosen_highpass_hz(signal.keep_dc, recording.unit)
     try:
-        programs = external.read_programs(program_list) if program_list else []
-        chosen = cells.methods(names, programs, trained.known_models(model_folders))
+        programs = external.read_programs(codecs.program_list) if codecs.program_list else []
+        chosen = cells.methods(codecs.names, programs, trained.known_models(codecs.model_folders))
         found = dataset.read(recordings, leave_out=out)
-        traces = dataset.split(found.entries, part, seed, split_by)
+        traces = dataset.split(found.entries, split.part, split.seed, split.split_by)
         for remark in found.remarks:
             click.echo(remark, err=True)
         kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
@@ -131,7 +181,7 @@ def bench(
         removed: dict[str, float] = {}
 
         def load(trace: DatasetEntry) -> textures.Recording:
-            passed = dataset.load_highpassed(trace, highpass_hz, **options)
+            passed = dataset.load_highpassed(trace, highpass_hz, signal.stream_rate_hz, **vars(recording))
             units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
             return passed.recording
 
@@ -143,11 +193,11 @@ def bench(
         write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
         click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")
         work: Any = partial(workers.on_cores, processes=workers.cores())
-        if scheduler:
-            work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
-        with bench.Journal(results / bench.JOURNAL, fresh) as journal, progress.bar("measuring") as update:
-            tell = told(update)
-            measured = bench.run(traces, load, chosen, repeats, journal, work, tell)
+        if run.scheduler:
+            work = partial(workers.on_cluster, address=run.scheduler, version=cells.program_version)
+        with bench.Journal(results / bench.JOURNAL, run.fresh) as journal, progress.bar("measuring") as update:
+            report_progress = progress_reporter(update)
+            measured = bench.run(traces, load, chosen, run.repeats, journal, work, report_progress)
     except workers.WorkersError as error:
         raise click.ClickException(str(error)) from error
     except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PointsError, ProgramError) as error:
@@ -160,17 +210,19 @@ def bench(
     with progress.bar("measuring memory") as update:
         costs = cost.measure_costs(cells.coders(chosen), update)
     timed: list[speed.Speed | Failure] = []
-    if repeats:
+    if run.repeats:
         with progress.bar("measuring speed") as update:
             measured_traces = {each.point.trace for each in good}
             loaded = (load(trace) for trace in traces if trace.name in measured_traces)
-            timed = speed.measure(chosen, points, loaded, repeats, update)
+            timed = speed.measure(chosen, points, loaded, run.repeats, update)
     failures += [each for each in timed if isinstance(each, Failure)]
     speeds = [each for each in timed if not isinstance(each, Failure)]
     measurements = Measurements(points, timings, costs, failures, speeds, kinds_of)
     bench.write(results, measurements)
-    data = recordings.resolve().name + ("" if part == "all" else f" ({part} part, by {split_by}, seed {seed})")
-    cells_on = "a Dask cluster" if scheduler else f"{workers.cores()} cores at work at once"
+    data = recordings.resolve().name + (
+        "" if split.part == "all" else f" ({split.part} part, by {split.split_by}, seed {split.seed})"
+    )
+    cells_on = "a Dask cluster" if run.scheduler else f"{workers.cores()} cores at work at once"
     machine = f"{speed.cpu_name()}; of single cells {cells_on}"
     description = results_page.Description(dataset.printable(data), machine, command_run())
     with progress.bar("drawing") as update:
@@ -185,7 +237,7 @@ def bench(
             f"{others(drifting)} (--keep-dc codes it)"
         )
     relative = [name for name, unit in units.items() if unit == "full scale"]
-    if options["unit"] not in (None, "full scale") and relative:
+    if recording.unit not in (None, "full scale") and relative:
         click.echo(f"relative to full scale: {relative[0]}{others(relative)}; --unit needs --full-scale or a manifest")
     click.echo(f"{out / bench.PAGE}: the charts and tables; their figures are in {results}")
     if failures:
@@ -201,18 +253,18 @@ def others(names: Sequence[str]) -> str:
     return f" and {len(names) - 1} more" if len(names) > 1 else ""
 
 
-def told(update: progress.Update) -> "Callable[[Tally], None]":
-    """Return what tells `update` of a run: cells done, failures, time left."""
+def progress_reporter(update: progress.Update) -> "Callable[[Tally], None]":
+    """Return a function that shows the progress of a run by `update`: cells done, failures, time left."""
     start_s = time.monotonic()
 
-    def tell(tally: "Tally") -> None:
+    def report_progress(tally: "Tally") -> None:
         details = f"{tally.done} of {tally.cells} cells, {tally.failed} failed"
         if tally.measured:
             left_s = (time.monotonic() - start_s) / tally.measured * (tally.cells - tally.done)
             details += f", {datetime.timedelta(seconds=round(left_s))} left"
         update(tally.done / tally.cells, details)
 
-    return tell
+    return report_progress
 
 
 def show(measurements: "Measurements") -> None:

@@ -29,16 +29,16 @@ SUBCOMMANDS: Mapping[str, Subcommand] = {
     "bench": Subcommand(
         "bench", "bench", "Measure codecs and trained models on every recording of a folder or a manifest."
     ),
-    "codecs": Subcommand("files", "codecs", "List the codecs and the parameters of their settings."),
+    "codecs": Subcommand("codecs", "codecs", "List the codecs and the parameters of their settings."),
     "conformance": Subcommand("conformance", "conformance", "Test a controller against docs/protocol.md."),
     "decode": Subcommand(
-        "files",
+        "decode",
         "decode",
         "Decode a .vct file into a WAV, CSV, NPY or MAT file, or a height profile into a CSV file.",
     ),
     "devices": Subcommand("devices", "list_devices", "List what may be a controller."),
     "encode": Subcommand(
-        "files", "encode", "Code a recording, or with --plan the texture that FILE names, into a .vct file."
+        "encode", "encode", "Code a recording, or with --plan the texture that FILE names, into a .vct file."
     ),
     "export": Subcommand(
         "export", "export", "Write a folder with ONNX graphs, model image and card of a trained model."
@@ -46,13 +46,15 @@ SUBCOMMANDS: Mapping[str, Subcommand] = {
     "flash": Subcommand(
         "devices", "flash", "Upload MODEL, or with --plan every model that the plan needs, to a controller."
     ),
-    "generate": Subcommand("files", "generate", "Make a texture as a WAV file, or its height profile as a CSV file."),
-    "info": Subcommand("files", "info", "Show what a .vct file holds."),
+    "generate": Subcommand(
+        "generate", "generate", "Make a texture as a WAV file, or its height profile as a CSV file."
+    ),
+    "info": Subcommand("decode", "info", "Show what a .vct file holds."),
     "live": Subcommand(
         "live", "live", "Stream a live SOURCE: a generated texture, or raw samples from standard input (-)."
     ),
     "measure": Subcommand("measure", "measure", "Measure a controller: latency, load, fidelity, frequency response."),
-    "models": Subcommand("models", "list_models", "List the trained models that ship, with their rates and quality."),
+    "models": Subcommand("codecs", "list_models", "List the trained models that ship, with their rates and quality."),
     "plan": Subcommand("plan", "plan", "Choose how each texture of a scene is coded, with no more than it needs."),
     "play": Subcommand("play", "play", "Play a recording or a .vct file on a controller, or on several at once."),
     "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),

@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -28,10 +29,12 @@ from vibrocast.host.cli.options import (
     chosen_highpass_hz,
     codec_option,
     device_option,
+    grouped,
+    keep_dc_option,
     model_option,
     setting_option,
 )
-from vibrocast.host.cli.rate_options import rate_controlled_options, rate_target_of
+from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.textures.recording import MAX_CHANNELS
 
 # What 1.0 of full scale is in each.
@@ -40,16 +43,43 @@ STANDARD_INPUT = "-"
 MAX_BLOCK_S = 0.01
 
 
+@dataclass(frozen=True)
+class SampleOptions:
+    """The samples of the source; all but the first two are of raw samples."""
+
+    rate_hz: int
+    seconds: float
+    sample_format: str
+    channels: int
+    unit: str | None
+    keep_dc: bool
+    full_scale: float
+
+
+@dataclass(frozen=True)
+class CodingOptions:
+    """How each packet is coded."""
+
+    codec_name: str | None
+    setting: codec.Setting
+    model: models.Model | None
+    snr_db: float | None
+
+
 @click.command()
 @click.argument("source", type=click.Choice((STANDARD_INPUT, *sorted(textures.GENERATORS))))
 @device_option
-@click.option("--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=DEFAULT_STREAM_RATE_HZ, show_default=True)
-@click.option("--seconds", type=POSITIVE, default=10.0, show_default=True, help="Duration of a generated texture.")
-@click.option("--format", "sample_format", type=click.Choice(list(FORMATS)), default="int16", show_default=True)
-@click.option("--channels", type=click.IntRange(1, MAX_CHANNELS), default=1, show_default=True)
-@click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of the samples; - needs it.")
-@click.option("--keep-dc", is_flag=True, help="Code the band below 20 Hz too: offset, gravity, drift.")
-@click.option("--full-scale", type=POSITIVE, default=1.0, show_default=True, help="Largest magnitude, in --unit.")
+@grouped(
+    "samples",
+    SampleOptions,
+    click.option("--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=DEFAULT_STREAM_RATE_HZ, show_default=True),
+    click.option("--seconds", type=POSITIVE, default=10.0, show_default=True, help="Duration of a generated texture."),
+    click.option("--format", "sample_format", type=click.Choice(list(FORMATS)), default="int16", show_default=True),
+    click.option("--channels", type=click.IntRange(1, MAX_CHANNELS), default=1, show_default=True),
+    click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of the samples; - needs it."),
+    keep_dc_option,
+    click.option("--full-scale", type=POSITIVE, default=1.0, show_default=True, help="Largest magnitude, in --unit."),
+)
 @click.option(
     "--playout-delay-ms",
     type=Finite(min=0, max=10_000),
@@ -57,57 +87,56 @@ MAX_BLOCK_S = 0.01
     f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}; longer with a rate on a link that is not much faster.",
 )
 @click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
-@codec_option
-@setting_option
-@model_option
-@click.option("--snr-db", type=Finite(), help="Signal-to-noise ratio of every packet, for the two that follow.")
+@grouped(
+    "coding",
+    CodingOptions,
+    codec_option,
+    setting_option,
+    model_option,
+    click.option("--snr-db", type=Finite(), help="Signal-to-noise ratio of every packet, for the two that follow."),
+)
 @rate_controlled_options
 def live(
     source: str,
     address: str,
-    rate_hz: int,
-    seconds: float,
-    sample_format: str,
-    channels: int,
-    unit: str | None,
-    full_scale: float,
+    samples: SampleOptions,
     playout_delay_ms: float | None,
     report_path: Path | None,
-    codec_name: str | None,
-    setting: codec.Setting,
-    model: models.Model | None,
-    **choices: Any,
+    coding: CodingOptions,
+    rate: RateOptions,
 ) -> None:
     """Stream a live SOURCE: a generated texture, or raw samples from standard input (-).
 
     Raw samples are little-endian, channels interleaved; 32767 in int16 and 1.0 in float32 stand for --full-scale.
     A rate counts all that goes over the link, and falls with what the link carries.
     """
-    target = rate_target_of({**choices, "rate_bps": None})
+    target = rate.target(coding.snr_db)
+    rate_hz, full_scale = samples.rate_hz, samples.full_scale
     if source != STANDARD_INPUT:
-        texture = textures.GENERATORS[source](seconds=seconds, rate_hz=rate_hz)
+        texture = textures.GENERATORS[source](seconds=samples.seconds, rate_hz=rate_hz)
         peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
         signal_format = live_format(rate_hz, texture.unit, peaks.tolist(), rms.tolist())
     elif sys.stdin is None:
         raise BadInput("standard input is closed: pipe samples into it, or name a texture")
-    elif unit is None:
+    elif samples.unit is None:
         raise click.UsageError("--unit is missing: state the unit of the samples, or drive for a drive signal.")
     else:
-        stream_unit, factor = textures.INPUT_UNITS[unit]
+        stream_unit, factor = textures.INPUT_UNITS[samples.unit]
         full_scale *= factor
-        signal_format = live_format(rate_hz, stream_unit, [full_scale] * channels)
-    highpass_hz = chosen_highpass_hz({**choices, "unit": unit})
-    chosen = chosen_codec(codec_name, model)
+        signal_format = live_format(rate_hz, stream_unit, [full_scale] * samples.channels)
+    highpass_hz = chosen_highpass_hz(samples.keep_dc, samples.unit)
+    model = coding.model
+    chosen = chosen_codec(coding.codec_name, model)
     if chosen.needs_model and model is None:
         model = smallest_first(chosen)[0]
     with devices.connect(address) as controller, progress.bar("streaming") as update:
         if model is not None:
             uploader.provide(controller, address, model.image)
-        how: dict[str, Any] = {"setting": setting}
+        how: dict[str, Any] = {"setting": coding.setting}
         if target is not None:
             equal = codec.equal_error(chosen, signal_format) if target.equal_error else {}
             how = {
-                "setting": {**equal, **setting},
+                "setting": {**equal, **coding.setting},
                 "policy": target.policy(signal_format),
                 "packet_samples": target.framing(rate_hz).packet_samples,
             }
@@ -115,21 +144,21 @@ def live(
         stream = streaming.LiveStream(
             controller, signal_format, codec_name=chosen.name, model=model, playout_delay_s=playout_delay_s, **how
         )
-        # Shorter than long packets, so that what the controller tells meanwhile is heard.
+        # Shorter than long packets, so that what the controller sends meanwhile is read.
         block_samples = min(stream.packet_samples, math.ceil(MAX_BLOCK_S * rate_hz))
         blocks: Iterator[NDArray[np.float64]]
         if source != STANDARD_INPUT:
             blocks = (block for _, block in streaming.paced(stream, texture.samples, block_samples))
         else:
-            blocks = raw_blocks(sample_format, channels, full_scale, block_samples)
+            blocks = raw_blocks(samples.sample_format, samples.channels, full_scale, block_samples)
         if highpass_hz is not None and textures.is_vibration(signal_format.unit):
             blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
 
-        def tell(now: Status) -> None:
+        def show(now: Status) -> None:
             update(0.0, f"{now.position / rate_hz:.1f} s  underruns {now.underruns}")
 
         try:
-            result = streaming.play(stream, blocks, progress=tell)
+            result = streaming.play(stream, blocks, progress=show)
         except streaming.LiveError as error:
             raise BadInput(str(error)) from error
     if report_path:
@@ -141,13 +170,13 @@ def live(
             f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, due "
             f"{1000 * stream.playout_delay_s:.0f} ms after they come; {result.dropped_packets} not sent, as too late"
         )
-    anew = f", begun anew {result.streams - 1} times" if result.streams > 1 else ""
+    restarts = f", begun again {result.streams - 1} times" if result.streams > 1 else ""
     if result.lost_packets or result.dropped_packets:
         delay = f"{1000 * stream.playout_delay_s:.0f} ms"
         click.echo(
             f"packets came too late or not at all: a --playout-delay-ms of more than {delay} bears a busier computer"
         )
-    click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{anew}")
+    click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{restarts}")
 
 
 def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[str, Any]:

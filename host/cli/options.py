@@ -1,12 +1,14 @@
 """What the arguments of several subcommands have in common: their types, groups of options, the error of bad input."""
 
+import functools
 import math
 import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
@@ -16,8 +18,6 @@ from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import devices
 from vibrocast.host.cli.exit_codes import BAD_INPUT
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def command_run() -> str:
@@ -98,19 +98,26 @@ def checked_addresses(ctx: click.Context, param: click.Parameter, values: tuple[
     return values
 
 
-def options(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """Return one decorator for a group of options."""
+def grouped(name: str, kind: type[Any], *decorators: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """Return one decorator for a group of options, which the command takes as `name`, a dataclass of this kind."""
 
-    def decorate(command: Command) -> Command:
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def with_group(*arguments: Any, **values: Any) -> Any:
+            group = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+            return command(*arguments, **values, **{name: group})
+
+        decorated: Callable[..., Any] = with_group
         for decorator in reversed(decorators):
-            command = decorator(command)
-        return command
+            decorated = decorator(decorated)
+        return decorated
 
     return decorate
 
 
 POSITIVE = Finite(min=0, min_open=True)
 INPUT = click.Path(path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
 
 _ADDRESSES = f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them."
 device_option = click.option(
@@ -157,7 +164,23 @@ plan_option = click.option(
     "--plan", "plan_path", type=INPUT, help="Plan file, as `vibrocast plan` writes it: it says how, and where."
 )
 
-recording_options = options(
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """What the file of a recording leaves open, as `textures.load` takes it; None where it is not given."""
+
+    rate_hz: float | None
+    unit: str | None
+    full_scale: float | None
+    axis: str | None
+    reduce: str | None
+    key: str | None
+    hand_speed_mm_s: float | None
+
+
+recording_options = grouped(
+    "recording",
+    RecordingOptions,
     click.option("--rate-hz", type=POSITIVE, help="Give the sample rate, if the file does not state it."),
     click.option(
         "--unit",
@@ -184,7 +207,34 @@ runtime_option = click.option(
     type=click.Choice(codec.RUNTIMES),
     help="Decode by the integer core or by ONNX Runtime, where the model can be decoded by either; else as it says.",
 )
-quality_options = options(
+keep_dc_option = click.option(
+    "--keep-dc", is_flag=True, help=f"Code the band below {textures.HIGHPASS_HZ:g} Hz too: offset, gravity, drift."
+)
+
+
+@dataclass(frozen=True)
+class QualityOptions:
+    """How a recording is coded."""
+
+    codec_name: str | None
+    rate_bps: float | None
+    snr_db: float | None
+    stream_rate_hz: int
+    keep_dc: bool
+    setting: codec.Setting
+    model: models.Model | None
+
+    def arguments(self, unit: str | None = None) -> dict[str, Any]:
+        """Return the arguments of `encode_recording` for a recording in a unit. Raises click.UsageError."""
+        if self.rate_bps is not None and self.snr_db is not None:
+            raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
+        arguments = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "keep_dc"}
+        return {**arguments, "highpass_hz": chosen_highpass_hz(self.keep_dc, unit)}
+
+
+quality_options = grouped(
+    "quality",
+    QualityOptions,
     codec_option,
     click.option("--rate-bps", type=POSITIVE, help="Size of the whole coded file, in bits per second of signal."),
     click.option("--snr-db", type=Finite(), help=f"Signal-to-noise ratio; {DEFAULT_SNR_DB:g} if neither is given."),
@@ -195,25 +245,12 @@ quality_options = options(
         show_default=True,
         help="Sample rate of the coded stream.",
     ),
-    click.option(
-        "--keep-dc", is_flag=True, help=f"Code the band below {textures.HIGHPASS_HZ:g} Hz too: offset, gravity, drift."
-    ),
+    keep_dc_option,
     setting_option,
     model_option,
 )
 
 
-def chosen_highpass_hz(choices: dict[str, Any]) -> float | None:
-    """Take --keep-dc out of all choices; return the corner of the high-pass before coding, None = no high-pass."""
-    keep_dc = choices.pop("keep_dc")
-    return textures.highpass_of(choices.get("unit"), None if keep_dc else textures.HIGHPASS_HZ)
-
-
-def quality_of(choices: dict[str, Any]) -> dict[str, Any]:
-    """Take the options of the quality group out of all choices; return them as `coding.encode` takes them."""
-    names = ("codec_name", "rate_bps", "snr_db", "setting", "model", "stream_rate_hz")
-    quality = {name: choices.pop(name) for name in names}
-    quality["highpass_hz"] = chosen_highpass_hz(choices)
-    if quality["rate_bps"] is not None and quality["snr_db"] is not None:
-        raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
-    return quality
+def chosen_highpass_hz(keep_dc: bool, unit: str | None) -> float | None:
+    """Return the corner of the high-pass before coding a recording in a unit, None = no high-pass."""
+    return textures.highpass_of(unit, None if keep_dc else textures.HIGHPASS_HZ)

@@ -1,11 +1,11 @@
-"""The subcommand `play`: plays a recording, a .vct file or a plan on a controller, and tells how it went."""
+"""The subcommand `play`: plays a recording, a .vct file or a plan on a controller, and reports how it went."""
 
 import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -22,21 +22,23 @@ from vibrocast.host.cli.options import (
     BadInput,
     Finite,
     OutputFile,
+    QualityOptions,
+    RecordingOptions,
     devices_option,
+    grouped,
     plan_option,
-    quality_of,
     quality_options,
     recording_options,
     runtime_option,
 )
 from vibrocast.host.cli.steps import (
+    describe_quality,
     encoded,
     encoded_profile,
     files_of,
     needed,
     reject_overwriting,
     show,
-    told_quality,
 )
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.report import Report, Touch
@@ -51,44 +53,82 @@ SILENT_DB = -200.0
 ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 
 
+@dataclass(frozen=True)
+class PlaybackOptions:
+    """How a texture is played."""
+
+    loops: int
+    gain_db: float
+    actuator_name: str | None
+    runtime: str | None
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """Files to write."""
+
+    report_path: Path | None
+    plot_path: Path | None
+
+
+@dataclass(frozen=True)
+class HandOptions:
+    """The movement of a hand over a profile."""
+
+    positions_path: Path | None
+    stroke_mm: float | None
+
+
 @click.command()
 @click.argument("file", type=INPUT, required=False)
 @plan_option
 @devices_option
-@click.option("--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play.")
-@click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
-@click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture.")
-@click.option(
-    "--gain-db",
-    type=Finite(min=-MAX_GAIN_DB, max=MAX_GAIN_DB),
-    default=0.0,
-    show_default=True,
-    help="Raise or lower the level.",
+@grouped(
+    "playback",
+    PlaybackOptions,
+    click.option(
+        "--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play."
+    ),
+    click.option(
+        "--gain-db",
+        type=Finite(min=-MAX_GAIN_DB, max=MAX_GAIN_DB),
+        default=0.0,
+        show_default=True,
+        help="Raise or lower the level.",
+    ),
+    click.option(
+        "--actuator",
+        "actuator_name",
+        metavar="NAME|FILE.toml",
+        help=f"{', '.join(ACTUATORS)} or a TOML file: of a simulated controller, or the model of the real one.",
+    ),
+    runtime_option,
 )
-@click.option(
-    "--actuator",
-    "actuator_name",
-    metavar="NAME|FILE.toml",
-    help=f"{', '.join(ACTUATORS)} or a TOML file: of a simulated controller, or the model of the real one.",
+@grouped(
+    "outputs",
+    OutputOptions,
+    click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."),
+    click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture."),
 )
-@runtime_option
 @quality_options
-@click.option("--positions", "positions_path", type=INPUT, help="CSV file of time_s,position_mm: a hand on a profile.")
-@click.option("--stroke-mm", type=POSITIVE, help="A hand that strokes a profile, --loop times there and back.")
+@grouped(
+    "hand",
+    HandOptions,
+    click.option(
+        "--positions", "positions_path", type=INPUT, help="CSV file of time_s,position_mm: a hand on a profile."
+    ),
+    click.option("--stroke-mm", type=POSITIVE, help="A hand that strokes a profile, --loop times there and back."),
+)
 @recording_options
 def play(
     file: Path | None,
     plan_path: Path | None,
     addresses: tuple[str, ...],
-    loops: int,
-    positions_path: Path | None,
-    stroke_mm: float | None,
-    report_path: Path | None,
-    plot_path: Path | None,
-    runtime: str | None,
-    gain_db: float,
-    actuator_name: str | None,
-    **choices: Any,
+    playback: PlaybackOptions,
+    outputs: OutputOptions,
+    quality: QualityOptions,
+    hand: HandOptions,
+    recording: RecordingOptions,
 ) -> None:
     """Play a recording or a .vct file on a controller, or on several at once.
 
@@ -102,41 +142,42 @@ def play(
     """
     from vibrocast.host import end_to_end, picture
 
-    if plot_path is not None:
+    if outputs.plot_path is not None:
         extras.require("plot")
     if plan_path is not None:
         plan = planned.read(plan_path, ("file", "addresses", "report_path"))
-        planned.play(plan, [str(file)] if file else [], report_path)
+        planned.play(plan, [str(file)] if file else [], outputs.report_path)
         return
     file = needed(file, "FILE")
-    reject_overwriting([report_path, plot_path], [file, *files_of(choices["model"])])
+    reject_overwriting([outputs.report_path, outputs.plot_path], [file, *files_of(quality.model)])
     # The firmware decodes by one of the runtimes alone: so do the others, to be compared with the same.
-    runtime = next(filter(None, [devices.decoding_runtime(address, runtime) for address in addresses]), runtime)
-    actuator = None if actuator_name is None else actuator_files.find(actuator_name)
-    if len(addresses) > 1 and (positions_path or stroke_mm or plot_path):
+    runtime = next(
+        filter(None, [devices.decoding_runtime(address, playback.runtime) for address in addresses]), playback.runtime
+    )
+    actuator = None if playback.actuator_name is None else actuator_files.find(playback.actuator_name)
+    if len(addresses) > 1 and (hand.positions_path or hand.stroke_mm or outputs.plot_path):
         raise click.UsageError("--positions, --stroke-mm and --plot are for one controller: give one --device.")
-    if positions_path or stroke_mm:
-        if report_path:
+    if hand.positions_path or hand.stroke_mm:
+        if outputs.report_path:
             raise click.UsageError("a profile under a hand has no report: drop --report.")
-        if gain_db or actuator:
+        if playback.gain_db or actuator:
             raise click.UsageError("a profile under a hand has its own level and actuator: drop --gain-db, --actuator.")
         from vibrocast.host import position_playback
 
-        movement = position_playback.chosen_movement(positions_path, stroke_mm, choices.pop("hand_speed_mm_s"), loops)
-        play_profile(file, addresses[0], movement, plot_path, runtime, choices)
+        movement = position_playback.chosen_movement(
+            hand.positions_path, hand.stroke_mm, recording.hand_speed_mm_s, playback.loops
+        )
+        stream = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
+        play_profile(file.name, addresses[0], replace(stream, runtime=runtime), movement, outputs.plot_path)
         return
-    unit = choices["unit"]
     if file.suffix.lower() == ".vct":
-        if unit == "drive":
-            choices["unit"] = None
-        coded = coded_already(file, choices)
+        coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
         if coded.header.spatial:
             raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
         source: Stream | textures.Recording = replace(coded, runtime=runtime)
     else:
-        quality = quality_of(choices)
-        source = textures.load_for_actuators(file, **choices)
-    end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, unit)
+        source = textures.load_for_actuators(file, **vars(recording))
+    end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)
     names = devices.unique_names(addresses)
     sessions = {name: devices.connect(address, runtime, actuator) for name, address in names.items()}
     with devices.open_all(sessions) as (controllers, failures):
@@ -146,7 +187,7 @@ def play(
                 if isinstance(source, Stream):
                     stream_session.check_limits(controller, source.header.channels, source.header.rate_hz)
                 else:
-                    stream_session.check_limits(controller, source.channels, quality["stream_rate_hz"])
+                    stream_session.check_limits(controller, source.channels, quality.stream_rate_hz)
             except StreamError as error:
                 failures[name] = error
         members = {
@@ -161,23 +202,23 @@ def play(
             if isinstance(source, Stream):
                 stream, encoding = source, None
             else:
-                encoding = encoded(source, {**quality, "runtime": runtime}, live=True)
+                encoding = encoded(source, quality, recording.unit, live=True, runtime=runtime)
                 stream = encoding.stream
-            stream = stream.with_gain(gain_db)
+            stream = stream.with_gain(playback.gain_db)
             with progress.bar("playing") as update:
                 tell = playing(update, stream.bits_per_second)
-                outcomes = end_to_end.play_together(members, file.name, stream, encoding, loops, tell)
+                outcomes = end_to_end.play_together(members, file.name, stream, encoding, playback.loops, tell)
     outcomes |= failures
     if len(names) > 1:
-        tell_each({name: outcomes[name] for name in names}, report_path)
+        report_each({name: outcomes[name] for name in names}, outputs.report_path)
         return
     (outcome,) = outcomes.values()
     if isinstance(outcome, Exception):
         raise outcome
-    if report_path:
-        outcome.report.write(report_path)
-    if plot_path:
-        picture.draw(plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
+    if outputs.report_path:
+        outcome.report.write(outputs.report_path)
+    if outputs.plot_path:
+        picture.draw(outputs.plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
     show(summary(outcome.report))
     if outcome.report.touch.level_db <= 0:
         click.echo("warning: nobody would feel this: raise --gain-db, or check --unit and --full-scale", err=True)
@@ -188,7 +229,7 @@ def play(
         )
 
 
-def tell_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_path: Path | None) -> None:
+def report_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_path: Path | None) -> None:
     """Print a line for each of several controllers, and write their reports as a JSON list.
 
     Raises ControllerError if one failed, or played something else than was sent.
@@ -218,35 +259,34 @@ def tell_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_path
         )
 
 
-def play_profile(
-    file: Path,
-    address: str,
-    movement: "position_playback.Movement",
-    plot_path: Path | None,
-    runtime: str | None,
-    choices: dict[str, Any],
-) -> None:
-    """Play a height profile, or a spatial stream, under a moving hand; tell what was played, and draw it."""
-    from vibrocast.host import end_to_end, picture, position_playback
-
+def spatial_stream(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream:
+    """Return a height profile, or a .vct file of one, as a stream over position. Raises BadInput for any other."""
     if file.suffix.lower() == ".vct":
-        stream = coded_already(file, choices)
+        stream = coded_already(file, quality, recording)
     else:
-        quality = quality_of(choices)
-        stream = encoded_profile(profiles.recording_of(file, **choices), quality, profiles.SLOWEST_MM_S).stream
-    stream = replace(stream, runtime=runtime)
+        profile = profiles.recording_of(file, **vars(recording))
+        stream = encoded_profile(profile, quality, profiles.SLOWEST_MM_S).stream
     if not stream.header.spatial:
         raise BadInput(f"{file}: coded over time, not over position; encode the profile with --spatial")
-    with devices.connect(address, runtime) as controller, progress.bar("playing") as update:
+    return stream
+
+
+def play_profile(
+    name: str, address: str, stream: Stream, movement: "position_playback.Movement", plot_path: Path | None
+) -> None:
+    """Play a spatial stream under a moving hand; print what was played, and draw it."""
+    from vibrocast.host import end_to_end, picture, position_playback
+
+    with devices.connect(address, stream.runtime) as controller, progress.bar("playing") as update:
         played = position_playback.play(controller, stream, movement, progress=update)
         actuator = end_to_end.actuator_model(controller.description.actuator)
     expected = position_playback.computed(stream, played, actuator)
     status, facts = played.status, stream.facts()
     if plot_path:
-        picture.draw(plot_path, f"{file.name} on {address}", *position_playback.pictured(played, expected, actuator))
+        picture.draw(plot_path, f"{name} on {address}", *position_playback.pictured(played, expected, actuator))
     show(
         {
-            "played": f"{file.name}, {facts['length_mm']:.2f} mm, under a hand at up to "
+            "played": f"{name}, {facts['length_mm']:.2f} mm, under a hand at up to "
             f"{movement.fastest_mm_s:.0f} mm/s for {movement.seconds:.2f} s",
             "stream": f"{facts['size_bytes']} bytes, {facts['bits_per_mm']:.0f} bit/mm, codec {facts['codec']}",
             "actuator": f"{actuator.name}, clipped {status.compensation_clipped}, limited by voltage "
@@ -260,13 +300,13 @@ def play_profile(
     )
 
 
-def coded_already(file: Path, choices: dict[str, Any]) -> Stream:
+def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream:
     """Read a .vct file to play, to which no option of the two groups applies but the model."""
-    model = choices.pop("model")
-    given = [name for name, value in choices.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
+    values = vars(replace(quality, model=None)) | vars(recording)
+    given = [name for name, value in values.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
     if given:
         raise click.UsageError(f"{file} is coded already: drop --{given[0].removesuffix('_name').replace('_', '-')}.")
-    return read_stream(file, model.image if model else None)
+    return read_stream(file, quality.model.image if quality.model else None)
 
 
 def playing(update: progress.Update, bits_per_second: float) -> Callable[[str, player.Progress], None]:
@@ -287,7 +327,7 @@ def playing(update: progress.Update, bits_per_second: float) -> Callable[[str, p
     return tell
 
 
-def told_touch(touch: Touch) -> str:
+def describe_touch(touch: Touch) -> str:
     """Return how far the skin's vibration exceeds the detection threshold, in words."""
     if touch.level_db > 0:
         return f"peak {touch.level_db:+.0f} dB re detection threshold at {touch.frequency_hz:.0f} Hz"
@@ -303,14 +343,14 @@ def summary(report: Report) -> dict[str, object]:
         "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
         f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
         + (f", model {report.model}" if report.model else ""),
-        "quality": told_quality(report),
+        "quality": describe_quality(report),
         "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
         f"{latency.end_to_end:.1f} ms to the skin",
         "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
         "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
         f"slew {limits.slew_limited}, power {limits.power_limited} samples",
-        "touch": told_touch(report.touch),
+        "touch": describe_touch(report.touch),
         "decoded as sent": ANSWERS[report.decoded_equals_offline],
         "DAC as computed": ANSWERS[report.dac_equals_offline],
     }

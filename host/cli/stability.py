@@ -3,7 +3,6 @@
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -13,6 +12,7 @@ from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host.cli.options import (
     INPUT,
     BadInput,
+    RecordingOptions,
     command_run,
     own_models_option,
     recording_options,
@@ -39,7 +39,7 @@ def stability(
     recordings: Path | None,
     map_names: str | None,
     quick: bool,
-    **options: Any,
+    recording: RecordingOptions,
 ) -> None:
     """Map where each codec holds and where it fails.
 
@@ -62,7 +62,7 @@ def stability(
             raise BadInput(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in MAPS)}")
         if "recordings" in chosen_maps and recordings is None:
             raise BadInput("the map of recordings needs them; give a folder or manifest: --recordings")
-        own = load_all(recordings, options) if recordings else ()
+        own = load_all(recordings, recording) if recordings else ()
         page.folder_in(out)  # what cannot be written is better known before than after
     except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
@@ -73,7 +73,7 @@ def stability(
     click.echo(f"{out / page.PAGE}: {len(cells)} trials, {counts}")
 
 
-def load_all(recordings: Path, options: dict[str, Any]) -> tuple[Recording, ...]:
+def load_all(recordings: Path, options: RecordingOptions) -> tuple[Recording, ...]:
     """Return the recordings of a folder or manifest that load; the others, and what is skipped, are listed on stderr.
 
     Raises DatasetError where none loads.
@@ -84,7 +84,7 @@ def load_all(recordings: Path, options: dict[str, Any]) -> tuple[Recording, ...]
     loaded = []
     for entry in found.entries:
         try:
-            loaded.append(replace(dataset.load(entry, **options), name=entry.name))
+            loaded.append(replace(dataset.load(entry, **vars(options)), name=entry.name))
         except TextureError as error:
             click.echo(f"left out: {entry.name}: {error}", err=True)
     if not loaded:

@@ -4,7 +4,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import click
 
@@ -13,6 +13,7 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, Encoding, encode_re
 from vibrocast.codec.stream import CodingQuality
 from vibrocast.codec.threshold import TACTILE_BAND_HZ
 from vibrocast.host import profiles
+from vibrocast.host.cli.options import QualityOptions
 from vibrocast.host.plain import plain
 from vibrocast.host.report import Report
 
@@ -42,39 +43,44 @@ def files_of(model: models.Model | None) -> list[Path]:
     return [model.path] if model else []
 
 
-def encoded(recording: textures.Recording, quality: dict[str, Any], live: bool) -> Encoding:
-    """Encode a recording, show how far it is, and say what was not met."""
+def encoded(
+    recording: textures.Recording, quality: QualityOptions, unit: str | None, live: bool, runtime: str | None = None
+) -> Encoding:
+    """Encode a recording, whose --unit this is, show how far it is, and say what was not met."""
     with progress.bar("encoding") as update:
-        encoding = encode_recording(recording, live=live, progress=update, **quality)
-    if note := encoding.quality.note:
-        click.echo(f"note: {note}", err=True)
-    return encoding
+        encoding = encode_recording(recording, live=live, progress=update, runtime=runtime, **quality.arguments(unit))
+    return _noted(encoding)
 
 
-def encoded_profile(recording: textures.Recording, quality: dict[str, Any], slowest_mm_s: float) -> Encoding:
+def encoded_profile(recording: textures.Recording, quality: QualityOptions, slowest_mm_s: float) -> Encoding:
     """Encode a height profile as a spatial stream, show how far it is, and say what was not met."""
-    del quality["highpass_hz"]  # heights keep their own rules
-    if quality["rate_bps"] is not None or quality.pop("stream_rate_hz") != DEFAULT_STREAM_RATE_HZ:
+    if quality.rate_bps is not None or quality.stream_rate_hz != DEFAULT_STREAM_RATE_HZ:
         raise click.UsageError("a profile has no time: give --snr-db and --slowest-hand-speed-mm-s instead of rates.")
+    arguments = quality.arguments()
+    del arguments["rate_bps"], arguments["stream_rate_hz"], arguments["highpass_hz"]  # heights keep their own rules
     with progress.bar("encoding") as update:
-        encoding = profiles.encode(recording, slowest_mm_s, progress=update, **quality)
+        return _noted(profiles.encode(recording, slowest_mm_s, progress=update, **arguments))
+
+
+def _noted(encoding: Encoding) -> Encoding:
+    """Return an encoding, and say on stderr what it did not meet."""
     if note := encoding.quality.note:
         click.echo(f"note: {note}", err=True)
     return encoding
 
 
-def told_quality(quality: CodingQuality | Report) -> str:
+def describe_quality(quality: CodingQuality | Report) -> str:
     """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words."""
     if quality.snr_db is None:
-        told = "SNR not known (silent, without loss, or coded before)"
+        text = "SNR not known (silent, without loss, or coded before)"
     else:
-        told = f"SNR {quality.snr_db:.2f} dB"
+        text = f"SNR {quality.snr_db:.2f} dB"
         if quality.tactile_snr_db is not None:
-            told += f" ({quality.tactile_snr_db:.2f} dB within {TACTILE_BAND_HZ[0]:g} to {TACTILE_BAND_HZ[1]:g} Hz)"
+            text += f" ({quality.tactile_snr_db:.2f} dB within {TACTILE_BAND_HZ[0]:g} to {TACTILE_BAND_HZ[1]:g} Hz)"
     if quality.highpass_hz is None:
-        return told
+        return text
     return (
-        f"{told}, {100 * (quality.removed_energy or 0.0):.2g} % of the energy removed below {quality.highpass_hz:g} Hz"
+        f"{text}, {100 * (quality.removed_energy or 0.0):.2g} % of the energy removed below {quality.highpass_hz:g} Hz"
     )
 
 

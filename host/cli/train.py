@@ -61,7 +61,7 @@ def train(
         raise BadInput(str(error)) from error
     except training.TrainingError as error:
         raise click.ClickException(str(error)) from error
-    run_sweep({name: partial(run, _untold, 1) for name, run in trainings.items()}, scheduler)
+    run_sweep({name: partial(run, _silent, 1) for name, run in trainings.items()}, scheduler)
 
 
 def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
@@ -91,5 +91,5 @@ def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
         )
 
 
-def _untold(part: float, details: str = "", /) -> None:
-    """Tell nothing: bars of many processes would write over each other."""
+def _silent(part: float, details: str = "", /) -> None:
+    """Show nothing: bars of many processes would write over each other."""

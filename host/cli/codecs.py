@@ -1,14 +1,40 @@
-"""The subcommand `vibrocast models`: the trained models that ship, and what their cards say."""
+"""The subcommands `codecs` and `models`: what there is to code with."""
 
 import json
 from typing import Any
 
 import click
 
-from vibrocast import models
+from vibrocast import codec, models
 from vibrocast.device_protocol.model_image import sha256
+from vibrocast.host.cli.steps import show
+from vibrocast.host.plain import plain
 
 _COLUMNS = ("name", "codec", "width", "image bytes", "rates", "SNR dB", "bit/sample")
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def codecs(as_json: bool) -> None:
+    """List the codecs and the parameters of their settings."""
+    facts = {
+        known.name: {
+            "summary": known.summary,
+            "rate control": "yes" if known.controls_rate else "no, all packets are of one quality",
+            **{
+                name: f"{parameter.meaning}: {parameter.range}; {parameter.default} if not given"
+                for name, parameter in known.parameters.items()
+            },
+        }
+        for known in codec.CODECS.values()
+    }
+    # Parameters are named as --setting takes them.
+    lines = {name: [f"{key}: {text}" for key, text in about.items()] for name, about in facts.items()}
+    show(facts if as_json else lines, as_json)
+    for name, cause in codec.CODECS.failures.items():
+        click.echo(
+            plain(f"warning: the codec {name} cannot be loaded: {cause}; repair or remove its package"), err=True
+        )
 
 
 @click.command("models")

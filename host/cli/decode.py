@@ -1,0 +1,56 @@
+"""The subcommands that read .vct files: `decode` and `info`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from vibrocast import models, progress, textures
+from vibrocast.codec.stream import read_stream, write_profile, write_recording
+from vibrocast.host.cli.options import INPUT, OutputFile, model_option, runtime_option
+from vibrocast.host.cli.steps import files_of, reject_overwriting, show
+
+
+@click.command()
+@click.argument("file", type=INPUT)
+@click.argument("out", type=OutputFile(*textures.SAVED_SUFFIXES))
+@click.option(
+    "--format",
+    "sample_format",
+    type=click.Choice(("float", "16-bit")),
+    default="float",
+    show_default=True,
+    help="Choose the samples of a WAV file.",
+)
+@model_option
+@runtime_option
+def decode(file: Path, out: Path, sample_format: str, model: models.Model | None, runtime: str | None) -> None:
+    """Decode a .vct file into a WAV, CSV, NPY or MAT file, or a height profile into a CSV file.
+
+    The file holds physical values, exactly as decoded; a WAV file of 16 bit is relative to a full scale. All but NPY
+    state rate and unit, from which this program knows them again.
+    """
+    sixteen_bit = sample_format == "16-bit"
+    if sixteen_bit and out.suffix.lower() != ".wav":
+        raise click.UsageError("--format is for a WAV file; drop it.")
+    reject_overwriting([out], [file, *files_of(model)])
+    stream = replace(read_stream(file, model.image if model else None), runtime=runtime)
+    if stream.header.spatial and out.suffix.lower() == ".csv":
+        with progress.bar("decoding") as update:
+            profile = write_profile(out, stream, progress=update)
+        click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
+        return
+    with progress.bar("decoding") as update:
+        full_scale = write_recording(out, stream, sixteen_bit, progress=update)
+    header = stream.header
+    unit = f"1.0 is {full_scale:g} {header.unit}" if out.suffix.lower() == ".wav" else f"in {header.unit}"
+    click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, {unit}")
+
+
+@click.command()
+@click.argument("file", type=INPUT)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@model_option
+def info(file: Path, as_json: bool, model: models.Model | None) -> None:
+    """Show what a .vct file holds."""
+    show(read_stream(file, model.image if model else None).facts(), as_json)

@@ -1,0 +1,117 @@
+"""The subcommand `encode`: codes a recording, a height profile or a texture of a plan into a .vct file."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from vibrocast import progress, textures
+from vibrocast.codec import rate_controlled
+from vibrocast.codec.encoding import Encoding
+from vibrocast.host import profiles
+from vibrocast.host.cli import planned
+from vibrocast.host.cli.options import (
+    INPUT,
+    POSITIVE,
+    OutputFile,
+    QualityOptions,
+    RecordingOptions,
+    plan_option,
+    quality_options,
+    recording_options,
+)
+from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
+from vibrocast.host.cli.steps import (
+    describe_quality,
+    encoded,
+    encoded_profile,
+    files_of,
+    reject_overwriting,
+    show,
+)
+
+
+@click.command()
+@click.argument("file", type=INPUT)
+@click.argument("out", type=OutputFile(".vct"))
+@click.option("--spatial", is_flag=True, help="Code a height profile to be played by the position of a hand.")
+@click.option(
+    "--slowest-hand-speed-mm-s",
+    type=POSITIVE,
+    default=profiles.SLOWEST_MM_S,
+    show_default=True,
+    help="With --spatial: the pitch is chosen for this speed.",
+)
+@plan_option
+@quality_options
+@rate_controlled_options
+@recording_options
+def encode(
+    file: Path,
+    out: Path,
+    spatial: bool,
+    slowest_hand_speed_mm_s: float,
+    plan_path: Path | None,
+    quality: QualityOptions,
+    rate: RateOptions,
+    recording: RecordingOptions,
+) -> None:
+    """Code a recording, or with --plan the texture that FILE names, into a .vct file."""
+    if plan_path is not None:
+        write_encoding(out, planned.read(plan_path, ("file", "out")).texture(str(file)).encode())
+        return
+    reject_overwriting([out], [file, *files_of(quality.model)])
+    target = rate.target(quality.snr_db, quality.rate_bps)
+    if spatial:
+        if target is not None:
+            raise click.UsageError("a profile has no time: no rate or quality over time can be kept in it.")
+        encoding = encoded_profile(profiles.recording_of(file, **vars(recording)), quality, slowest_hand_speed_mm_s)
+        facts = encoding.stream.facts()
+        click.echo(
+            f"{out}: {facts['size_bytes']} bytes, {facts['length_mm']:.3f} mm, {facts['samples_per_metre']} samples "
+            f"per metre, {facts['bits_per_mm']:.0f} bit/mm"
+        )
+        encoding.stream.save(out)
+        return
+    loaded = textures.load(file, **vars(recording))
+    if target is not None:
+        encode_rate_controlled(loaded, out, target, quality.arguments(recording.unit))
+        return
+    write_encoding(out, encoded(loaded, quality, recording.unit, live=False))
+
+
+def write_encoding(out: Path, encoding: Encoding) -> None:
+    """Write a .vct file, and print its size and quality."""
+    encoding.stream.save(out)
+    stream = encoding.stream
+    model = f", model {stream.model_name}" if stream.image else ""
+    size = f"{stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}"
+    click.echo(f"{out}: {size}, {describe_quality(encoding.quality)}")
+
+
+def encode_rate_controlled(
+    recording: textures.Recording, out: Path, target: rate_controlled.RateTarget, arguments: dict[str, Any]
+) -> None:
+    """Code a recording as a live stream into a .vct file, and print how rate and quality came out."""
+    del arguments["rate_bps"], arguments["snr_db"]  # they are in the target
+    with progress.bar("encoding") as update:
+        stream, outcome = rate_controlled.encode(recording, target, progress=update, **arguments)
+    stream.save(out)
+    window = "" if outcome.furthest is None else f", furthest from it over 2 s: {100 * outcome.furthest:+.2f} %"
+    required = "" if target.rate_bps is None else f" of {target.rate_bps:g}{window}"
+    low_db, high_db = outcome.snr_range_db
+    snr = (
+        "silent"
+        if math.isnan(outcome.snr_db)
+        else f"{outcome.snr_db:.2f} dB, 90 % within {low_db:.1f} to {high_db:.1f}"
+    )
+    lines = {
+        str(out): f"{stream.size_bytes} bytes, codec {stream.codec_name}"
+        + (f", model {stream.model_name}" if stream.image else ""),
+        "rate": f"{outcome.sent_bps:.0f} bit/s{required}",
+        "of it": f"packets {outcome.packets_bps:.0f} bit/s, to which frames add {100 * outcome.frames_add:.1f} %; "
+        f"padding {100 * outcome.padding:.1f} %",
+        "packets": f"{1000 * outcome.packet_s:.1f} ms each, SNR {snr}",
+    }
+    show(lines)

@@ -1,0 +1,47 @@
+"""The subcommand `generate`: makes a texture, or its height profile, from a physical model."""
+
+from pathlib import Path
+
+import click
+
+from vibrocast import textures
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.files import atomic_write
+from vibrocast.host.cli.options import POSITIVE, Finite, OutputFile
+from vibrocast.textures.recording import Signal
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(sorted(textures.GENERATORS)))
+@click.argument("out", type=OutputFile(".wav", ".csv"))
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another seed, another texture.")
+@click.option("--seconds", type=POSITIVE, default=4.0, show_default=True)
+@click.option("--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=DEFAULT_STREAM_RATE_HZ, show_default=True)
+@click.option("--hand-speed-mm-s", type=POSITIVE, default=50.0, show_default=True, help="Mean speed of the hand.")
+@click.option(
+    "--speed-variation",
+    type=Finite(min=0, max=2),
+    default=0.0,
+    show_default=True,
+    help="How far the speed swings to either side of its mean, in parts of it, once a second; above 1 it turns back.",
+)
+def generate(
+    kind: str, out: Path, seed: int, seconds: float, rate_hz: int, hand_speed_mm_s: float, speed_variation: float
+) -> None:
+    """Make a texture as a WAV file, or its height profile as a CSV file."""
+    if out.suffix.lower() == ".csv":
+        if speed_variation:
+            raise click.UsageError("a height profile is the same at any speed: drop --speed-variation.")
+        profile = textures.surface_profile(kind, seed, seconds, hand_speed_mm_s, rate_hz)
+        with atomic_write(out) as partial:
+            textures.save_profile(partial, profile)
+        click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
+        return
+    speed_mm_s: float | Signal = hand_speed_mm_s
+    if speed_variation:
+        speed_mm_s = textures.varying_speed(seconds, rate_hz, hand_speed_mm_s, speed_variation)
+    recording = textures.GENERATORS[kind](seed, seconds, speed_mm_s, rate_hz)
+    with atomic_write(out) as partial:
+        full_scale = textures.save(partial, recording, sixteen_bit=True)
+    click.echo(f"{out}: {recording.seconds:.3f} s at {recording.rate_hz:g} Hz, 1.0 is {full_scale:g} {recording.unit}")
