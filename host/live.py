@@ -89,17 +89,33 @@ def limit_rate(policy: codec.RatePolicy, target_bps: float, carried_bps: float) 
     policy.bits_per_second = min(target_bps, max(1.001 * policy.min_bits_per_second, carried_bps))
 
 
-class LiveStream:
-    """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
+@dataclass(frozen=True)
+class LiveCoding:
+    """How a live stream is coded.
 
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
     `policy`: controls the quality, None = all packets are of the setting's. One with a rate is held to what
     the link carries: quality falls before a packet is late, and rises again. What would come too late is never sent.
-    `playout_delay_s`: how long packets lie on the controller before they are needed; None = PLAYOUT_DELAY_S, a quarter
-    of a packet if that is more or, with a policy on a link not much faster than needed, what bears its fall to half.
     `packet_samples`: samples per channel in a packet, at least those asked for and the codec's shortest block; None =
     for a rate the shortest to which the wire adds at most 15 %, within `max_packet_s`, or else one block.
     `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of RATE_CONTROLLED_REFRESH_S.
+    """
+
+    codec_name: str | None = None
+    setting: codec.Setting | None = None
+    model: models.Model | None = None
+    policy: codec.Policy | None = None
+    packet_samples: int | None = None
+    max_packet_s: float = math.inf
+    refresh_packets: int | None = None
+
+
+class LiveStream:
+    """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
+
+    `coding`: how it is coded.
+    `playout_delay_s`: how long packets lie on the controller before they are needed; None = PLAYOUT_DELAY_S, a quarter
+    of a packet if that is more or, with a policy on a link not much faster than needed, what bears its fall to half.
     `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
     `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
     carries packets in time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
@@ -111,37 +127,33 @@ class LiveStream:
         controller: Controller,
         signal_format: SignalFormat,
         *,
-        codec_name: str | None = None,
-        setting: codec.Setting | None = None,
-        model: models.Model | None = None,
-        policy: codec.Policy | None = None,
-        packet_samples: int | None = None,
-        max_packet_s: float = math.inf,
-        refresh_packets: int | None = None,
+        coding: LiveCoding | None = None,
         needed_bps: float | None = None,
         playout_delay_s: float | None = None,
         gain: float = 1.0,
         compensation: bool = True,
     ) -> None:
         check_limits(controller, signal_format.channels, signal_format.rate_hz)
+        coding = coding or LiveCoding()
         self.controller = controller
         self.format = signal_format
         self._given_playout_delay_s = playout_delay_s
-        self.policy = policy
+        self.policy = policy = coding.policy
         self.payload_bytes = self.dropped_packets = self._sent_samples = 0
         self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
-        self._codec, self._model = chosen_codec(codec_name, model), model
+        self._codec, self._model = chosen_codec(coding.codec_name, coding.model), coding.model
         defaults = {} if policy else self._codec.live_setting(signal_format.rate_hz)
-        self.setting = self._codec.complete({**defaults, **(setting or {})})
+        self.setting = self._codec.complete({**defaults, **(coding.setting or {})})
         self._target_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
         self._needed_bps = needed_bps or self._target_bps or math.inf
         # To how many samples it is rounded up, an encoder says.
-        encoder = self._make_encoder(codec.Framing(self._packet_samples(packet_samples, max_packet_s), 1))
+        encoder = self._make_encoder(codec.Framing(self._packet_samples(coding.packet_samples, coding.max_packet_s), 1))
         self.packet_samples = encoder.packet_samples
         self.packet_s = self.packet_samples / signal_format.rate_hz
         refresh_s = REFRESH_S if policy is None else RATE_CONTROLLED_REFRESH_S
         check_packet(controller, self.packet_samples)
+        refresh_packets = coding.refresh_packets
         if refresh_packets is None:
             refresh_packets = max(1, math.floor(refresh_s / self.packet_s))
         self._framing = codec.Framing(self.packet_samples, refresh_packets)

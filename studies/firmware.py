@@ -290,7 +290,7 @@ def _play(
     live_stream = live.LiveStream(
         controller,
         live_format(played.rate_hz, played.unit, [1.0] * channels, [0.3] * channels),
-        packet_samples=played.packet_samples,
+        coding=live.LiveCoding(packet_samples=played.packet_samples),
     )
     clock = DeviceClock(controller)
     _, instructions = playing.play_live(live_stream, controller, signal, clock, lambda part: None)

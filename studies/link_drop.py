@@ -125,7 +125,9 @@ def stream(recording: textures.Recording, rate_bps: int) -> tuple[list[Packet], 
     wire = Wire(whole_bps)
     link = MemoryLink(SlowLine(SimulatedController(), wire))
     policy = codec.ConstantRate(rate_bps, added_bytes)
-    played = live.LiveStream(Controller(link, link.clock, link.sleep), signal_format, policy=policy)
+    played = live.LiveStream(
+        Controller(link, link.clock, link.sleep), signal_format, coding=live.LiveCoding(policy=policy)
+    )
     coded: list[bytes | None] = []
     times_s, rates_bps, early_ms = [], [], []
     began_s = link.clock()

@@ -4,7 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -132,18 +132,17 @@ def live(
     with devices.connect(address) as controller, progress.bar("streaming") as update:
         if model is not None:
             uploader.provide(controller, address, model.image)
-        how: dict[str, Any] = {"setting": coding.setting}
+        live_coding = streaming.LiveCoding(chosen.name, coding.setting, model)
         if target is not None:
             equal = codec.equal_error(chosen, signal_format) if target.equal_error else {}
-            how = {
-                "setting": {**equal, **coding.setting},
-                "policy": target.policy(signal_format),
-                "packet_samples": target.framing(rate_hz).packet_samples,
-            }
+            live_coding = replace(
+                live_coding,
+                setting={**equal, **coding.setting},
+                policy=target.policy(signal_format),
+                packet_samples=target.framing(rate_hz).packet_samples,
+            )
         playout_delay_s = None if playout_delay_ms is None else playout_delay_ms / 1e3
-        stream = streaming.LiveStream(
-            controller, signal_format, codec_name=chosen.name, model=model, playout_delay_s=playout_delay_s, **how
-        )
+        stream = streaming.LiveStream(controller, signal_format, coding=live_coding, playout_delay_s=playout_delay_s)
         # Shorter than long packets, so that what the controller sends meanwhile is read.
         block_samples = min(stream.packet_samples, math.ceil(MAX_BLOCK_S * rate_hz))
         blocks: Iterator[NDArray[np.float64]]

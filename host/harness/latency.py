@@ -108,7 +108,9 @@ def measure_latency(
     samples = looped(texture, seconds, rate_hz)
     rms = np.sqrt(np.mean(np.square(samples), axis=0))
     signal_format = live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)), list(rms))
-    stream = live.LiveStream(controller, signal_format, setting=setting, playout_delay_s=playout_delay_s)
+    stream = live.LiveStream(
+        controller, signal_format, coding=live.LiveCoding(setting=setting), playout_delay_s=playout_delay_s
+    )
     clock = DeviceClock(controller)
     packets: list[bytes] = []
     times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent

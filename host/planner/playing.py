@@ -320,12 +320,14 @@ class _Player:
         stream = live.LiveStream(
             controller,
             signal_format,
-            codec_name=texture.codec,
-            setting=texture.setting,
-            model=model,
-            policy=None if texture.target is None else texture.target.policy(signal_format),
-            packet_samples=texture.packet_samples,
-            refresh_packets=texture.refresh_packets,
+            coding=live.LiveCoding(
+                codec_name=texture.codec,
+                setting=texture.setting,
+                model=model,
+                policy=None if texture.target is None else texture.target.policy(signal_format),
+                packet_samples=texture.packet_samples,
+                refresh_packets=texture.refresh_packets,
+            ),
             playout_delay_s=texture.buffer_ms / 1e3,
         )
         clock = DeviceClock(controller)

@@ -13,7 +13,7 @@ from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
-from vibrocast.host.live import LiveStream
+from vibrocast.host.live import LiveCoding, LiveStream
 from vibrocast.host.stream_session import read_capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -40,7 +40,7 @@ def blocks(stream: LiveStream, samples: Signal) -> Iterator[Signal]:
 @pytest.mark.parametrize("name", ["mdct", "dct", "slp"])
 def test_what_is_played_is_what_was_sent(name: str) -> None:
     _, controller = bench()
-    stream = LiveStream(controller, FORMAT, codec_name=name)
+    stream = LiveStream(controller, FORMAT, coding=LiveCoding(codec_name=name))
     packets: list[bytes] = []
     for block in blocks(stream, noise(0.7)):
         packets += stream.code(block)
@@ -214,6 +214,6 @@ def test_what_cannot_be_streamed_is_refused() -> None:
     with pytest.raises(StreamError, match="2 channels, the controller has 1"):
         LiveStream(controller, live_format(RATE_HZ, "um", [1.0, 1.0]))
     with pytest.raises(CodecError, match="needs a model"):
-        LiveStream(controller, FORMAT, codec_name="eva")
+        LiveStream(controller, FORMAT, coding=LiveCoding(codec_name="eva"))
     with pytest.raises(CodecError, match="NaN"):
         LiveStream(controller, FORMAT).send(np.full((16, 1), np.nan))

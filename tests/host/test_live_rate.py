@@ -12,7 +12,7 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
-from vibrocast.host.live import LiveResult, LiveStream
+from vibrocast.host.live import LiveCoding, LiveResult, LiveStream
 from vibrocast.host.live_group import LiveGroup
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -49,8 +49,7 @@ class Run:
         self.stream = LiveStream(
             controller,
             live_format(RATE_HZ, "um", [10.0] * self.channels),
-            policy=self.policy,
-            packet_samples=self.packet_samples,
+            coding=LiveCoding(policy=self.policy, packet_samples=self.packet_samples),
         )
 
     def play(self, seconds: float, changes: dict[float, float] | None = None) -> LiveResult:
@@ -168,8 +167,7 @@ class Desk:
             LiveStream(
                 Controller(link, link.clock, link.sleep),
                 signal_format,
-                policy=member,
-                packet_samples=352,
+                coding=LiveCoding(policy=member, packet_samples=352),
                 needed_bps=self.rate_bps,
             )
             for link, member in zip(self.links, group.members, strict=True)
