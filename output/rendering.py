@@ -1,4 +1,4 @@
-"""From decoded samples to DAC codes, by firmware/core/output.h: the same integers as on every controller.
+"""From decoded samples to DAC codes, compensation and limits included, by firmware/core/output.h: the same integers.
 
 The host computes the same with `render` and compares it with what the controller played: every step gives the same bits
 however the samples are cut into pieces.

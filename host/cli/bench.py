@@ -249,7 +249,7 @@ def bench(
 
 
 def others(names: Sequence[str]) -> str:
-    """Return how many names there are beside the first."""
+    """Return how many names there are after the first."""
     return f" and {len(names) - 1} more" if len(names) > 1 else ""
 
 

@@ -12,7 +12,7 @@ from vibrocast.files import atomic_folder
 from vibrocast.host.cli.options import INPUT, BadInput, command_run
 
 FILES = {models.CARD, "card.md", models.ANALYSIS, "synthesis.onnx"}
-"""What the folder of a model holds, beside its image."""
+"""What the folder of a model holds, in addition to its image."""
 
 
 def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:

@@ -19,7 +19,7 @@ FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for what is written."
 )
-@click.option("--play", "plays", is_flag=True, help="Play the plan, and hold what is measured against the forecast.")
+@click.option("--play", "plays", is_flag=True, help="Play the plan, and compare measurement and forecast.")
 @click.option("--json", "as_json", is_flag=True, help="Print the forecasts as JSON.")
 def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
     """Choose how each texture of a scene is coded, with no more than it needs.

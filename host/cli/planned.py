@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # what plans and measures takes a second to load, which other
 
 
 def read(path: Path, allowed: Sequence[str]) -> "Plan":
-    """Read a plan for the command under way, which takes no option beside it but those.
+    """Read a plan for the command under way, which takes no other option but those.
 
     The addresses of --device replace those of the plan's controllers, in its order. Raises PlanError, click.UsageError.
     """
@@ -49,9 +49,9 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
 def play(
     plan: "Plan", names: Sequence[str], report: Path | None, table: Path | None = None, as_json: bool = False
 ) -> None:
-    """Play textures of a plan, all if none is named; tell forecast and measured, and write them as JSON and CSV.
+    """Play textures of a plan, all if none is named; print forecast and measured, and write them as JSON and CSV.
 
-    `as_json`: tell them as JSON. Raises click.ClickException where something was not as planned.
+    `as_json`: print them as JSON. Raises click.ClickException where something was not as planned.
     """
     from vibrocast.host import planner
     from vibrocast.host.planner import comparison

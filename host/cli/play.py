@@ -138,7 +138,7 @@ def play(
     --positions, or --stroke-mm with --hand-speed-mm-s as its highest speed.
 
     With --plan, play the texture that FILE names, or all, live and as planned, on the plan's controllers, or on
-    one --device for each of them, and hold what is measured against the forecast: what is off by more than 10 % fails.
+    one --device for each of them, and compare measurement and forecast: what is off by more than 10 % fails.
     """
     from vibrocast.host import end_to_end, picture
 

@@ -1,4 +1,4 @@
-"""All maps, measured and written by one call."""
+"""All stability maps, measured and written with their page by one call."""
 
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
