@@ -77,15 +77,12 @@ def ridges(
     from scipy.ndimage import gaussian_filter1d
 
     _check_positive(pitch_mm=pitch_mm, width_mm=width_mm, height_um=height_um)
-    if not 0 <= jitter <= 1:
-        raise TextureError(f"jitter {jitter}: it must be 0 to 1")
     position_mm, min_wave_mm = _sweep(seconds, hand_speed_mm_s, rate_hz, pitch_mm)
     width_mm = max(width_mm, min_wave_mm / 2)  # the shortest wave is then 43 dB down
     spacing_mm = width_mm / POINTS_PER_WAVE
     random = _random(seed)
     length_mm = float(np.ptp(position_mm)) + 8 * width_mm
-    mean_count = length_mm / pitch_mm
-    centres_mm = np.cumsum(pitch_mm * (1 + jitter * random.uniform(-1, 1, int(mean_count + 4 * mean_count**0.5) + 4)))
+    centres_mm = np.cumsum(_jittered(random, pitch_mm, jitter, length_mm))
     centres_mm = centres_mm[centres_mm < length_mm]
     heights_um = height_um * random.uniform(0.5, 1, len(centres_mm))
     points = int(length_mm / spacing_mm) + POINTS_PER_WAVE
@@ -209,14 +206,10 @@ def stick_slip(
     from scipy.signal import fftconvolve
 
     _check_positive(slip_mm=slip_mm, natural_hz=natural_hz, height_um=height_um)
-    if not 0 <= jitter <= 1:
-        raise TextureError(f"jitter {jitter}: it must be 0 to 1")
     _sweep(seconds, hand_speed_mm_s, rate_hz, slip_mm)
     count = _sample_count(seconds, rate_hz)
     way_mm = np.cumsum(np.broadcast_to(np.abs(hand_speed_mm_s), count)) / rate_hz
-    mean_count = way_mm[-1] / slip_mm
-    random = _random(seed)
-    slips_mm = slip_mm * (1 + jitter * random.uniform(-1, 1, int(mean_count + 4 * mean_count**0.5) + 4))
+    slips_mm = _jittered(_random(seed), slip_mm, jitter, way_mm[-1])
     slip_samples = np.searchsorted(way_mm, np.cumsum(slips_mm))
     slipped = slip_samples < count
     falls_mm = np.bincount(slip_samples[slipped], slips_mm[slipped], count)
@@ -249,15 +242,11 @@ def taps(
     from scipy.signal import fftconvolve
 
     _check_positive(interval_s=interval_s, frequency_hz=frequency_hz, decay_per_s=decay_per_s, peak_m_s2=peak_m_s2)
-    if not 0 <= jitter <= 1:
-        raise TextureError(f"jitter {jitter}: it must be 0 to 1")
     if frequency_hz > BAND * rate_hz or interval_s * rate_hz < 1:
         raise TextureError(f"taps of {frequency_hz} Hz every {interval_s} s cannot be shown at {rate_hz} Hz")
     _sweep(seconds, hand_speed_mm_s, rate_hz)
     count = _sample_count(seconds, rate_hz)
-    mean_count = seconds / interval_s
-    random = _random(seed)
-    intervals_s = interval_s * (1 + jitter * random.uniform(-1, 1, int(mean_count + 4 * mean_count**0.5) + 4))
+    intervals_s = _jittered(_random(seed), interval_s, jitter, seconds)
     impacts = (np.cumsum(intervals_s) * rate_hz - interval_s * rate_hz / 2).astype(int)
     impacts = impacts[(impacts >= 0) & (impacts < count)]
     speeds_mm_s = np.broadcast_to(np.abs(hand_speed_mm_s), count)[impacts]
@@ -304,6 +293,14 @@ def _random(seed: int) -> np.random.Generator:
     if seed < 0:
         raise TextureError(f"seed {seed}: it must not be negative")
     return np.random.default_rng(seed)
+
+
+def _jittered(random: np.random.Generator, mean: float, jitter: float, total: float) -> Signal:
+    """Return intervals around a mean, each off by at most `jitter` of it, that add up to more than a total."""
+    if not 0 <= jitter <= 1:
+        raise TextureError(f"jitter {jitter}: it must be 0 to 1")
+    mean_count = total / mean
+    return mean * (1 + jitter * random.uniform(-1, 1, int(mean_count + 4 * mean_count**0.5) + 4))
 
 
 def _sample_count(seconds: float, rate_hz: float) -> int:
