@@ -4,11 +4,13 @@ import os
 import sys
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from cffi import FFI
 
 ffi = FFI()
+_LOCK = Lock()
 
 CORE_VARIABLE = "VIBROCAST_CORE"
 """Environment variable that names the compiled core to load, for tests and to look for faults."""
@@ -20,12 +22,18 @@ class CoreError(RuntimeError):
 
 @cache
 def library() -> Any:
-    """Load them; the functions are those that the headers of firmware/core and firmware/controller declare to cffi.
+    """Load them, once for all threads; headers of firmware/core and firmware/controller declare the functions.
 
     A machine with an x86-64 processor has two cores, "baseline" and "x86_64_v3", which produce the same bits. The
     processor tells which is loaded. Raises CoreError if the core has not been compiled, or if the environment
     variable VIBROCAST_CORE names a core that this machine cannot run.
     """
+    with _LOCK:
+        return _loaded()
+
+
+@cache
+def _loaded() -> Any:
     folder = Path(__file__).parent
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     baseline, faster = (folder / f"vibrocast_core.{name}{suffix}" for name in ("baseline", "x86_64_v3"))

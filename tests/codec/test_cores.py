@@ -81,3 +81,20 @@ def test_the_answer_is_that_of_the_system() -> None:
     needed = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"}
     needed |= {"cx16", "lahf_lm", "popcnt", "pni", "sse4_1", "sse4_2", "ssse3"}
     assert runs_x86_64_v3() == (needed <= flags)
+
+
+def test_threads_that_need_the_core_at_once_load_it_once() -> None:
+    code = """
+from threading import Barrier, Thread
+from vibrocast.firmware.native_core import library
+barrier, loaded = Barrier(16), []
+def load():
+    barrier.wait()
+    loaded.append(library())
+threads = [Thread(target=load) for _ in range(16)]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+assert len(loaded) == 16 and len(set(map(id, loaded))) == 1
+"""
+    done = run_with(None, "-c", code)
+    assert done.returncode == 0, done.stderr
