@@ -1,4 +1,4 @@
-"""Coded streams in memory and as .vct files: what they hold, and what they decode to."""
+"""Coded streams in memory: what they hold and decode to. device_protocol/coded_stream.py has their bytes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Layout of a coded stream: the header that opens a .vct file and a played stream, and the packets behind it."""
+"""Byte layout of .vct files and of played streams: the header, and the packets behind it."""
 
 import struct
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""One stream on a controller, as every sender has it: configure, credit, packets, status, captures, stop."""
+"""One stream on a controller, for every sender: configure, note the credit, send packets, read status and captures."""
 
 import contextlib
 from collections.abc import Iterator, Sequence

@@ -1,1 +1,1 @@
-"""Samples to skin: actuator models, compensation, limits, DAC codes."""
+"""Samples to skin: actuator models, compensation, DAC codes; firmware/core/drive.c and dac.c compute them."""

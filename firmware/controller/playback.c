@@ -1,4 +1,4 @@
-/* One stream on the controller; see playback.h. */
+/* One stream on the controller: buffers, decodes and plays it; see playback.h. */
 #include "playback.h"
 
 /* What bounds the work of a loop, which begins afresh and decodes padding in each iteration. */

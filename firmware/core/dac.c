@@ -131,7 +131,7 @@ static int32_t power_factor(const vc_dac *dac, uint64_t mean)
 }
 
 /* Goes towards a code no faster than the slew limit. */
-static int16_t step(vc_dac *dac, vc_dac_channel *channel, int32_t code)
+static int16_t within_slew(vc_dac *dac, vc_dac_channel *channel, int32_t code)
 {
     const int32_t most = dac->actuator->code_step_limit, change = code - channel->code;
     if (change > most || change < -most) {
@@ -211,7 +211,7 @@ void vc_dac_play(vc_dac *dac, const int32_t *drive, uint32_t samples, int16_t *c
         for (i = 0; i < dac->channels; i++) {
             vc_dac_channel *channel = &dac->channel[i];
             const int32_t code = within_voltage(dac, *drive++, channel->scale, level);
-            *codes++ = step(dac, channel, within_power(dac, channel, code));
+            *codes++ = within_slew(dac, channel, within_power(dac, channel, code));
         }
         if (++dac->measured == dac->block_samples)
             measure(dac);
@@ -244,7 +244,7 @@ uint32_t vc_dac_ramp(vc_dac *dac, int16_t *codes, uint32_t capacity)
         for (i = 0; i < dac->channels; i++) {
             vc_dac_channel *channel = &dac->channel[i];
             const int64_t share = vc_raised_cosine(dac->ramp_samples, dac->fade_samples);
-            *codes++ = step(dac, channel, (int32_t)((share * channel->ramp_from + (1 << 23)) >> 24));
+            *codes++ = within_slew(dac, channel, (int32_t)((share * channel->ramp_from + (1 << 23)) >> 24));
         }
         if (++dac->measured == dac->block_samples)
             measure(dac);

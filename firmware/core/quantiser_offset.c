@@ -1,4 +1,4 @@
-/* The quantiser offset of a rate-controlled stream's packets; see quantiser offset.h. */
+/* The quantiser offset of a rate-controlled stream's packets; see quantiser_offset.h. */
 #include "quantiser_offset.h"
 
 #define STEERED 1u
