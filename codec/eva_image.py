@@ -196,14 +196,6 @@ def learned_transform(payload: bytes) -> LearnedTransform:
     return LearnedTransform(image.width, len(image.graph))
 
 
-def without_graph(payload: bytes) -> bytes:
-    """Return a payload without its ONNX graph, as a microcontroller takes it.
-
-    Raises CodecError where there is no integer network that could take its place.
-    """
-    return replace(EvaImage.unpack(with_runtime(payload, "core")), graph=b"").pack()
-
-
 def _network(reader: "_Reader", width: int, latents: int) -> IntegerNetwork:
     inputs, outputs = (latents, width, width), (width, width, 1)
     normalisations, convolutions = [], []

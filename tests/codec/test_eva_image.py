@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.codec.eva_models import random_image
 from vibrocast.codec import CodecError
-from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime, without_graph
+from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
 
 PACKED = random_image(1).pack()
 
@@ -26,7 +26,6 @@ def test_what_is_packed_is_unpacked(seed: int, width: int, latents: int, rates: 
     assert read.network is not None and image.network is not None
     for found, expected in zip(read.network.convolutions, image.network.convolutions, strict=True):
         np.testing.assert_array_equal(found.weights, expected.weights)
-    assert EvaImage.unpack(without_graph(packed)).graph == b""
 
 
 def test_steps_are_those_of_the_rates_and_between_them_on_the_way() -> None:
@@ -56,7 +55,7 @@ def test_a_runtime_without_what_it_needs_is_rejected() -> None:
         with_runtime(PACKED, "onnx")
     graph_only = replace(EvaImage.unpack(PACKED), network=None, graph=b"a graph", runtime="onnx").pack()
     with pytest.raises(CodecError, match="no integer network"):
-        without_graph(graph_only)
+        with_runtime(graph_only, "core")
     with pytest.raises(CodecError, match="there is no runtime"):
         with_runtime(PACKED, "abacus")
     both = replace(EvaImage.unpack(PACKED), graph=b"a graph").pack()
