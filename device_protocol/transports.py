@@ -10,7 +10,6 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 import serial
@@ -38,8 +37,9 @@ class TransportError(OSError):
 class Transport(Protocol):
     """Bytes to and from a controller. Not safe to share between threads.
 
-    A transport may also have `file`, an open file that `selectors` can wait for, and `unsent`, the bytes that `read`
-    still has to write: see SelectableTransport.
+    A transport that one thread can wait for together with others also has `file` and `unsent`. `file`: readable when
+    bytes have come; another object after `reopen`; None where the system has none for this port. `unsent`: bytes that
+    were written and that the port has not taken; `read` hands them on when `file` is writable.
     """
 
     def write(self, data: bytes) -> None:
@@ -56,42 +56,24 @@ class Transport(Protocol):
 
     def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
 
-class _Closing(ABC):
-    """Makes a transport a context manager that closes itself."""
+class Closing(ABC):
+    """Makes what can be closed a context manager that closes itself."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release the port."""
+        """Release the port; may be called again."""
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
-class SelectableTransport(Transport, Protocol):
-    """A transport that one thread can wait for together with others.
-
-    `file`: readable when bytes have come; another object after `reopen`; None where the system has none for this port.
-    `unsent`: bytes that were written and that the port has not taken; `read` hands them on when `file` is writable.
-    """
-
-    @property
-    def file(self) -> Any: ...
-
-    @property
-    def unsent(self) -> bytes: ...
-
-
-class SerialTransport(_Closing):
+class SerialTransport(Closing):
     """A serial port: a UART, a USB serial port, a pseudo-terminal, or a URL of pyserial, such as socket://HOST:PORT.
 
     Where the system allows, `write` leaves up to 8 KiB that the port does not take at once to later calls of `read`
@@ -207,7 +189,7 @@ class SerialTransport(_Closing):
         self._serial.close()
 
 
-class ThreadedTransport(_Closing):
+class ThreadedTransport(Closing):
     """Another transport behind two threads, which makes it selectable: neither reading nor writing waits.
 
     It owns the other one, which may be open already. Errors of the threads are raised by the next call.
@@ -302,7 +284,7 @@ class ThreadedTransport(_Closing):
         self._transport.close()
 
 
-class UsbTransport(_Closing):
+class UsbTransport(Closing):
     """The bulk endpoints of a USB device's vendor interface (class 0xFF, one bulk IN and one bulk OUT).
 
     `backend`: a pyusb backend, such as the simulated device's; None = libusb. Raises TransportError if there is no

@@ -4,7 +4,7 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
@@ -26,7 +26,7 @@ from vibrocast.device_protocol.messages import (
     pack,
     unpack,
 )
-from vibrocast.device_protocol.transports import Transport, TransportError, selectable
+from vibrocast.device_protocol.transports import Closing, Transport, TransportError, selectable
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Pause, Steps
 
@@ -69,7 +69,7 @@ class _Asked:
     tries_left: int
 
 
-class Controller:
+class Controller(Closing):
     """A session with the controller behind a transport.
 
     `description`: what it said in its last hello. `status`: the last Status that came, asked for or not.
@@ -97,12 +97,6 @@ class Controller:
         self._complaint: Error | None = None
         self._asked: _Asked | None = None
         self.open_session()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the transport."""

@@ -2,14 +2,12 @@
 
 import subprocess
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
-from vibrocast.device_protocol.transports import TransportError
+from vibrocast.device_protocol.transports import Closing, TransportError
 from vibrocast.firmware.build import build
 
 
-class HostProcess:
+class HostProcess(Closing):
     """Runs the firmware built for `host`; a context manager. `name`: what a host program opens, as a serial port.
 
     `options`: of the program, firmware/ports/host/main.c. Raises BuildError, and TransportError where the program does
@@ -26,14 +24,6 @@ class HostProcess:
         if not self.name:
             _, errors = self._process.communicate()
             raise TransportError(f"the controller's process did not start: {errors.strip()}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the process; may be called again. Raises TransportError if it had failed."""

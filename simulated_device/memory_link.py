@@ -1,11 +1,9 @@
 """An in-memory way to a controller in simulated time, with faults on request: what the tests speak through."""
 
 import random
-from types import TracebackType
-from typing import Self
 
 from vibrocast.device_protocol.frames import DELIMITER
-from vibrocast.device_protocol.transports import TransportError
+from vibrocast.device_protocol.transports import Closing, TransportError
 from vibrocast.simulated_device.device import Device
 
 STEP_US = 1000
@@ -65,7 +63,7 @@ class SimulatedTime:
                 link.controller.advance(self.now_us)
 
 
-class MemoryLink:
+class MemoryLink(Closing):
     """A transport (device_protocol.transports.Transport) to a controller; reading from it is what makes time pass.
 
     `clock` and `sleep` are the host's, in simulated time. `time`: that of other links too, None = its own.
@@ -125,14 +123,6 @@ class MemoryLink:
 
     def close(self) -> None:
         """Do nothing: there is no port to release."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _need_cable(self) -> None:
         if self.now_us < self._cable_out_until_us:

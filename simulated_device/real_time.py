@@ -2,11 +2,10 @@
 
 import threading
 import time
-from abc import ABC, abstractmethod
-from types import TracebackType
+from abc import abstractmethod
 from typing import Self
 
-from vibrocast.device_protocol.transports import TransportError
+from vibrocast.device_protocol.transports import Closing, TransportError
 from vibrocast.simulated_device.device import Device
 
 # What goes to the DAC in between is made at its end, so by this much a packet may come too late and still be played.
@@ -16,7 +15,7 @@ PERIOD_S = 0.002
 LONGEST_STEP_US = 50_000
 
 
-class RealTimePort(ABC):
+class RealTimePort(Closing):
     """A controller that runs against the clock. A port fills `_wait`, and hands bytes over with `_exchange`.
 
     A context manager: the thread runs inside it, and has ended when it is left. A controller that fails takes its port
@@ -36,11 +35,6 @@ class RealTimePort(ABC):
     def __enter__(self) -> Self:
         self._thread.start()
         return self
-
-    def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop the controller's time; may be called again. Raises TransportError if the controller had failed."""

@@ -3,16 +3,14 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
 
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.messages import Error, Message, MessageError, unpack
-from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.device_protocol.transports import Closing, Transport, TransportError
 from vibrocast.simulated_device.memory_link import FaultyLine
 
 
-class TappedLink:
+class TappedLink(Closing):
     """A transport (device_protocol.transports.Transport) around another one.
 
     `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
@@ -76,14 +74,6 @@ class TappedLink:
     def close(self) -> None:
         """Release the port."""
         self._transport.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _need_cable(self) -> None:
         if self._is_cut:

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -43,14 +41,14 @@ from vibrocast.device_protocol.messages import (
     unpack,
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256
-from vibrocast.device_protocol.transports import TransportError
+from vibrocast.device_protocol.transports import Closing, TransportError
 
 PACKET_SAMPLES = 10
 RATE_HZ = 1000
 WATCHDOG_MS = 400
 
 
-class ScriptedController:
+class ScriptedController(Closing):
     """A Transport with the controller at its other end; one channel, PACKET_SAMPLES a packet, RATE_HZ.
 
     `swallow`, `answer`: hooks that may drop or replace what comes in and goes out. `unplugged` breaks the transport.
@@ -130,14 +128,6 @@ class ScriptedController:
 
     def close(self) -> None:
         pass
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, error_type: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def clock(self) -> float:
         return self.now_s
