@@ -1,4 +1,4 @@
-"""What the codecs of the integer core share: their decoder, and the errors of their encoders."""
+"""What the codecs of the integer core share: the state of their encoder, and their decoder."""
 
 import copy
 from typing import Any, Self
@@ -13,12 +13,6 @@ UNIT = 32_768 * 256
 """Full scale in the core's unit, 1/256 of a sample's least significant bit."""
 
 
-def check_made(status: int) -> None:
-    """Raise CodecError where the core did not take a configuration."""
-    if status != library().VC_OK:
-        raise CodecError("the codec configuration is damaged or of another version")
-
-
 def does_not_fit(packet_samples: int) -> CodecError:
     """Return the error of a packet that would be longer than MAX_PACKET_BYTES."""
     return CodecError(
@@ -27,10 +21,57 @@ def does_not_fit(packet_samples: int) -> CodecError:
     )
 
 
+def _made(name: str, kind: str, configuration: bytes, channels: int, *parameters: Any) -> Structure:
+    """Return the state of the `kind` of a codec, "encoder" or "decoder". Raises CodecError where the core refuses."""
+    size, init = (getattr(library(), f"vc_{name}_{kind}_{function}") for function in ("size", "init"))
+    state = Structure(size(), f"vc_{name}_{kind} *")
+    if init(state.pointer, configuration, len(configuration), channels, *parameters) != library().VC_OK:
+        raise CodecError("the codec configuration is damaged or of another version")
+    return state
+
+
+class CoreEncoder:
+    """The state of a codec's encoder in the core: integers in, packets out. `pointer`: what other functions take."""
+
+    def __init__(self, name: str, configuration: bytes, channels: int, *parameters: Any) -> None:
+        """Make it from the codec's bytes in the stream header; `parameters`: what its init function takes besides.
+
+        Raises CodecError when they are not valid.
+        """
+        self._encode = getattr(library(), f"vc_{name}_encode")
+        self._state = _made(name, "encoder", configuration, channels, *parameters)
+        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+
+    @property
+    def pointer(self) -> Any:
+        """The state."""
+        return self._state.pointer
+
+    def copy(self) -> Self:
+        """Return an independent encoder in the same state."""
+        twin = copy.copy(self)
+        twin._state = self._state.copy()
+        return twin
+
+    def packet(self, packet_samples: int, *inputs: Any) -> bytes:
+        """Return the next packet; `inputs`: arrays and numbers that the core's function takes.
+
+        Raises CodecError where it does not fit.
+        """
+        given = [
+            ffi.from_buffer(f"{each.dtype}_t[]", np.ascontiguousarray(each).data)
+            if isinstance(each, np.ndarray)
+            else each
+            for each in inputs
+        ]
+        length = self._encode(self._state.pointer, *given, self._packet, MAX_PACKET_BYTES)
+        if length < 0:
+            raise does_not_fit(packet_samples)
+        return bytes(ffi.buffer(self._packet, length))
+
+
 class CoreDecoder:
     """Decoder of a codec of the core, by its functions vc_NAME_...; see codec.interface.Decoder."""
-
-    delay_samples = 0
 
     def __init__(self, name: str, configuration: bytes, channels: int, *tables: Any) -> None:
         """Make a decoder from the codec's bytes in the stream header; `tables`: what its init function takes besides.
@@ -39,13 +80,12 @@ class CoreDecoder:
         """
         check_channels(channels)
         self.channels = channels
-        size, init, packet_samples, self._decode, self._conceal = (
-            getattr(library(), f"vc_{name}_{function}")
-            for function in ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
-        )
-        self._state = Structure(size(), f"vc_{name}_decoder *")
-        check_made(init(self._state.pointer, configuration, len(configuration), channels, *tables))
-        self.packet_samples: int = packet_samples(self._state.pointer)
+        self._state = _made(name, "decoder", configuration, channels, *tables)
+        core, pointer = library(), self._state.pointer
+        self._decode, self._conceal = getattr(core, f"vc_{name}_decode"), getattr(core, f"vc_{name}_conceal")
+        self.packet_samples: int = getattr(core, f"vc_{name}_decoder_packet_samples")(pointer)
+        # Codecs without a delay have no such function.
+        self.delay_samples: int = getattr(core, f"vc_{name}_decoder_delay_samples", lambda state: 0)(pointer)
 
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""

@@ -1,6 +1,5 @@
 """The codec `eva`: a learned transform, its latents coded with what its model knows; layout in docs/bitstream.md."""
 
-import copy
 from collections.abc import Sequence
 from functools import partial
 
@@ -8,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import extras
-from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
+from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
 from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, learned_transform, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
 from vibrocast.codec.interface import (
@@ -28,9 +27,8 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.mdct import LAMBDA, RATE_CONTROLLED, step_code
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.device_protocol.encoding import pack_varint
-from vibrocast.firmware.native_core import Structure, ffi, library
+from vibrocast.firmware.native_core import ffi, library
 
 NAME = "eva"
 IDENTIFIER = 4
@@ -54,7 +52,7 @@ _DEAD_ZONES = 12 * 16
 _CHANNEL_FIELDS = np.dtype([("level", "<u2"), ("quality", "u1")])
 
 
-class LatentEncoder:
+class LatentEncoder(CoreEncoder):
     """Encoder of latents into packets: all of `eva` but its analysis."""
 
     def __init__(
@@ -64,28 +62,9 @@ class LatentEncoder:
 
         Raises CodecError when they are not valid.
         """
-        core = library()
         self._model = ffi.new("uint8_t[]", payload)
-        self._state = Structure(core.vc_eva_encoder_size(), "vc_eva_encoder *")
-        check_made(
-            core.vc_eva_encoder_init(
-                self._state.pointer,
-                configuration,
-                len(configuration),
-                channels,
-                self._model,
-                len(payload),
-                refresh_packets,
-                round(LAMBDA * rd_weight),
-            )
-        )
-        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
-
-    def copy(self) -> "LatentEncoder":
-        """Return an independent encoder in the same state."""
-        twin = copy.copy(self)
-        twin._state = self._state.copy()
-        return twin
+        parameters = (self._model, len(payload), refresh_packets, round(LAMBDA * rd_weight))
+        super().__init__(NAME, configuration, channels, *parameters)
 
     def encode(self, latents: Sequence[Signal], quantiser_offset: int = 0) -> bytes:
         """Return the next packet, of each channel's latents (latents, columns) in the packet's quantiser steps.
@@ -93,18 +72,13 @@ class LatentEncoder:
         `quantiser_offset`: of a rate-controlled stream. Raises CodecError where it does not fit.
         """
         fixed = np.clip(np.rint(np.stack(latents) * 256), -_MAX_LATENT, _MAX_LATENT).astype(np.int32)
-        columns_first = np.ascontiguousarray(fixed.transpose(0, 2, 1))
-        pointer = ffi.cast("const int32_t *", columns_first.ctypes.data)
-        length = library().vc_eva_encode(self._state.pointer, pointer, quantiser_offset, self._packet, MAX_PACKET_BYTES)
-        if length < 0:
-            raise does_not_fit(columns_first.shape[1] * HOP)
-        return bytes(ffi.buffer(self._packet, length))
+        return self.packet(fixed.shape[2] * HOP, fixed.transpose(0, 2, 1), quantiser_offset)
 
     def adapted_tables(self) -> bytes:
         """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
         core = library()
         tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
-        core.vc_eva_encoder_tables(self._state.pointer, tables)
+        core.vc_eva_encoder_tables(self.pointer, tables)
         return bytes(ffi.buffer(tables))
 
 
@@ -198,7 +172,6 @@ class EvaDecoder(CoreDecoder):
         """
         self._model = ffi.new("uint8_t[]", payload)
         super().__init__(NAME, configuration, channels, self._model, len(payload))
-        self.delay_samples = library().vc_eva_decoder_delay_samples(self._state.pointer)
 
 
 class OnnxDecoder(EvaDecoder):

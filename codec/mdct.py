@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
+from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -25,9 +25,8 @@ from vibrocast.codec.interface import (
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 from vibrocast.device_protocol.encoding import pack_varint
-from vibrocast.firmware.native_core import Structure, ffi, library
+from vibrocast.firmware.native_core import ffi, library
 
 NAME = "mdct"
 IDENTIFIER = 1
@@ -147,38 +146,26 @@ class MdctEncoder(PacketwiseEncoder):
             -(max(step_codes) // STEP_CODES_OF_QUANTISER_OFFSET),
             (STEP_CODES - 1 - min(step_codes)) // STEP_CODES_OF_QUANTISER_OFFSET + 1,
         )
-        core = library()
         self._tables, table_arguments = _tables_arguments(tables)
-        self._state = Structure(core.vc_mdct_encoder_size(), "vc_mdct_encoder *")
-        check_made(
-            core.vc_mdct_encoder_init(
-                self._state.pointer,
-                self.configuration,
-                len(self.configuration),
-                self._channels,
-                *table_arguments,
-                framing.refresh_packets,
-                round(LAMBDA * rd_weight),
-            )
-        )
-        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        parameters = (*table_arguments, framing.refresh_packets, round(LAMBDA * rd_weight))
+        self._core = CoreEncoder(NAME, self.configuration, self._channels, *parameters)
 
     def adapted_tables(self) -> bytes:
         """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
         core = library()
         tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
-        core.vc_mdct_encoder_tables(self._state.pointer, tables)
+        core.vc_mdct_encoder_tables(self._core.pointer, tables)
         return bytes(ffi.buffer(tables))
 
     def record(self, capacity: int) -> None:
         """Keep what a network is trained on, of up to `capacity` coefficients coded from now on."""
         self._examples = np.empty((capacity, library().vc_mdct_example_values()), np.int16)
         rows = ffi.cast("int16_t *", self._examples.ctypes.data)
-        library().vc_mdct_encoder_record(self._state.pointer, rows, capacity)
+        library().vc_mdct_encoder_record(self._core.pointer, rows, capacity)
 
     def examples(self) -> NDArray[np.int16]:
         """Return what was kept (n, inputs + 2): the network's inputs in 1/16, the quantiser and the index."""
-        return self._examples[: library().vc_mdct_encoder_recorded(self._state.pointer)]
+        return self._examples[: library().vc_mdct_encoder_recorded(self._core.pointer)]
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
         count = (len(samples) - self._hop) // self.packet_samples
@@ -191,16 +178,10 @@ class MdctEncoder(PacketwiseEncoder):
         ]
 
     def _packet_of(self, coefficients: NDArray[np.int32], samples: Signal) -> bytes:
-        coefficients = np.ascontiguousarray(coefficients)
+        def code(encoder: CoreEncoder, quantiser_offset: int) -> bytes:
+            return encoder.packet(self.packet_samples, coefficients, quantiser_offset)
 
-        def code(state: Structure, quantiser_offset: int) -> bytes:
-            pointer = ffi.cast("const int32_t *", coefficients.ctypes.data)
-            length = library().vc_mdct_encode(state.pointer, pointer, quantiser_offset, self._packet, MAX_PACKET_BYTES)
-            if length < 0:
-                raise does_not_fit(self.packet_samples)
-            return bytes(ffi.buffer(self._packet, length))
-
-        return self._chosen(samples, partial(code, self._state), lambda offset: code(self._state.copy(), offset))
+        return self._chosen(samples, partial(code, self._core), lambda offset: code(self._core.copy(), offset))
 
 
 class MdctDecoder(CoreDecoder):
@@ -210,7 +191,6 @@ class MdctDecoder(CoreDecoder):
         """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
         self._tables, table_arguments = _tables_arguments(tables)
         super().__init__(NAME, configuration, channels, *table_arguments)
-        self.delay_samples = library().vc_mdct_decoder_delay_samples(self._state.pointer)
 
 
 def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
+from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -23,8 +23,6 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.mdct import HOPS, analysis_matrix
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
-from vibrocast.firmware.native_core import Structure, ffi, library
 
 NAME = "parametric"
 IDENTIFIER = 11
@@ -118,28 +116,14 @@ class ParametricEncoder(PacketwiseEncoder):
         refresh_packets = framing.refresh_packets * framing.packet_samples // self.packet_samples
         if framing.refresh_packets > 0:
             refresh_packets = max(refresh_packets, 1)
-        core = library()
-        self._state = Structure(core.vc_parametric_encoder_size(), "vc_parametric_encoder *")
-        check_made(
-            core.vc_parametric_encoder_init(
-                self._state.pointer, self.configuration, len(self.configuration), channels, refresh_packets
-            )
-        )
-        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        self._core = CoreEncoder(NAME, self.configuration, channels, refresh_packets)
         self._analyses = [_Analysis(shape) for _ in range(channels)]
 
     def _code_packets(self, signal: Signal) -> list[bytes]:
         count = len(signal) // self.packet_samples
         described = [analysis.describe(channel) for analysis, channel in zip(self._analyses, signal.T, strict=True)]
-        return [self._code(frames) for frames in np.split(np.stack(described, axis=1), count)]
-
-    def _code(self, frames: NDArray[np.int16]) -> bytes:
-        frames = np.ascontiguousarray(frames)
-        pointer = ffi.cast("const int16_t *", frames.ctypes.data)
-        length = library().vc_parametric_encode(self._state.pointer, pointer, self._packet, MAX_PACKET_BYTES)
-        if length < 0:
-            raise does_not_fit(self.packet_samples)
-        return bytes(ffi.buffer(self._packet, length))
+        packets = np.split(np.stack(described, axis=1), count)
+        return [self._core.packet(self.packet_samples, frames) for frames in packets]
 
 
 class _Analysis:
@@ -289,13 +273,9 @@ def _log2(values: Signal) -> Signal:
     return np.log2(np.maximum(values, 2.0**-60))
 
 
-class ParametricDecoder(CoreDecoder):
-    """Decoder of `parametric`; see codec.interface.Decoder."""
-
-    def __init__(self, configuration: bytes, channels: int, tables: bytes | None = None) -> None:
-        """Make a decoder from the codec's bytes in the stream header; it takes no tables. Raises CodecError."""
-        super().__init__(NAME, configuration, channels)
-        self.delay_samples = library().vc_parametric_decoder_delay_samples(self._state.pointer)
+def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
+    """Make a decoder from the codec's bytes in the stream header; it takes no tables. Raises CodecError."""
+    return CoreDecoder(NAME, configuration, channels)
 
 
 def make_encoder(
@@ -356,7 +336,7 @@ CODEC = Codec(
         )
     },
     make_encoder=make_encoder,
-    make_decoder=ParametricDecoder,
+    make_decoder=make_decoder,
     keeps_waveform=False,
     block_parameter="hop",
 )

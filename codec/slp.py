@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, check_made, does_not_fit
+from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -27,8 +27,7 @@ from vibrocast.codec.interface import (
 from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
 from vibrocast.codec.mdct import RATE_CONTROLLED
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
-from vibrocast.firmware.native_core import Structure, ffi, library
+from vibrocast.firmware.native_core import library
 
 NAME = "slp"
 IDENTIFIER = 3
@@ -94,18 +93,7 @@ class SlpEncoder(PacketwiseEncoder):
                 *(RATE_CONTROLLED if rate_control else b""),
             )
         )
-        core = library()
-        self._state = Structure(core.vc_slp_encoder_size(), "vc_slp_encoder *")
-        check_made(
-            core.vc_slp_encoder_init(
-                self._state.pointer,
-                self.configuration,
-                len(self.configuration),
-                self._channels,
-                framing.refresh_packets,
-            )
-        )
-        self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
+        self._core = CoreEncoder(NAME, self.configuration, self._channels, framing.refresh_packets)
         self._before: Signal = np.zeros((_ANALYSIS_SAMPLES + order, self._channels))
 
     def _code_packets(self, signal: Signal) -> list[bytes]:
@@ -130,22 +118,12 @@ class SlpEncoder(PacketwiseEncoder):
 
     def _packet_of(self, units: NDArray[np.int32], codes: NDArray[np.int8], samples: Signal) -> bytes:
         """Return the packet of samples: in the core's unit by frame and channel, their predictors, and as given."""
-        units, codes = np.ascontiguousarray(units), np.ascontiguousarray(codes)
 
-        def code(state: Structure, quantiser_offset: int) -> bytes:
-            length = library().vc_slp_encode(
-                state.pointer,
-                ffi.cast("const int32_t *", units.ctypes.data),
-                ffi.cast("const int8_t *", codes.ctypes.data),
-                library().VC_SLP_SILENT if quantiser_offset == self._silent else quantiser_offset,
-                self._packet,
-                MAX_PACKET_BYTES,
-            )
-            if length < 0:
-                raise does_not_fit(self.packet_samples)
-            return bytes(ffi.buffer(self._packet, length))
+        def code(encoder: CoreEncoder, quantiser_offset: int) -> bytes:
+            told = library().VC_SLP_SILENT if quantiser_offset == self._silent else quantiser_offset
+            return encoder.packet(self.packet_samples, units, codes, told)
 
-        return self._chosen(samples, partial(code, self._state), lambda offset: code(self._state.copy(), offset))
+        return self._chosen(samples, partial(code, self._core), lambda offset: code(self._core.copy(), offset))
 
 
 def make_encoder(

@@ -25,7 +25,7 @@ def coded(signal: codec.Signal, framing: Framing, **given: float | str) -> tuple
 
 
 def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
-    decoder = parametric.ParametricDecoder(configuration, channels)
+    decoder = parametric.make_decoder(configuration, channels)
     return np.concatenate([decoder.decode(packet) for packet in packets])
 
 
@@ -58,7 +58,7 @@ def test_core_agrees_with_the_documented_decoder_on_any_bytes(
     shape: int, harmonics: int, frame: int, interval: int, payload: bytes
 ) -> None:
     configuration = bytes((shape, harmonics | frame << 4, min(interval, frame), 2, 0))
-    reference, decoder = ParametricReferenceDecoder(configuration, 2), parametric.ParametricDecoder(configuration, 2)
+    reference, decoder = ParametricReferenceDecoder(configuration, 2), parametric.make_decoder(configuration, 2)
     for head in (b"\x01", b"\x02", b"\x05"):
         exact, samples = reference.samples(head + payload), decoder.decode(head + payload)
         # Thousands of times beyond full scale the core limits what is within, and not its samples alone.
@@ -140,7 +140,7 @@ def test_settings_that_do_not_fit_are_rejected() -> None:
         b"\0\0\0\1",
     ):
         with pytest.raises(CodecError, match="configuration"):
-            parametric.ParametricDecoder(configuration, 1)
+            parametric.make_decoder(configuration, 1)
 
 
 def test_an_snr_is_out_of_reach() -> None:
