@@ -4,12 +4,13 @@ Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from textwrap import wrap
 
+from vibrocast import pages
 from vibrocast.device_protocol import coded_stream, frames, layout, messages, model_image
 from vibrocast.device_protocol.layout import Fixed, Flag, Part, Rest, Tag, WireField, wire_fields
 from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Described, Message
@@ -27,67 +28,33 @@ _STRUCTS = {messages.Status: "vc_status_report", messages.Limits: "vc_controller
 def generated_files() -> dict[Path, str]:
     """Return the contents that every generated file should have."""
     return {
-        CONTROLLER / "protocol.h": constants(),
-        CONTROLLER / "messages.h": header(),
-        CONTROLLER / "messages.c": source(),
+        **{CONTROLLER / name: _in_c_file(name) for name in ("protocol.h", "messages.h", "messages.c")},
         PAGE: page(PAGE.read_text(encoding="utf-8")),
     }
 
 
-def _joined(blocks: list[str]) -> str:
-    return "\n".join(blocks)
-
-
-# ---- constants ----
-
-
-def constants() -> str:
-    """Return protocol.h."""
-    defines = {
-        "PROTOCOL_MAJOR": messages.PROTOCOL_MAJOR,
-        "PROTOCOL_MINOR": messages.PROTOCOL_MINOR,
-        "NOTIFICATION": f"{messages.NOTIFICATION} /* the sequence number of a message that answers no request */",
-        "FIRST_UNSEQUENCED": f"0x{messages.FIRST_UNSEQUENCED:02X} /* types from here on have no sequence number */",
-        "FIRST_FROM_CONTROLLER": f"0x{messages.FIRST_FROM_CONTROLLER:02X}",
-        "VARINT_BITS": layout.VARINT_BITS,
-        "PROTOCOL_MAX_PAYLOAD_BYTES": f"{frames.MAX_PAYLOAD_BYTES} /* at most, of any board */",
-        "PACKET_OVERHEAD_BYTES": f"{messages.PACKET_OVERHEAD_BYTES} /* of a payload, before its first packet */",
-        "CAPTURE_DATA_HEAD_BYTES": messages.SEQUENCED_HEAD.size + messages.CaptureData.FIXED.size,
-        "STREAM_MAGIC": f'"{coded_stream.MAGIC.decode()}"',
-        "STREAM_VERSION": coded_stream.VERSION,
-        "STREAM_MAX_CHANNELS": coded_stream.MAX_CHANNELS,
-        "STREAM_MAX_RATE_HZ": f"{coded_stream.MAX_RATE_HZ}u",
-        "STREAM_UNIT_BITS": f"0x{coded_stream.UNIT_BITS:02X}u",
-        "STREAM_HAS_IMAGE_HASH": f"0x{coded_stream.HAS_IMAGE_HASH:02X}u",
-        "STREAM_LENGTH_UNKNOWN": f"0x{coded_stream.LENGTH_UNKNOWN:02X}u",
-        "STREAM_VARINT_BITS": coded_stream.VARINT_BITS,
-        "PACKET_SEQUENCE_BITS": coded_stream.SEQUENCE_BITS,
-        "UNIT_PROFILE": f"{coded_stream.STREAM_UNITS.index(coded_stream.PROFILE_UNIT)}u",
-        "IMAGE_HASH_BYTES": coded_stream.IMAGE_HASH_BYTES,
-        "IMAGE_MAGIC": f'"{model_image.MAGIC.decode()}"',
-        "IMAGE_LAYOUT_VERSION": model_image.LAYOUT_VERSION,
-    }
-    return f"""/* Constants of messages, streams and model images; written by device_protocol/generate.py. */
-#ifndef VIBROCAST_PROTOCOL_H
-#define VIBROCAST_PROTOCOL_H
-
-{_joined([f"#define VC_{name} {value}" for name, value in defines.items()])}
-
-/* cffi: begin */
-{_enumeration("message_type", "VC_", {_snake(message).upper(): message.TYPE for message in messages.ALL})}
-{_enumeration("error_code", "VC_", messages.ErrorCode.__members__)}
-{_enumeration("state", "VC_STATE_", messages.State.__members__)}
-{_enumeration("tap", "VC_TAP_", messages.Tap.__members__)}
-{_enumeration("slot_state", "VC_SLOT_", messages.SlotState.__members__)}
-/* cffi: end */
-
-#endif
-"""
-
-
-def _enumeration(name: str, prefix: str, members: Mapping[str, int]) -> str:
-    lines = [f"    {prefix}{key} = {int(value)}" for key, value in members.items()]
-    return f"enum vc_{name} {{\n" + ",\n".join(lines) + "\n};\n"
+def _in_c_file(name: str) -> str:
+    """Return a file of firmware/controller, from the template of its name beside this module."""
+    return pages.render(
+        Path(__file__).with_name(f"{name}.jinja"),
+        coded_stream=coded_stream,
+        frames=frames,
+        layout=layout,
+        messages=messages,
+        model_image=model_image,
+        from_host=FROM_HOST,
+        responses=RESPONSES,
+        with_body=tuple(message for message in FROM_HOST if wire_fields(message)),
+        nested=_NESTED,
+        snake=_snake,
+        struct=_struct,
+        structure=_structure,
+        statements=_statements,
+        checks=_checks,
+        writer=_writer,
+        size=_size,
+        has_list=lambda message: any(field.is_tuple for field in wire_fields(message)),
+    )
 
 
 # ---- fields in C ----
@@ -176,169 +143,11 @@ def _statements(owner: type, struct: str, direction: str) -> list[str]:
 def _structure(owner: type) -> str:
     members = [f"    {member}" for field in _fields(owner) for member in _in_c(field, "").members]
     about = wrap(f"/* {' '.join((owner.__doc__ or '').split())} */", 120, subsequent_indent=" * ")
-    return _joined([*about, "typedef struct {", *members, f"}} {_struct(owner)};", ""])
+    return "\n".join([*about, "typedef struct {", *members, f"}} {_struct(owner)};", ""])
 
 
-# ---- messages.h and messages.c ----
-
-
-def header() -> str:
-    """Return messages.h."""
-    with_body = [message for message in FROM_HOST if wire_fields(message)]
-    return f"""/* Messages between host and controller (docs/protocol.md); written by device_protocol/generate.py.
- *
- * Pieces of a message that was read point into its payload. Texts are UTF-8. A sha256 has {layout.SHA256_BYTES} bytes;
- * NULL writes zeros. Floats are the bits of an IEEE 754 single. A tap, state or code is a number of protocol.h.
- */
-#ifndef VIBROCAST_MESSAGES_H
-#define VIBROCAST_MESSAGES_H
-
-#include "frames.h"
-#include "protocol.h"
-#include "rejection.h"
-
-/* cffi: begin */
-{_joined([_structure(owner) for owner in (*with_body, *_NESTED, *RESPONSES)])}
-/* A message from the host. `type`: enum vc_message_type, which names the member of `body` that counts, if it has one.
- * `sequence`: VC_NOTIFICATION for stream data. */
-typedef struct {{
-    uint8_t type;
-    uint16_t sequence;
-    union {{
-{_joined([f"        {_struct(message)} {_snake(message)};" for message in with_body])}
-    }} body;
-}} vc_message;
-
-/* Reads a payload whose type is below VC_FIRST_FROM_CONTROLLER. Returns 0, or the rejection's code: VC_MALFORMED,
- * VC_BAD_VALUE or VC_UNKNOWN_MESSAGE; `sequence` is then the number to answer with (VC_NOTIFICATION where none could be
- * read). Any bytes are safe. */
-int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_rejection *rejection);
-
-/* Write a message into a frame that has begun. After a CaptureData the caller writes its samples. */
-{_joined([f"{_writer(message)};" for message in RESPONSES])}
-void vc_write_rejection(vc_frame_writer *writer, uint16_t sequence, const vc_rejection *rejection);
-/* cffi: end */
-
-#endif
-"""
-
-
-def source() -> str:
-    """Return messages.c."""
-    return f"""/* Messages between host and controller; see messages.h. Written by device_protocol/generate.py. */
-#include "messages.h"
-
-#define SIGN_BIT 0x80000000u
-#define INFINITY_BITS 0x7F800000u
-
-/* Reads tags to the end; `value`, where there is one, becomes that of the last one that is `wanted`, or keeps NULL.
- * Returns whether every length fits. */
-static int read_tags(vc_fields *fields, unsigned wanted, vc_piece *value)
-{{
-    while (fields->rest.length > 0) {{
-        unsigned tag = (unsigned)vc_take_number(fields, 1);
-        vc_piece piece = vc_take_piece(fields, (size_t)vc_take_number(fields, 2));
-        if (fields->cut)
-            return 0;
-        if (value != NULL && tag == wanted)
-            *value = piece;
-    }}
-    return !fields->cut;
-}}
-
-/* Takes items up to the end, each after its length. */
-static vc_piece take_items(vc_fields *fields)
-{{
-    const vc_piece items = fields->rest;
-    while (!fields->cut && fields->rest.length > 0)
-        vc_take_piece(fields, (size_t)vc_take_varint(fields, VC_VARINT_BITS));
-    return items;
-}}
-
-static int is_factor(uint32_t float_bits)
-{{
-    return float_bits < INFINITY_BITS || float_bits == SIGN_BIT;
-}}
-
-int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, vc_rejection *rejection)
-{{
-    vc_fields fields;
-    vc_piece *value = NULL;
-    unsigned flags = 0, tag = 0;
-    vc_fields_begin(&fields, payload, length);
-    message->sequence = VC_NOTIFICATION;
-    message->type = (uint8_t)vc_take_number(&fields, 1);
-    if (message->type < VC_FIRST_UNSEQUENCED)
-        message->sequence = (uint16_t)vc_take_number(&fields, 2);
-    if (fields.cut)
-        return vc_reject_numbers(rejection, VC_MALFORMED, "a message of # bytes, at least 3 are needed", length, 0);
-    switch (message->type) {{
-{_joined([_reading(message) for message in FROM_HOST])}
-    default:
-        return vc_reject_numbers(rejection, VC_UNKNOWN_MESSAGE,
-                                 "message type # is not known to protocol version #: update the controller",
-                                 message->type, VC_PROTOCOL_MAJOR);
-    }}
-    if (!fields.cut && flags > 1)
-        return vc_reject_numbers(rejection, VC_BAD_VALUE, "flags # are set, only # is known", flags, 1);
-    if (value != NULL)
-        value->bytes = NULL;
-    if (!read_tags(&fields, tag, value))
-        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: a field or tag is cut", message->type, 0);
-    if (value != NULL && value->bytes == NULL)
-        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: tag # is missing", message->type, tag);
-    switch (message->type) {{
-{_joined([checks for message in FROM_HOST if (checks := _checking(message))])}
-    default:
-        break;
-    }}
-    return 0;
-}}
-
-static void write_head(vc_frame_writer *writer, uint8_t type, uint16_t sequence)
-{{
-    vc_frame_write_number(writer, type, 1);
-    vc_frame_write_number(writer, sequence, 2);
-}}
-
-static void write_tag(vc_frame_writer *writer, uint8_t tag, size_t value_bytes)
-{{
-    vc_frame_write_number(writer, tag, 1);
-    vc_frame_write_number(writer, value_bytes, 2);
-}}
-
-static void write_piece(vc_frame_writer *writer, vc_piece piece)
-{{
-    vc_frame_write(writer, piece.bytes, piece.length);
-}}
-
-static void write_sha256(vc_frame_writer *writer, const uint8_t *sha256)
-{{
-    static const uint8_t zeros[{layout.SHA256_BYTES}];
-    vc_frame_write(writer, sha256 != NULL ? sha256 : zeros, sizeof zeros);
-}}
-{_joined([_writing_nested(owner) for owner in _NESTED])}
-{_joined([_writing(message) for message in RESPONSES])}
-
-void vc_write_rejection(vc_frame_writer *writer, uint16_t sequence, const vc_rejection *rejection)
-{{
-    const vc_error error = {{rejection->code, {{(const uint8_t *)rejection->text, rejection->length}}}};
-    vc_write_error(writer, sequence, &error);
-}}
-"""
-
-
-def _reading(message: type[Message]) -> str:
-    """Return the case that takes a message's fields, all but the values of its tag."""
-    struct = f"message->body.{_snake(message)}."
-    statements = [line for field in wire_fields(message) for line in _in_c(field, struct).read]
-    return _joined(
-        [f"    case VC_{_snake(message).upper()}:", *(f"        {line}" for line in (*statements, "break;"))]
-    )
-
-
-def _checking(message: type[Message]) -> str:
-    """Return the case that rejects values of a message, if there are any to reject."""
+def _checks(message: type[Message]) -> list[tuple[str, str]]:
+    """Return which values of a message are wrong, and what rejects them: expressions in C."""
     checks = []
     for field in wire_fields(message):
         place = f"message->body.{_snake(message)}.{field.name}"
@@ -353,10 +162,7 @@ def _checking(message: type[Message]) -> str:
         elif isinstance(field.wire, Tag) and field.type is str:
             no_text = f'vc_reject(rejection, VC_MALFORMED, {text} is not UTF-8")'
             checks.append((f"!vc_is_utf8({place})", no_text))
-    if not checks:
-        return ""
-    lines = [line for wrong, rejected in checks for line in (f"if ({wrong})", f"    return {rejected};")]
-    return _joined([f"    case VC_{_snake(message).upper()}:", *(f"        {line}" for line in (*lines, "break;"))])
+    return checks
 
 
 def _writer(message: type[Message]) -> str:
@@ -364,21 +170,9 @@ def _writer(message: type[Message]) -> str:
     return f"void vc_write_{_snake(message)}({parameters})"
 
 
-def _writing(message: type[Message]) -> str:
-    index = ["unsigned i;"] if any(field.is_tuple for field in wire_fields(message)) else []
-    head = f"write_head(writer, VC_{_snake(message).upper()}, sequence);"
-    return _function(_writer(message), [*index, head, *_statements(message, "message->", "write")])
-
-
-def _writing_nested(owner: type) -> str:
-    size = " + ".join(term for field in wire_fields(owner) for term in _in_c(field, "value->").size)
-    parameters = f"vc_frame_writer *writer, uint8_t tag, const {_struct(owner)} *value"
-    statements = [f"write_tag(writer, tag, {size});", *_statements(owner, "value->", "write")]
-    return _function(f"static void write_{_snake(owner)}({parameters})", statements)
-
-
-def _function(declaration: str, statements: list[str]) -> str:
-    return _joined(["", declaration, "{", *(f"    {line}" for line in statements), "}"])
+def _size(owner: type) -> str:
+    """Return the bytes of a tag's value, an expression in C."""
+    return " + ".join(term for field in wire_fields(owner) for term in _in_c(field, "value->").size)
 
 
 # ---- docs/protocol.md ----
@@ -412,7 +206,7 @@ def page(text: str) -> str:
 
 def _table(heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     lines = ["".join(f"| {cell} " if cell else "| " for cell in row) + "|" for row in (heads, *rows)]
-    return _joined([lines[0], "|---" * len(heads) + "|", *lines[1:]])
+    return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
 
 
 def _meanings(members: Iterable[Described]) -> list[tuple[str, str, str]]:

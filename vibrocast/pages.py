@@ -1,4 +1,4 @@
-"""Renders pages from the templates next to their modules: text, Markdown, and HTML with every value escaped."""
+"""Renders pages from the templates next to their modules: text, Markdown, C, and HTML with every value escaped."""
 
 import re
 from collections.abc import Iterable
@@ -9,9 +9,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 
 def render(template: Path, **values: object) -> str:
-    """Return the page of a Jinja2 template, `*.txt.jinja`, `*.md.jinja` or `*.html.jinja`, filled with values.
+    """Return the page of a Jinja2 template, `*.html.jinja`, `*.md.jinja` or another text, filled with values.
 
-    In text and Markdown, blank lines that follow each other become one. Raises jinja2.TemplateError.
+    In all but HTML, blank lines that follow each other become one. Raises jinja2.TemplateError.
     """
     is_html = template.name.endswith(".html.jinja")
     environment = Environment(
