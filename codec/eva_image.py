@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.interface import RUNTIMES, CodecError, LearnedTransform
+from vibrocast.device_protocol.encoding import Reader
 from vibrocast.firmware.native_core import library
 
 LAYOUT_VERSION = 1
@@ -155,8 +156,8 @@ class EvaImage:
     @classmethod
     def unpack(cls, payload: bytes) -> "EvaImage":
         """Return what a payload holds. Raises CodecError unless all of it is one whole, valid payload."""
-        reader = _Reader(payload)
-        version, flags, width, latents, rates, fraction_bits, graph_bytes = _FIXED.unpack(reader.bytes(_FIXED.size))
+        reader = _Reader(payload, _damaged)
+        version, flags, width, latents, rates, fraction_bits, graph_bytes = _FIXED.unpack(reader.take(_FIXED.size))
         if version != LAYOUT_VERSION:
             raise CodecError(f"a model image of EVA with layout {version}; this version reads layout {LAYOUT_VERSION}")
         _check(flags < 8 and fraction_bits <= 15 and 1 <= rates <= MAX_RATES)
@@ -165,13 +166,13 @@ class EvaImage:
         _check(bool(np.all(step_codes < STEP_CODES)))
         prior: NDArray[np.uint16] | bytes
         if flags & _PRIOR_FLAG:
-            prior = reader.bytes(library().vc_mdct_tables_size())
+            prior = reader.take(library().vc_mdct_tables_size())
         else:
             prior = reader.array("<u2", rates, latents, UNARY_LIMIT + 1).astype(np.uint16)
         network = _network(reader, width, latents) if flags & _NETWORK_FLAG else None
-        graph = reader.bytes(graph_bytes)
+        graph = reader.take(graph_bytes)
         runtime = RUNTIMES[bool(flags & _RUNTIME_FLAG)]
-        _check(reader.left == 0 and (bool(graph) if runtime == "onnx" else network is not None))
+        _check(reader.at_end and (bool(graph) if runtime == "onnx" else network is not None))
         return cls(width, step_codes, fraction_bits, prior, network, graph, runtime)
 
 
@@ -202,7 +203,7 @@ def _network(reader: "_Reader", width: int, latents: int) -> IntegerNetwork:
     for kernel, channels, results in zip(_KERNELS, inputs, outputs, strict=True):
         gamma = reader.array("i1", channels, channels)
         multipliers, constants = (reader.array("<u4", channels).astype(np.uint32) for _ in range(2))
-        (shift,) = reader.bytes(1)
+        (shift,) = reader.take(1)
         _check(bool(np.all(gamma >= 0)) and shift <= MAX_SHIFT)
         normalisations.append(Normalisation(gamma, multipliers, constants, shift))
         weights = np.empty((kernel, results, channels), dtype=np.int8)
@@ -214,26 +215,18 @@ def _network(reader: "_Reader", width: int, latents: int) -> IntegerNetwork:
     return IntegerNetwork((first, second, third), (convolutions[0], convolutions[1], convolutions[2]))
 
 
+def _damaged(flaw: str) -> CodecError:
+    return CodecError(f"the model image of EVA is damaged: {flaw}; export it again")
+
+
 def _check(valid: bool) -> None:
     if not valid:
-        raise CodecError("the model image of EVA is damaged; export it again")
+        raise _damaged("a value or its length is wrong")
 
 
-class _Reader:
-    """Reads a payload from the front. Raises CodecError where it is too short."""
-
-    def __init__(self, payload: bytes) -> None:
-        self._payload, self._position = payload, 0
-
-    @property
-    def left(self) -> int:
-        return len(self._payload) - self._position
-
-    def bytes(self, length: int) -> bytes:
-        _check(length <= self.left)
-        self._position += length
-        return self._payload[self._position - length : self._position]
+class _Reader(Reader):
+    """Takes arrays too."""
 
     def array(self, kind: str, *shape: int) -> NDArray[Any]:
         count = int(np.prod(shape))
-        return np.frombuffer(self.bytes(count * np.dtype(kind).itemsize), dtype=kind).reshape(shape)
+        return np.frombuffer(self.take(count * np.dtype(kind).itemsize), dtype=kind).reshape(shape)

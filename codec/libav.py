@@ -18,13 +18,14 @@ from vibrocast.codec.interface import (
     checked_parts,
 )
 from vibrocast.codec.packetwise import faded_backwards
-from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
+from vibrocast.device_protocol.encoding import Reader, pack_varint
 
 LABEL_HZ = 8000
 """The rate that samples of every stream are passed off as: speech codecs have no other, the rest do not mind."""
 
 _MAX_PACKET_SAMPLES = 65_535
 _MAX_SEQUENCE_BITS = 33
+_FIELD_BITS = 16
 _CHUNK_SAMPLES = 1 << 18
 _FADE_SAMPLES = 256
 _RISE_SAMPLES = 32
@@ -164,8 +165,10 @@ class LibavDecoder:
         check_channels(channels)
         self._library = library
         self.channels = channels
-        reader = _Reader(configuration)
-        self.delay_samples, self._frame_samples, packet_frames, self._frame_bytes = (reader.varint() for _ in range(4))
+        reader = Reader(configuration, _damaged)
+        self.delay_samples, self._frame_samples, packet_frames, self._frame_bytes = (
+            reader.varint(_FIELD_BITS) for _ in range(4)
+        )
         self.packet_samples = packet_frames * self._frame_samples
         if not reader.at_end or not 1 <= self.packet_samples <= _MAX_PACKET_SAMPLES:
             raise CodecError("the codec configuration is damaged or of another version")
@@ -176,7 +179,7 @@ class LibavDecoder:
 
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet to int16 (packet_samples, channels). Raises CodecError on a malformed packet."""
-        reader = _Reader(packet)
+        reader = Reader(packet, _damaged)
         sequence, refresh = divmod(reader.varint(_MAX_SEQUENCE_BITS), 2)
         if sequence != self._next_sequence:
             if not refresh:
@@ -205,11 +208,11 @@ class LibavDecoder:
         options = self._library.decoder_options(self._frame_bytes)
         return [_open(self._library.decoder, "r", options) for _ in range(self.channels)]
 
-    def _frames(self, reader: "_Reader") -> list[bytes]:
+    def _frames(self, reader: Reader) -> list[bytes]:
         """Return the codec frames of a packet, all of one channel before those of the next."""
         frames: list[bytes] = []
         while not reader.at_end:
-            frame_bytes = self._frame_bytes or reader.varint()
+            frame_bytes = self._frame_bytes or reader.varint(_FIELD_BITS)
             if frames and frame_bytes == 0:
                 break  # padding
             frames.append(reader.take(frame_bytes))
@@ -234,33 +237,8 @@ class LibavDecoder:
         return samples
 
 
-class _Reader:
-    """Takes fields off the front of `data` and checks every length."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._position = 0
-
-    @property
-    def at_end(self) -> bool:
-        return self._position == len(self._data)
-
-    def take(self, count: int) -> bytes:
-        taken = self._data[self._position : self._position + count]
-        if len(taken) < count:
-            raise CodecError("a packet or configuration is cut short; it was damaged")
-        self._position += count
-        return taken
-
-    def varint(self, bits: int = 16) -> int:
-        """Take a LEB128 number of at most so many bits."""
-        try:
-            value, self._position = unpack_varint(self._data, self._position, bits)
-        except ValueError as error:
-            raise CodecError(
-                "a number in a packet or configuration is cut short or too large; it was damaged"
-            ) from error
-        return value
+def _damaged(flaw: str) -> CodecError:
+    return CodecError(f"a packet or configuration is damaged or cut short: {flaw}")
 
 
 def _av() -> Any:

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from vibrocast.device_protocol.encoding import crc16, pack_varint, unpack_varint
+from vibrocast.device_protocol.encoding import Reader, crc16, pack_varint
 
 MAGIC = b"VCT"
 VERSION = 1
@@ -102,7 +102,7 @@ class StreamHeader:
 
         Raises StreamError when the bytes are not a header of this version.
         """
-        reader = _Reader(data)
+        reader = Reader(data, _damaged)
         if reader.take(3) != MAGIC:
             raise StreamError("not a coded stream: it does not start with 'VCT'")
         version, codec_identifier = divmod(reader.take(1)[0], 16)
@@ -110,8 +110,8 @@ class StreamHeader:
             raise StreamError(f"coded stream of version {version}; this program reads version {VERSION}")
         flags = reader.take(1)[0]
         channels = (flags >> 4) + 1
-        rate_hz = reader.varint()
-        samples = None if flags & LENGTH_UNKNOWN else reader.varint()
+        rate_hz = reader.varint(VARINT_BITS)
+        samples = None if flags & LENGTH_UNKNOWN else reader.varint(VARINT_BITS)
         gains = tuple(_unpack_gain(reader.take(2)) for _ in range(channels))
         image_hash = reader.take(IMAGE_HASH_BYTES) if flags & HAS_IMAGE_HASH else b""
         configuration = reader.take(reader.take(1)[0])
@@ -122,13 +122,13 @@ class StreamHeader:
 
 def packet_sequence(packet: bytes) -> tuple[int, bool]:
     """Return a packet's sequence number and whether decoding can begin there. Raises StreamError on a malformed one."""
-    sequence, random_access = divmod(_Reader(packet).varint(SEQUENCE_BITS + 1), 2)
+    sequence, random_access = divmod(Reader(packet, _damaged).varint(SEQUENCE_BITS + 1), 2)
     return sequence, bool(random_access)
 
 
 def renumbered(packet: bytes, packets_before: int) -> bytes:
     """Return a packet with its sequence number moved by `packets_before`. Raises StreamError on a malformed packet."""
-    reader = _Reader(packet)
+    reader = Reader(packet, _damaged)
     head = reader.varint(SEQUENCE_BITS + 1)
     return pack_varint(head + 2 * packets_before) + packet[reader.position :]
 
@@ -156,10 +156,10 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
     """
     header, position = StreamHeader.unpack(data)
     head_crc = crc16(data[:position])
-    reader = _Reader(data, position)
+    reader = Reader(data, _damaged, position)
     packets: list[bytes] = []
-    while reader.position < len(data):
-        packet = reader.take(reader.varint())
+    while not reader.at_end:
+        packet = reader.take(reader.varint(VARINT_BITS))
         (crc,) = struct.unpack("<H", reader.take(2))
         if crc != crc16(packet, head_crc):
             raise StreamError(f"damaged coded stream: packet {len(packets)} fails its checksum; copy the file again")
@@ -174,27 +174,8 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
     return header, packets
 
 
-class _Reader:
-    """Takes fields off the front of `data` and checks every length."""
-
-    def __init__(self, data: bytes, position: int = 0) -> None:
-        self.data = data
-        self.position = position
-
-    def take(self, count: int) -> bytes:
-        end = self.position + count
-        if end > len(self.data):
-            raise StreamError(f"truncated coded stream: {len(self.data)} bytes, {end} are needed; copy the file again")
-        taken = self.data[self.position : end]
-        self.position = end
-        return taken
-
-    def varint(self, bits: int = VARINT_BITS) -> int:
-        try:
-            value, self.position = unpack_varint(self.data, self.position, bits)
-        except ValueError as error:
-            raise StreamError(f"truncated or damaged coded stream: {error}; copy the file again") from error
-        return value
+def _damaged(flaw: str) -> StreamError:
+    return StreamError(f"truncated or damaged coded stream: {flaw}; copy the file again")
 
 
 def _pack_gain(gain: float) -> bytes:

@@ -1,6 +1,7 @@
 """Encodings that frames, messages and coded streams share: CRC-16 and numbers of variable length."""
 
 import binascii
+from collections.abc import Callable
 from functools import lru_cache
 
 
@@ -36,3 +37,33 @@ def unpack_varint(data: bytes, position: int, bits: int) -> tuple[int, int]:
         if byte < 0x80 and value < 1 << bits:
             return value, position + index + 1
     raise ValueError(f"a number of variable length is cut or longer than {bits} bits")
+
+
+class Reader:
+    """Takes fields off the front of `data`. `error`: makes the exception that a flaw raises, from its text."""
+
+    def __init__(self, data: bytes, error: Callable[[str], Exception], position: int = 0) -> None:
+        self.position = position
+        self._data, self._error = data, error
+
+    @property
+    def at_end(self) -> bool:
+        """Whether nothing is left."""
+        return self.position == len(self._data)
+
+    def take(self, count: int) -> bytes:
+        """Take so many bytes."""
+        end = self.position + count
+        if end > len(self._data):
+            raise self._error(f"{len(self._data)} bytes, {end} are needed")
+        taken = self._data[self.position : end]
+        self.position = end
+        return taken
+
+    def varint(self, bits: int) -> int:
+        """Take a LEB128 number of at most so many bits."""
+        try:
+            value, self.position = unpack_varint(self._data, self.position, bits)
+        except ValueError as error:
+            raise self._error(str(error)) from error
+        return value
