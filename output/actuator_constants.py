@@ -37,11 +37,11 @@ def constants(actuator: Actuator) -> dict[str, Any]:
     fraction, exponent = math.frexp(actuator.full_scale / actuator.excursion_um)
     return {
         "name": name,
-        "stroke_um": _float_bits(actuator.stroke_um),
-        "volts": _float_bits(actuator.volts),
-        "lower_hz": _float_bits(lower_hz),
-        "upper_hz": _float_bits(upper_hz),
-        "slew_volts_per_second": _float_bits(actuator.slew_volts_per_second),
+        "stroke_um": float_bits(actuator.stroke_um),
+        "volts": float_bits(actuator.volts),
+        "lower_hz": float_bits(lower_hz),
+        "upper_hz": float_bits(upper_hz),
+        "slew_volts_per_second": float_bits(actuator.slew_volts_per_second),
         "dac_rate_hz": actuator.dac_rate_hz,
         "dac_bits": actuator.dac_bits,
         "codes_per_um_exponent": exponent - 31,
@@ -53,7 +53,8 @@ def constants(actuator: Actuator) -> dict[str, Any]:
     }
 
 
-def _float_bits(value: float) -> int:
+def float_bits(value: float) -> int:
+    """Return the bits of an IEEE 754 single."""
     bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
     return bits
 

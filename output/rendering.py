@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vibrocast.device_protocol.coded_stream import UNITS, StreamHeader
 from vibrocast.firmware.native_core import Structure, ffi, library
 from vibrocast.output.actuator import Actuator, Codes, Filter
-from vibrocast.output.actuator_constants import constants
+from vibrocast.output.actuator_constants import constants, float_bits
 
 DriveSamples: TypeAlias = NDArray[np.int32]
 
@@ -55,11 +55,6 @@ def _stream_structure(header: StreamHeader) -> Any:
     return ffi.new(
         "vc_output_stream *", {"rate_hz": header.rate_hz, "unit": unit, "channels": len(gains), "gain": gains}
     )
-
-
-def _float_bits(value: float) -> int:
-    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
-    return bits
 
 
 class Drive:
@@ -148,7 +143,7 @@ class Dac:
         self._actuator = _actuator_structure(actuator)
         self._dac = Structure(library().vc_dac_size(), "vc_dac *")
         stream = _stream_structure(header)
-        library().vc_dac_init(self._dac.pointer, self._actuator, stream, _float_bits(gain), compensation, hold_samples)
+        library().vc_dac_init(self._dac.pointer, self._actuator, stream, float_bits(gain), compensation, hold_samples)
 
     @property
     def counts(self) -> LimitCounts:
@@ -165,7 +160,7 @@ class Dac:
 
     def set_gain(self, gain: float) -> None:
         """Move to another gain along a ramp of 20 ms."""
-        library().vc_dac_set_gain(self._dac.pointer, _float_bits(gain))
+        library().vc_dac_set_gain(self._dac.pointer, float_bits(gain))
 
     def play(self, drive: DriveSamples) -> Codes:
         """Take drive (n, channels); return DAC codes int16 (n, channels)."""

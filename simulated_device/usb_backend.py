@@ -25,6 +25,13 @@ _BULK = 0x02
 _VENDOR_CLASS = 0xFF
 
 
+class _Descriptor(SimpleNamespace):
+    """The fields of a descriptor; those that are not given are 0."""
+
+    def __getattr__(self, name: str) -> int:
+        return 0
+
+
 class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
     """A bus with one device: a controller behind a vendor interface with one bulk IN and one bulk OUT endpoint.
 
@@ -73,22 +80,16 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
     def get_parent(self, device: str) -> None:
         """Return the hub: none."""
 
-    def get_device_descriptor(self, device: str) -> SimpleNamespace:
+    def get_device_descriptor(self, device: str) -> _Descriptor:
         """Return the device descriptor (USB 2.0, 9.6.1)."""
-        return SimpleNamespace(
+        return _Descriptor(
             bLength=18,
             bDescriptorType=1,
             bcdUSB=0x0200,
-            bDeviceClass=0,
-            bDeviceSubClass=0,
-            bDeviceProtocol=0,
             bMaxPacketSize0=64,
             idVendor=VENDOR_ID,
             idProduct=PRODUCT_ID,
             bcdDevice=0x0100,
-            iManufacturer=0,
-            iProduct=0,
-            iSerialNumber=0,
             bNumConfigurations=1,
             address=1,
             bus=1,
@@ -97,53 +98,42 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
             speed=2,
         )
 
-    def get_configuration_descriptor(self, device: str, configuration: int) -> SimpleNamespace:
+    def get_configuration_descriptor(self, device: str, configuration: int) -> _Descriptor:
         """Return the configuration descriptor (USB 2.0, 9.6.3)."""
         _only_first(configuration)
-        return SimpleNamespace(
+        return _Descriptor(
             bLength=9,
             bDescriptorType=2,
             wTotalLength=32,
             bNumInterfaces=1,
             bConfigurationValue=_CONFIGURATION,
-            iConfiguration=0,
             bmAttributes=0x80,
             bMaxPower=250,
             extra_descriptors=[],
         )
 
-    def get_interface_descriptor(
-        self, device: str, interface: int, alternate: int, configuration: int
-    ) -> SimpleNamespace:
+    def get_interface_descriptor(self, device: str, interface: int, alternate: int, configuration: int) -> _Descriptor:
         """Return the interface descriptor (USB 2.0, 9.6.5)."""
         _only_first(interface, alternate, configuration)
-        return SimpleNamespace(
+        return _Descriptor(
             bLength=9,
             bDescriptorType=4,
-            bInterfaceNumber=0,
-            bAlternateSetting=0,
             bNumEndpoints=2,
             bInterfaceClass=_VENDOR_CLASS,
-            bInterfaceSubClass=0,
-            bInterfaceProtocol=0,
-            iInterface=0,
             extra_descriptors=[],
         )
 
     def get_endpoint_descriptor(
         self, device: str, endpoint: int, interface: int, alternate: int, configuration: int
-    ) -> SimpleNamespace:
+    ) -> _Descriptor:
         """Return an endpoint descriptor (USB 2.0, 9.6.6)."""
         _only_first(interface, alternate, configuration)
-        return SimpleNamespace(
+        return _Descriptor(
             bLength=7,
             bDescriptorType=5,
             bEndpointAddress=(ENDPOINT_OUT, ENDPOINT_IN)[endpoint],
             bmAttributes=_BULK,
             wMaxPacketSize=MAXIMUM_PACKET_BYTES,
-            bInterval=0,
-            bRefresh=0,
-            bSynchAddress=0,
             extra_descriptors=[],
         )
 

@@ -9,6 +9,7 @@ import pytest
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.device_protocol.messages import (
     EndStream,
     ErrorCode,
@@ -185,7 +186,8 @@ def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None
     for what, buffered_packets in (("beyond", 0), ("last", 1), ("beyond", 1), ("end", 1), ("first", 2)):
         beyond = probe.status().credit_until // packet_samples
         sequence = {"beyond": beyond, "last": last, "end": _ENDLESS_PACKETS, "first": 0}[what]
-        probe.send_packets(status.stream, [packed_sequence(sequence) + b"\x00"])
+        # Twice the number: no refresh packet.
+        probe.send_packets(status.stream, [pack_varint(2 * sequence) + b"\x00"])
         came, expected = probe.status().buffered_samples, buffered_packets * packet_samples
         assert came == expected, f"after packet {sequence}: expected {expected} samples buffered, came {came}"
 
@@ -267,7 +269,7 @@ def test_packet_that_cannot_be_decoded_is_concealed(probe: Probe) -> None:
     stream = stream_for(probe.description, codec.dct.NAME, seconds=1.0)  # it finds a packet without any content damaged
     broken = 1
     packets = list(stream.packets)
-    packets[broken] = packed_sequence(broken)
+    packets[broken] = pack_varint(2 * broken)
     status = probe.configure(stream)
     probe.feed(status.stream, stream, packets)
     probe.expect(Start(), Status)
@@ -455,12 +457,3 @@ def ends_at_rest(probe: Probe, stream: Stream) -> None:
     last = np.frombuffer(answer.data, "<i2")
     assert len(last) == stream.header.channels, f"expected the last DAC codes, came {describe(answer)}"
     assert not last.any(), f"expected an output at rest, the last DAC codes are {last.tolist()}"
-
-
-def packed_sequence(sequence: int) -> bytes:
-    """Return the bytes by which a packet of this number begins that is no refresh packet."""
-    value, packed = 2 * sequence, b""
-    while value >= 0x80:
-        packed += bytes([value & 0x7F | 0x80])
-        value >>= 7
-    return packed + bytes([value])
