@@ -70,7 +70,7 @@ def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--vibrocast-device", "nowhere"], "*'nowhere' is no controller: give a name in the bench file, sim, *"),
+        (["--vibrocast-device", "nowhere"], "*'nowhere' is no controller: give a name in the bench file, or sim, *"),
         (["--vibrocast-bench", "missing.toml"], "*missing.toml*"),
         (["--vibrocast-bench", "bench.toml"], "*bench.toml: controllers is missing*"),
     ],
