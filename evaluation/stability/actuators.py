@@ -119,14 +119,7 @@ def _sine_trials(scope: Scope) -> list[Trial]:
 
 
 def _draw_shift(path: Path, cells: Sequence[Verdict]) -> None:
-    curves = []
-    for case in dict.fromkeys(cell.case for cell in cells):
-        own = [cell for cell in cells if cell.case == case]
-        name = f"{own[0].method}, {case}"
-        failed = [cell.outcome is Outcome.FAILS for cell in own]
-        curves.append(
-            pictures.Curve(name, [cell.value or 0.0 for cell in own], [cell.figure("error_db") for cell in own], failed)
-        )
+    curves = pictures.curves_of(cells, "error_db", lambda cell: f"{cell.method}, {cell.case}")
     title = (
         f"largest change of the level from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz, dB; felt and failing above the lines"
     )
@@ -135,13 +128,14 @@ def _draw_shift(path: Path, cells: Sequence[Verdict]) -> None:
 
 
 def _draw_sines(path: Path, cells: Sequence[Verdict]) -> None:
-    amplitudes = list(dict.fromkeys(cell.value for cell in cells))[::-1]
+    """Amplitudes downwards, the largest first, with compensation above those without; frequencies across."""
     methods = list(dict.fromkeys(cell.method for cell in cells))
-    cases = list(dict.fromkeys(cell.case for cell in cells))
-    outcomes = {(cell.method, cell.case, cell.value): cell.outcome for cell in cells}
-    rows = [f"{amplitude:g} um, {method.split(', ')[1]}" for method in methods for amplitude in amplitudes]
-    table = [[outcomes[method, case, amplitude] for case in cases] for method in methods for amplitude in amplitudes]
-    pictures.outcome_map(path, rows, cases, table, "a sine of this amplitude (rows) and frequency (columns)")
+    pictures.outcome_map(
+        path,
+        sorted(cells, key=lambda cell: (methods.index(cell.method), -(cell.value or 0.0))),
+        lambda cell: (f"{cell.value:g} um, {cell.method.split(', ')[1]}", cell.case),
+        "a sine of this amplitude (rows) and frequency (columns)",
+    )
 
 
 RESONANCE = Map(

@@ -58,12 +58,11 @@ def _trials(scope: Scope) -> list[Trial]:
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     """Forms and orders downwards, bits across."""
-    rows = list(dict.fromkeys((cell.method, cell.case) for cell in cells))
-    values = list(dict.fromkeys(cell.value for cell in cells))
-    outcomes = {(cell.method, cell.case, cell.value): cell.outcome for cell in cells}
-    table = [[outcomes.get((*row, value), Outcome.NOT_TRIED) for value in values] for row in rows]
-    names = [", ".join(row) for row in rows]
-    pictures.outcome_map(path, names, [f"{value:g}" for value in values], table, "columns: bits for each coefficient")
+
+    def place(cell: Verdict) -> tuple[str, str]:
+        return f"{cell.method}, {cell.case}", f"{cell.value:g}"
+
+    pictures.outcome_map(path, cells, place, "columns: bits for each coefficient")
 
 
 FILTERS = Map(

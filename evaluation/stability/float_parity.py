@@ -141,13 +141,8 @@ def _trials(scope: Scope) -> list[Trial]:
 
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    cases = list(dict.fromkeys(cell.case for cell in cells))
-    found = {(cell.method, cell.case): cell.figure("difference_millionths") for cell in cells}
-    differences = {
-        method: [found.get((method, case), float("nan")) for case in cases]
-        for method in dict.fromkeys(cell.method for cell in cells)
-    }
-    pictures.dots(path, cases, differences, "largest difference, millionths of the peak", 1e6 * HELD)
+    label = "largest difference, millionths of the peak"
+    pictures.dots_of(path, cells, "difference_millionths", label, 1e6 * HELD)
 
 
 PARITY = Map(

@@ -88,17 +88,7 @@ def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     panels = []
     for figure, title in (("snr_db", "SNR in the band, dB"), ("upper_octave_level_db", "level of 200-400 Hz, dB")):
         for surface in GENERATED:
-            curves = []
-            for method in dict.fromkeys(cell.method for cell in cells):
-                own = [cell for cell in cells if (cell.method, cell.case) == (method, surface)]
-                curves.append(
-                    pictures.Curve(
-                        method,
-                        [cell.value or 0.0 for cell in own],
-                        [cell.figure(figure) for cell in own],
-                        [cell.outcome is Outcome.FAILS for cell in own],
-                    )
-                )
+            curves = pictures.curves_of([cell for cell in cells if cell.case == surface], figure)
             panels.append(
                 pictures.Panel(f"{surface}: {title}", "speed of the hand, mm/s", "", curves, log_x=True, min_span=10)
             )

@@ -221,13 +221,7 @@ def _level_trials(scope: Scope) -> list[Trial]:
 
 
 def _draw_kinds(path: Path, cells: Sequence[Verdict]) -> None:
-    names = list(dict.fromkeys(cell.case for cell in cells))
-    found = {(cell.method, cell.case): cell.figure("ratio") for cell in cells}
-    ratios = {
-        method: [found.get((method, name), math.nan) for name in names]
-        for method in dict.fromkeys(cell.method for cell in cells)
-    }
-    pictures.dots(path, names, ratios, f"bits at {WANTED_SNR_DB:g} dB SNR, relative to {OWN}", 1.0)
+    pictures.dots_of(path, cells, "ratio", f"bits at {WANTED_SNR_DB:g} dB SNR, relative to {OWN}", 1.0)
 
 
 def _draw_panels(figures: Mapping[str, str], x_label: str, path: Path, cells: Sequence[Verdict]) -> None:
@@ -235,11 +229,7 @@ def _draw_panels(figures: Mapping[str, str], x_label: str, path: Path, cells: Se
     panels = []
     for case in dict.fromkeys(cell.case for cell in cells):
         for figure, words in figures.items():
-            curves = []
-            for method in dict.fromkeys(cell.method for cell in cells):
-                own = [cell for cell in cells if (cell.method, cell.case) == (method, case)]
-                x, y = [cell.value or 0.0 for cell in own], [cell.figure(figure) for cell in own]
-                curves.append(pictures.Curve(method, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
+            curves = pictures.curves_of([cell for cell in cells if cell.case == case], figure)
             if any(math.isfinite(y) for curve in curves for y in curve.y):
                 panels.append(pictures.Panel(f"{case}: {words}", x_label, "", curves, min_span=10.0))
     pictures.curves(path, panels)

@@ -84,12 +84,9 @@ def _measured(row: dict[str, str], coarser_db: float) -> Measured:
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     """Signals downwards, codecs and their settings across."""
-    rows = list(dict.fromkeys(cell.case for cell in cells))
-    columns = list(dict.fromkeys((cell.method, cell.setting) for cell in cells))
-    outcomes = {(cell.case, cell.method, cell.setting): cell.outcome for cell in cells}
-    table = [[outcomes.get((row, *column), Outcome.NOT_TRIED) for column in columns] for row in rows]
-    names = [" ".join(column) for column in columns]
-    pictures.outcome_map(path, rows, names, table, "other codecs, as imported")
+    pictures.outcome_map(
+        path, cells, lambda cell: (cell.case, f"{cell.method} {cell.setting}"), "other codecs, as imported"
+    )
 
 
 PEERS = Map(

@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import cycle
@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from vibrocast.evaluation.labels import spread
-from vibrocast.evaluation.stability.trials import Outcome
+from vibrocast.evaluation.stability.trials import Outcome, Verdict
 from vibrocast.files import atomic_write
 
 SHADES = {
@@ -67,39 +67,69 @@ class Panel:
 
 def outcome_map(
     path: Path,
-    rows: Sequence[str],
-    groups: Sequence[str],
-    outcomes: Sequence[Sequence[Outcome]],
+    cells: Sequence[Verdict],
+    place: Callable[[Verdict], tuple[str, str]],
     caption: str,
+    columns: Sequence[str] = (),
+    groups: Sequence[str] = (),
 ) -> None:
-    """Draw letters in cells; every group has as many columns of `outcomes` (rows, columns). Raises OSError."""
-    columns = len(outcomes[0])
-    each = columns // len(groups)
-    upright = sum(map(len, groups)) > 3 * columns  # they would run into each other
+    """Draw the letter of each cell at its `place`, a row and a column. Raises OSError.
+
+    Without `columns` these stand in the order of the cells, as rows do. `groups`: names, each of as many columns; the
+    columns themselves without any.
+    """
+    outcomes = {place(cell): cell.outcome for cell in cells}
+    rows = list(dict.fromkeys(row for row, _ in outcomes))
+    columns = columns or list(dict.fromkeys(column for _, column in outcomes))
+    groups = groups or columns
+    each = len(columns) // len(groups)
+    upright = sum(map(len, groups)) > 3 * len(columns)  # they would run into each other
     above_in = 0.08 * max(map(len, groups)) if upright else 0.2
     names_in = 0.075 * max(map(len, rows))
-    width_in = names_in + max(_LEGEND_IN, _COLUMN_IN * columns)
+    width_in = names_in + max(_LEGEND_IN, _COLUMN_IN * len(columns))
     with _figure(path, width_in, 0.7 + above_in + _ROW_IN * len(rows)) as figure:
         axes = figure.subplots()
-        for y, row in enumerate(outcomes):
-            for x, outcome in enumerate(row):
+        for y, row in enumerate(rows):
+            for x, column in enumerate(columns):
+                outcome = outcomes.get((row, column), Outcome.NOT_TRIED)
                 shade, ink = SHADES[outcome]
                 axes.fill_between([x, x + 1], y, y + 1, color=shade, linewidth=0)
                 axes.text(x + 0.5, y + 0.52, outcome.letter, color=ink, ha="center", va="center")
-        for x in range(columns + 1):
+        for x in range(len(columns) + 1):
             boundary = x % each == 0
             axes.axvline(
                 x, color="black" if boundary and each > 1 else "0.8", linewidth=1 if boundary and each > 1 else 0.5
             )
         for y in range(len(rows) + 1):
             axes.axhline(y, color="0.8", linewidth=0.5)
-        axes.set(xlim=(0, columns), ylim=(len(rows), 0))
+        axes.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
         axes.set_yticks(np.arange(len(rows)) + 0.5, rows)
         axes.set_xticks((np.arange(len(groups)) + 0.5) * each, groups, rotation=90 if upright else 0)
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.set_title("H holds   D degraded   F fails   R rejected   - not tried", loc="left")
         axes.set_xlabel(caption)
+
+
+def curves_of(
+    cells: Sequence[Verdict],
+    figure: str,
+    name: Callable[[Verdict], str] = lambda cell: cell.method,
+    marked: Callable[[Verdict], bool] = lambda cell: cell.outcome is Outcome.FAILS,
+) -> list[Curve]:
+    """Return a curve of a figure over what is varied for each name, by default each method; what fails is marked."""
+    named: dict[str, list[Verdict]] = {}
+    for cell in cells:
+        named.setdefault(name(cell), []).append(cell)
+    return [
+        Curve(
+            curve,
+            [cell.value or 0.0 for cell in own],
+            [cell.figure(figure) if math.isfinite(cell.figure(figure)) else math.nan for cell in own],
+            [marked(cell) for cell in own],
+        )
+        for curve, own in named.items()
+    ]
 
 
 def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
@@ -129,6 +159,15 @@ def dots(
         axes.set(ylim=(len(names) - 0.5, -0.5), xlabel=label)
         axes.grid(axis="y", color="0.9")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(4, len(values)), frameon=False)
+
+
+def dots_of(path: Path, cells: Sequence[Verdict], figure: str, label: str, line: float) -> None:
+    """Draw a figure of each case, a series for each method. Raises OSError."""
+    cases = list(dict.fromkeys(cell.case for cell in cells))
+    found = {(cell.method, cell.case): cell.figure(figure) for cell in cells}
+    methods = dict.fromkeys(cell.method for cell in cells)
+    values = {method: [found.get((method, case), math.nan) for case in cases] for method in methods}
+    dots(path, cases, values, label, line)
 
 
 @contextmanager

@@ -124,13 +124,8 @@ def _of_rate_points(
 
 def _curves(cells: Sequence[Verdict], method: str, figure: str) -> list[pictures.Curve]:
     """Return a curve for each texture; ringed where the SNR falls."""
-    curves = []
-    for case in dict.fromkeys(cell.case for cell in cells):
-        own = [cell for cell in cells if (cell.method, cell.case) == (method, case)]
-        y = [cell.figure(figure) if math.isfinite(cell.figure(figure)) else math.nan for cell in own]
-        x = [cell.value or 0.0 for cell in own]
-        curves.append(pictures.Curve(case, x, y, [cell.outcome is not Outcome.HOLDS for cell in own]))
-    return curves
+    own = [cell for cell in cells if cell.method == method]
+    return pictures.curves_of(own, figure, lambda cell: cell.case, lambda cell: cell.outcome is not Outcome.HOLDS)
 
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:

@@ -1,17 +1,20 @@
 """Recordings of a person's own: every codec at three of its settings, judged as the hard signals are."""
 
-from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
-from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, three_rate_points
-from vibrocast.evaluation.stability.signals import ENOUGH_SNR_DB, SNR_MARGIN_DB, decoded, judge, texture_snr_db
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.signals import (
+    ENOUGH_SNR_DB,
+    SNR_MARGIN_DB,
+    decoded,
+    draw_at_levels,
+    judge,
+    texture_snr_db,
+)
+from vibrocast.evaluation.stability.trials import Measured, Trial
 from vibrocast.textures import Recording
 
 MAX_S = 60.0
-LEVELS = ("low", "middle", "high")
 
 
 def measure(rate_point: RatePoint, recording: Recording) -> Measured:
@@ -40,28 +43,11 @@ def _trials(scope: Scope) -> list[Trial]:
     ]
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """Recordings downwards, codecs across, each at its three settings."""
-    rows, methods = (list(dict.fromkeys(names)) for names in zip(*((c.case, c.method) for c in cells), strict=True))
-    outcomes = {(cell.case, cell.method, cell.setting.partition(":")[0]): cell.outcome for cell in cells}
-    table = [
-        [outcomes.get((row, method, level), Outcome.NOT_TRIED) for method in methods for level in LEVELS]
-        for row in rows
-    ]
-    pictures.outcome_map(
-        path,
-        rows,
-        methods,
-        table,
-        "each codec a quarter and half of the way up its set of rate points of settings, and at its end",
-    )
-
-
 RECORDINGS = Map(
     "recordings",
     "Your recordings",
     {"max_s": MAX_S, "snr_margin_db": SNR_MARGIN_DB, "enough_snr_db": ENOUGH_SNR_DB},
     "",
     _trials,
-    _draw,
+    draw_at_levels,
 )

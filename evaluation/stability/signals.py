@@ -311,20 +311,16 @@ def _onset_trials(scope: Scope) -> list[Trial]:
     ]
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """Signals downwards, codecs across, each at its three settings."""
-    levels = ("low", "middle", "high")
-    rows = [name for name in (*CONDITIONS, LONG_CASE) if any(cell.case == name for cell in cells)]
+def draw_at_levels(path: Path, cells: Sequence[Verdict]) -> None:
+    """Draw signals downwards, the longest last, and codecs across, each at its three settings. Raises OSError."""
     methods = list(dict.fromkeys(cell.method for cell in cells))
-    columns = [(method, level) for method in methods for level in levels]
-    outcomes = {(cell.case, cell.method, cell.setting.partition(":")[0]): cell.outcome for cell in cells}
-    table = [[outcomes.get((row, *column), Outcome.NOT_TRIED) for column in columns] for row in rows]
     pictures.outcome_map(
         path,
-        rows,
-        methods,
-        table,
+        sorted(cells, key=lambda cell: cell.case == LONG_CASE),
+        lambda cell: (cell.case, f"{cell.method} {cell.setting.partition(':')[0]}"),
         "each codec a quarter and half of the way up its set of rate points of settings, and at its end",
+        columns=[f"{method} {level}" for method in methods for level in ("low", "middle", "high")],
+        groups=methods,
     )
 
 
@@ -369,7 +365,7 @@ SIGNALS = Map(
     },
     "",
     _trials,
-    _draw,
+    draw_at_levels,
 )
 ONSETS = Map(
     "pre_echo",

@@ -144,12 +144,14 @@ def _trial(method: Method, case: str, percent: float | None, measure: Callable[[
 
 def _draw(path: Path, cells: Sequence[Verdict]) -> None:
     """Cases of each method downwards, places across; what has no place stands in the first column."""
-    rows = list(dict.fromkeys((cell.method, cell.case) for cell in cells))
-    places = sorted({-1.0 if cell.value is None else cell.value for cell in cells})
-    outcomes = {(cell.method, cell.case, -1.0 if cell.value is None else cell.value): cell.outcome for cell in cells}
-    table = [[outcomes.get((*row, place), Outcome.NOT_TRIED) for place in places] for row in rows]
-    names = ["" if place < 0 else f"{place:g} %" for place in places]
-    pictures.outcome_map(path, [": ".join(row) for row in rows], names, table, "where the byte is, or how much is left")
+    percents = sorted({cell.value for cell in cells if cell.value is not None})
+    pictures.outcome_map(
+        path,
+        cells,
+        lambda cell: (f"{cell.method}: {cell.case}", "" if cell.value is None else f"{cell.value:g} %"),
+        "where the byte is, or how much is left",
+        columns=["", *(f"{percent:g} %" for percent in percents)],
+    )
 
 
 IMAGES = Map(

@@ -223,13 +223,7 @@ def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> No
         ("snr_db", "SNR of what is played, dB", 10.0),
         ("max_step_ratio", "largest step, relative to the signal's", 1.0),
     ):
-        curves = []
-        for method in dict.fromkeys(cell.method for cell in cells):
-            own = [cell for cell in cells if cell.method == method]
-            x = [cell.value or 0.0 for cell in own]
-            y = [cell.figure(figure) for cell in own]
-            y = [value if math.isfinite(value) else math.nan for value in y]
-            curves.append(pictures.Curve(method, x, y, [cell.outcome is Outcome.FAILS for cell in own]))
+        curves = pictures.curves_of(cells, figure)
         if any(math.isfinite(y) for curve in curves for y in curve.y):
             panels.append(pictures.Panel(title, x_label, "", curves, log_x, min_span=min_span))
     pictures.curves(path, panels)
