@@ -59,11 +59,6 @@ class Point:
         return 8 * self.bytes_total / self.samples
 
     @property
-    def bits_per_second(self) -> float | None:
-        """Bits for each second of one channel; None where the rate is not known."""
-        return None if self.rate_hz is None else self.bits_per_sample * self.rate_hz
-
-    @property
     def compression_ratio(self) -> float:
         """How many times smaller than 16 bits for each sample."""
         return 16 / self.bits_per_sample
@@ -86,10 +81,6 @@ class Timing:
     def __post_init__(self) -> None:
         if not (0 <= self.encode_s_per_megasample < math.inf and 0 <= self.decode_s_per_megasample < math.inf):
             raise PointsError("times must be finite and not negative")
-
-    def real_time_factor(self, rate_hz: float) -> float:
-        """Return the seconds that encoding and decoding one channel take for each of its seconds; 1 is real time."""
-        return (self.encode_s_per_megasample + self.decode_s_per_megasample) * rate_hz / 1e6
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import scipy
 from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, Scope
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Trial, Verdict, graded
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
@@ -52,9 +52,7 @@ def measure_shift(actuator: Actuator, shift_percent: float) -> Measured:
     error_db = float(np.abs(change_db[worst]))
     figures = {"error_db": error_db, "worst_hz": float(frequencies_hz[worst]), "change_db": float(change_db[worst])}
     effect = f"{change_db[worst]:+z.1f} dB at {frequencies_hz[worst]:.0f} Hz"
-    if error_db > FAR_DB:
-        return Measured(Outcome.FAILS, figures, effect)
-    return Measured(Outcome.HOLDS if error_db <= FELT_DB else Outcome.DEGRADED, figures, effect)
+    return graded(error_db, FELT_DB, FAR_DB, figures, effect)
 
 
 def measure_sine(actuator: Actuator, frequency_hz: float, amplitude_um: float, compensation: bool) -> Measured:
@@ -79,9 +77,7 @@ def measure_sine(actuator: Actuator, frequency_hz: float, amplitude_um: float, c
     }
     limits = [f"{100 * each / len(codes):.0f} % {name.replace('_', ' ')}" for name, each in shares.items() if each]
     effect = ", ".join([f"{error_db:+z.1f} dB", *limits])
-    if abs(error_db) > FAR_DB:
-        return Measured(Outcome.FAILS, figures, effect)
-    return Measured(Outcome.HOLDS if abs(error_db) <= FELT_DB else Outcome.DEGRADED, figures, effect)
+    return graded(abs(error_db), FELT_DB, FAR_DB, figures, effect)
 
 
 def _shift_trials(scope: Scope) -> list[Trial]:

@@ -12,7 +12,7 @@ from vibrocast.codec.interface import Setting
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal, decoded
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Trial, Verdict, graded
 
 DCT = "dct"
 CODERS = ("huffman", "range")
@@ -78,9 +78,7 @@ def judge(bits: float, needed: float) -> Measured:
     """Return the outcome of a rate against the entropy, both in bits per sample."""
     figures = {"excess_bits": bits - needed, "bits_per_sample": bits, "entropy_bits": needed}
     effect = f"{bits:.2f} bits per sample where {needed:.2f} would do"
-    if bits - needed > FAILED_BITS:
-        return Measured(Outcome.FAILS, figures, effect)
-    return Measured(Outcome.HOLDS if bits - needed <= HELD_BITS else Outcome.DEGRADED, figures, effect)
+    return graded(bits - needed, HELD_BITS, FAILED_BITS, figures, effect)
 
 
 def _trials(scope: Scope) -> list[Trial]:

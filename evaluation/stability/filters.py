@@ -10,7 +10,7 @@ from vibrocast.codec import linear_prediction
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, Scope
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Trial, Verdict, graded
 from vibrocast.textures.generate import grating, stick_slip, wood
 
 CODEC = "slp"
@@ -38,10 +38,8 @@ def measure(form: str, order: int, bits: int) -> Measured:
     radii = linear_prediction.quantised_pole_radii(predictors(order), form, bits)
     share, max_radius = float(np.mean(radii > 1 - 1e-9)), float(np.max(radii))
     figures = {"unstable_share": share, "max_pole_radius": max_radius, "predictors": len(radii)}
-    if share == 0:
-        return Measured(Outcome.HOLDS, figures)
-    effect = f"{100 * share:.1f} % of the filters unstable, largest pole {max_radius:.3f}"
-    return Measured(Outcome.DEGRADED if share <= FEW else Outcome.FAILS, figures, effect)
+    effect = f"{100 * share:.1f} % of the filters unstable, largest pole {max_radius:.3f}" if share else ""
+    return graded(share, 0.0, FEW, figures, effect)
 
 
 def _trials(scope: Scope) -> list[Trial]:

@@ -18,7 +18,7 @@ from vibrocast.codec.interface import number
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.evaluation.trained import runtimes
 
 Values = NDArray[np.float32]
@@ -100,8 +100,7 @@ def _judged(values: Values, other: Values, figures: dict[str, float | None]) -> 
     effect = f"{difference:.1e} of the peak"
     if "rounded_otherwise_per_million" in figures:
         effect += f", {figures['rounded_otherwise_per_million']:.0f} of a million latents rounded otherwise"
-    outcome = Outcome.HOLDS if difference <= HELD else Outcome.DEGRADED if difference <= FAILED else Outcome.FAILS
-    return Measured(outcome, {"difference_millionths": 1e6 * difference, **figures}, effect)
+    return graded(difference, HELD, FAILED, {"difference_millionths": 1e6 * difference, **figures}, effect)
 
 
 def measure_core(rate_point: RatePoint) -> Measured:

@@ -26,8 +26,9 @@ from vibrocast.evaluation.stability.signals import (
     louder_db,
     texture,
     texture_snr_db,
+    with_bits,
 )
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
 
@@ -124,9 +125,7 @@ def measure_kind(rate_point_set: Sequence[RatePoint], name: str) -> Measured:
     ratio = bits / own
     figures = {"ratio": ratio, "bits_per_sample": bits, "own_bits": own}
     effect = f"{bits:.2f} bits per sample where {OWN} takes {own:.2f}"
-    if ratio > FAILED_RATIO:
-        return Measured(Outcome.FAILS, figures, effect)
-    return Measured(Outcome.HOLDS if ratio <= HELD_RATIO else Outcome.DEGRADED, figures, effect)
+    return graded(ratio, HELD_RATIO, FAILED_RATIO, figures, effect)
 
 
 def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
@@ -135,9 +134,7 @@ def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
     second = slice(len(samples) // 2, len(samples))
     samples[second] *= 10 ** (-quieter_db / 20)
     heard, stream = decoded(samples, RATE_HZ, rate_point)
-    measured = judge(samples[second], heard[second], texture_snr_db(rate_point))
-    bits = 8 * stream.size_bytes / samples.size
-    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+    return with_bits(judge(samples[second], heard[second], texture_snr_db(rate_point)), stream, heard)
 
 
 def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:

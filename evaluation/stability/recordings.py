@@ -10,6 +10,7 @@ from vibrocast.evaluation.stability.signals import (
     draw_at_levels,
     judge,
     texture_snr_db,
+    with_bits,
 )
 from vibrocast.evaluation.stability.trials import Measured, Trial
 from vibrocast.textures import Recording
@@ -22,9 +23,7 @@ def measure(rate_point: RatePoint, recording: Recording) -> Measured:
     rate_hz = round(recording.rate_hz)
     samples = recording.samples[: round(MAX_S * rate_hz)]
     heard, stream = decoded(samples, rate_hz, rate_point, recording.unit)
-    measured = judge(samples, heard, texture_snr_db(rate_point))
-    bits = 8 * stream.size_bytes / samples.size
-    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+    return with_bits(judge(samples, heard, texture_snr_db(rate_point)), stream, heard)
 
 
 def _trials(scope: Scope) -> list[Trial]:

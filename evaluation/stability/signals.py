@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.evaluation import trained
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point, three_rate_points
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.textures import HIGHPASS_HZ, Recording, highpass
 from vibrocast.textures.generate import wood
 
@@ -205,8 +205,8 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
         return Measured(Outcome.FAILS, {}, "not finite")
     if not reference.any():
         peak = float(np.abs(heard).max())
-        outcome = Outcome.HOLDS if peak <= SILENT else Outcome.DEGRADED if peak <= NEARLY_SILENT else Outcome.FAILS
-        return Measured(outcome, {"peak": peak}, "" if outcome is Outcome.HOLDS else f"noise of peak {peak:.2g}")
+        effect = "" if peak <= SILENT else f"noise of peak {peak:.2g}"
+        return graded(peak, SILENT, NEARLY_SILENT, {"peak": peak}, effect)
     snr_db, louder = codec.snr_db(reference, heard), louder_db(reference, heard)
     assert snr_db is not None, "a signal that is not silent has an SNR"
     wanted_db = max(MIN_SNR_DB, min(texture_snr_db - SNR_MARGIN_DB, ENOUGH_SNR_DB))
@@ -223,6 +223,12 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
     return Measured(Outcome.HOLDS, figures)
 
 
+def with_bits(measured: Measured, stream: Stream, heard: Signal) -> Measured:
+    """Return what was measured of a stream that decodes to `heard`, with its bits per sample among the figures."""
+    bits = 8 * stream.size_bytes / heard.size
+    return replace(measured, figures={**measured.figures, "bits_per_sample": bits})
+
+
 def measure(rate_point: RatePoint, name: str) -> Measured:
     """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec rejects."""
     condition = CONDITIONS[name]
@@ -232,8 +238,7 @@ def measure(rate_point: RatePoint, name: str) -> Measured:
     if condition.tactile:
         wanted, heard = (tactile_part(each, condition.rate_hz) for each in (samples, heard))
     measured = judge(wanted[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rate_point))
-    bits = 8 * stream.size_bytes / samples.size
-    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+    return with_bits(measured, stream, heard)
 
 
 def measure_hour(rate_point: RatePoint) -> Measured:
@@ -241,8 +246,7 @@ def measure_hour(rate_point: RatePoint) -> Measured:
     minute = texture(seconds=60)
     heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, rate_point)
     measured = judge(minute, heard[-len(minute) :], texture_snr_db(rate_point))
-    bits = 8 * stream.size_bytes / len(heard)
-    return Measured(measured.outcome, {**measured.figures, "bits_per_sample": bits}, measured.effect)
+    return with_bits(measured, stream, heard)
 
 
 def measure_onset(rate_point: RatePoint) -> Measured:
@@ -267,9 +271,7 @@ def measure_onset(rate_point: RatePoint) -> Measured:
     if figures["noise_after_db"] > -MIN_SNR_DB:
         return Measured(Outcome.DEGRADED, figures, "nothing of the onset is left")
     effect = f"{before_db:.0f} dB in the 5 ms before the onset"
-    if before_db <= PRE_ECHO_HELD_DB:
-        return Measured(Outcome.HOLDS, figures, effect)
-    return Measured(Outcome.DEGRADED if before_db <= PRE_ECHO_FAILED_DB else Outcome.FAILS, figures, effect)
+    return graded(before_db, PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB, figures, effect)
 
 
 def _trials(scope: Scope) -> list[Trial]:

@@ -52,6 +52,12 @@ class Measured:
     effect: str = ""
 
 
+def graded(value: float, held: float, failed: float, figures: Mapping[str, float | None], effect: str = "") -> Measured:
+    """Return the outcome by a value that should be low: HOLDS up to `held`, FAILS above `failed`."""
+    outcome = Outcome.HOLDS if value <= held else Outcome.FAILS if value > failed else Outcome.DEGRADED
+    return Measured(outcome, figures, effect)
+
+
 @dataclass(frozen=True)
 class Trial:
     """One condition to try: of which map, method and case, at which value of what the map varies, and the measurement.

@@ -15,7 +15,7 @@ from vibrocast.device_protocol.messages import Configure, Start, Status, StreamD
 from vibrocast.evaluation.stability import pictures, trials
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
@@ -135,9 +135,7 @@ def rate_codes(
     if figures["max_step_ratio"] > MAX_STEP_RATIO:
         effect += f", a click of {figures['max_step_ratio']:.1f} times the signal's largest step"
         return Measured(Outcome.FAILS, figures, effect)
-    if share > FAILED_SHARE:
-        return Measured(Outcome.FAILS, figures, effect)
-    return Measured(Outcome.HOLDS if share <= HELD_SHARE else Outcome.DEGRADED, figures, effect)
+    return graded(share, HELD_SHARE, FAILED_SHARE, figures, effect)
 
 
 def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
@@ -172,7 +170,7 @@ def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
         return Measured(Outcome.HOLDS, figures)
     effect = f"{100 * share:.1f} % of the packets too late, the first after {late_s:.0f} s"
     figures["first_underrun_s"] = late_s
-    return Measured(Outcome.DEGRADED if share <= FAILED_SHARE else Outcome.FAILS, figures, effect)
+    return graded(share, 0.0, FAILED_SHARE, figures, effect)
 
 
 def _trials(

@@ -113,9 +113,7 @@ def test_the_peers_are_read() -> None:
 
 def test_figures_of_a_point() -> None:
     point = Point("a", "mdct", "", samples=2800, bytes_total=700, snr_db=None, rate_hz=2800.0)
-    assert (point.bits_per_sample, point.bits_per_second, point.compression_ratio) == (2, 5600, 8)
-    assert Point("a", "mdct", "", 1, 1, None).bits_per_second is None
-    assert Timing("a", "mdct", "", 20.0, 5.0).real_time_factor(8000) == pytest.approx(0.2)
+    assert (point.bits_per_sample, point.compression_ratio) == (2, 8)
 
 
 def test_what_is_no_file_is_rejected_before_it_is_read() -> None:
