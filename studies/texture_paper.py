@@ -9,8 +9,6 @@ from typing import Any
 
 import click
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from scipy.fft import dct
 
 from studies.page import OUT, errors_in_one_line, render, write_rows
@@ -19,6 +17,7 @@ from vibrocast import codec, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.evaluation.stability.pictures import Curve, Panel, curves
 from vibrocast.textures.generate import rough_profile
 
 QUANTISERS = ("linear", "log")
@@ -27,7 +26,6 @@ LEVELS = range(4, 21)
 B0_DB = (12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0)
 HAND_SPEED_MM_S = 50.0
 SECONDS = 4.0
-LABEL_DB = 1.2  # height of a curve's name in the chart
 LENGTH_MM = HAND_SPEED_MM_S * SECONDS
 SIXTEEN_BITS = 65_535
 """The levels of a coefficient that is only cut, not quantised."""
@@ -141,32 +139,18 @@ def markdown(results: Sequence[Result]) -> str:
 
 
 def draw(path: Path, results: Sequence[Result]) -> None:
-    """Draw SNR over the number of levels, a panel for each quantiser; large marks where the paper has one."""
-    figure = Figure(figsize=(8, 3.4), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, 2, sharey=True)
+    """Draw SNR over the number of levels, a panel for each quantiser; ringed where the paper has one."""
     names = list(dict.fromkeys(result.texture for result in results))
-    for axes, quantiser in zip(panels, QUANTISERS, strict=True):
-        ends: dict[str, float] = {}
-        for index, name in enumerate(names):
+    panels = []
+    for quantiser in QUANTISERS:
+        drawn = []
+        for name in names:
             curve = [row for row in results if (row.texture, row.quantiser, row.b0_db) == (name, quantiser, None)]
-            levels, snrs_db = [row.levels for row in curve], [row.snr_db for row in curve]
-            dashes = ("-", "--", ":", "-.")[index % 4]
-            axes.plot(levels, snrs_db, linestyle=dashes, color="black", linewidth=1, marker=".", markersize=3)
-            marked = [row for row in curve if row.levels in PAPER_LEVELS]
-            axes.plot([row.levels for row in marked], [row.snr_db for row in marked], "o", color="black", markersize=4)
-            ends[name] = snrs_db[-1]
-        lowest_db = -math.inf
-        for name, snr_db in sorted(ends.items(), key=lambda end: end[1]):
-            lowest_db = max(snr_db, lowest_db + LABEL_DB)
-            axes.text(LEVELS[-1] + 0.4, lowest_db, name, va="center", fontsize=8)
-        axes.set_title(f"{quantiser} levels", fontsize=9)
-        axes.set_xlabel("number of levels L")
-        axes.set_xlim(LEVELS[0] - 1, LEVELS[-1] + 4)
-        axes.margins(y=0.1)
-        axes.grid(color="0.85", linewidth=0.5)
-    panels[0].set_ylabel("SNR, dB")
-    figure.savefig(path)
+            levels = [row.levels for row in curve]
+            ringed = [count in PAPER_LEVELS for count in levels]
+            drawn.append(Curve(name, levels, [row.snr_db for row in curve], ringed))
+        panels.append(Panel(f"{quantiser} levels", "number of levels L", "SNR, dB", drawn))
+    curves(path, panels)
 
 
 def write(out: Path, results: Sequence[Result]) -> None:

@@ -18,7 +18,7 @@ def test_a_folder_is_measured_into_a_page(tmp_path: Path, monkeypatch: pytest.Mo
     recordings, out = tmp_path / "recordings", tmp_path / "docs"
     recordings.mkdir()
     shutil.copy(OAK, recordings)
-    rate_control.main([str(recordings), "--out", str(out)])
+    rate_control.main([str(recordings), "--out", str(out)], standalone_mode=False)
     page = (out / "rate_control.md").read_text()
     assert "python -m studies.rate_control" in page
     for name in ("recordings", "codecs", "buffers"):
