@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrocast import codec, textures
+from vibrocast import codec, pages, textures
 from vibrocast.codec.encoding import Encoding, encode_recording
 from vibrocast.codec.stream import as_stream
 from vibrocast.evaluation.cost import time_coding
@@ -88,66 +88,17 @@ def as_json(card: Mapping[str, Any]) -> str:
 
 def as_markdown(card: Mapping[str, Any]) -> str:
     """Return a card as the text of card.md."""
-    training, export, results, shape = (card[name] for name in ("training", "export", "results", "shape"))
-    data = "; ".join(
-        f"{source['name']}: {source['recordings']} recordings, {source['hours']:.2f} h" for source in training["data"]
+    training, results = card["training"], card["results"]
+    return pages.render(
+        Path(__file__).with_suffix(".md.jinja"),
+        card=card,
+        training=training,
+        results=results,
+        near=results["near_15_db"],
+        near_snr_db=NEAR_SNR_DB,
+        speed=results["seconds_per_million_samples"],
+        curves=thinned(training["curves"]),
     )
-    files = ", ".join(f"`{file}` {about['bytes']} bytes" for file, about in card["files"].items())
-    near, speed = results["near_15_db"], results["seconds_per_million_samples"]
-    facts = {
-        "codec": f"`{card['codec']}`",
-        "shape": f"width {shape['width']}, {shape['latents']} latents, {shape['rates']} rates; {card['prior']} prior",
-        "files": files,
-        "the image holds": {
-            "core": "the integer network",
-            "onnx": "the ONNX graph",
-            "both": "the integer network, which is preferred, and the ONNX graph",
-        }[export["image_holds"]],
-        "training data": data,
-        "held back": ", ".join(training["held_back"]),
-        "training": f"`{training['command']}`, seed {training['seed']}, {training['steps']} steps, the best at "
-        f"{training['best_step']}, {training['seconds'] / 60:.0f} min; the configuration is in card.json",
-        "export": f"`{export['command']}`",
-        "parity": f"ONNX Runtime and torch differ by at most {export['parity']['analysis']:.1e} (analysis) and "
-        f"{export['parity']['synthesis']:.1e} (synthesis) of full scale, at lengths from 1 to 10 000; opset "
-        f"{export['opset']}",
-        "integers": f"at {near['snr_db']:.1f} dB the integer network loses "
-        f"{near['snr_db_by_onnx'] - near['snr_db']:.3f} dB against the graph",
-        "speed": f"seconds per million samples near {NEAR_SNR_DB:g} dB, one core of {results['processor']}: encode "
-        f"{speed['encode']:.2f}, decode {speed['decode_by_core']:.2f} in integers, {speed['decode_by_onnx']:.2f} by "
-        "ONNX Runtime",
-    }
-    rows = "\n".join(f"| {name} | {text} |" for name, text in facts.items())
-    points = "\n".join(
-        f"| {point['quality']} | {point['bits_per_sample']:.3f} | {point['snr_db']:.2f} | "
-        f"{point['snr_db_by_onnx']:.2f} |"
-        for point in results["points"]
-    )
-    curves = "\n".join(
-        f"| {record['step']} | {record['training_loss']:.4f} | {record['loss']:.4f} |"
-        for record in thinned(training["curves"])
-    )
-    return f"""# {card["name"]}, version {card["version"]}
-
-| | |
-|---|---|
-{rows}
-
-## Results
-
-On {results["recordings"]} recordings, one of each material that was held back, {results["seconds"]:.0f} s in all.
-Bits are those of whole `.vct` files; SNR is the mean over the recordings, in integers and by ONNX Runtime.
-
-| quality | bit/sample | SNR dB | by ONNX Runtime |
-|---|---|---|---|
-{points}
-
-## Training
-
-| step | loss | on held-back materials |
-|---|---|---|
-{curves}
-"""
 
 
 def thinned(records: Sequence[Mapping[str, Any]], most: int = 20) -> list[Mapping[str, Any]]:
