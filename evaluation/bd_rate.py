@@ -139,6 +139,12 @@ def bits_per_sample_at(curve: Curve, qualities: ArrayLike) -> NDArray[np.float64
     return np.asarray(np.exp2(_interpolated(quality, np.log2(bits), np.asarray(qualities, np.float64))))
 
 
+def fewest_bits(curve: Curve, quality: float) -> float:
+    """Return the bits per sample at which a curve reaches a quality, or of its cheapest better point; else infinity."""
+    bits = float(bits_per_sample_at(curve, quality))
+    return bits if math.isfinite(bits) else min((bits for bits, value in curve if value >= quality), default=math.inf)
+
+
 def quality_at(curve: Curve, bits_per_sample: ArrayLike) -> NDArray[np.float64]:
     """Return the quality at each rate, by pchip over the log rate on the envelope; NaN outside of it."""
     bits, quality = _columns(monotone_envelope(curve))

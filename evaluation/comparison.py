@@ -23,6 +23,7 @@ from vibrocast.evaluation.bd_rate import (
     Summary,
     bd_rates,
     bits_per_sample_at,
+    fewest_bits,
     monotone_envelope,
     quality_at,
     summary,
@@ -455,15 +456,10 @@ def bits_to_reach(measurements: Measurements, snr_db: float) -> dict[str, float]
     """Return the mean bits per sample of the codecs that reach this SNR or more on every trace, the fewest first."""
     means = {}
     for codec in measurements.curves:
-        bits = [_bits_to_reach(curve, snr_db) for curve in measurements.everywhere(codec, SNR) or [()]]
+        bits = [fewest_bits(curve, snr_db) for curve in measurements.everywhere(codec, SNR) or [()]]
         if all(map(math.isfinite, bits)):
             means[codec] = fmean(bits)
     return dict(sorted(means.items(), key=lambda item: item[1]))
-
-
-def _bits_to_reach(curve: Curve, snr_db: float) -> float:
-    bits = float(bits_per_sample_at(curve, snr_db))
-    return bits if math.isfinite(bits) else min((bits for bits, value in curve if value >= snr_db), default=math.inf)
 
 
 def recommendations(measurements: Measurements) -> pl.DataFrame:

@@ -2,7 +2,6 @@
 
 import io
 import math
-import os
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from torch import nn
 
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.priors import PRIORS, Prior
+from vibrocast.files import atomic_write
 
 FORMAT, VERSION = "vibrocast-eva", 1
 MAX_BYTES = 256 * 2**20
@@ -59,14 +59,10 @@ class Checkpoint:
             "curves": self.curves,
             "optimiser": self.optimiser,
         }
-        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         stored = io.BytesIO()
         torch.save(content, stored)
-        try:
+        with atomic_write(path) as partial:
             partial.write_bytes(stored.getbuffer())  # torch's own writing tells of no full disk
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
 
 
 def load(path: Path) -> Checkpoint:

@@ -1,11 +1,11 @@
 """Why methods fail and what to do about it: fixed sentences, by map, method and case, in known_causes.csv."""
 
-import csv
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
+from vibrocast.evaluation.points import read_rows
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
 
 TABLE = Path(__file__).parent / "known_causes.csv"
@@ -40,8 +40,7 @@ class Cause:
 @cache
 def known_causes() -> tuple[Cause, ...]:
     """Return the rows of the table, in their order."""
-    with TABLE.open(newline="", encoding="utf-8") as file:
-        return tuple(Cause(**row) for row in csv.DictReader(file))
+    return tuple(read_rows(TABLE, Cause))
 
 
 def explanation(cell: Verdict) -> tuple[str, str]:

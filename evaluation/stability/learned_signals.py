@@ -12,7 +12,7 @@ from scipy.signal import butter, sosfilt
 from vibrocast import codec
 from vibrocast.codec import CODECS, Signal
 from vibrocast.codec.stream import Stream
-from vibrocast.evaluation.bd_rate import bits_per_sample_at
+from vibrocast.evaluation.bd_rate import fewest_bits
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods, middle_rate_point, rate_points
 from vibrocast.evaluation.stability.signals import (
@@ -97,10 +97,7 @@ def bits_to_reach(rate_point_set: Sequence[RatePoint], samples: Signal, snr_db: 
         heard, stream = decoded(samples, RATE_HZ, rate_point)
         reached_db = codec.snr_db(samples, heard)
         curve.append((8 * stream.size_bytes / samples.size, math.inf if reached_db is None else reached_db))
-    bits = float(bits_per_sample_at(curve, snr_db))
-    return (
-        bits if math.isfinite(bits) else min((bits for bits, reached in curve if reached >= snr_db), default=math.inf)
-    )
+    return fewest_bits(curve, snr_db)
 
 
 def signal(name: str) -> Signal:
