@@ -56,17 +56,23 @@ def on_cores(tasks: Iterator[Task[Key, Result]], processes: int) -> Outcomes[Key
     # A forked process would share the locks of threads that it does not have.
     pool = ProcessPool(processes, initializer=_prepare_process, context=multiprocessing.get_context("spawn"))
     try:
-        for task, outcome in _outcomes(partial(pool.submit, _carried, None), tasks, lambda: 2 * processes):
+
+        def submit(work: Callable[[], Result]) -> Future[Result]:
+            # As bytes: a process that dies while it reads a task would take the pool with it.
+            future: Future[Result] = pool.submit(_carried, None, pickle.dumps(work))
+            return future
+
+        for task, outcome in _outcomes(submit, tasks, lambda: 2 * processes):
             yield task[0], WorkerDiedError() if isinstance(outcome, ProcessExpired) else outcome
     finally:
         pool.stop()
         pool.join()
 
 
-def _carried(work: Callable[[], Result]) -> Result:
-    """Return the result of work; raise its exception in a form that reaches the process that asked for it."""
+def _carried(pickled: bytes) -> Any:
+    """Return the result of pickled work; raise its exception in a form that reaches the process that asked for it."""
     try:
-        return work()
+        return pickle.loads(pickled)()
     except Exception as error:
         try:
             pickle.loads(pickle.dumps(error))
