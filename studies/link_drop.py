@@ -21,8 +21,8 @@ from vibrocast.files import atomic_write
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.memory_link import MemoryLink
-from vibrocast.simulated_device.slow_line import SlowLine, Wire
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.slow_link import SlowLink, Wire
 from vibrocast.textures import dataset
 
 RATES_BPS = (1000, 2000, 4000, 8000)
@@ -123,7 +123,7 @@ def stream(recording: textures.Recording, rate_bps: int) -> tuple[list[Packet], 
     signal_format = live_format(rate_hz, recording.unit, [peak], [rms])
     whole_bps = rate_bps / LINK_SHARE
     wire = Wire(whole_bps)
-    link = MemoryLink(SlowLine(SimulatedController(), wire))
+    link = MemoryLink(SlowLink(SimulatedController(), wire))
     policy = codec.ConstantRate(rate_bps, added_bytes)
     played = live.LiveStream(
         Controller(link, link.clock, link.sleep), signal_format, coding=live.LiveCoding(policy=policy)

@@ -8,7 +8,7 @@ import click
 from vibrocast import codec, models
 from vibrocast.device_protocol.model_image import sha256
 from vibrocast.host.cli.steps import show
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 
 _COLUMNS = ("name", "codec", "width", "image bytes", "rates", "SNR dB", "bit/sample")
 

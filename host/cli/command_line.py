@@ -11,7 +11,7 @@ import click
 
 from vibrocast import extras
 from vibrocast.host.cli.exit_codes import FAILED, INTERRUPTED
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 

@@ -13,7 +13,7 @@ from vibrocast import extras, progress
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices
 from vibrocast.host.cli.options import BadInput, device_option
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 
 if TYPE_CHECKING:
     from vibrocast.host.conformance import Report

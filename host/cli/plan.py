@@ -9,7 +9,7 @@ from msgspec import structs
 from vibrocast import extras, progress
 from vibrocast.host.cli.options import INPUT
 from vibrocast.host.cli.planned import play as play_plan
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 
 FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
 

@@ -12,7 +12,7 @@ from msgspec import structs
 
 from vibrocast import models, progress
 from vibrocast.files import atomic_write
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 
 if TYPE_CHECKING:  # what plans and measures takes a second to load, which other commands need not wait for
     from vibrocast.host.planner import Plan

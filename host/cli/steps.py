@@ -14,7 +14,7 @@ from vibrocast.codec.stream import CodingQuality
 from vibrocast.codec.threshold import TACTILE_BAND_HZ
 from vibrocast.host import profiles
 from vibrocast.host.cli.options import QualityOptions
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 from vibrocast.host.report import Report
 
 _Argument = TypeVar("_Argument")

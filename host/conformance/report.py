@@ -16,7 +16,7 @@ from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, H
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.conformance.fixtures import SECTIONS
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 
 PAGE = "conformance.md"
 JSON = "conformance.json"

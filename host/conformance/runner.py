@@ -14,7 +14,7 @@ from vibrocast.host.conformance.probe import NotConforming, Probe, Unreachable
 from vibrocast.host.conformance.report import Finding, Outcome, Report, Requirement
 from vibrocast.host.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.plain import plain
+from vibrocast.host.printable import plain
 
 _FOLDER = Path(__file__).parent
 # Nothing of the user's or of the environment's pytest takes part.

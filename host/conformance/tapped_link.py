@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.messages import Error, Message, MessageError, unpack
 from vibrocast.device_protocol.transports import Closing, Transport, TransportError
-from vibrocast.simulated_device.memory_link import FaultyLine
+from vibrocast.simulated_device.faulty_link import FaultyDirection
 
 
 class TappedLink(Closing):
@@ -33,8 +33,8 @@ class TappedLink(Closing):
         self.may_flash = may_flash
         self.messages: set[str] = set()
         self.error_codes: set[int] = set()
-        self.to_controller: FaultyLine | None = None
-        self.to_host: FaultyLine | None = None
+        self.to_controller: FaultyDirection | None = None
+        self.to_host: FaultyDirection | None = None
         self._transport = transport
         self._is_cut = False
         self._sent, self._received = FrameReader(), FrameReader()

@@ -13,7 +13,7 @@ from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import Probe, describe, in_state, same_samples
 from vibrocast.host.conformance.streams import decoded, decoded_as, need_capture, stream_for
 from vibrocast.host.controller import Controller
-from vibrocast.simulated_device.memory_link import FaultyLine
+from vibrocast.simulated_device.faulty_link import FaultyDirection
 
 _FAULTY_SECONDS = 1.0
 _SEEDS = (5, 15, 25)
@@ -30,7 +30,7 @@ _DRIFT_SECONDS = 3.0
 _PPM = 1e6
 
 
-class NotedLine(FaultyLine):
+class NotedLine(FaultyDirection):
     """A faulty link that keeps the payloads that arrive."""
 
     def __init__(self, seed: int, chances: dict[str, float]) -> None:
@@ -78,7 +78,7 @@ def play_with_faults(
     packet_samples = stream.decoder().packet_samples
     controller = host(probe)
     there = probe.link.to_controller = NotedLine(seed, chances)
-    probe.link.to_host = FaultyLine(seed + 1, **chances)
+    probe.link.to_host = FaultyDirection(seed + 1, **chances)
     # Captures are read afterwards, and some packets lie ready, so that the host is not late with its data.
     buffer_s = max(answered_s(probe), _PACKETS_READY * packet_samples / stream.header.rate_hz)
     result = player.play(controller, stream.header, stream.packets, packet_samples, buffer_s=buffer_s)

@@ -119,7 +119,7 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
         with devices.reach(address, actuator=actuator) as transport:
             yield CountingController(transport)
         return
-    from vibrocast.simulated_device.memory_link import MemoryLink
+    from vibrocast.simulated_device.faulty_link import MemoryLink
 
     if address in devices.EMULATED:
         device = devices.emulated(address, count_instructions=True)

@@ -22,7 +22,7 @@ from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
 from vibrocast.host.stability.transport import CLEAR_ERRORS, flash_with
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
 
 PLACES_PERCENT = tuple(5.0 * place for place in range(21))
 CUTS_PERCENT = (0.0, 1.0, 10.0, 50.0, 90.0, 99.0)

@@ -23,8 +23,8 @@ from vibrocast.host.player import BUFFER_S, play
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
+from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory
-from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
 
 CLEAR_ERRORS = (*trials.CLEAR_ERRORS, ControllerError)
 """Errors that tell a person what to do, those of controllers included."""
@@ -103,7 +103,7 @@ def measure(rate_point: RatePoint, faults: LinkFaults, buffer_s: float = BUFFER_
     if faults.stall_s:
         link = StallingLink(controller, faults.stall_s)
     else:
-        link = MemoryLink(controller, *(FaultyLine(seed, faults.lost, faults.flipped) for seed in (1, 2)))
+        link = MemoryLink(controller, *(FaultyDirection(seed, faults.lost, faults.flipped) for seed in (1, 2)))
     packet_samples = stream.decoder().packet_samples
     host = Host(link, link.clock, link.sleep)
     result = play(host, stream.header, stream.packets, packet_samples, loops=LOOPS, buffer_s=buffer_s)

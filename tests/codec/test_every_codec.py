@@ -17,7 +17,7 @@ from vibrocast.codec.registry import Source
 from vibrocast.host import end_to_end, uploader
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
 
 every_codec = pytest.mark.parametrize("name", list(codec.CODECS))
 waveform_codec = pytest.mark.parametrize("name", [name for name, known in codec.CODECS.items() if known.keeps_waveform])

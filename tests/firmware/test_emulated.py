@@ -39,8 +39,8 @@ from vibrocast.output.rendering import render
 from vibrocast.simulated_device import cortex_m, stm32f405
 from vibrocast.simulated_device.cortex_m import CORES, CortexM
 from vibrocast.simulated_device.emulator import EmulationError
+from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory
-from vibrocast.simulated_device.memory_link import MemoryLink
 from vibrocast.simulated_device.stm32f405 import Stm32F405
 
 LEARNED = "eva-16"

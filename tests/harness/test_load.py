@@ -7,12 +7,12 @@ from vibrocast.host.controller import Controller
 from vibrocast.host.harness import load
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.memory_link import MemoryLink
-from vibrocast.simulated_device.slow_line import SlowLine, Wire
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.slow_link import SlowLink, Wire
 from vibrocast.textures import Recording
 
 
-class SlowLink(MemoryLink):
+class WaitingLink(MemoryLink):
     """A line of so many bytes a second, which takes its time for each write and read."""
 
     def __init__(self, controller: SimulatedController, bytes_per_s: float) -> None:
@@ -38,14 +38,14 @@ def noise() -> Recording:
 
 
 def test_throughput_is_that_of_the_line() -> None:
-    measured = load.throughput(session(SlowLink(SimulatedController(), 90_000)), noise())
+    measured = load.throughput(session(WaitingLink(SimulatedController(), 90_000)), noise())
     assert measured.to_controller_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.to_host_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.bad_frames == 0
 
 
 def test_load_beyond_the_line_is_seen_as_underruns() -> None:
-    line = SlowLine(SimulatedController(Settings(channels=2)), there=Wire(bits_per_second=40_000))
+    line = SlowLink(SimulatedController(Settings(channels=2)), there=Wire(bits_per_second=40_000))
     loads = load.underruns(session(MemoryLink(line)), noise())
     assert [(each.channels, each.rate_hz) for each in loads] == [(1, 2800), (2, 2800), (1, 8000), (2, 8000)]
     assert loads[0].held

@@ -20,7 +20,7 @@ from vibrocast.output.actuator import (
 )
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.textures import Recording
 
 OVERSAMPLING = 4

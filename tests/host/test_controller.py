@@ -29,7 +29,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import TRIES, ConnectionLost, Controller, ControllerError
 from vibrocast.host.stream_session import Capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
 
 
 def connect(scripted: ScriptedController) -> Controller:

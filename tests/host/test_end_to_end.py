@@ -18,7 +18,7 @@ from vibrocast.host.stream_session import Capture
 from vibrocast.output.actuator import LRA, PIEZO_STACK, Actuator
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
 
 LOOPS = 3
 SAMPLES = 1000

@@ -17,14 +17,16 @@ from vibrocast.host.live import LiveCoding, LiveStream
 from vibrocast.host.stream_session import read_capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
-from vibrocast.simulated_device.slow_line import SlowLine, Wire
+from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
+from vibrocast.simulated_device.slow_link import SlowLink, Wire
 
 RATE_HZ = 2800
 FORMAT = live_format(RATE_HZ, "um", [10.0])
 
 
-def bench(settings: Settings | None = None, to_controller: FaultyLine | None = None) -> tuple[MemoryLink, Controller]:
+def bench(
+    settings: Settings | None = None, to_controller: FaultyDirection | None = None
+) -> tuple[MemoryLink, Controller]:
     link = MemoryLink(SimulatedController(settings), to_controller)
     return link, Controller(link, link.clock, link.sleep)
 
@@ -67,7 +69,7 @@ def test_packets_are_as_short_as_the_codec_has_them_and_refresh_four_times_a_sec
 
 @pytest.mark.parametrize("delay_ms", [5, 20, 100])
 def test_nothing_is_lost_at_the_start_of_a_stream_over_long_round_trips(delay_ms: int) -> None:
-    line = SlowLine(SimulatedController(), *(Wire(delay_s=delay_ms / 1000) for _ in range(2)))
+    line = SlowLink(SimulatedController(), *(Wire(delay_s=delay_ms / 1000) for _ in range(2)))
     link = MemoryLink(line)
     controller = Controller(link, link.clock, link.sleep)
     stream = LiveStream(controller, FORMAT)
@@ -75,8 +77,8 @@ def test_nothing_is_lost_at_the_start_of_a_stream_over_long_round_trips(delay_ms
     assert (result.underruns, result.lost_packets, result.streams) == (0, 0, 1)
 
 
-def test_the_margin_counts_from_when_the_first_packet_has_come_over_a_slow_line() -> None:
-    link = MemoryLink(SlowLine(SimulatedController(), Wire(bits_per_second=80_000), Wire(bits_per_second=80_000)))
+def test_the_margin_counts_from_when_the_first_packet_has_come_over_a_slow_link() -> None:
+    link = MemoryLink(SlowLink(SimulatedController(), Wire(bits_per_second=80_000), Wire(bits_per_second=80_000)))
     stream = LiveStream(Controller(link, link.clock, link.sleep), FORMAT, playout_delay_s=0.04)
     ahead: list[float] = []
     for _, block in live.paced(stream, noise(1.0), stream.packet_samples):
@@ -109,7 +111,7 @@ def test_a_lost_start_is_sent_again() -> None:
 
 
 def test_a_lost_packet_costs_itself_alone() -> None:
-    _, controller = bench(to_controller=FaultyLine(seed=2, lost=0.02))
+    _, controller = bench(to_controller=FaultyDirection(seed=2, lost=0.02))
     stream = LiveStream(controller, FORMAT)
     result = live.play(stream, blocks(stream, noise(3.0)))
     assert result.streams == 1

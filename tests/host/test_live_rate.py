@@ -16,8 +16,8 @@ from vibrocast.host.live import LiveCoding, LiveResult, LiveStream
 from vibrocast.host.live_group import LiveGroup
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink, SimulatedTime
-from vibrocast.simulated_device.slow_line import SlowLine, Wire
+from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink, SimulatedTime
+from vibrocast.simulated_device.slow_link import SlowLink, Wire
 
 RATE_HZ = 2800
 BLOCK_SAMPLES = 28
@@ -34,7 +34,7 @@ class Run:
     rate_bps: float
     wire: Wire
     channels: int = 1
-    to_controller: FaultyLine | None = None
+    to_controller: FaultyDirection | None = None
     policy: codec.RatePolicy | None = None
     packet_samples: int | None = None
     times_s: list[float] = field(default_factory=list)
@@ -43,7 +43,7 @@ class Run:
     waiting_bytes: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.link = MemoryLink(SlowLine(SimulatedController(), self.wire), self.to_controller)
+        self.link = MemoryLink(SlowLink(SimulatedController(), self.wire), self.to_controller)
         controller = Controller(self.link, self.link.clock, self.link.sleep)
         self.policy = self.policy or codec.ConstantRate(self.rate_bps, added_bytes)
         self.stream = LiveStream(
@@ -159,7 +159,7 @@ class Desk:
 
     def __post_init__(self) -> None:
         time = SimulatedTime()
-        self.links = [MemoryLink(SlowLine(SimulatedController(Settings()), self.wire), time=time) for _ in range(2)]
+        self.links = [MemoryLink(SlowLink(SimulatedController(Settings()), self.wire), time=time) for _ in range(2)]
         self.policy = codec.ConstantRate(self.rate_bps, added_bytes)
         group = codec.Group(self.policy, 2)
         signal_format = live_format(RATE_HZ, "um", [10.0])
@@ -201,7 +201,7 @@ def test_a_controller_that_is_unplugged_or_stalls_does_not_hurt_the_other(stalle
     before = desk.group.streams[1].payload_bytes
     if stalled:
         line = desk.links[0].controller
-        assert isinstance(line, SlowLine)
+        assert isinstance(line, SlowLink)
         line.back.bits_per_second = 0.0
         line.there = Wire(0.0)
     else:

@@ -16,7 +16,7 @@ from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
+from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
 
 PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
 
@@ -107,7 +107,7 @@ def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(s
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
     movement = position_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
-        link = MemoryLink(SimulatedController(), FaultyLine(seed=4, lost=lost))
+        link = MemoryLink(SimulatedController(), FaultyDirection(seed=4, lost=lost))
         with Controller(link, link.clock, link.sleep) as controller:
             played = position_playback.play(controller, stream, movement)
         expected = position_playback.computed(stream, played, PIEZO_STACK)

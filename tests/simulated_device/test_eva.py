@@ -23,7 +23,7 @@ from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.uploader import flash, running
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
 
 
 def session(runtime: str | None = None) -> Host:

@@ -23,8 +23,8 @@ from vibrocast.output.rendering import (
     render,
 )
 from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
-from vibrocast.simulated_device.memory_link import FaultyLine, MemoryLink
 
 REFRESH_S = 0.25
 
@@ -41,7 +41,7 @@ class Desk:
         return np.concatenate(self.codes)
 
 
-def desk(to_controller: FaultyLine | None = None, to_host: FaultyLine | None = None) -> Desk:
+def desk(to_controller: FaultyDirection | None = None, to_host: FaultyDirection | None = None) -> Desk:
     codes: list[Codes] = []
     link = MemoryLink(Controller(on_dac=codes.append), to_controller, to_host)
     return Desk(link, Host(link, link.clock, link.sleep), codes)
@@ -88,7 +88,7 @@ def test_line_with_faults_in_both_directions(fault: str, seed: int) -> None:
     chances = dict.fromkeys(("lost", "flipped", "doubled", "swapped") if fault == "all" else (fault,), 0.01)
     if fault in ("doubled", "swapped"):
         chances[fault] = 0.2
-    at = desk(FaultyLine(2 * seed, **chances), FaultyLine(2 * seed + 1, **chances))
+    at = desk(FaultyDirection(2 * seed, **chances), FaultyDirection(2 * seed + 1, **chances))
     result = play_on(at, played)
     assert result.state == State.FINISHED
     assert result.decoded is not None
@@ -128,7 +128,7 @@ def output_of(decoded: Decoded, played: Stream, loops: int) -> Codes:
 def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator(loops: int) -> None:
     played = stream(30.0, 4)
     chances = {"lost": 0.01, "flipped": 0.01, "doubled": 0.05, "swapped": 0.05}
-    at = desk(FaultyLine(1, **chances), FaultyLine(2, **chances))
+    at = desk(FaultyDirection(1, **chances), FaultyDirection(2, **chances))
     result = play_on(at, played, loops=loops)
     assert result.state == State.FINISHED
     assert result.decoded is not None
@@ -153,7 +153,7 @@ def test_worse_lines_end_with_a_sound_output_or_a_clear_error(
 ) -> None:
     played = stream(1.0)
     codes: list[Codes] = []
-    lines = [FaultyLine(seed + direction, lost, flipped, doubled, swapped) for direction in range(2)]
+    lines = [FaultyDirection(seed + direction, lost, flipped, doubled, swapped) for direction in range(2)]
     link = MemoryLink(Controller(on_dac=codes.append), *lines)
     try:
         result = play_on(Desk(link, Host(link, link.clock, link.sleep), codes), played)

@@ -32,7 +32,7 @@ from vibrocast.host.player import play
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.memory_link import MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
 
 # A microcontroller with 128 KiB of memory: the STM32F405 has 64 KiB more.
 BOARD = {

@@ -1,4 +1,4 @@
-"""An in-memory way to a controller in simulated time, with faults on request: what the tests speak through."""
+"""A link in memory to a controller in simulated time; it loses, damages or delays frames where a test asks for it."""
 
 import random
 
@@ -9,8 +9,8 @@ from vibrocast.simulated_device.device import Device
 STEP_US = 1000
 
 
-class FaultyLine:
-    """One direction of a line, which loses, damages, doubles and reorders frames by chance.
+class FaultyDirection:
+    """One direction of a link, which loses, damages, doubles and reorders frames by chance.
 
     `lost`, `flipped` (one byte of the frame), `doubled`, `swapped` (with the next one): probability for each frame. The
     same seed gives the same faults.
@@ -72,16 +72,16 @@ class MemoryLink(Closing):
     def __init__(
         self,
         controller: Device,
-        to_controller: FaultyLine | None = None,
-        to_host: FaultyLine | None = None,
+        to_controller: FaultyDirection | None = None,
+        to_host: FaultyDirection | None = None,
         *,
         time: SimulatedTime | None = None,
     ) -> None:
         self.controller = controller
         self.time = time or SimulatedTime()
         self.time.links.append(self)
-        self._to_controller = to_controller or FaultyLine()
-        self._to_host = to_host or FaultyLine()
+        self._to_controller = to_controller or FaultyDirection()
+        self._to_host = to_host or FaultyDirection()
         self._cable_out_until_us = 0.0
 
     @property

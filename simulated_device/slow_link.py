@@ -1,4 +1,4 @@
-"""A line of limited capacity in front of a controller: bits a second, a delay, a finite buffer, all in its own time."""
+"""A link of limited capacity in front of a controller: bits a second, a delay, a finite buffer, all in its own time."""
 
 import math
 from collections import deque
@@ -62,7 +62,7 @@ class Wire:
             deliver(data, self._now_us)
 
 
-class SlowLine(Device):
+class SlowLink(Device):
     """A controller at the far end of a line: a Device, so that any port serves it. Several may share a Wire."""
 
     def __init__(self, controller: Device, there: Wire | None = None, back: Wire | None = None) -> None:
