@@ -1,6 +1,4 @@
-"""Settings from coarse to fine, every codec's sets of rate points and the DCT codec's parameters: does quality rise on
-the way?
-"""
+"""Settings from coarse to fine: does the quality rise on the way up every set of rate points?"""
 
 import dataclasses
 import math

@@ -1,6 +1,4 @@
-"""What every codec that controls its rate must do: trials from the same state, packets as chosen, padding, what is
-rejected.
-"""
+"""What every codec with rate control must do: trials from one state, packets as chosen, padding, same samples."""
 
 from collections.abc import Callable
 
