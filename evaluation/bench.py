@@ -61,7 +61,7 @@ def _journal_entry(line: bytes) -> tuple[str, Measured] | None:
 
 
 @dataclass
-class Tally:
+class CellCounts:
     """How far a run is: cells in all, done, failed among those, and measured by this run rather than an earlier one."""
 
     cells: int
@@ -81,7 +81,7 @@ def run(
     repeats: int,
     journal: Journal,
     workers: Callable[[Iterator[Task]], Outcomes],
-    progress: Callable[[Tally], None],
+    progress: Callable[[CellCounts], None],
 ) -> list[Measured | Failure]:
     """Measure all cells that the journal does not hold; return what all gave, by trace, method and setting.
 
@@ -91,13 +91,13 @@ def run(
     """
     results: dict[int, Measured | Failure] = {}
     cells_of_trace = sum(len(method.settings) for method in chosen)
-    tally = Tally(len(traces) * cells_of_trace)
+    counts = CellCounts(len(traces) * cells_of_trace)
 
     def note(place: int, result: Measured | Failure, cells: int = 1) -> None:
         results[place] = result
-        tally.done += cells
-        tally.failed += cells * isinstance(result, Failure)
-        progress(tally)
+        counts.done += cells
+        counts.failed += cells * isinstance(result, Failure)
+        progress(counts)
 
     def tasks() -> Iterator[Task]:
         places = count()
@@ -107,7 +107,7 @@ def run(
             except Exception as error:  # whatever one file does, the others are wanted
                 note(next(places), Failure.of(error, trace.name), cells_of_trace)
                 continue
-            tally.cells -= cells_of_trace - len(cells)
+            counts.cells -= cells_of_trace - len(cells)
             for cell in cells:
                 place = next(places)
                 if measured := journal.get(cell):
@@ -118,7 +118,7 @@ def run(
     # However this ends, no process is left behind.
     with closing(workers(tasks())) as outcomes:
         for (place, cell), outcome in outcomes:
-            tally.measured += 1
+            counts.measured += 1
             if isinstance(outcome, Measured):
                 journal.add(cell, outcome)
                 note(place, outcome)

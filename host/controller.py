@@ -60,7 +60,7 @@ class ConnectionLost(ControllerError):
 
 
 @dataclass
-class _Asked:
+class _PendingRequest:
     """A request whose answer is not waited for, when it goes out again, and how often it still may."""
 
     frame: bytes
@@ -95,7 +95,7 @@ class Controller(Closing):
         self._reader = FrameReader()
         self._sequence = NOTIFICATION
         self._complaint: Error | None = None
-        self._asked: _Asked | None = None
+        self._pending: _PendingRequest | None = None
         self.open_session()
 
     def close(self) -> None:
@@ -132,7 +132,7 @@ class Controller(Closing):
 
     def open_session_steps(self) -> Steps[None]:
         """Say hello and set `description`. Raises as `request`."""
-        self._asked = None
+        self._pending = None
         self._write(DELIMITER)  # ends whatever the line has picked up
         description = yield from self._hello_steps()
         if description.major != PROTOCOL_MAJOR:
@@ -182,7 +182,7 @@ class Controller(Closing):
         Raises ControllerError with the controller's text if it rejects it, ConnectionLost, TransportError,
         MessageError.
         """
-        while self._asked is not None:
+        while self._pending is not None:
             yield from self.poll_steps(ANSWER_TIMEOUT_S)
         frame = self._next_request(message)
         for _ in range(tries):
@@ -215,7 +215,7 @@ class Controller(Closing):
 
     def stop_steps(self) -> Steps[Status]:
         """Ramp down at once, also after a frame that was cut while it was being written. Raises as `request_steps`."""
-        self._asked = None
+        self._pending = None
         self._write(DELIMITER)
         return (yield from self.request_steps(Stop(), Status))
 
@@ -254,14 +254,14 @@ class Controller(Closing):
         """Send a request, which `poll` sends again until its answer comes; no other one may be under way."""
         frame = self._next_request(message)
         self._write(frame)
-        self._asked = _Asked(frame, self.clock() + answer_timeout_s, answer_timeout_s, TRIES - 1)
+        self._pending = _PendingRequest(frame, self.clock() + answer_timeout_s, answer_timeout_s, TRIES - 1)
 
     def ask_status(self) -> None:
         """Ask for the status once; `poll` brings it. Raises TransportError.
 
         While another request waits for its answer, nothing is sent: one is under way at a time.
         """
-        if self._asked is None:
+        if self._pending is None:
             self.ask_once(StatusRequest())
 
     def ask_once(self, message: Message) -> None:
@@ -273,15 +273,15 @@ class Controller(Closing):
 
         Raises TransportError, ConnectionLost, and ControllerError if the controller rejects something or complains.
         """
-        if self._asked is not None and self.clock() >= self._asked.again_s:
-            if not self._asked.tries_left:
+        if self._pending is not None and self.clock() >= self._pending.again_s:
+            if not self._pending.tries_left:
                 raise _no_answer()
-            self._write(self._asked.frame)
-            self._asked.again_s = self.clock() + self._asked.answer_timeout_s
-            self._asked.tries_left -= 1
+            self._write(self._pending.frame)
+            self._pending.again_s = self.clock() + self._pending.answer_timeout_s
+            self._pending.tries_left -= 1
         answer = self._take((yield timeout_s))
         if answer is not None:
-            self._asked = None
+            self._pending = None
         if isinstance(answer, Error):
             raise _rejection(answer)
         if self._complaint is not None:

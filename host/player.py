@@ -272,7 +272,7 @@ class _Sender:
         self._max_silence_s = controller.description.limits.watchdog_ms / 4000
         self._status_interval_s = min(_MAX_STATUS_INTERVAL_S, self._max_silence_s, buffer_packets * source.packet_s / 2)
         self._ask_s = self._free_s = self._sent_s = 0.0
-        self._asked_tap: Tap | None = None
+        self._pending_tap: Tap | None = None
         self.reports_playing, self.buffered_s_sum = 0, 0.0
         self.captures = {tap: Capture(controller, tap, source.header.channels) for tap in Tap}
         self._base = first - first % len(source.packets)  # where the controller's positions begin
@@ -304,8 +304,8 @@ class _Sender:
             answer = yield from self._controller.poll_steps(0.0 if has_sent else self._wait_s(now_s))
             if answer is not None:
                 self._free_s = now_s = self._controller.clock()
-            if isinstance(answer, CaptureData) and self._asked_tap is not None:
-                tap, self._asked_tap = self._asked_tap, None  # a second copy may follow
+            if isinstance(answer, CaptureData) and self._pending_tap is not None:
+                tap, self._pending_tap = self._pending_tap, None  # a second copy may follow
                 self.captures[tap].take(answer)
                 if not answer.data:
                     self._free_s = self._ask_s  # nothing new, as far as is known, before the next status
@@ -447,7 +447,7 @@ class _Sender:
             self._free_s = now_s + min(ANSWER_TIMEOUT_S, self._status_interval_s)
             self._controller.ask_status()
         elif (tap := self._tap_to_read()) is not None:
-            self._asked_tap = tap
+            self._pending_tap = tap
             self._free_s = now_s + ANSWER_TIMEOUT_S
             self._controller.ask_once(self.captures[tap].request())
 

@@ -12,7 +12,7 @@ from vibrocast.simulated_device.device import Device
 PERIOD_S = 0.002
 # A computer under load may keep the thread waiting, which no controller's own processor does: of a longer wait, the
 # controller's clock counts only so much.
-LONGEST_STEP_US = 50_000
+MAX_STEP_US = 50_000
 
 
 class RealTimePort(Closing):
@@ -59,7 +59,7 @@ class RealTimePort(Closing):
         """Give bytes to the controller, let its time pass, and put what it sends into `_pending`."""
         with self._lock:
             read_us = time.monotonic_ns() // 1000
-            self._now_us += min(LONGEST_STEP_US, read_us - self._read_us)
+            self._now_us += min(MAX_STEP_US, read_us - self._read_us)
             self._read_us = read_us
             try:
                 if data:

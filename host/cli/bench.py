@@ -31,7 +31,7 @@ from vibrocast.textures import dataset
 from vibrocast.textures.dataset import DatasetEntry, DatasetError
 
 if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
-    from vibrocast.evaluation.bench import Tally
+    from vibrocast.evaluation.bench import CellCounts
     from vibrocast.evaluation.comparison import Measurements
     from vibrocast.evaluation.points import Failure, Point, Timing
 
@@ -253,16 +253,16 @@ def others(names: Sequence[str]) -> str:
     return f" and {len(names) - 1} more" if len(names) > 1 else ""
 
 
-def progress_reporter(update: progress.Update) -> "Callable[[Tally], None]":
+def progress_reporter(update: progress.Update) -> "Callable[[CellCounts], None]":
     """Return a function that shows the progress of a run by `update`: cells done, failures, time left."""
     start_s = time.monotonic()
 
-    def report_progress(tally: "Tally") -> None:
-        details = f"{tally.done} of {tally.cells} cells, {tally.failed} failed"
-        if tally.measured:
-            left_s = (time.monotonic() - start_s) / tally.measured * (tally.cells - tally.done)
+    def report_progress(counts: "CellCounts") -> None:
+        details = f"{counts.done} of {counts.cells} cells, {counts.failed} failed"
+        if counts.measured:
+            left_s = (time.monotonic() - start_s) / counts.measured * (counts.cells - counts.done)
             details += f", {datetime.timedelta(seconds=round(left_s))} left"
-        update(tally.done / tally.cells, details)
+        update(counts.done / counts.cells, details)
 
     return report_progress
 

@@ -440,8 +440,8 @@ def test_output_never_jumps(probe: Probe) -> None:
     level = np.abs(codes.astype(int)).max(initial=0)
     if level < _MIN_LEVEL:
         pytest.skip("a constant drive gives no DAC codes that could jump")
-    largest_step = np.abs(np.diff(codes[:, 0].astype(int))).max()
-    assert largest_step <= level / 2, f"expected a ramp to and from DAC code {level}, came a step of {largest_step}"
+    max_step = np.abs(np.diff(codes[:, 0].astype(int))).max()
+    assert max_step <= level / 2, f"expected a ramp to and from DAC code {level}, came a step of {max_step}"
 
 
 def dac_samples(probe: Probe, stream: Stream) -> int:

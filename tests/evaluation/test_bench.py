@@ -18,7 +18,7 @@ from vibrocast import codec, textures
 from vibrocast.codec import CodecError
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.evaluation import bench, cells, metrics, workers
-from vibrocast.evaluation.bench import Journal, Tally
+from vibrocast.evaluation.bench import CellCounts, Journal
 from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import Measurements
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
@@ -52,7 +52,7 @@ def cut_after(count: int, tasks: Iterator[bench.Task]) -> bench.Outcomes:
         yield outcome
 
 
-def ignore(tally: Tally) -> None:
+def ignore(counts: CellCounts) -> None:
     """Tell nobody."""
 
 
@@ -64,7 +64,7 @@ def run(
     repeats: int = 0,
     fresh: bool = False,
     load: Callable[[DatasetEntry], Recording] = load,
-    progress: Callable[[Tally], None] = ignore,
+    progress: Callable[[CellCounts], None] = ignore,
 ) -> Results:
     with Journal(results / bench.JOURNAL, fresh) as journal:
         return bench.run(entries(folder), load, chosen, repeats, journal, work, progress)
@@ -123,10 +123,10 @@ def test_a_run_that_is_cut_goes_on_to_the_same_figures(
 ) -> None:
     with suppress(KeyboardInterrupt):
         run(folder, results, partial(cut_after, finished))
-    told: list[Tally] = []
-    measured = run(folder, results, progress=lambda tally: told.append(replace(tally)))
+    told: list[CellCounts] = []
+    measured = run(folder, results, progress=lambda counts: told.append(replace(counts)))
     assert written(results, measured) == whole
-    assert told[-1] == Tally(cells=6, done=6, failed=0, measured=6 - finished)
+    assert told[-1] == CellCounts(cells=6, done=6, failed=0, measured=6 - finished)
 
 
 @pytest.mark.parametrize(
@@ -182,14 +182,14 @@ def test_a_codec_that_raises_costs_only_its_cells_and_is_tried_again(
     def reject(*_: object) -> Any:
         raise error
 
-    told: list[Tally] = []
+    told: list[CellCounts] = []
     with monkeypatch.context() as patched:
         patched.setitem(codec.BUILT_IN, "mdct", replace(codec.BUILT_IN["mdct"], make_encoder=reject))
-        measured = run(folder, results, progress=lambda tally: told.append(replace(tally)))
+        measured = run(folder, results, progress=lambda counts: told.append(replace(counts)))
     assert [each for each in measured if isinstance(each, Failure)] == [
         Failure(trace, "mdct", setting, reason) for trace in ("rough", "wood") for setting in ("step=1", "step=0.25")
     ]
-    assert told[-1] == Tally(cells=6, done=6, failed=4, measured=6)
+    assert told[-1] == CellCounts(cells=6, done=6, failed=4, measured=6)
     assert read_rows(written_failures(results, measured), Failure)[0].reason == reason
     assert written(results, run(folder, results)) == whole
 

@@ -99,7 +99,7 @@ def test_line_with_faults_in_both_directions(fault: str, seed: int) -> None:
         np.testing.assert_array_equal(result.decoded, played.decoded)
 
 
-def longest_hold(codes: Codes) -> int:
+def max_hold(codes: Codes) -> int:
     """Return the most DAC samples for which a channel has stayed where it was, other than at rest."""
     longest = 0
     for channel in codes.T:
@@ -137,7 +137,7 @@ def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuato
     codes = at.all_codes()
     np.testing.assert_array_equal(codes, output_of(result.decoded, played, loops))
     assert_within_limits(codes)
-    assert longest_hold(codes) < 0.005 * PIEZO_STACK.dac_rate_hz
+    assert max_hold(codes) < 0.005 * PIEZO_STACK.dac_rate_hz
 
 
 @settings(max_examples=10, deadline=None)

@@ -168,7 +168,7 @@ def steepest() -> float:
     return float(np.abs(np.diff(exact(periodic(heights(), RATE_HZ), np.arange(0, 18, 0.002), 0.5))).max() / 0.002)
 
 
-def largest_step(speed_mm_s: float) -> float:
+def max_step(speed_mm_s: float) -> float:
     """Return the largest step from one DAC sample to the next that the profile gives a hand at up to this speed."""
     return steepest() * speed_mm_s / RATE_HZ
 
@@ -184,7 +184,7 @@ def largest_step(speed_mm_s: float) -> float:
 )
 def test_no_step_is_larger_than_the_texture_has_at_that_speed(way: Way, fastest_mm_s: float) -> None:
     made = rendered_along(loaded(heights()), way, 0.8)[150:].astype(int)
-    assert np.abs(np.diff(made)).max() <= 1.02 * largest_step(fastest_mm_s) + 2
+    assert np.abs(np.diff(made)).max() <= 1.02 * max_step(fastest_mm_s) + 2
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -202,7 +202,7 @@ def test_jitter_and_loss_make_no_step(seed: int) -> None:
             profile.position(hand_us, round(50e6 * abs(hand_us / 1e6 - 0.3)))
         made.append(int(profile.render([max(0, time_us - HAND_DELAY_US)])[0, 0]))
     # A gap is caught up with faster than the hand goes, and no faster than 600 mm/s.
-    assert np.abs(np.diff(made[150:])).max() <= 1.1 * largest_step(300)
+    assert np.abs(np.diff(made[150:])).max() <= 1.1 * max_step(300)
     assert made[-1] == made[-100], "the hand has come to rest"
 
 
@@ -211,7 +211,7 @@ def test_hand_beyond_all_speeds_and_its_jumps_are_faded_out() -> None:
     made = rendered_along(profile, lambda t: 800.0 * t, 0.5)
     assert not made[600:].any()
     jumped = rendered_along(loaded(heights()), lambda t: 3.0 if t < 0.3 else 900.0, 0.8)
-    assert np.abs(np.diff(jumped[150:].astype(int))).max() <= largest_step(600)  # until it has faded out
+    assert np.abs(np.diff(jumped[150:].astype(int))).max() <= max_step(600)  # until it has faded out
     expected = exact(periodic(heights(), RATE_HZ), np.array([900.0]), 0.5)[0]
     assert jumped[-1] == pytest.approx(expected, abs=20)
 
@@ -235,7 +235,7 @@ def test_any_positions_are_rendered_within_the_profile(steps: list[tuple[int, in
     highest = int(np.abs(heights().astype(int)).max())
     assert all(abs(height) <= 1.3 * highest for height in made)
     # A step of the hand's 600 mm/s, or of the fade.
-    assert np.abs(np.diff([0, *made])).max(initial=0) <= largest_step(600) + 1.3 * highest / (0.02 * RATE_HZ) + 2
+    assert np.abs(np.diff([0, *made])).max(initial=0) <= max_step(600) + 1.3 * highest / (0.02 * RATE_HZ) + 2
 
 
 # ---- controllers ----
