@@ -1,6 +1,5 @@
 """CPU time of one process that streams to many controllers: `python -m studies.many_controllers --out docs`."""
 
-import argparse
 import contextlib
 import os
 import subprocess
@@ -10,11 +9,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
 import numpy as np
 
-from studies.page import render, write
+from studies.page import OUT, errors_in_one_line, render, write
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import build
 from vibrocast.host import player
@@ -136,23 +137,24 @@ def page(rows: Sequence[Measured], seconds: float, buffer_s: float) -> str:
     )
 
 
-def main() -> None:
-    """Measure, print a line for each, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--controllers", type=int, nargs="+", default=[1, 20, 50, 100])
-    parser.add_argument("--channels", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--buffer-s", type=float, default=player.BUFFER_S)
-    parser.add_argument("--kind", choices=KINDS, nargs="+", default=list(KINDS))
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
-    rows = []
-    for kind in options.kind:
-        for count in options.controllers:
-            rows.append(measure(kind, count, options.channels, options.seconds, options.buffer_s))
-            print(rows[-1], flush=True)
-    if options.out is not None:
-        write(options.out / PAGE, page(rows, options.seconds, options.buffer_s))
+@click.command()
+@click.option("--controllers", "counts", type=click.IntRange(1), multiple=True, default=(1, 20, 50, 100))
+@click.option("--channels", type=click.IntRange(1, MAX_CHANNELS), default=10, show_default=True)
+@click.option("--seconds", type=float, default=10.0, show_default=True)
+@click.option("--buffer-s", type=float, default=player.BUFFER_S, show_default=True)
+@click.option("--kind", "kinds", type=click.Choice(list(KINDS)), multiple=True, default=tuple(KINDS))
+@OUT
+def main(
+    counts: tuple[int, ...], channels: int, seconds: float, buffer_s: float, kinds: tuple[str, ...], out: Path
+) -> None:
+    """Measure, print a line for each, and write the page into OUT."""
+    with errors_in_one_line():
+        rows = []
+        for kind in kinds:
+            for count in counts:
+                rows.append(measure(kind, count, channels, seconds, buffer_s))
+                click.echo(rows[-1])
+        write(out / PAGE, page(rows, seconds, buffer_s))
 
 
 if __name__ == "__main__":
