@@ -22,7 +22,7 @@ def does_not_fit(packet_samples: int) -> CodecError:
 
 
 def _made(name: str, kind: str, configuration: bytes, channels: int, *parameters: Any) -> Structure:
-    """Return the state of the `kind` of a codec, "encoder" or "decoder". Raises CodecError where the core refuses."""
+    """Return the state of a codec's `kind`, "encoder" or "decoder". Raises CodecError where the core rejects it."""
     size, init = (getattr(library(), f"vc_{name}_{kind}_{function}") for function in ("size", "init"))
     state = Structure(size(), f"vc_{name}_{kind} *")
     if init(state.pointer, configuration, len(configuration), channels, *parameters) != library().VC_OK:

@@ -28,7 +28,7 @@ def library() -> Any:
     processor tells which is loaded. Raises CoreError if the core has not been compiled, or if the environment
     variable VIBROCAST_CORE names a core that this machine cannot run.
     """
-    with _LOCK:
+    with _LOCK:  # the cache of this function spares it every later call
         return _loaded()
 
 

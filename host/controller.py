@@ -45,9 +45,9 @@ _Result = TypeVar("_Result")
 
 
 class ControllerError(RuntimeError):
-    """A controller that refused, or that does not do what the protocol says.
+    """A controller that rejected a request, or that does not do what the protocol says.
 
-    `code`: the ErrorCode it answered (or a later one); None if it did not refuse.
+    `code`: the ErrorCode it answered (or a later one); None if it rejected nothing.
     """
 
     def __init__(self, text: str, code: int | None = None) -> None:
@@ -330,4 +330,4 @@ def _no_answer() -> ConnectionLost:
 def _rejection(error: Error) -> ControllerError:
     if error.code == ErrorCode.HELLO_FIRST:
         return ConnectionLost("the controller has restarted and knows nothing of this session", error.code)
-    return ControllerError(f"the controller refuses: {error.text or 'no reason given'}", error.code)
+    return ControllerError(f"the controller rejects the request: {error.text or 'no reason given'}", error.code)

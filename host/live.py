@@ -293,7 +293,7 @@ class LiveStream:
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
         if out_of_step:
-            self._refuse_floods()
+            self._reject_floods()
         if out_of_step or self.status.state == State.WATCHDOG:
             self.begin_again()
 
@@ -348,7 +348,7 @@ class LiveStream:
             self.controller.ask_status()
         self._begin_encoder(self.packets_sent)
 
-    def _refuse_floods(self) -> None:
+    def _reject_floods(self) -> None:
         """Raise LiveError for a source that does not keep its own rate: what is ahead of time would be lost."""
         sent_s = self.packets_sent * self.packet_samples / self.format.rate_hz
         took_s = self.controller.clock() - self._began_s

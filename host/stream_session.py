@@ -19,6 +19,7 @@ from vibrocast.device_protocol.messages import (
     StatusRequest,
     StreamData,
     Tap,
+    pack,
 )
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import Controller, ControllerError
@@ -150,7 +151,7 @@ class Capture:
         self.samples_read = first
         self._controller, self._tap, self._channels = controller, tap, channels
         self._pieces = [np.zeros((0, channels), np.int16)]
-        fixed_bytes = len(CaptureData(tap, channels, 0, 0, b"").body()) + 3
+        fixed_bytes = len(pack(CaptureData(tap, channels, 0, 0, b"")))
         self._frame_samples = (controller.description.limits.max_payload_bytes - fixed_bytes) // (2 * channels)
 
     def request(self) -> CaptureRead:

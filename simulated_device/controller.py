@@ -127,8 +127,8 @@ class Controller:
 def _sink(ffi: Any, on_dac: Callable[[Codes], None] | None) -> Callable[..., None]:
     """Return the vc_dac_sink that hands codes to `on_dac`."""
 
-    def put_out(context: Any, codes: Any, samples: int, channels: int) -> None:
+    def hand_on(context: Any, codes: Any, samples: int, channels: int) -> None:
         if on_dac is not None:
             on_dac(np.frombuffer(ffi.buffer(codes, 2 * samples * channels), np.int16).reshape(-1, channels).copy())
 
-    return put_out
+    return hand_on

@@ -35,16 +35,16 @@ class PythonDecoders:
         self._kept = (texts, functions, codecs)
         self.pointer = ffi.new("vc_decoder_callbacks *", {"codecs": codecs, "codec_count": len(named), **functions})
 
-    def _check_tables(self, context: Any, identifier: int, tables: Any, length: int, refusal: Any) -> int:
+    def _check_tables(self, context: Any, identifier: int, tables: Any, length: int, rejection: Any) -> int:
         try:
             if codec.codec_by_identifier(identifier).with_runtime is None:
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             codec.check_tables(identifier, bytes(self._ffi.buffer(tables, length)))
         except CodecError as error:
-            return self._reject(refusal, ErrorCode.IMAGE_REJECTED, error)
+            return self._reject(rejection, ErrorCode.IMAGE_REJECTED, error)
         return 0
 
-    def _check(self, context: Any, coding: Any, refusal: Any) -> int:
+    def _check(self, context: Any, coding: Any, rejection: Any) -> int:
         try:
             tables, known = self._tables(coding), codec.codec_by_identifier(coding.codec, self._configuration(coding))
             if tables is not None and self._runtime is not None and known.with_runtime is not None:
@@ -54,7 +54,7 @@ class PythonDecoders:
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             decoder = self._make(coding)
         except CodecError as error:
-            return self._reject(refusal, ErrorCode.UNKNOWN_CODEC, error)
+            return self._reject(rejection, ErrorCode.UNKNOWN_CODEC, error)
         coding.packet_samples, coding.delay_samples = decoder.packet_samples, decoder.delay_samples
         return 0
 
@@ -87,5 +87,5 @@ class PythonDecoders:
     def _tables(self, coding: Any) -> bytes | None:
         return bytes(self._ffi.buffer(coding.tables, coding.tables_length)) if coding.tables else None
 
-    def _reject(self, refusal: Any, code: ErrorCode, error: CodecError) -> int:
-        return int(self._library.vc_reject(refusal, code, str(error).encode()))
+    def _reject(self, rejection: Any, code: ErrorCode, error: CodecError) -> int:
+        return int(self._library.vc_reject(rejection, code, str(error).encode()))

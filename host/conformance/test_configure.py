@@ -128,7 +128,7 @@ def test_iteration_too_short_to_be_repeated(probe: Probe, stream: Stream) -> Non
 
 
 @section("Playing: Configure")
-def test_unknown_flags_are_refused(probe: Probe, stream: Stream) -> None:
+def test_unknown_flags_are_rejected(probe: Probe, stream: Stream) -> None:
     """A flag other than 0x01 is answered BAD_VALUE."""
     body = bytearray(probe.configuration(stream).body())
     for flag in (0x02, 0x80):
@@ -150,7 +150,7 @@ def test_gain_is_a_finite_factor(probe: Probe, stream: Stream, gain: float) -> N
 
 
 @section("Playing: Configure")
-def test_refused_configure_changes_nothing(probe: Probe, stream: Stream) -> None:
+def test_rejected_configure_changes_nothing(probe: Probe, stream: Stream) -> None:
     """A Configure that is rejected leaves the stream of before as it was."""
     before = probe.configure(stream)
     probe.feed(before.stream, stream)

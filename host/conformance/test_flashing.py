@@ -108,7 +108,7 @@ def test_slots_that_are_not_there(probe: Probe) -> None:
 
 
 @section("Flashing")
-def test_image_for_other_hardware_is_refused(probe: Probe, slot: int) -> None:
+def test_image_for_other_hardware_is_rejected(probe: Probe, slot: int) -> None:
     """FlashBegin for other hardware is answered WRONG_HARDWARE; for this one, and for any, it is carried out."""
     hardware = probe.description.hardware
     for other in (f"not {hardware}", hardware + "x", hardware[:-1]):
@@ -122,7 +122,7 @@ def test_image_for_other_hardware_is_refused(probe: Probe, slot: int) -> None:
 
 
 @section("Messages: Error codes")
-def test_image_larger_than_a_slot_is_refused(probe: Probe, slot: int) -> None:
+def test_image_larger_than_a_slot_is_rejected(probe: Probe, slot: int) -> None:
     """FlashBegin with a size that no slot has is answered BEYOND_LIMITS."""
     probe.expect_rejection(FlashBegin(slot, 0xFFFFFFFF, bytes(32), ""), ErrorCode.BEYOND_LIMITS)
 
@@ -139,7 +139,7 @@ def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
 
 
 @section("Flashing")
-def test_data_beyond_the_image_is_refused(probe: Probe, slot: int) -> None:
+def test_data_beyond_the_image_is_rejected(probe: Probe, slot: int) -> None:
     """FlashData beyond the size that FlashBegin named is answered BAD_VALUE and not written."""
     data = bytes(range(100))
     begin(probe, slot, data)
@@ -195,7 +195,7 @@ def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> N
         "a name that is not UTF-8",
     ],
 )
-def test_faulty_image_is_refused(probe: Probe, slot: int, image: ModelImage, fault: str) -> None:
+def test_faulty_image_is_rejected(probe: Probe, slot: int, image: ModelImage, fault: str) -> None:
     """FlashVerify of an image with {fault} is answered IMAGE_REJECTED, and the slot is EMPTY."""
     data = image.pack()
     faulty, digest = {

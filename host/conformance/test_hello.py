@@ -95,7 +95,7 @@ def test_slots_are_listed(hello: HelloResponse) -> None:
 
 
 @section("Session: Version")
-def test_other_major_version_is_refused(probe: Probe) -> None:
+def test_other_major_version_is_rejected(probe: Probe) -> None:
     """Another major version is answered UNSUPPORTED_VERSION, with both versions in the text, and opens no session."""
     last = probe.sequence
     sequence = (last + 1000) % MAX_SEQUENCE + 1

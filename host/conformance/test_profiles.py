@@ -125,7 +125,7 @@ def test_late_positions_are_counted(probe: Probe, profile: Stream) -> None:
 
 
 @section("Playing: Profiles")
-def test_profiles_that_are_refused(probe: Probe, profile: Stream) -> None:
+def test_profiles_that_are_rejected(probe: Probe, profile: Stream) -> None:
     """A profile that is live, cut or looped is answered BAD_VALUE; one that is too long or too short BEYOND_LIMITS."""
     packets, header = len(profile.packets), profile.header
     min_samples = rendering.min_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)

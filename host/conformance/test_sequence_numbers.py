@@ -53,7 +53,7 @@ def test_copy_of_a_request_is_answered_alike_and_not_carried_out_again(probe: Pr
 
 
 @section("Session: Sequence numbers")
-def test_copy_of_a_refused_request_is_refused_alike(probe: Probe) -> None:
+def test_copy_of_a_rejected_request_is_rejected_alike(probe: Probe) -> None:
     """A copy of a request that was rejected, or could not be read, gets the same Error, byte for byte."""
     probe.expect_rejection(Pause(), ErrorCode.WRONG_STATE)
     repeat(probe, Pause())

@@ -60,7 +60,7 @@ def bring_to(probe: Probe, state: State, live: bool = False) -> Status:
 
 @section("Playing")
 @pytest.mark.parametrize("state", _STATES)
-def test_requests_in_the_wrong_state_are_refused(probe: Probe, state: State) -> None:
+def test_requests_in_the_wrong_state_are_rejected(probe: Probe, state: State) -> None:
     """In {state}, each request that the table does not allow there is answered WRONG_STATE and changes nothing."""
     before = bring_to(probe, state)
     allowed: tuple[tuple[Message, tuple[State, ...]], ...] = (

@@ -227,6 +227,7 @@ def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> No
     pictures.curves(path, panels)
 
 
+_ABOUT = Path(__file__).parent / "about"
 _RULES = {
     "seconds": SECONDS,
     "loops": LOOPS,
@@ -242,7 +243,7 @@ LOSS = Map(
     "{} %",
     partial(_trials, "loss", LOSSES_PERCENT, lambda percent: LinkFaults(lost=percent / 100), (BUFFER_S,)),
     partial(_draw, "frames that are lost, %", True),
-    folder=Path(__file__).parent / "about",
+    folder=_ABOUT,
 )
 FLIPS = Map(
     "bit_flips",
@@ -251,7 +252,7 @@ FLIPS = Map(
     "{} %",
     partial(_trials, "bit_flips", DAMAGES_PERCENT, lambda percent: LinkFaults(flipped=percent / 100), (BUFFER_S,)),
     partial(_draw, "frames that are damaged, %", True),
-    folder=Path(__file__).parent / "about",
+    folder=_ABOUT,
 )
 DRIFT = Map(
     "drift",
@@ -260,7 +261,7 @@ DRIFT = Map(
     "{} ppm",
     _drift_trials,
     partial(_draw, "drift of the controller's clock, ppm", False),
-    folder=Path(__file__).parent / "about",
+    folder=_ABOUT,
 )
 JITTER = Map(
     "buffer",
@@ -269,5 +270,5 @@ JITTER = Map(
     "{} s",
     partial(_trials, "buffer", STALLS_S, lambda stall_s: LinkFaults(stall_s=stall_s), BUFFERS_S),
     partial(_draw, "length of a stall, s", True),
-    folder=Path(__file__).parent / "about",
+    folder=_ABOUT,
 )

@@ -141,7 +141,7 @@ def descriptor(**fields: int) -> Any:
 class MadeUpUsb(usb.backend.IBackend):  # type: ignore[misc]
     """One device, 1209:0001, that sends back what it gets; at most 64 bytes a transfer.
 
-    `stalled`: the endpoints that refuse every transfer until their halt is cleared.
+    `stalled`: the endpoints that reject every transfer until their halt is cleared.
     """
 
     def __init__(self, interface_class: int = 0xFF, endpoints: tuple[int, ...] = (0x01, 0x82)) -> None:
@@ -324,12 +324,12 @@ def test_usb_device_of_another_user_names_the_remedy() -> None:
 @pytest.mark.parametrize(
     "backend", [MadeUpUsb(interface_class=3), MadeUpUsb(endpoints=(0x82,)), MadeUpUsb(endpoints=())]
 )
-def test_usb_device_of_another_kind_is_refused(backend: MadeUpUsb) -> None:
+def test_usb_device_of_another_kind_is_rejected(backend: MadeUpUsb) -> None:
     with pytest.raises(TransportError, match="no tactor controller"):
         UsbTransport(0x1209, 0x0001, backend)
 
 
 @pytest.mark.parametrize("address", ["", "serial:", "usb:", "usb:1209", "usb:xyz:0001", "usb:12090:0001", "tcp:host"])
-def test_address_of_no_kind_is_refused(address: str) -> None:
+def test_address_of_no_kind_is_rejected(address: str) -> None:
     with pytest.raises(TransportError, match="give serial:PORT or usb:VID:PID"):
         open_transport(address)

@@ -200,7 +200,7 @@ STREAM = vibrocast.encode(TEXTURE, RATE_HZ, "m/s^2", codec="dct", setting={"leve
 
 
 untyped: Any = vibrocast
-"""The package, for arguments that a type checker refuses."""
+"""The package, for arguments that a type checker rejects."""
 
 
 def connected(*arguments: Any, **options: Any) -> Any:

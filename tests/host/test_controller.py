@@ -129,7 +129,7 @@ def test_silent_controller_is_given_up() -> None:
     assert len(attempts) == TRIES
 
 
-def test_refusal_carries_code_and_text() -> None:
+def test_rejection_carries_code_and_text() -> None:
     controller = connect(ScriptedController())
     with pytest.raises(ControllerError, match="what is that") as caught:
         controller.request(Loop(3), Status)
@@ -162,7 +162,7 @@ def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
     assert 3.0 <= scripted.now_s < 3.5
 
 
-def test_another_major_version_is_refused_naming_both() -> None:
+def test_another_major_version_is_rejected_naming_both() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, major=7)
     with pytest.raises(ControllerError, match=r"protocol 7\.1, this host 1\.1"):
@@ -170,7 +170,7 @@ def test_another_major_version_is_refused_naming_both() -> None:
 
 
 @pytest.mark.parametrize("limits", [Limits(255, 64, 200, 0, 1, 1, 2, 400), Limits(512, 64, 200, 0, 1, 1, 2, 0)])
-def test_limits_that_no_host_can_keep_to_are_refused(limits: Limits) -> None:
+def test_limits_that_no_host_can_keep_to_are_rejected(limits: Limits) -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, limits=limits)
     with pytest.raises(ControllerError, match="update its firmware"):

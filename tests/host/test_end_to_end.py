@@ -85,7 +85,7 @@ def test_known_actuator_is_modelled_with_the_dac_that_its_controller_has(actuato
         ({"name": "x" * 40}, "name"),
     ],
 )
-def test_controller_with_an_impossible_actuator_is_refused(
+def test_controller_with_an_impossible_actuator_is_rejected(
     changes: dict[str, Any], reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_steps = Controller.open_session_steps

@@ -186,7 +186,7 @@ def test_a_source_without_a_sample_plays_nothing() -> None:
     assert live.play(LiveStream(controller, FORMAT), []).underruns == 0
 
 
-def test_a_source_that_does_not_keep_its_rate_is_refused() -> None:
+def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:
     link, controller = bench()
     stream = LiveStream(controller, FORMAT)
 
@@ -211,7 +211,7 @@ def test_what_a_source_kept_before_it_was_heard_is_passed_over() -> None:
     assert result.underruns == 0
 
 
-def test_what_cannot_be_streamed_is_refused() -> None:
+def test_what_cannot_be_streamed_is_rejected() -> None:
     _, controller = bench(Settings(channels=1))
     with pytest.raises(StreamError, match="2 channels, the controller has 1"):
         LiveStream(controller, live_format(RATE_HZ, "um", [1.0, 1.0]))

@@ -49,7 +49,7 @@ def test_a_setting_is_the_smallest_models() -> None:
     assert stream.model_name == "low"
 
 
-def test_what_none_can_do_is_refused_with_what_the_largest_reaches() -> None:
+def test_what_none_can_do_is_rejected_with_what_the_largest_reaches() -> None:
     with pytest.raises(TargetUnreachable, match="an SNR of 60 dB cannot be met; this signal reaches"):
         chosen(snr_db=60)
     with pytest.raises(TargetUnreachable, match="a rate of 10 bit/s cannot be met"):

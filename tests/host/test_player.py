@@ -152,11 +152,11 @@ def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
     np.testing.assert_array_equal(result.decoded, np.tile(decoded, (loops, 1)))
 
 
-def test_loop_too_short_for_the_controller_is_refused_with_its_reason() -> None:
+def test_loop_too_short_for_the_controller_is_rejected_with_its_reason() -> None:
     coded = codec.encode(np.ones((1, 1)), 2800, {"step": 0.01})
     header = StreamHeader(1, 2800, 1, "um", coded.gains, coded.configuration)
     link = MemoryLink(SimulatedController())
-    with pytest.raises(ControllerError, match="refuses: an iteration"):
+    with pytest.raises(ControllerError, match="rejects the request: an iteration"):
         play(Controller(link, link.clock, link.sleep), header, coded.packets, 64, loops=50)
 
 
@@ -367,7 +367,7 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh_packet() -> 
         ([b""], PACKET_SAMPLES, "truncated"),
     ],
 )
-def test_streams_that_cannot_be_played_are_refused(packets: list[bytes], packet_samples: int, reason: str) -> None:
+def test_streams_that_cannot_be_played_are_rejected(packets: list[bytes], packet_samples: int, reason: str) -> None:
     with pytest.raises((StreamError, ControllerError), match=reason):
         play(connect(ScriptedController()), HEADER, packets, packet_samples)
 
@@ -380,7 +380,7 @@ def test_streams_that_cannot_be_played_are_refused(packets: list[bytes], packet_
         ({"rate_hz": 48_001}, "48001 Hz"),
     ],
 )
-def test_streams_beyond_the_controllers_limits_are_refused(change: dict[str, Any], reason: str) -> None:
+def test_streams_beyond_the_controllers_limits_are_rejected(change: dict[str, Any], reason: str) -> None:
     scripted = ScriptedController()
     with pytest.raises(StreamError, match=reason):
         play(connect(scripted), replace(HEADER, **change), PACKETS, PACKET_SAMPLES)

@@ -1,4 +1,4 @@
-"""Profiles under a hand from the command line: coding, what is said of the stream, movements, playing, refusals."""
+"""Profiles under a hand from the command line: coding, what is said of the stream, movements, playing, rejections."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +40,7 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
 
 @pytest.mark.parametrize("setting", [{}, {"smallest": 0.05, "levels": 14}])
 def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
-    """Its limit at 400 Hz is one over time, as its threshold is, which is refused."""
+    """Its limit at 400 Hz is one over time, as its threshold is, which is rejected."""
     recording = profiles.recording_of(PROFILE)
     snr_db = profiles.encode(recording, codec_name="dct", setting=setting).quality.snr_db
     assert snr_db is not None and snr_db > 13
@@ -48,7 +48,7 @@ def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
         profiles.encode(recording, codec_name="dct", setting={"threshold": "on", "levels": 14})
 
 
-def test_too_slow_a_hand_is_refused_with_the_slowest_that_can_be() -> None:
+def test_too_slow_a_hand_is_rejected_with_the_slowest_that_can_be() -> None:
     fine = textures.Recording(np.random.default_rng(1).standard_normal((4000, 1)), 1e6, "um", "fine")
     with pytest.raises(Exception, match=r"slowest hand speed of 5\.88 mm/s"):
         profiles.encode(fine, 1.0)
@@ -85,7 +85,7 @@ def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
         ("time_s,position_mm\n0,1,2\n", "line 2 is not two numbers"),
     ],
 )
-def test_movements_that_cannot_be_read_are_refused(tmp_path: Path, text: str, reason: str) -> None:
+def test_movements_that_cannot_be_read_are_rejected(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / "hand.csv"
     path.write_text(text)
     with pytest.raises(InputFileError, match=reason):

@@ -1,4 +1,4 @@
-"""Flashing: the whole way, cuts, refusals, images that do not start."""
+"""Flashing: the whole way, cuts, rejections, images that do not start."""
 
 from dataclasses import replace
 from typing import Any
@@ -151,7 +151,7 @@ def test_controller_without_a_free_slot_is_an_error() -> None:
         flash(connect(scripted), IMAGE)
 
 
-def test_file_that_is_no_image_is_refused_before_anything_is_sent() -> None:
+def test_file_that_is_no_image_is_rejected_before_anything_is_sent() -> None:
     scripted = ScriptedController()
     with pytest.raises(ModelImageError):
         flash(connect(scripted), IMAGE[:-1])

@@ -100,7 +100,7 @@ def test_only_stop_is_carried_out_before_hello() -> None:
     assert state_of(bench.ask(Stop())) == State.STOPPED
 
 
-def test_other_major_version_is_refused_by_name_and_other_minor_is_not() -> None:
+def test_other_major_version_is_rejected_by_name_and_other_minor_is_not() -> None:
     bench = Bench()
     answer = bench.ask(Hello(major=2, minor=3))
     assert error_code(answer) == ErrorCode.UNSUPPORTED_VERSION
@@ -148,13 +148,13 @@ def test_hello_opens_a_new_session_and_leaves_the_stream_alone() -> None:
 @pytest.mark.parametrize(
     "message", [Start(), Pause(), Resume(), Loop(2), Gain(0.5), EndStream(7, 1), CaptureRead(Tap.DAC, 0, 1)]
 )
-def test_without_a_stream_what_needs_one_is_refused(message: Message) -> None:
+def test_without_a_stream_what_needs_one_is_rejected(message: Message) -> None:
     bench = Bench()
     bench.ask(Hello())
     assert error_code(bench.ask(message)) == ErrorCode.WRONG_STATE
 
 
-def test_configure_refuses_what_cannot_be_played() -> None:
+def test_configure_rejects_what_cannot_be_played() -> None:
     bench = Bench()
     good = stream()
     assert state_of(bench.configure(good)) == State.BUFFERING
@@ -163,7 +163,7 @@ def test_configure_refuses_what_cannot_be_played() -> None:
     nine_channels = StreamHeader(1, RATE_HZ, 10, "um", (1.0,) * 9, coding)
     short_packets = replace(header, samples=None, configuration=configuration(1, 16))
     long_packets = replace(header, samples=None, configuration=configuration(1000, 64))
-    refused = [
+    rejected = [
         (Configure(1, b"VCT", 0), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack() + b"x", 0), ErrorCode.BAD_VALUE),
         (Configure(1, header.pack(), 0, packets=0, loops=0), ErrorCode.BAD_VALUE),
@@ -179,13 +179,13 @@ def test_configure_refuses_what_cannot_be_played() -> None:
         (Configure(1, replace(header, configuration=b"\xff").pack(), 0), ErrorCode.UNKNOWN_CODEC),
         (Configure(1, replace(header, image_hash=bytes(range(4))).pack(), 0), ErrorCode.UNKNOWN_IMAGE),
     ]
-    for configure, code in refused:
+    for configure, code in rejected:
         answer = bench.ask(configure)
         assert error_code(answer) == code, configure
         if code == ErrorCode.UNKNOWN_IMAGE:
             assert isinstance(answer, Error)
             assert "00010203" in answer.text
-    # A Configure that is refused changes nothing.
+    # A Configure that is rejected changes nothing.
     assert bench.status().stream == 7
     assert bench.status().state == State.BUFFERING
 
@@ -332,7 +332,7 @@ def test_loops_repeat_the_stream_and_can_be_changed() -> None:
     [(0, 4, 32, 1), (None, 1, 32, 1), (1, 4, 32, 1), (1, 512, 64, 1), (2, 1, 16, 2)],
 )
 @pytest.mark.parametrize("loops", [0, 2, 65_535])
-def test_iteration_too_short_to_be_repeated_is_refused(
+def test_iteration_too_short_to_be_repeated_is_rejected(
     samples: int | None, blocks: int, hop: int, packets: int, loops: int
 ) -> None:
     bench = Bench()
@@ -749,7 +749,7 @@ def test_flashed_image_decodes_the_streams_that_name_it() -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), played.decoded)
 
 
-def test_flashing_is_refused_while_playing() -> None:
+def test_flashing_is_rejected_while_playing() -> None:
     bench = Bench()
     bench.start_all(stream())
     bench.run(10)
@@ -766,7 +766,7 @@ def test_flash_that_fails_is_reported(tmp_path: Path) -> None:
     assert isinstance(bench.ask(StatusRequest()), Status)
 
 
-def test_refusal_that_quotes_the_host_still_fits_a_frame() -> None:
+def test_rejection_that_quotes_the_host_still_fits_a_frame() -> None:
     bench = Bench()
     bench.ask(Hello())
     assert error_code(bench.ask(FlashBegin(0, 100, bytes(32), "x" * 4050))) == ErrorCode.WRONG_HARDWARE

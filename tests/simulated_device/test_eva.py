@@ -74,7 +74,7 @@ def test_the_image_chooses_the_runtime_and_the_setting_overrules_it() -> None:
 
 
 @pytest.mark.parametrize(("contents", "runtime"), [("core", "onnx"), ("onnx", "core")])
-def test_a_runtime_that_the_image_does_not_have_is_refused(contents: str, runtime: str) -> None:
+def test_a_runtime_that_the_image_does_not_have_is_rejected(contents: str, runtime: str) -> None:
     model = tiny.model("core" if contents == "core" else "onnx")
     host = session(runtime)
     flash(host, model.image)
@@ -123,7 +123,7 @@ BAD_GRAPHS: dict[str, tuple[Callable[[], bytes], str]] = {
 
 
 @pytest.mark.parametrize("flaw", BAD_PAYLOADS | BAD_GRAPHS)
-def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(flaw: str) -> None:
+def test_images_that_cannot_be_used_are_rejected_and_the_old_one_plays(flaw: str) -> None:
     payload, reason = (BAD_PAYLOADS | BAD_GRAPHS)[flaw]
     model, host = tiny.model(), session()
     flash(host, model.image)
@@ -141,7 +141,9 @@ def test_images_that_cannot_be_used_are_refused_and_the_old_one_plays(flaw: str)
 @pytest.mark.parametrize("flaw", [*BAD_PAYLOADS, "no network"])
 def test_decoders_in_c_say_what_is_wrong_with_an_image(flaw: str) -> None:
     payload = tiny.model("onnx").tables if flaw == "no network" else BAD_PAYLOADS[flaw][0]()
-    refusal = ffi.new("vc_rejection *")
-    assert native.vc_tables_check(ffi.NULL, eva.IDENTIFIER, payload, len(payload), refusal) == ErrorCode.IMAGE_REJECTED
+    rejection = ffi.new("vc_rejection *")
+    assert (
+        native.vc_tables_check(ffi.NULL, eva.IDENTIFIER, payload, len(payload), rejection) == ErrorCode.IMAGE_REJECTED
+    )
     reasons = {"no network": "no integer network", "another layout": "another layout"}
-    assert reasons.get(flaw, "damaged") in rejection_text(refusal)
+    assert reasons.get(flaw, "damaged") in rejection_text(rejection)

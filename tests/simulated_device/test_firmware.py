@@ -67,19 +67,19 @@ def test_controller_of_a_small_board_fits_its_memory_and_says_its_limits() -> No
     assert limits.max_rate_hz == 4 * hello.actuator.dac_rate_hz
 
 
-def refused(bench: Bench, header: StreamHeader, prebuffer_samples: int = 0) -> ErrorCode:
+def rejected(bench: Bench, header: StreamHeader, prebuffer_samples: int = 0) -> ErrorCode:
     bench.ask(Hello())
     answer = bench.ask(Configure(7, header.pack(), prebuffer_samples))
     assert isinstance(answer, Error)
     return ErrorCode(answer.code)
 
 
-def test_streams_that_have_no_room_on_a_small_board_are_refused() -> None:
+def test_streams_that_have_no_room_on_a_small_board_are_rejected() -> None:
     header = replace(stream().header, samples=None)
     long = replace(header, configuration=mdct.configuration(64, 33, [600]))
-    assert refused(board(), long) == ErrorCode.BEYOND_LIMITS
-    assert refused(board(), replace(header, rate_hz=12_001)) == ErrorCode.BEYOND_LIMITS
-    assert refused(board(), header, prebuffer_samples=4097) == ErrorCode.BEYOND_LIMITS
+    assert rejected(board(), long) == ErrorCode.BEYOND_LIMITS
+    assert rejected(board(), replace(header, rate_hz=12_001)) == ErrorCode.BEYOND_LIMITS
+    assert rejected(board(), header, prebuffer_samples=4097) == ErrorCode.BEYOND_LIMITS
 
 
 def padded(packet: bytes, length: int) -> bytes:

@@ -269,11 +269,11 @@ def test_garbage_in_flash_boots_without_an_image() -> None:
         ),
     ],
 )
-def test_requests_that_are_refused(request_: Callable[[CImageStore], object], code: ErrorCode) -> None:
+def test_requests_that_are_rejected(request_: Callable[[CImageStore], object], code: ErrorCode) -> None:
     store = install(blank_flash(), 0, OLD)
-    with pytest.raises(RequestError) as refused:
+    with pytest.raises(RequestError) as rejected:
         request_(store)
-    assert refused.value.code == code
+    assert rejected.value.code == code
     assert running_name(store) == "old"
 
 
@@ -286,7 +286,7 @@ def test_requests_that_are_refused(request_: Callable[[CImageStore], object], co
         ModelImage(1, "a", "1", "", b"corrupt tables").pack(),
     ],
 )
-def test_image_of_another_kind_is_refused_and_the_slot_is_empty(image: bytes) -> None:
+def test_image_of_another_kind_is_rejected_and_the_slot_is_empty(image: bytes) -> None:
     store = boot(blank_flash())
     with pytest.raises(RequestError):
         write_image(store, 0, image)
