@@ -11,13 +11,13 @@ import torch
 from torch import nn
 
 from vibrocast.export.eva import Eva, EvaShape
-from vibrocast.export.priors import PRIORS, Prior
+from vibrocast.export.priors import FactorisedPrior
 from vibrocast.files import atomic_write
 
-FORMAT, VERSION = "vibrocast-eva", 1
+FORMAT, VERSION = "vibrocast-eva", 2
 MAX_BYTES = 256 * 2**20
-MAX_SHAPE = EvaShape(width=128, latents=128, rates=16)
-_REACHED = ("step", "seconds", "best_loss", "best_step")
+MAX_SHAPE = EvaShape(width=128, latents=128)
+_REACHED = ("step", "seconds")
 _MEASURED = ("step", "seconds", "training_loss", "loss")
 
 
@@ -29,13 +29,12 @@ class ModelError(ValueError):
 class Checkpoint:
     """A model with its prior and its history.
 
-    `training`: the configuration, as plain tables. `progress`: `step`, `seconds`, `best_loss` and `best_step` so far.
-    `curves`: a record for each validation, see export.training. `optimiser`: the state of Adam, in a checkpoint that a
-    cut training goes on from.
+    `training`: the configuration, as plain tables. `progress`: `step` and `seconds` so far. `curves`: a record for each
+    validation, see export.training. `optimiser`: the state of Adam, from which a cut training goes on.
     """
 
     model: Eva
-    prior: Prior
+    prior: FactorisedPrior
     training: dict[str, Any]
     progress: dict[str, Any] = field(default_factory=dict)
     curves: list[dict[str, Any]] = field(default_factory=list)
@@ -53,7 +52,7 @@ class Checkpoint:
             "version": VERSION,
             "shape": self.shape.as_dict(),
             "model": self.model.state_dict(),
-            "prior": {"kind": self.prior.kind, "state": self.prior.state_dict()},
+            "prior": self.prior.state_dict(),
             "training": self.training,
             "progress": self.progress,
             "curves": self.curves,
@@ -72,7 +71,9 @@ def load(path: Path) -> Checkpoint:
     numbers that are not finite; OSError where the file cannot be read.
     """
     if not path.is_file():
-        raise ModelError(f"{path}: no such file; give a checkpoint that `vibrocast train` wrote, such as OUT/best.pt")
+        raise ModelError(
+            f"{path}: no such file; give a checkpoint that `vibrocast train` wrote, such as OUT/checkpoint.pt"
+        )
     if path.stat().st_size > MAX_BYTES:
         raise ModelError(f"{path}: longer than any checkpoint, {MAX_BYTES} bytes; give another file")
     stored = io.BytesIO(path.read_bytes())
@@ -82,7 +83,7 @@ def load(path: Path) -> Checkpoint:
             content = torch.load(stored, map_location="cpu", weights_only=True)
     except Exception as error:  # damaged files make torch raise errors of many kinds
         raise ModelError(
-            f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote, such as OUT/best.pt"
+            f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote: OUT/checkpoint.pt"
         ) from error
     try:
         return _parsed(content)
@@ -99,13 +100,9 @@ def _parsed(content: Any) -> Checkpoint:
             "or use the program that wrote it"
         )
     shape = _shape(content.get("shape"))
-    stored = _table(content, "prior")
-    kind = PRIORS.get(str(stored.get("kind")))
-    if kind is None:
-        raise ModelError(f"an unknown prior {stored.get('kind')!r}; known are {', '.join(PRIORS)}")
-    model, prior = Eva(shape), kind(shape.latents)
+    model, prior = Eva(shape), FactorisedPrior(shape.latents)
     _fill(model, content.get("model"), "model")
-    _fill(prior, stored.get("state"), "prior")
+    _fill(prior, content.get("prior"), "prior")
     curves, optimiser = content.get("curves"), content.get("optimiser")
     if not isinstance(curves, list) or not all(_has_numbers(record, *_MEASURED) for record in curves):
         raise ModelError("its curves are no list of records; train the model again")

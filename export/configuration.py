@@ -11,11 +11,10 @@ from msgspec.structs import replace
 from vibrocast import textures
 from vibrocast.toml_tables import Table, convert, located, one_of, read_toml, within
 
-MAX_RATES = 16
 _HOP_SAMPLES = 16  # as export.eva, which needs torch
 
 Lambda = Annotated[float, within(1e-3, 1e6)]
-Width = Annotated[int, within(8, 128)]
+Width = Annotated[int, within(16, 128)]
 Seed = Annotated[int, within(0, 2**31)]
 Share = Annotated[float, within(0, 1)]
 Dropped = Annotated[float, within(0, 1e3, "seconds to drop from the beginning")]
@@ -27,21 +26,10 @@ class ConfigurationError(ValueError):
 
 
 class ModelChoice(Table, frozen=True):
-    """[model]: widths and latents, the prior, and lambda - the weight of squared error against bits - of each rate.
+    """[model]: the filters of each layer, as many as latents; `lambda`, the weight of squared error against bits."""
 
-    With one lambda it is the paper's model, with several one model serves all rates between the first and the last.
-    `start`: "random" as the paper, or "lapped": a lapped transform with its channels ordered by frequency.
-    """
-
-    lambdas: Annotated[tuple[Lambda, ...], Meta(min_length=1, max_length=MAX_RATES)]
+    lambda_: Lambda = msgspec.field(name="lambda")
     width: Width = 128
-    latents: Annotated[int, within(16, 128)] = 128
-    prior: Literal["factorised", "contexts"] = "factorised"
-    start: Literal["random", "lapped"] = "random"
-
-    def __post_init__(self) -> None:
-        if list(self.lambdas) != sorted(set(self.lambdas)):
-            raise ValueError("lambdas must rise from number to number")
 
 
 class ArchiveSource(Table, frozen=True):
@@ -123,7 +111,7 @@ class Augmentation(Table, frozen=True):
 
 
 class Schedule(Table, frozen=True):
-    """[training]: the loop. `distortion`: of the signal, or weighted by the threshold of detection, as g_p."""
+    """[training]: the loop. `distortion`: of the signal, or after the perceptual transform g_p, see export.training."""
 
     steps: Annotated[int, within(1, 10**8)] = 40_000
     batch: Annotated[int, within(1, 4096)] = 16
@@ -134,7 +122,6 @@ class Schedule(Table, frozen=True):
     gradient_norm: Annotated[float, within(1e-3, 1e3)] = 1.0
     validate_every: Annotated[int, within(1, 10**8)] = 1000
     validation_excerpts: Annotated[int, within(1, 10**4)] = 48
-    patience: Annotated[int, within(1, 10**6)] = 20
     rounding: Literal["noise", "straight-through"] = "noise"
     dead_zone: Annotated[float, within(0, 0.5)] = 0.0
     distortion: Literal["plain", "acceleration", "displacement"] = "plain"
@@ -145,7 +132,7 @@ class Schedule(Table, frozen=True):
 
 
 class Sweep(Table, frozen=True):
-    """[sweep]: a training for every width, and one for every lambda alone."""
+    """[sweep]: a training for every width, and for every lambda."""
 
     widths: tuple[Width, ...] = ()
     lambdas: tuple[Lambda, ...] = ()
@@ -189,7 +176,7 @@ class Configuration(Table, frozen=True):
 def read(path: Path) -> Configuration:
     """Read a configuration file. Raises ConfigurationError for what cannot be used, OSError where it cannot be read."""
     if not path.exists():
-        raise ConfigurationError(f"{path}: no such file; examples/eva-16.toml is one to begin with")
+        raise ConfigurationError(f"{path}: no such file; examples/eva.toml is one to begin with")
     with located(path, ConfigurationError):
         return parsed(read_toml(path, "configuration"))
 
@@ -216,8 +203,8 @@ def each_of(configuration: Configuration) -> list[Configuration]:
         ]
     if sweep.lambdas:
         chosen = [
-            replace(one, name=f"{one.name}-{number}", model=replace(one.model, lambdas=(weight,)))
+            replace(one, name=f"{one.name}-{number}", model=replace(one.model, lambda_=lambda_))
             for one in chosen
-            for number, weight in enumerate(sweep.lambdas, 1)
+            for number, lambda_ in enumerate(sweep.lambdas, 1)
         ]
     return [replace(one, sweep=Sweep()) for one in chosen]

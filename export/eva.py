@@ -1,4 +1,4 @@
-"""EVA in torch: analysis and synthesis transforms with GDN, and the gains that give one model all its rates."""
+"""EVA in torch: analysis and synthesis transforms with divisive normalisation, as in the paper."""
 
 from dataclasses import asdict, dataclass
 
@@ -15,11 +15,10 @@ _PEDESTAL = 2.0**-36
 
 @dataclass(frozen=True)
 class EvaShape:
-    """What fixes a model's arrays: channels of the hidden layers, latent channels, and rates (gain vectors)."""
+    """What fixes a model's arrays: filters of the hidden layers, and latent channels; the paper has 128 of each."""
 
     width: int = 128
     latents: int = 128
-    rates: int = 8
 
     def as_dict(self) -> dict[str, int]:
         """Return the fields by name, as a checkpoint stores them."""
@@ -82,10 +81,9 @@ def synthesis_transform(shape: EvaShape) -> nn.Sequential:
 
 
 class Eva(nn.Module):
-    """The transforms and the quantiser steps of each rate.
+    """The two transforms.
 
-    Signals are (batch, 1, 16 n), scaled to an RMS value of 1; latents (batch, latents, n). With one rate and steps of 1
-    this is the paper's model.
+    Signals are (batch, 1, 16 n), scaled to an RMS value of 1; latents (batch, latents, n), for a quantiser of step 1.
     """
 
     def __init__(self, shape: EvaShape) -> None:
@@ -93,17 +91,3 @@ class Eva(nn.Module):
         self.shape = shape
         self.analysis = analysis_transform(shape)
         self.synthesis = synthesis_transform(shape)
-        falling = torch.linspace(0.0, -0.5 * (shape.rates - 1), shape.rates)
-        self.log2_step = nn.Parameter(falling[:, None].repeat(1, shape.latents), requires_grad=shape.rates > 1)
-
-    def steps(self, quality: Tensor) -> Tensor:
-        """Return the quantiser steps (batch, latents, 1) at qualities (batch,) from 0 to rates - 1.
-
-        Between two rates the logarithm of the step is interpolated, as in Cui et al., "Asymmetric gained deep image
-        compression with continuous rate adaptation", 2021.
-        """
-        below = torch.clamp(torch.floor(quality), 0, max(0, self.shape.rates - 2)).long()
-        above = torch.clamp(below + 1, max=self.shape.rates - 1)
-        part = (quality - below)[:, None]
-        log2_step = (1 - part) * self.log2_step[below] + part * self.log2_step[above]
-        return torch.exp2(log2_step)[:, :, None]

@@ -1,7 +1,5 @@
 """Priors: what the entropy coder is expected to know of the latents, as bits that training can lower."""
 
-from typing import ClassVar
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -16,29 +14,13 @@ _ESTIMATES = 4
 _MIN_SCALE = 0.02
 
 
-class Prior(nn.Module):
-    """The probability of each latent. `kind` is its name in configurations, checkpoints and images."""
+class FactorisedPrior(nn.Module):
+    """A learned cumulative density for each channel; the probability of a latent is its bin's, of width 1.
 
-    kind: ClassVar[str]
-
-    def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
-        """Return the bits of each of `values`, in steps, given the latents before it: all (batch, latents, columns).
-
-        `contexts` are the rounded latents, in steps, of which those before a latent are known when it is coded: its
-        column's lower channels and all earlier columns. `steps`: (batch, latents, 1). In training `values` hold noise
-        in place of rounding.
-        """
-        raise NotImplementedError
-
-
-class FactorisedPrior(Prior):
-    """A learned cumulative density for each channel, over latents that are not divided by the step.
-
-    A bin as wide as the step of the moment makes one prior serve all rates. Ballé, Minnen, Singh, Hwang and Johnston,
-    "Variational image compression with a scale hyperprior", 2018, appendix 6.1, with layers of three.
+    Ballé, Minnen, Singh, Hwang and Johnston, "Variational image compression with a scale hyperprior", 2018, appendix
+    6.1, with layers of three.
     """
 
-    kind = "factorised"
     _LAYERS = (1, 3, 3, 3, 1)
     _INITIAL_SCALE = 10.0
 
@@ -62,25 +44,24 @@ class FactorisedPrior(Prior):
                 hidden = hidden + torch.tanh(self.factors[layer]) * torch.tanh(hidden)
         return hidden[:, 0]
 
-    def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
+    def bits(self, values: Tensor) -> Tensor:
+        """Return the bits of each of `values` (batch, latents, columns); in training they hold noise, not rounding."""
         channels_first = (values.shape[1], values.shape[0], values.shape[2])
-        edges = ((values + offset) * steps for offset in (-0.5, 0.5))
-        lower, upper = (self.logits(edge.transpose(0, 1).flatten(1)) for edge in edges)
+        channels = values.transpose(0, 1).flatten(1)
+        lower, upper = (self.logits(channels + offset) for offset in (-0.5, 0.5))
         # Of two values near one the difference is lost: mirrored, they are near zero.
         mirror = -torch.sign(lower + upper).detach()
         probability = torch.abs(torch.sigmoid(mirror * upper) - torch.sigmoid(mirror * lower))
         return -torch.log2(probability.clamp(min=_MIN_PROBABILITY)).reshape(channels_first).transpose(0, 1)
 
 
-class ContextPrior(Prior):
+class ContextPrior(nn.Module):
     """A Laplace density whose scale follows the magnitudes coded before: a differentiable stand-in for adaptive coding.
 
     Four weighted sums of neighbouring magnitudes - two lower channels of this column, five channels of the last three,
     and a running average - each plus a constant, are combined as powers, with weights for each channel. The sums start
     as the expected magnitude of firmware/core/mdct_model.c.
     """
-
-    kind = "contexts"
 
     def __init__(self, latents: int) -> None:
         super().__init__()
@@ -116,6 +97,12 @@ class ContextPrior(Prior):
         return torch.exp(exponent.clamp(max=20.0)) + _MIN_SCALE
 
     def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
+        """Return the bits of each of `values`, in steps, given the latents before it: all (batch, latents, columns).
+
+        `contexts` are the rounded latents, in steps, of which those before a latent are known when it is coded: its
+        column's lower channels and all earlier columns. `steps`: (batch, latents, 1). In training `values` hold noise
+        in place of rounding.
+        """
         scale = self.scales(contexts, steps)
         magnitude = torch.abs(values)
         # The Laplace density over a bin of one step, on one side of zero and around it.
@@ -125,18 +112,15 @@ class ContextPrior(Prior):
         return torch.where(magnitude >= 0.5, beyond, around) / float(np.log(2))
 
 
-PRIORS: dict[str, type[Prior]] = {prior.kind: prior for prior in (FactorisedPrior, ContextPrior)}
-
-
-def probabilities(prior: FactorisedPrior, step: NDArray[np.float64], limit: int) -> NDArray[np.float64]:
+def probabilities(prior: FactorisedPrior, limit: int) -> NDArray[np.float64]:
     """Return the probability of each integer -limit .. limit of each channel: float64 (latents, 2 limit + 1).
 
-    `step`: float64 (latents,), the quantiser steps of a rate. What lies beyond the limits is left out, so a row may
-    sum up to less than one.
+    What lies beyond the limits is left out, so a row may sum up to less than one.
     """
     with torch.no_grad():
-        double = FactorisedPrior(len(step)).double()
+        latents = len(prior.biases[0])
+        double = FactorisedPrior(latents).double()
         double.load_state_dict(prior.state_dict())
-        edges = torch.from_numpy(step)[:, None] * (torch.arange(-limit, limit + 2, dtype=torch.float64) - 0.5)
-        cumulative = torch.sigmoid(double.logits(edges))
+        edges = torch.arange(-limit, limit + 2, dtype=torch.float64) - 0.5
+        cumulative = torch.sigmoid(double.logits(edges.expand(latents, -1)))
         return torch.diff(cumulative, dim=1).numpy()

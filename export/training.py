@@ -15,11 +15,10 @@ from vibrocast.export import training_data
 from vibrocast.export.checkpoint import Checkpoint, ModelError, load
 from vibrocast.export.configuration import Augmentation, Configuration
 from vibrocast.export.eva import REACH_SAMPLES, Eva, EvaShape
-from vibrocast.export.lapped_start import start_lapped
-from vibrocast.export.priors import PRIORS
+from vibrocast.export.priors import FactorisedPrior
 from vibrocast.export.training_data import Excerpts
 
-BEST, LAST = "best.pt", "last.pt"
+CHECKPOINT = "checkpoint.pt"
 _EXPLODED = 100.0
 """Times the mean loss: what no batch of a training that goes well reaches."""
 _LAST_LEARNING_RATE = 0.02
@@ -100,16 +99,12 @@ class Training:
         inner_samples = schedule.excerpt_samples - 2 * REACH_SAMPLES
         self._perception = Perception(schedule.distortion, schedule.rate_hz, inner_samples, device)
         choice = configuration.model
-        self._lambdas = torch.tensor(choice.lambdas, device=device)
         torch.manual_seed(configuration.seed)
-        model = Eva(EvaShape(choice.width, choice.latents, len(choice.lambdas)))
-        if choice.start == "lapped":
-            start_lapped(model, choice.lambdas)
         self.state = Checkpoint(
-            model.to(device),
-            PRIORS[choice.prior](choice.latents).to(device),
+            Eva(EvaShape(choice.width, choice.width)).to(device),
+            FactorisedPrior(choice.width).to(device),
             configuration.as_dict(),
-            {"step": 0, "seconds": 0.0, "best_loss": math.inf, "best_step": 0},
+            {"step": 0, "seconds": 0.0},
         )
         self._begin_optimiser()
 
@@ -121,7 +116,7 @@ class Training:
         names = sorted({*ours, *state.training} - {"training"})
         if other := [name for name in names if state.training.get(name) != ours.get(name)]:
             raise ModelError(f"{path}: was trained with another {other[0]}; choose another --out, or undo the change")
-        if state.shape != self.state.shape or state.prior.kind != self.state.prior.kind or state.optimiser is None:
+        if state.shape != self.state.shape or state.optimiser is None:
             raise ModelError(f"{path}: not a checkpoint of this training to go on from; choose another --out")
         state.model.to(self._device)
         state.prior.to(self._device)
@@ -133,8 +128,8 @@ class Training:
         except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
             raise ModelError(f"{path}: its state of the optimiser is damaged; choose another --out") from error
 
-    def run(self, out: Path, tell: Tell) -> str:
-        """Train to the end, or until validation no longer improves; return which. Writes BEST and LAST into a folder.
+    def run(self, out: Path, tell: Tell) -> None:
+        """Train to the end of the schedule, writing CHECKPOINT into a folder at every validation.
 
         Raises TrainingError where the loss is not a number or explodes, OSError where nothing can be written.
         """
@@ -143,26 +138,20 @@ class Training:
         for module in (self.state.model, self.state.prior):
             module.train()
         while progress["step"] < schedule.steps:
-            if self._validations_without_gain() >= schedule.patience:
-                return f"stopped early, {schedule.patience} validations after the best"
             self._step(progress["step"], average)
             progress["step"] += 1
             loss, bits, snr_db = average.means
             tell(
                 progress["step"] / schedule.steps,
-                f"step {progress['step']}, {bits:.3f} bit/sample, {snr_db:.2f} dB, loss {loss:.4f}, "
-                f"best on held-back materials {progress['best_loss']:.4f}",
+                f"step {progress['step']}, {bits:.3f} bit/sample, {snr_db:.2f} dB, loss {loss:.4f}"
+                + (f", on held-back materials {self.state.curves[-1]['loss']:.4f}" if self.state.curves else ""),
             )
             if progress["step"] % schedule.validate_every == 0 or progress["step"] == schedule.steps:
                 progress["seconds"] = time.monotonic() - since_s
                 self._validate(loss)
                 average = _Average()
-                if progress["best_step"] == progress["step"]:
-                    self.state.save(out / BEST)
                 self.state.optimiser = self._optimiser.state_dict()
-                self.state.save(out / LAST)
-                self.state.optimiser = None
-        return "all steps done"
+                self.state.save(out / CHECKPOINT)
 
     def _begin_optimiser(self) -> None:
         self._parameters = [*self.state.model.parameters(), *self.state.prior.parameters()]
@@ -183,14 +172,8 @@ class Training:
         """Take one step; all that is random in it depends on seed and step alone."""
         generator = torch.Generator().manual_seed(2**31 * self.configuration.seed + step)
         signals = self._signals(self._excerpts.batch(step, self._schedule.batch))
-        top = len(self._lambdas) - 1
-        quality = (torch.rand(len(signals), generator=generator) * top).to(self._device)
-        below = torch.floor(quality).long().clamp(max=max(0, top - 1))
-        above = (below + 1).clamp(max=top)
-        log_lambdas = torch.log(self._lambdas)
-        weight = torch.exp(torch.lerp(log_lambdas[below], log_lambdas[above], quality - below))
-        measured = self._measure(signals, quality, generator)
-        loss = torch.mean(measured.bits + weight * measured.distortion)
+        measured = self._measure(signals, generator)
+        loss = self._loss(measured)
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         norm = nn.utils.clip_grad_norm_(self._parameters, self._schedule.gradient_norm)
@@ -205,11 +188,13 @@ class Training:
         self._optimiser.step()
         average.add(value, measured.bits.mean().item(), _mean_snr_db(signals, measured.squared_error))
 
-    def _measure(self, signals: Tensor, quality: Tensor, generator: torch.Generator | None) -> Measured:
-        """Code signals (batch, 1, n) at qualities (batch,): with rounding alone, or as in training with a generator."""
+    def _loss(self, measured: Measured) -> Tensor:
+        return torch.mean(measured.bits + self.configuration.model.lambda_ * measured.distortion)
+
+    def _measure(self, signals: Tensor, generator: torch.Generator | None) -> Measured:
+        """Code signals (batch, 1, n): with rounding alone, or as in training with a generator."""
         model = self.state.model
-        steps = model.steps(quality)
-        latents = model.analysis(signals) / steps
+        latents = model.analysis(signals)
         # What is shrunk before it is rounded has a dead zone around zero.
         latents = torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
         rounded = torch.round(latents).detach()
@@ -219,38 +204,31 @@ class Training:
             values = used = latents + noise
             if self._schedule.rounding == "straight-through":
                 used = latents + (rounded - latents).detach()
-        bits = self.state.prior.bits(values, rounded, steps).sum(dim=(1, 2)) / signals.shape[-1]
-        error = _inner(model.synthesis(used * steps) - signals)
+        bits = self.state.prior.bits(values).sum(dim=(1, 2)) / signals.shape[-1]
+        error = _inner(model.synthesis(used) - signals)
         return Measured(bits, self._perception.mean_square(error), torch.mean(error**2, dim=(1, 2)))
 
     def _validate(self, training_loss: float) -> None:
-        """Measure every rate on held-back materials, and note it in the curves."""
-        rates, losses = [], []
+        """Code the held-back materials, and note the outcome in the curves."""
+        progress = self.state.progress
         with torch.no_grad():
-            for rate, weight in enumerate(self._lambdas.tolist()):
-                quality = torch.full((len(self._validation),), float(rate), device=self._device)
-                measured = self._measure(self._validation, quality, None)
-                losses.append((measured.bits + weight * measured.distortion).mean().item())
-                snr_db = _mean_snr_db(self._validation, measured.squared_error)
-                rates.append({"lambda": weight, "bits_per_sample": measured.bits.mean().item(), "snr_db": snr_db})
-        progress, loss = self.state.progress, float(np.mean(losses))
+            measured = self._measure(self._validation, None)
+            loss, bits = self._loss(measured).item(), measured.bits.mean().item()
         if not math.isfinite(loss):
             raise TrainingError(
                 f"the loss on held-back materials is {loss:.3g} at step {progress['step']}; the last good checkpoint "
                 "is kept: lower [training] learning_rate and go on with --resume"
             )
-        record = {
-            "step": progress["step"],
-            "seconds": progress["seconds"],
-            "training_loss": training_loss,
-            "loss": loss,
-        }
-        self.state.curves.append({**record, "rates": rates})
-        if loss < progress["best_loss"]:
-            progress.update(best_loss=loss, best_step=progress["step"])
-
-    def _validations_without_gain(self) -> int:
-        return sum(record["step"] > self.state.progress["best_step"] for record in self.state.curves)
+        self.state.curves.append(
+            {
+                "step": progress["step"],
+                "seconds": progress["seconds"],
+                "training_loss": training_loss,
+                "loss": loss,
+                "bits_per_sample": bits,
+                "snr_db": _mean_snr_db(self._validation, measured.squared_error),
+            }
+        )
 
 
 def train(
@@ -258,24 +236,25 @@ def train(
 ) -> str:
     """Run one training, on a GPU where there is one; return a line on its outcome.
 
-    The folder `out` gets BEST, the checkpoint to export, and LAST, from which `resume` goes on. `threads`: of torch;
-    None for all cores. Raises TrainingError, ModelError, TextureError and OSError.
+    The folder `out` gets CHECKPOINT, the model to export, from which `resume` goes on where the schedule is not at its
+    end. `threads`: of torch; None for all cores. Raises TrainingError, ModelError, TextureError and OSError.
     """
-    last = out / LAST
-    if last.exists() and not resume:
+    checkpoint = out / CHECKPOINT
+    if checkpoint.exists() and not resume:
         raise TrainingError(f"{out}: holds a training; go on with it by --resume, or choose another --out")
     if threads:
         torch.set_num_threads(threads)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     training = Training(configuration, data_folder, device)
-    if last.exists():
-        training.resume(last)
+    if checkpoint.exists():
+        training.resume(checkpoint)
     out.mkdir(parents=True, exist_ok=True)
-    outcome = training.run(out, tell)
-    progress = training.state.progress
-    best = next(record for record in training.state.curves if record["step"] == progress["best_step"])
-    curve = ", ".join(f"{rate['bits_per_sample']:.2f} bit/sample at {rate['snr_db']:.1f} dB" for rate in best["rates"])
-    return f"{out / BEST}: {outcome}, best at step {progress['best_step']} of {progress['step']}: {curve}"
+    training.run(out, tell)
+    end = training.state.curves[-1]
+    return (
+        f"{checkpoint}: all {end['step']} steps done, on held-back materials "
+        f"{end['bits_per_sample']:.2f} bit/sample at {end['snr_db']:.1f} dB"
+    )
 
 
 def _inner(signals: Tensor) -> Tensor:
