@@ -19,6 +19,7 @@ Seed = Annotated[int, within(0, 2**31)]
 Share = Annotated[float, within(0, 1)]
 Dropped = Annotated[float, within(0, 1e3, "seconds to drop from the beginning")]
 HighPass = Annotated[float, within(0, 1e3, "corner of a high-pass in Hz")]
+About = Annotated[str, Meta(max_length=200)]
 
 
 class ConfigurationError(ValueError):
@@ -33,9 +34,10 @@ class ModelChoice(Table, frozen=True):
 
 
 class ArchiveSource(Table, frozen=True):
-    """[[archive]]: an NPZ archive of recordings named MATERIAL_TAKE, with their `rate_hz`."""
+    """[[archive]]: an NPZ archive of recordings named MATERIAL_TAKE, with their `rate_hz`; `about`: for the card."""
 
     archive: str
+    about: About = ""
     drop_s: Dropped = 0.0
     high_pass_hz: HighPass = 0.0
 
@@ -49,6 +51,7 @@ class FolderSource(Table, frozen=True):
     """[[folder]]: a folder of recordings, such as IEEE P1918.1.1, or a manifest; options as in `vibrocast bench`."""
 
     folder: str
+    about: About = ""
     part: Literal["all", "train", "test"] = "all"
     split_by: Literal["auto", "trace", "material", "subject"] = "auto"
     seed: Seed = 0
@@ -87,6 +90,11 @@ class GeneratorSource(Table, frozen=True):
     def name(self) -> str:
         """What the source is called in the names of materials."""
         return "generator"
+
+    @property
+    def about(self) -> str:
+        """What the card says of it."""
+        return "this project's generated textures"
 
 
 Source: TypeAlias = ArchiveSource | FolderSource | GeneratorSource

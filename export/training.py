@@ -19,6 +19,8 @@ from vibrocast.export.priors import FactorisedPrior
 from vibrocast.export.training_data import Excerpts
 
 CHECKPOINT = "checkpoint.pt"
+LOGGED = ("training_loss", "loss", "bits_per_sample", "snr_db")
+"""The curves: means over the steps since the last validation, then of the held-back materials."""
 _EXPLODED = 100.0
 """Times the mean loss: what no batch of a training that goes well reaches."""
 _LAST_LEARNING_RATE = 0.02
@@ -134,7 +136,8 @@ class Training:
         Raises TrainingError where the loss is not a number or explodes, OSError where nothing can be written.
         """
         schedule, progress = self._schedule, self.state.progress
-        average, since_s = _Average(), time.monotonic() - progress["seconds"]
+        average, logs = _Average(), _tensorboard_logs(out, progress["step"])
+        since_s = time.monotonic() - progress["seconds"]
         for module in (self.state.model, self.state.prior):
             module.train()
         while progress["step"] < schedule.steps:
@@ -150,6 +153,10 @@ class Training:
                 progress["seconds"] = time.monotonic() - since_s
                 self._validate(loss)
                 average = _Average()
+                if logs:
+                    for name in LOGGED:
+                        logs.add_scalar(name, self.state.curves[-1][name], progress["step"])
+                    logs.flush()
                 self.state.optimiser = self._optimiser.state_dict()
                 self.state.save(out / CHECKPOINT)
 
@@ -255,6 +262,15 @@ def train(
         f"{checkpoint}: all {end['step']} steps done, on held-back materials "
         f"{end['bits_per_sample']:.2f} bit/sample at {end['snr_db']:.1f} dB"
     )
+
+
+def _tensorboard_logs(out: Path, step: int) -> Any:
+    """Return a writer of the curves from a step on, into a folder beside the checkpoint; None without TensorBoard."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(out / "tensorboard"), purge_step=step)
 
 
 def _inner(signals: Tensor) -> Tensor:

@@ -1,6 +1,8 @@
 """Training of the learned codec, at a tiny width: it learns, resumes as if uncut, and rejects what it cannot use."""
 
+import sys
 import tomllib
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -67,6 +69,26 @@ def test_the_loss_falls_and_the_curves_say_so(trained: Path) -> None:
     assert [record["step"] for record in last.curves] == [10, 20, 30, 40]
     assert losses[-1] < 0.95 * losses[0]
     assert {"bits_per_sample", "snr_db"} < last.curves[-1].keys()
+
+
+def test_curves_are_logged_where_tensorboard_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    logged: dict[str, list[int]] = {}
+
+    class SummaryWriter:
+        def __init__(self, folder: str, purge_step: int) -> None:
+            assert (Path(folder), purge_step) == (tmp_path / "out" / "tensorboard", 0)
+
+        def add_scalar(self, name: str, value: float, step: int) -> None:
+            logged.setdefault(name, []).append(step)
+
+        def flush(self) -> None:
+            pass
+
+    module = types.ModuleType("torch.utils.tensorboard")
+    monkeypatch.setattr(module, "SummaryWriter", SummaryWriter, raising=False)
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+    training.train(configured(tmp_path), tmp_path, tmp_path / "out", False, untold, 1)
+    assert logged == {name: [10, 20, 30, 40] for name in training.LOGGED}
 
 
 @pytest.mark.slow
