@@ -21,7 +21,12 @@ def does_not_fit(packet_samples: int) -> CodecError:
     )
 
 
-def _made(name: str, kind: str, configuration: bytes, channels: int, *parameters: Any) -> Structure:
+def damaged_packet() -> CodecError:
+    """Return the error of a malformed packet."""
+    return CodecError("a packet that is damaged, or was not made by this codec")
+
+
+def core_state(name: str, kind: str, configuration: bytes, channels: int, *parameters: Any) -> Structure:
     """Return the state of a codec's `kind`, "encoder" or "decoder". Raises CodecError where the core rejects it."""
     size, init = (getattr(library(), f"vc_{name}_{kind}_{function}") for function in ("size", "init"))
     state = Structure(size(), f"vc_{name}_{kind} *")
@@ -39,7 +44,7 @@ class CoreEncoder:
         Raises CodecError when they are not valid.
         """
         self._encode = getattr(library(), f"vc_{name}_encode")
-        self._state = _made(name, "encoder", configuration, channels, *parameters)
+        self._state = core_state(name, "encoder", configuration, channels, *parameters)
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
 
     @property
@@ -80,7 +85,7 @@ class CoreDecoder:
         """
         check_channels(channels)
         self.channels = channels
-        self._state = _made(name, "decoder", configuration, channels, *tables)
+        self._state = core_state(name, "decoder", configuration, channels, *tables)
         core, pointer = library(), self._state.pointer
         self._decode, self._conceal = getattr(core, f"vc_{name}_decode"), getattr(core, f"vc_{name}_conceal")
         self.packet_samples: int = getattr(core, f"vc_{name}_decoder_packet_samples")(pointer)
@@ -91,7 +96,7 @@ class CoreDecoder:
         """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""
         samples, pointer = self._output()
         if self._decode(self._state.pointer, packet, len(packet), pointer) < 0:
-            raise CodecError("a packet that is damaged, or was not made by this codec")
+            raise damaged_packet()
         return samples
 
     def conceal(self) -> Decoded:

@@ -1,10 +1,11 @@
-"""The codec `dct`: blockwise DCT, quantised linearly or logarithmically, after a paper on material-like textures.
+"""The codec `dct`: DCT of blocks or of a whole file, quantised linearly or logarithmically, after a paper on textures.
 
 A block of N samples x[n] becomes the orthonormal DCT-II C[k] = s_k sum x[n] cos(pi (2n + 1) k / (2N)), s_0 = sqrt(1/N),
 s_k = sqrt(2/N). Its index k stands for the frequency F = k rate / (2N); for a hand that sweeps at the speed v over the
 length D of the block that is v k / (2D), half the spacing v / D of a discrete Fourier transform. The paper's |C_k| is
 an amplitude of displacement: here it is |C[k]| sqrt(2/N), that of a cosine which fits the block. Blocks do not
-overlap. Layout in docs/bitstream.md, choices in docs/codecs.md.
+overlap. A whole file is one transform, whose coefficients are coded as these amplitudes. Layout in docs/bitstream.md,
+choices in docs/codecs.md.
 """
 
 import math
@@ -13,12 +14,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, does_not_fit
+from vibrocast.codec.core import UNIT, CoreDecoder, core_state, damaged_packet, does_not_fit
 from vibrocast.codec.huffman import canonical_codes, code_lengths, pack_bits
 from vibrocast.codec.interface import (
     AUTO,
+    WHOLE,
     Codec,
     CodecError,
+    Decoded,
+    Decoder,
     Framing,
     Model,
     Parameter,
@@ -26,10 +30,11 @@ from vibrocast.codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    check_channels,
     number,
     word,
 )
-from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.packetwise import PacketwiseEncoder, faded_backwards
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES, PROFILE_UNIT
 from vibrocast.device_protocol.encoding import pack_varint
@@ -38,6 +43,10 @@ from vibrocast.firmware.native_core import ffi, library
 NAME = "dct"
 IDENTIFIER = 2
 BLOCKS = (64, 128, 256, 512, 1024)
+WHOLE_SAMPLES = 20_000
+"""N of the source paper, 10 mm at 0.5 um: a longer file is cut into equal transforms, as near to this as can be."""
+MAX_COEFFICIENTS = 1024
+"""Coded of one transform, as many as the core's adaptive model holds."""
 MAX_PACKET_BLOCKS = 4095
 MAX_PACKET_SAMPLES = 2**18
 MAX_LEVELS = 65_535
@@ -56,6 +65,11 @@ _LEVEL_CODES_PER_OCTAVE = 16
 # all.
 _CUTTING_QUANTISER_OFFSETS = 6 * _LEVEL_CODES_PER_OCTAVE + 1
 _FIRST_CLASS = 16
+_WHOLE_CODE = 7
+_LOGARITHMIC = 0x08
+_RANGE_CODED = 0x10
+_LINEAR = 0x20
+_FADE_SAMPLES = 64
 
 
 def range_code(magnitude: float) -> int:
@@ -82,11 +96,26 @@ def symbols_of(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np
 
 
 def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: int, above: int) -> NDArray[np.int32]:
-    """Return the levels of a channel of a packet, from its range codes, in the core's unit: in the order of values."""
-    memory = np.empty(levels, dtype=np.int32)
+    """Return the levels of a channel of a packet, from its range codes, in the core's unit: in the order of values.
+
+    Linear ones are one more than `levels` where equation (2) of the source paper makes it so.
+    """
+    memory = np.empty(levels + 1, dtype=np.int32)
     pointer = ffi.cast("int32_t *", memory.ctypes.data)
-    library().vc_dct_levels(logarithmic, levels, smallest, below, above, pointer)
-    return memory
+    return memory[: library().vc_dct_levels(logarithmic, levels, smallest, below, above, pointer)]
+
+
+def nearest(levels: NDArray[np.int32], coefficients: Signal) -> NDArray[np.int64]:
+    """Return the index of the level nearest to each coefficient, of levels in any order."""
+    rising = np.argsort(levels, kind="stable")
+    edges = (levels[rising][1:] + levels[rising][:-1].astype(np.float64)) / 2
+    return rising[np.searchsorted(edges, coefficients)]
+
+
+def whole_samples(samples: int) -> int:
+    """Return the samples of each transform of a file of so many: all of it, or an equal part near WHOLE_SAMPLES."""
+    parts = max(1, round(samples / WHOLE_SAMPLES))
+    return max(_FADE_SAMPLES, -(-samples // parts))
 
 
 class DctEncoder(PacketwiseEncoder):
@@ -99,9 +128,22 @@ class DctEncoder(PacketwiseEncoder):
 
         Raises CodecError on a channel count, packet length, frequency limit or threshold that the codec does not have.
         """
-        self._block = int(word(setting, "block"))
-        max_blocks = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
+        self._whole = word(setting, "block") == WHOLE
+        if self._whole:
+            if signal_format.samples is None:
+                raise CodecError(
+                    "block=whole is one transform of a whole file, which a live stream is not and no controller "
+                    f"decodes; choose a block of {BLOCKS[0]} to {BLOCKS[-1]}"
+                )
+            self._block = whole_samples(signal_format.samples)
+            framing, max_blocks = Framing(self._block, 0), 1
+        else:
+            self._block = int(word(setting, "block"))
+            max_blocks = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
         super().__init__(signal_format.channels, framing, self._block, max_blocks)
+        # Of a cosine of amplitude 1 that fits the block; for a whole file 1, which fits the core at any length.
+        self._unit_coefficient = 1.0 if self._whole else math.sqrt(self._block / 2)
+        self._weight = self._unit_coefficient * math.sqrt(2 / self._block)
         self._logarithmic = word(setting, "quantiser") == "log"
         entropy = word(setting, "entropy")
         self._range_coded = entropy == "range" or (entropy == AUTO and rate_control is not None)
@@ -109,12 +151,18 @@ class DctEncoder(PacketwiseEncoder):
         self._rate_control, own_code = rate_control, level_code(self._levels)
         self._quantiser_offsets = range(own_code - LEVEL_CODES + 1, own_code + _CUTTING_QUANTISER_OFFSETS + 1)
         self._bins = _kept_bins(setting, signal_format, self._block)
-        self._cuts = _cuts(setting, signal_format, self._block)[:, self._bins]
-        self._smallest = [range_code(value) for value in _smallest(setting, signal_format, self._block)]
+        self._cuts = self._unit_coefficient * _cuts(setting, signal_format, self._block)[:, self._bins]
+        self._smallest = [range_code(value) for value in self._least_magnitudes(setting, signal_format)]
         self.configuration = b"".join(
             (
-                bytes((BLOCKS.index(self._block) | self._logarithmic << 3 | self._range_coded << 4,)),
-                self._packet_blocks.to_bytes(2, "little"),
+                bytes(
+                    (
+                        (_WHOLE_CODE if self._whole else BLOCKS.index(self._block))
+                        | (_LOGARITHMIC if self._logarithmic else _LINEAR)
+                        | self._range_coded * _RANGE_CODED,
+                    )
+                ),
+                (self._block if self._whole else self._packet_blocks).to_bytes(2, "little"),
                 (0 if rate_control else self._levels).to_bytes(2, "little"),
                 self._bins.start.to_bytes(2, "little"),
                 self._bins.stop.to_bytes(2, "little"),
@@ -128,7 +176,7 @@ class DctEncoder(PacketwiseEncoder):
         from scipy.fft import dct
 
         blocks = samples.reshape(-1, self._packet_blocks, self._block, self._channels)
-        coefficients = dct(blocks, axis=2, norm="ortho")[:, :, self._bins] * UNIT
+        coefficients = dct(blocks, axis=2, norm="ortho")[:, :, self._bins] * (UNIT * self._weight)
         kept = np.rint(coefficients)
         kept[np.abs(coefficients) < self._cuts.T] = 0
         parts = zip(kept.transpose(0, 3, 1, 2), samples.reshape(-1, self.packet_samples, self._channels), strict=True)
@@ -147,27 +195,26 @@ class DctEncoder(PacketwiseEncoder):
         def code(quantiser_offset: int) -> bytes:
             packet_code = max(own_code - quantiser_offset, 0)
             levels = library().vc_dct_levels_of(packet_code)
-            cut = self._cut(coefficients, levels, quantiser_offset - own_code)
+            cut = self._cut(coefficients, quantiser_offset - own_code)
             return self._code(cut, levels, bytes((packet_code,)))
 
         return self._chosen(samples, code)
 
-    def _cut(self, coefficients: Signal, levels: int, quantiser_offset: int) -> Signal:
-        """Return the coefficients of a rate-controlled packet without those that count as zero.
+    def _cut(self, coefficients: Signal, quantiser_offset: int) -> Signal:
+        """Return the coefficients of a packet without those that a quantiser offset beyond the fewest levels cuts."""
+        if quantiser_offset <= 0:
+            return coefficients
+        # Equal in the physical unit, so that the bits go to the channels that have most.
+        physical = np.abs(coefficients) * self._gains[:, None, None]
+        octaves = (quantiser_offset + 1 - _CUTTING_QUANTISER_OFFSETS) / _LEVEL_CODES_PER_OCTAVE
+        return np.where(physical < 2**octaves * np.max(physical), 0, coefficients)
 
-        These are less than half a step of linear levels, and, `quantiser_offset` beyond the fewest levels, what it
-        cuts.
-        """
-        magnitudes = np.abs(coefficients)
-        limits = np.zeros((self._channels, 1, 1))
-        if not self._logarithmic:
-            limits = np.ptp(coefficients, axis=(1, 2), keepdims=True) / (levels - 1) / 2
-        if quantiser_offset > 0:
-            # Equal in the physical unit, so that the bits go to the channels that have most.
-            physical = magnitudes * self._gains[:, None, None]
-            octaves = (quantiser_offset + 1 - _CUTTING_QUANTISER_OFFSETS) / _LEVEL_CODES_PER_OCTAVE
-            limits = np.maximum(limits, 2**octaves * np.max(physical) / self._gains[:, None, None])
-        return np.where(magnitudes < limits, 0, coefficients)
+    def _least_magnitudes(self, setting: Setting, signal_format: SignalFormat) -> list[float]:
+        """Return S of the logarithmic quantiser for each channel, in the core's unit."""
+        smallest = number(setting, "smallest")
+        if smallest == 0 and signal_format.unit not in ("um", PROFILE_UNIT):
+            return [MIN_OF_RMS * rms * UNIT * self._weight for rms in signal_format.rms]
+        return [(smallest or MIN_HEIGHT_UM) * UNIT / gain * self._unit_coefficient for gain in signal_format.gains]
 
     def _code(self, coefficients: Signal, levels: int, stated_levels: bytes = b"") -> bytes:
         """Return one packet of coefficients (channels, blocks, bins) in the core's unit.
@@ -176,12 +223,10 @@ class DctEncoder(PacketwiseEncoder):
         not fit.
         """
         # The greatest magnitudes below and above zero.
-        magnitudes = [(max(-float(np.min(part)), 0.0), max(float(np.max(part)), 0.0)) for part in coefficients]
-        if stated_levels and not self._logarithmic:
-            magnitudes = [_with_level_at_zero(below, above, levels) for below, above in magnitudes]
-        ranges = [(range_code(below), range_code(above)) for below, above in magnitudes]
+        ranges = [(range_code(-float(np.min(part))), range_code(float(np.max(part)))) for part in coefficients]
         sounding = [channel for channel, both in enumerate(ranges) if any(both)]
-        zeros = bool(np.any(coefficients[sounding] == 0))
+        # Logarithmic levels alone have none at zero.
+        zeros = self._logarithmic and bool(np.any(coefficients[sounding] == 0))
         values = [
             self._quantised(coefficients[channel], levels, self._smallest[channel], *ranges[channel], zeros)
             for channel in sounding
@@ -189,8 +234,11 @@ class DctEncoder(PacketwiseEncoder):
         packet = pack_varint(2 * self._sequence + 1) + stated_levels
         packet += b"".join(code.to_bytes(2, "little") for both in ranges for code in both)
         if values:
-            coder = self._range_code if self._range_coded else _huffman_code
-            packet += coder(np.array(values), zeros)
+            packet += (
+                self._range_code(np.array(values), zeros)
+                if self._range_coded
+                else huffman_code(np.array(values), zeros if self._logarithmic else None)
+            )
         if len(packet) > MAX_PACKET_BYTES:
             raise does_not_fit(self.packet_samples)
         return packet
@@ -199,10 +247,8 @@ class DctEncoder(PacketwiseEncoder):
         self, coefficients: Signal, levels: int, smallest: int, below: int, above: int, zeros: bool
     ) -> NDArray[np.int64]:
         """Return the coded value of each coefficient: that of the nearest level, or 0 for zero where that is one."""
-        values_of_levels = reconstruction_levels(self._logarithmic, levels, smallest, below, above)
-        rising = np.argsort(values_of_levels, kind="stable")
-        edges = (values_of_levels[rising][1:] + values_of_levels[rising][:-1].astype(np.float64)) / 2
-        values = rising[np.searchsorted(edges, coefficients)] + zeros
+        levels_of_values = reconstruction_levels(self._logarithmic, levels, smallest, below, above)
+        values = nearest(levels_of_values, coefficients) + zeros
         return np.where(coefficients == 0, 0, values) if zeros else values
 
     def _range_code(self, values: NDArray[np.int64], zeros: bool) -> bytes:
@@ -215,17 +261,6 @@ class DctEncoder(PacketwiseEncoder):
         return bytes(ffi.buffer(output, length))
 
 
-def _with_level_at_zero(below: float, above: float, levels: int) -> tuple[float, float]:
-    """Return the ends of a linear quantiser moved by at most half a step, so that a level is at zero.
-
-    Without one, small coefficients cost a bit each at an even number of levels and next to nothing at an odd one: bytes
-    would not fall with the levels.
-    """
-    step = (below + above) / (levels - 1)
-    steps_below = round(below / step) if step else 0
-    return steps_below * step, (levels - 1 - steps_below) * step
-
-
 def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> slice:
     """Return the coefficients that are coded. Raises CodecError when none is."""
     first = int(word(setting, "dc") == "drop")
@@ -236,11 +271,16 @@ def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> sli
             f"a limit of {limit_hz:g} Hz leaves nothing; with limit_hz from "
             f"{first * signal_format.rate_hz / (2 * block):.3g} on there is a component below it"
         )
+    if end >= MAX_COEFFICIENTS + 1:
+        raise CodecError(
+            f"{int(end)} coefficients in one transform, at most {MAX_COEFFICIENTS} are coded: choose a limit_hz of at "
+            f"most {(MAX_COEFFICIENTS - 1) * signal_format.rate_hz / (2 * block):.0f}, or a shorter block"
+        )
     return slice(first, int(end))
 
 
 def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
-    """Return the magnitude below which each coefficient is cut, in the core's unit: float64 (channels, block)."""
+    """Return the amplitude below which each coefficient is cut, in the core's unit: float64 (channels, block)."""
     name = word(setting, "threshold")
     if name == "off":
         return np.zeros((signal_format.channels, block))
@@ -250,29 +290,19 @@ def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
         raise CodecError(f"threshold is neither off nor on, and the file {error}") from error
     frequency_hz = np.arange(block) * signal_format.rate_hz / (2 * block)
     amplitude = threshold_amplitude(rows, frequency_hz, signal_format.unit) * 10 ** (number(setting, "b0_db") / 20)
-    return np.array([amplitude * _coefficients_of(gain, block) for gain in signal_format.gains])
+    return np.array([amplitude * UNIT / gain for gain in signal_format.gains])
 
 
-def _smallest(setting: Setting, signal_format: SignalFormat, block: int) -> list[float]:
-    """Return S of the logarithmic quantiser for each channel, in the core's unit."""
-    smallest = number(setting, "smallest")
-    if smallest == 0 and signal_format.unit not in ("um", PROFILE_UNIT):
-        return [MIN_OF_RMS * rms * UNIT for rms in signal_format.rms]
-    return [(smallest or MIN_HEIGHT_UM) * _coefficients_of(gain, block) for gain in signal_format.gains]
-
-
-def _coefficients_of(gain: float, block: int) -> float:
-    """Return the coefficient, in the core's unit, of an amplitude of 1 in the signal's unit."""
-    return math.sqrt(block / 2) * UNIT / gain
-
-
-def _huffman_code(values: NDArray[np.int64], zeros: bool) -> bytes:
+def huffman_code(values: NDArray[np.int64], zeros: bool | None) -> bytes:
+    """Return values of any shape behind their table, and behind `zeros` where levels have no zero of their own."""
     flat = values.reshape(-1)
     symbols, low_bits = symbols_of(flat)
     # The code is complete, so two symbols have one even where all values are equal.
     lengths = code_lengths(np.bincount(symbols, minlength=2).tolist())
     codes = np.array(canonical_codes(lengths))[symbols] << low_bits | flat & ((1 << low_bits) - 1)
-    table = [(int(zeros), 1), (len(lengths) - 1, 7), *((length, 4) for length in lengths)]
+    table = [(len(lengths) - 1, 7), *((length, 4) for length in lengths)]
+    if zeros is not None:
+        table.insert(0, (int(zeros), 1))
     words, sizes = (np.array(part, dtype=np.int64) for part in zip(*table, strict=True))
     return pack_bits(np.concatenate([words, codes]), np.concatenate([sizes, np.array(lengths)[symbols] + low_bits]))
 
@@ -289,10 +319,49 @@ def make_encoder(
     return DctEncoder(setting, signal_format, framing, rate_control)
 
 
-def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
+class WholeDecoder:
+    """Decoder of whole transforms, on hosts alone; see codec.interface.Decoder. The core reads the coefficients.
+
+    The inverse transform is in floating point, so samples may differ in the last bit from machine to machine.
+    """
+
+    delay_samples = 0
+
+    def __init__(self, configuration: bytes, channels: int) -> None:
+        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
+        check_channels(channels)
+        self.channels = channels
+        self._state = core_state(NAME, "decoder", configuration, channels)
+        self.packet_samples: int = library().vc_dct_decoder_packet_samples(self._state.pointer)
+        first, end = (int.from_bytes(configuration[start : start + 2], "little") for start in (5, 7))
+        self._bins = slice(first, end)
+        self._last = np.zeros((self.packet_samples, channels), dtype=np.int16)
+
+    def decode(self, packet: bytes) -> Decoded:
+        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""
+        from scipy.fft import idct
+
+        coded = np.empty((self.channels, self._bins.stop - self._bins.start), dtype=np.int32)
+        pointer = ffi.cast("int32_t *", coded.ctypes.data)
+        if library().vc_dct_decode_whole(self._state.pointer, packet, len(packet), pointer) < 0:
+            raise damaged_packet()
+        coefficients = np.zeros((self.packet_samples, self.channels))
+        coefficients[self._bins] = coded.T * (math.sqrt(self.packet_samples / 2) * 32_768 / UNIT)
+        samples = np.rint(idct(coefficients, axis=0, norm="ortho"))
+        self._last = np.clip(samples, -32_768, 32_767).astype(np.int16)
+        return self._last
+
+    def conceal(self) -> Decoded:
+        """Stand in for one missing packet: the last one backwards, faded out, then silence."""
+        self._last = faded_backwards(self._last, _FADE_SAMPLES)
+        return self._last
+
+
+def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
     """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
     assert tables is None, "no model brings tables"
-    return CoreDecoder(NAME, configuration, channels)
+    whole = configuration[:1] and configuration[0] & _WHOLE_CODE == _WHOLE_CODE
+    return WholeDecoder(configuration, channels) if whole else CoreDecoder(NAME, configuration, channels)
 
 
 RATE_POINT_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
@@ -307,7 +376,7 @@ def _level_rate_point_set(**fixed: str) -> tuple[Setting, ...]:
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
-    summary="blockwise DCT at few levels, Huffman or range coded, after a paper on material-like textures",
+    summary="DCT of blocks or a whole file at few levels, Huffman or range coded, after a paper on textures",
     parameters={
         "quantiser": Parameter("spacing of the levels", "linear", choices=("linear", "log")),
         "levels": Parameter("number of levels L; 65535 are 16 bits", 14, low=4, high=MAX_LEVELS, whole=True),
@@ -325,7 +394,11 @@ CODEC = Codec(
         "entropy": Parameter(
             "entropy coder; auto: range where rate-controlled", AUTO, choices=(AUTO, "huffman", "range")
         ),
-        "block": Parameter("samples in a block", "512", choices=tuple(map(str, BLOCKS))),
+        "block": Parameter(
+            "samples in a block; whole: one transform of a file, which hosts alone decode",
+            "512",
+            choices=(*map(str, BLOCKS), WHOLE),
+        ),
         "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um over time, else none", 0.0, low=0),
         "dc": Parameter("the mean of each block", "keep", choices=("keep", "drop")),
     },

@@ -18,6 +18,8 @@ Setting: TypeAlias = Mapping[str, Value]
 
 AUTO = "auto"
 """The value of a parameter that the codec chooses."""
+WHOLE = "whole"
+"""The length of a block that is a whole file, which live streams do not have and controllers do not decode."""
 RUNTIMES = ("core", "onnx")
 """What can decode a learned codec: the integer core, or ONNX Runtime."""
 
@@ -134,13 +136,15 @@ class SignalFormat:
     """What an encoder is told before the samples come.
 
     `gains`: physical value, in `unit`, of full scale of each channel. `rms`: RMS value of each channel relative to
-    full scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or PROFILE_UNIT.
+    full scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or PROFILE_UNIT. `samples`: per channel in all; None
+    = not known, as of a live stream.
     """
 
     rate_hz: int
     unit: str
     gains: tuple[float, ...]
     rms: tuple[float, ...]
+    samples: int | None = None
 
     @property
     def channels(self) -> int:
@@ -325,9 +329,9 @@ class Codec:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The values of `block_parameter` but AUTO, empty where there is none."""
+        """The values of `block_parameter` but AUTO and WHOLE, empty where there is none."""
         choices = self.parameters[self.block_parameter].choices if self.block_parameter else ()
-        return tuple(choice for choice in choices if choice != AUTO)
+        return tuple(choice for choice in choices if choice not in (AUTO, WHOLE))
 
     def block_setting(self, block: str | None) -> Setting:
         """Return the part of a setting that chooses one of `blocks`; None leaves it open."""

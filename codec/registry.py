@@ -259,7 +259,7 @@ class Source:
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
         energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
         rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
-        self.format = SignalFormat(rate_hz, unit, gains, rms)
+        self.format = SignalFormat(rate_hz, unit, gains, rms, None if live else len(samples))
         self.silent = not np.any(energies)
         self._trials = 0
 

@@ -72,9 +72,15 @@ int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc
         vc_rejection_add(rejection, codec->name);
         return vc_rejection_add(rejection, " needs a model: flash the model image that the stream was coded for");
     }
-    return codec->check(coding) == VC_OK
-               ? 0
-               : vc_reject(rejection, VC_UNKNOWN_CODEC, "the codec configuration is damaged or of another version");
+    switch (codec->check(coding)) {
+    case VC_OK:
+        return 0;
+    case VC_HOST_ONLY:
+        return vc_reject(rejection, VC_UNKNOWN_CODEC,
+                         "one transform of a whole texture, which only hosts decode: encode in blocks");
+    default:
+        return vc_reject(rejection, VC_UNKNOWN_CODEC, "the codec configuration is damaged or of another version");
+    }
 }
 
 void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding)

@@ -24,11 +24,16 @@ int vc_dct_decoder_init(vc_dct_decoder *decoder, const uint8_t *configuration, s
  * sample is there, and decoded as a whole. */
 uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK, or
- * VC_BAD_PACKET (nothing written) for a packet without a head that says refresh, without its ranges, or with a code
- * that is none, of Huffman's or of a number of levels. The caller orders packets and drops those that come late. Any
+/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
+ * VC_HOST_ONLY for a stream of whole transforms, or VC_BAD_PACKET (nothing written) for a packet without a head that
+ * says refresh, without its ranges, or with a code that is none, of Huffman's or of a number of levels. The caller orders packets and drops those that come late. Any
  * bytes are safe. */
 int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
+
+/* Decodes one packet of a stream of whole transforms: writes the coded coefficients, first to end - 1, of channel after
+ * channel, in 1/256 of a sample's least significant bit. Returns as vc_dct_decode, but VC_BAD_CONFIGURATION for a stream
+ * of blocks. For hosts, which have the inverse transform of any length. */
+int vc_dct_decode_whole(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int32_t *coefficients);
 
 /* Stands in for one missing packet: writes packet_samples x channels samples, the last ones backwards and faded to
  * zero, then silence. The first samples of the packet decoded next rise from zero. */
@@ -38,16 +43,16 @@ void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples);
  * to 230, which are 4 and 63743. For encoders. */
 uint32_t vc_dct_levels_of(uint32_t code);
 
-/* Writes the reconstruction levels of one channel of a packet: `levels` numbers in the order of the coded values,
- * without a zero of its own, in 1/256 of a sample's least significant bit. `logarithmic`: 0 = linear; `levels`: 4 to
- * 65535; `smallest`, `below`, `above`: range codes of the least magnitude and of the greatest on both sides of zero,
- * the last two not both 0. For encoders. */
-void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above,
-                   int32_t *output);
+/* Writes the reconstruction levels of one channel of a packet in the order of the coded values, without a zero of its
+ * own, in 1/256 of a sample's least significant bit. Returns how many there are: `levels`, or with linear levels one
+ * more. `logarithmic`: 0 = linear; `levels`: 4 to 65535; `smallest`, `below`, `above`: range codes of the least magnitude
+ * and of the greatest on both sides of zero, the last two not both 0. For encoders. */
+uint32_t vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above,
+                       int32_t *output);
 
 /* Range codes the values of one packet: `rows` channels that are not silent, of `blocks` blocks of `bins` values, at
- * most 1024. Returns the bytes written, VC_PACKET_TOO_LARGE, or VC_BAD_CONFIGURATION for too many bins. For encoders.
- */
+ * most 1024. `zeros`: with logarithmic levels, whether value 0 is zero itself; else 0. Returns the bytes written,
+ * VC_PACKET_TOO_LARGE, or VC_BAD_CONFIGURATION for too many bins. For encoders. */
 int32_t vc_dct_range_encode(const uint32_t *values, uint32_t rows, uint32_t blocks, uint32_t bins, int logarithmic,
                             int zeros, uint8_t *output, size_t capacity);
 /* cffi: end */

@@ -4,6 +4,9 @@
 
 #define MAX_PACKET_BLOCKS 4095u
 #define MAX_PACKET_SAMPLES (1u << 18)
+#define WHOLE 7u /* in place of a block's size: a packet is one transform */
+#define LOGARITHMIC 0x08u
+#define LINEAR 0x20u /* absent from streams of before, whose linear levels were others */
 #define SYMBOLS 120u
 #define FIRST_CLASS 16u /* symbols from here on stand for classes of values, eight an octave */
 #define LONGEST_CODE 15u
@@ -24,21 +27,27 @@ int vc_dct_configuration_read(vc_dct_configuration *configuration, const uint8_t
                               unsigned channels)
 {
     vc_dct_configuration read;
-    unsigned channel;
-    if (channels < 1 || channels > VC_MAX_CHANNELS || length < 9 || bytes[0] > 31 || (bytes[0] & 7u) > 4)
+    unsigned channel, size, spacing;
+    if (channels < 1 || channels > VC_MAX_CHANNELS || length < 9)
+        return VC_BAD_CONFIGURATION;
+    size = bytes[0] & 7u;
+    spacing = bytes[0] & (LOGARITHMIC | LINEAR);
+    if (bytes[0] > 63 || (size > 4 && size != WHOLE) || (spacing != LOGARITHMIC && spacing != LINEAR))
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
     read.channels = channels;
-    read.block = 64u << (bytes[0] & 7u);
-    read.logarithmic = bytes[0] >> 3 & 1;
+    read.whole = size == WHOLE;
+    read.block = read.whole ? number_at(bytes + 1) : 64u << size;
+    read.packet_blocks = read.whole ? 1 : number_at(bytes + 1);
+    read.logarithmic = spacing == LOGARITHMIC;
     read.range_coded = bytes[0] >> 4 & 1;
-    read.packet_blocks = number_at(bytes + 1);
     read.levels = number_at(bytes + 3);
     read.first = number_at(bytes + 5);
     read.end = number_at(bytes + 7);
     if (read.packet_blocks < 1 || read.packet_blocks > MAX_PACKET_BLOCKS ||
         read.packet_blocks * read.block > MAX_PACKET_SAMPLES || (read.levels > 0 && read.levels < VC_DCT_MIN_LEVELS) ||
-        read.first >= read.end || read.end > read.block || length != 9u + (read.logarithmic ? 2 * channels : 0))
+        read.block < VC_DCT_FADE_SAMPLES || read.first >= read.end || read.end > read.block ||
+        read.end > VC_DCT_MAX_BLOCK || length != 9u + (read.logarithmic ? 2 * channels : 0))
         return VC_BAD_CONFIGURATION;
     for (channel = 0; channel < channels && read.logarithmic; channel++)
         read.smallest[channel] = number_at(bytes + 9 + 2 * channel);
@@ -210,15 +219,66 @@ static uint32_t range_value(vc_range_coder *coder, vc_dct_model *model, uint32_t
     return zeros + (rank < first_pair ? rank : 2 * rank - first_pair + (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS));
 }
 
-/* What the values of a packet are read from. */
+/* A packet being read: its ranges, its number of levels, and what its values are read from. */
 typedef struct {
+    const uint8_t *ranges;
+    uint32_t levels;
     vc_range_coder range;
     bit_reader bits;
     huffman_code huffman;
     unsigned zeros;
-} value_reader;
+} packet_reader;
 
-static void decode_block(vc_dct_decoder *decoder, value_reader *reader, const vc_dct_quantiser *quantiser,
+/* Reads what stands before the values. Returns VC_OK or VC_BAD_PACKET. */
+static int packet_open(packet_reader *reader, vc_dct_decoder *decoder, const uint8_t *packet, size_t length)
+{
+    const vc_dct_configuration *configuration = &decoder->configuration;
+    uint32_t sequence;
+    int refresh, sounds = 0;
+    size_t i, head = vc_packet_head_read(packet, length, &sequence, &refresh), start;
+    if (head == 0 || !refresh)
+        return VC_BAD_PACKET;
+    memset(reader, 0, sizeof *reader);
+    reader->levels = configuration->levels;
+    if (reader->levels == 0) {
+        if (length == head || packet[head] >= VC_DCT_LEVEL_CODES)
+            return VC_BAD_PACKET;
+        reader->levels = vc_dct_levels_of(packet[head++]);
+    }
+    start = head + 4 * (size_t)configuration->channels;
+    if (length < start)
+        return VC_BAD_PACKET;
+    for (i = head; i < start; i++)
+        sounds |= packet[i];
+    reader->ranges = packet + head;
+    reader->bits.bytes = packet + start;
+    reader->bits.length = length - start;
+    vc_range_decoder_init(&reader->range, packet + start, length - start);
+    if (configuration->logarithmic)
+        reader->zeros = configuration->range_coded ? (unsigned)vc_range_decode(&reader->range, VC_EVEN_ODDS)
+                                                   : read_bits(&reader->bits, 1);
+    if (sounds && !configuration->range_coded && !huffman_read(&reader->huffman, &reader->bits))
+        return VC_BAD_PACKET;
+    vc_dct_model_reset(&decoder->model);
+    return VC_OK;
+}
+
+/* Goes on to a channel; returns 0 where it is silent, and all of its coefficients are 0. */
+static int channel_open(const packet_reader *reader, vc_dct_decoder *decoder, unsigned channel,
+                        vc_dct_quantiser *quantiser)
+{
+    const uint32_t below = number_at(reader->ranges + 4 * (size_t)channel);
+    const uint32_t above = number_at(reader->ranges + 4 * (size_t)channel + 2);
+    memset(decoder->spectrum, 0, sizeof decoder->spectrum);
+    vc_dct_model_next_channel(&decoder->model);
+    if (below == 0 && above == 0)
+        return 0;
+    vc_dct_quantiser_init(quantiser, decoder->configuration.logarithmic, reader->levels, reader->zeros,
+                          decoder->configuration.smallest[channel], below, above);
+    return 1;
+}
+
+static void decode_block(vc_dct_decoder *decoder, packet_reader *reader, const vc_dct_quantiser *quantiser,
                          uint32_t block)
 {
     const uint32_t bins = decoder->configuration.end - decoder->configuration.first;
@@ -248,50 +308,42 @@ static void finish_channel(vc_dct_decoder *decoder, unsigned channel, int16_t *s
 int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
 {
     const unsigned channels = decoder->configuration.channels;
-    value_reader reader;
-    uint32_t sequence, block, levels = decoder->configuration.levels;
-    int refresh, sounds = 0;
+    packet_reader reader;
+    vc_dct_quantiser quantiser;
+    uint32_t block;
     unsigned channel;
-    size_t i, head = vc_packet_head_read(packet, length, &sequence, &refresh), start;
-    if (head == 0 || !refresh)
+    if (decoder->configuration.whole)
+        return VC_HOST_ONLY;
+    if (packet_open(&reader, decoder, packet, length) != VC_OK)
         return VC_BAD_PACKET;
-    if (levels == 0) {
-        if (length == head || packet[head] >= VC_DCT_LEVEL_CODES)
-            return VC_BAD_PACKET;
-        levels = vc_dct_levels_of(packet[head++]);
-    }
-    start = head + 4 * (size_t)channels;
-    if (length < start)
-        return VC_BAD_PACKET;
-    for (i = head; i < start; i++)
-        sounds |= packet[i];
-    memset(&reader, 0, sizeof reader);
-    reader.bits.bytes = packet + start;
-    reader.bits.length = length - start;
-    vc_range_decoder_init(&reader.range, packet + start, length - start);
-    reader.zeros = decoder->configuration.range_coded ? (unsigned)vc_range_decode(&reader.range, VC_EVEN_ODDS)
-                                                      : read_bits(&reader.bits, 1);
-    if (sounds && !decoder->configuration.range_coded && !huffman_read(&reader.huffman, &reader.bits))
-        return VC_BAD_PACKET;
-    vc_dct_model_reset(&decoder->model);
     for (channel = 0; channel < channels; channel++) {
-        const uint8_t *ranges = packet + head + 4 * (size_t)channel;
-        const uint32_t below = number_at(ranges), above = number_at(ranges + 2);
-        const int silent = below == 0 && above == 0;
-        vc_dct_quantiser quantiser;
-        memset(decoder->spectrum, 0, sizeof decoder->spectrum);
-        vc_dct_model_next_channel(&decoder->model);
-        if (!silent)
-            vc_dct_quantiser_init(&quantiser, decoder->configuration.logarithmic, levels, reader.zeros,
-                                  decoder->configuration.smallest[channel], below, above);
+        const int sounds = channel_open(&reader, decoder, channel, &quantiser);
         for (block = 0; block < decoder->configuration.packet_blocks; block++) {
-            if (!silent)
+            if (sounds)
                 decode_block(decoder, &reader, &quantiser, block);
             inverse_dct(decoder, samples + (size_t)block * decoder->configuration.block * channels + channel, channels);
         }
         finish_channel(decoder, channel, samples + channel);
     }
     decoder->rises = 0;
+    return VC_OK;
+}
+
+int vc_dct_decode_whole(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int32_t *coefficients)
+{
+    const uint32_t first = decoder->configuration.first, bins = decoder->configuration.end - first;
+    packet_reader reader;
+    vc_dct_quantiser quantiser;
+    unsigned channel;
+    if (!decoder->configuration.whole)
+        return VC_BAD_CONFIGURATION;
+    if (packet_open(&reader, decoder, packet, length) != VC_OK)
+        return VC_BAD_PACKET;
+    for (channel = 0; channel < decoder->configuration.channels; channel++) {
+        if (channel_open(&reader, decoder, channel, &quantiser))
+            decode_block(decoder, &reader, &quantiser, 0);
+        memcpy(coefficients + (size_t)channel * bins, decoder->spectrum + first, bins * sizeof *coefficients);
+    }
     return VC_OK;
 }
 
@@ -316,6 +368,8 @@ static int check(vc_coding *coding)
     vc_dct_configuration read;
     const int status =
         vc_dct_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
+    if (status == VC_OK && read.whole)
+        return VC_HOST_ONLY;
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.block;
         coding->delay_samples = 0;

@@ -47,7 +47,8 @@ int32_t vc_dct_range_encode(const uint32_t *values, uint32_t rows, uint32_t bloc
         return VC_BAD_CONFIGURATION;
     vc_dct_model_reset(&model);
     vc_range_encoder_init(&coder, output, capacity);
-    vc_range_encode(&coder, zeros != 0, VC_EVEN_ODDS);
+    if (logarithmic)
+        vc_range_encode(&coder, zeros != 0, VC_EVEN_ODDS);
     for (row = 0; row < rows; row++) {
         vc_dct_model_next_channel(&model);
         for (block = 0; block < blocks; block++, values += bins)

@@ -33,18 +33,26 @@ void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_
     quantiser->logarithmic = logarithmic;
     quantiser->levels = levels;
     quantiser->zeros = zeros;
-    quantiser->below = magnitude_of(below);
-    quantiser->above = magnitude_of(above);
     quantiser->bottom = exponent_of(smallest);
     quantiser->left = exponent_of(below);
     quantiser->right = exponent_of(above);
-    if (logarithmic) {
-        quantiser->centre = levels / 2;
-    } else {
-        /* The level nearest zero. */
-        int64_t width = quantiser->below + quantiser->above;
-        quantiser->centre = (uint32_t)((quantiser->below * (levels - 1) + width / 2) / width);
+    quantiser->centre = levels / 2;
+    if (!logarithmic) {
+        /* Equation (2) of the source paper: multiples of (max - min) / (L - 1), from that nearest min to that nearest
+         * max. Both may lie half a step from it, and then there is one level more. */
+        const int64_t width = magnitude_of(below) + magnitude_of(above), steps = levels - 1;
+        quantiser->width = width;
+        quantiser->steps = steps;
+        quantiser->centre = (uint32_t)((magnitude_of(below) * steps + width / 2) / width);
+        quantiser->levels = quantiser->centre + 1 + (uint32_t)((magnitude_of(above) * steps + width / 2) / width);
     }
+}
+
+/* The multiple `count` of the step of linear levels, rounded. */
+static int32_t linear_level(const vc_dct_quantiser *quantiser, uint32_t count)
+{
+    const int64_t magnitude = (quantiser->width * count + quantiser->steps / 2) / quantiser->steps;
+    return (int32_t)(magnitude > MAX_COEFFICIENT ? MAX_COEFFICIENT : magnitude);
 }
 
 /* Magnitude of the logarithmic level `rank` of `count` on one side; none is above the greatest magnitude. */
@@ -70,10 +78,8 @@ int32_t vc_dct_level(const vc_dct_quantiser *quantiser, uint32_t value)
         level = value & 1u ? centre - (value + 1) / 2 : centre + value / 2;
     else
         level = centre < last - centre ? value : last - value;
-    if (!quantiser->logarithmic) {
-        int64_t width = quantiser->below + quantiser->above;
-        return (int32_t)((width * level + last / 2) / last - quantiser->below);
-    }
+    if (!quantiser->logarithmic)
+        return level < centre ? -linear_level(quantiser, centre - level) : linear_level(quantiser, level - centre);
     if (level < centre)
         return -logarithmic_level(quantiser->bottom, quantiser->left, centre - 1 - level, centre);
     return logarithmic_level(quantiser->bottom, quantiser->right, level - centre, last + 1 - centre);
@@ -85,13 +91,15 @@ uint32_t vc_dct_levels_of(uint32_t code)
     return 1 + (uint32_t)(((3 * mantissa << (code >> 4)) + (1u << 29)) >> 30);
 }
 
-void vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above, int32_t *output)
+uint32_t vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above,
+                       int32_t *output)
 {
     vc_dct_quantiser quantiser;
     uint32_t value;
     vc_dct_quantiser_init(&quantiser, logarithmic, levels, 0, smallest, below, above);
-    for (value = 0; value < levels; value++)
+    for (value = 0; value < quantiser.levels; value++)
         output[value] = vc_dct_level(&quantiser, value);
+    return quantiser.levels;
 }
 
 /* Context of an expected rank, in 1/8: two an octave. */

@@ -17,6 +17,7 @@
 
 typedef struct {
     unsigned channels;
+    int whole;                     /* a packet is one transform of any length, which only hosts decode */
     uint32_t block, packet_blocks; /* samples in a block, blocks in a packet */
     uint32_t first, end;           /* coefficients that are coded; the others are 0 */
     int logarithmic, range_coded;
@@ -33,7 +34,7 @@ typedef struct {
     uint32_t levels;              /* without the zero that is a value of its own */
     unsigned zeros;               /* 1 when it is one */
     uint32_t centre;              /* levels below this one count downwards */
-    int64_t below, above;         /* linear: greatest magnitudes on both sides of zero */
+    int64_t width, steps;         /* linear: a step is width / steps */
     uint32_t bottom, left, right; /* logarithmic: the least magnitude and the greatest ones, in 1/2^20 of an octave */
 } vc_dct_quantiser;
 

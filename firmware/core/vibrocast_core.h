@@ -16,7 +16,8 @@ enum vc_status {
     VC_BAD_CONFIGURATION = -1, /* configuration bytes or channel count outside the layout */
     VC_BAD_TABLES = -2,        /* tables of another size */
     VC_BAD_PACKET = -3,        /* a malformed packet; nothing was played */
-    VC_PACKET_TOO_LARGE = -4   /* the coded packet does not fit the buffer; the encoder must be initialised again */
+    VC_PACKET_TOO_LARGE = -4,  /* the coded packet does not fit the buffer; the encoder must be initialised again */
+    VC_HOST_ONLY = -5          /* a stream that controllers do not decode */
 };
 
 typedef struct vc_mdct_decoder vc_mdct_decoder;

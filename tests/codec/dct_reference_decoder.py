@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,10 +123,13 @@ class ReferenceDecoder:
 
     def __init__(self, configuration: bytes, channels: int) -> None:
         self.channels = channels
+        self.whole = configuration[0] & 7 == 7
         self.block = 64 << (configuration[0] & 7)
         self.logarithmic, self.range_coded = configuration[0] >> 3 & 1, configuration[0] >> 4 & 1
         numbers: list[int] = np.frombuffer(configuration[1:], dtype="<u2").tolist()
         self.blocks, self.own_levels, self.first, self.end, *self.smallest = numbers
+        if self.whole:
+            self.block, self.blocks = self.blocks, 1
         self.levels = self.own_levels
 
     def level(self, value: int, zeros: int, ranges: tuple[float, float], smallest: float) -> float:
@@ -133,18 +137,21 @@ class ReferenceDecoder:
         if value < zeros:
             return 0.0
         below, above = ranges
-        v = min(value - zeros, self.levels - 1)
         last = self.levels - 1
         centre = self.levels // 2
+        step = (below + above) / (self.levels - 1)
         if not self.logarithmic:
-            centre = int((below * last + (below + above) // 2) // (below + above))
+            # Halves upwards, as no side is below zero.
+            centre = math.floor(Fraction(below) * last / Fraction(below + above) + Fraction(1, 2))
+            last = centre + math.floor(Fraction(above) * last / Fraction(below + above) + Fraction(1, 2))
+        v = min(value - zeros, last)
         shorter = min(centre, last - centre)
         if v <= 2 * shorter:
             level = centre - (v + 1) // 2 if v % 2 else centre + v // 2
         else:
             level = v if last - centre > centre else last - v
         if not self.logarithmic:
-            return (level * (below + above) + last // 2) // last - below
+            return max(-(2.0**28), min((level - centre) * step, 2.0**28))
         if level < centre:
             return -interpolated(min(smallest, below), below, (centre - 1 - level) / (centre - 1))
         return interpolated(min(smallest, above), above, (level - centre) / (last - centre))
@@ -159,13 +166,17 @@ class ReferenceDecoder:
         codes = np.frombuffer(packet[head:start], dtype="<u2").reshape(-1, 2).tolist()
         payload = packet[start:]
         bits, coder = Bits(payload), RangeDecoder(payload)
-        zeros = coder.decode() if self.range_coded else bits.read(1)
+        zeros = 0
+        if self.logarithmic:
+            zeros = coder.decode() if self.range_coded else bits.read(1)
         ranged = RangeValues(coder, 1 - self.logarithmic, zeros)
         huffman = huffman_values(bits) if any(map(any, codes)) and not self.range_coded else None
         output = np.zeros((self.blocks, self.block, self.channels))
-        n, k = np.arange(self.block)[:, None], np.arange(self.block)[None, :]
-        basis = np.sqrt(2 / self.block) * np.cos(np.pi * (2 * n + 1) * k / (2 * self.block))
-        basis[:, 0] = np.sqrt(1 / self.block)
+        n, k = np.arange(self.block)[:, None], np.arange(self.end)[None, :]
+        basis = np.cos(np.pi * (2 * n + 1) * k / (2 * self.block))
+        basis[:, 0] = np.sqrt(1 / 2)
+        if not self.whole:
+            basis *= np.sqrt(2 / self.block)
         for channel, both in enumerate(codes):
             if not any(both):
                 continue
@@ -178,7 +189,7 @@ class ReferenceDecoder:
                     values = [huffman() for _ in range(self.first, self.end)]
                 else:
                     ranks, values = ranged.block(ranks, self.end - self.first)
-                spectrum = np.zeros(self.block)
-                spectrum[self.first : self.end] = [self.level(value, zeros, ranges, smallest) for value in values]
+                spectrum = np.zeros(self.end)
+                spectrum[self.first :] = [self.level(value, zeros, ranges, smallest) for value in values]
                 output[block, :, channel] = basis @ spectrum / 256
         return output.reshape(-1, self.channels)

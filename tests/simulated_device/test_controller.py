@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Stream, stream
-from vibrocast.codec import CODECS, mdct
+from vibrocast.codec import CODECS, Framing, SignalFormat, dct, mdct
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, UNITS, StreamHeader
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
@@ -185,6 +185,12 @@ def test_configure_rejects_what_cannot_be_played() -> None:
         if code == ErrorCode.UNKNOWN_IMAGE:
             assert isinstance(answer, Error)
             assert "00010203" in answer.text
+    whole = dct.DctEncoder(
+        dct.CODEC.complete({"block": "whole"}), SignalFormat(RATE_HZ, "um", (1.0,), (0.5,), 560), Framing(560, 0)
+    ).configuration
+    answer = bench.ask(Configure(1, StreamHeader(dct.IDENTIFIER, RATE_HZ, 560, "um", (1.0,), whole).pack(), 0))
+    assert isinstance(answer, Error)
+    assert (answer.code, "only hosts decode: encode in blocks" in answer.text) == (ErrorCode.UNKNOWN_CODEC, True)
     # A Configure that is rejected changes nothing.
     assert bench.status().stream == 7
     assert bench.status().state == State.BUFFERING
