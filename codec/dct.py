@@ -337,16 +337,24 @@ class WholeDecoder:
         self._bins = slice(first, end)
         self._last = np.zeros((self.packet_samples, channels), dtype=np.int16)
 
-    def decode(self, packet: bytes) -> Decoded:
-        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""
-        from scipy.fft import idct
+    def coefficients(self, packet: bytes) -> NDArray[np.int32]:
+        """Return the coded coefficients (channels, end - first): amplitudes in the core's unit, exact anywhere.
 
+        Raises CodecError when the packet is malformed.
+        """
         coded = np.empty((self.channels, self._bins.stop - self._bins.start), dtype=np.int32)
         pointer = ffi.cast("int32_t *", coded.ctypes.data)
         if library().vc_dct_decode_whole(self._state.pointer, packet, len(packet), pointer) < 0:
             raise damaged_packet()
+        return coded
+
+    def decode(self, packet: bytes) -> Decoded:
+        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""
+        from scipy.fft import idct
+
         coefficients = np.zeros((self.packet_samples, self.channels))
-        coefficients[self._bins] = coded.T * (math.sqrt(self.packet_samples / 2) * 32_768 / UNIT)
+        weight = math.sqrt(self.packet_samples / 2) * 32_768 / UNIT
+        coefficients[self._bins] = self.coefficients(packet).T * weight
         samples = np.rint(idct(coefficients, axis=0, norm="ortho"))
         self._last = np.clip(samples, -32_768, 32_767).astype(np.int16)
         return self._last

@@ -1,55 +1,116 @@
-"""Compares the texture paper's ratios with real bytes: `python -m studies.texture_paper`."""
+"""Repeats the texture paper's figures, like for like: `python -m studies.texture_paper`."""
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from scipy.fft import dct
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.fft import dct as fast_dct
 
 from studies.page import OUT, errors_in_one_line, render, write_rows
 from studies.page import write as write_page
 from vibrocast import codec, textures
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
+from vibrocast.codec import dct
+from vibrocast.codec.core import UNIT
+from vibrocast.codec.huffman import code_lengths
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.evaluation.charts import DPI, FONT_POINTS, WIDTH_IN
 from vibrocast.evaluation.stability.pictures import Curve, Panel, curves
+from vibrocast.files import atomic_write
 from vibrocast.textures.generate import rough_profile
 
 QUANTISERS = ("linear", "log")
 PAPER_LEVELS = (14, 12, 10, 8, 6, 5, 4)
 LEVELS = range(4, 21)
-B0_DB = (12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0)
+B0_DB = (12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -16.0, -20.0)
 HAND_SPEED_MM_S = 50.0
-SECONDS = 4.0
-LENGTH_MM = HAND_SPEED_MM_S * SECONDS
+SPACING_UM = 0.5
+"""The source paper's: N = 20 000 heights over D = 10 mm."""
+RATE_HZ = round(1000 * HAND_SPEED_MM_S / SPACING_UM)
+STRETCHES = 20
+STRETCH_MM = 10.0
+LENGTH_MM = STRETCHES * STRETCH_MM
 SIXTEEN_BITS = 65_535
 """The levels of a coefficient that is only cut, not quantised."""
+AMPLITUDES_UM = 1e-3, 30.0
+"""Shown of a spectrum; a coefficient of zero is drawn at the lower one."""
+PANEL_IN = 1.75
+
+
+@dataclass(frozen=True)
+class Published:
+    """What the source paper says of one of its materials, and at which setting: the coarsest that nobody noticed.
+
+    `huffman_percent`: of 16 bits, tables not counted. `zeros_percent`: by the threshold cut at `b0_db`.
+    """
+
+    levels: int
+    huffman_percent: float
+    b0_db: float
+    zeros_percent: float
+
+
+PUBLISHED = {
+    "wood": Published(14, 22.3, -8.0, 28.7),
+    "sandpaper": Published(14, 17.5, -4.0, 33.7),
+    "leather": Published(12, 12.1, 4.0, 53.7),
+}
+STRICTEST = "wood"
+"""Surfaces that the paper does not have are coded at its settings for this one, which lose least."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One profile at one setting. Percentages are of 16 bits for each coefficient that is kept below the limit.
+    """One surface at one setting. Percentages are of 16 bits for each coefficient that is coded.
 
-    `paper_percent`: log2 L / 16. `huffman_percent`, `range_percent`: the whole file, tables and headers included.
-    `zeros_percent`: coefficients that the threshold cuts; `b0_db` None: none is.
+    `b0_db` None: nothing is cut. `paper_percent`: log2 L / 16. `huffman_percent`: the values alone, by a Huffman code
+    for each transform, its table not counted, as in the source paper. `file_percent`: the whole .vct file, Huffman
+    coded. `zeros_percent`: coefficients that are coded as zero. `snr_db`: of the coefficients that are coded.
     """
 
-    texture: str
+    surface: str
     quantiser: str
     levels: int
     b0_db: float | None
     paper_percent: float
     huffman_percent: float
-    range_percent: float
-    huffman_bits_per_sample: float
-    range_bits_per_sample: float
-    snr_db: float
+    file_percent: float
     zeros_percent: float
+    snr_db: float
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a surface's spectrum, in um: what it was, and what each version has there."""
+
+    surface: str
+    frequency_hz: float
+    threshold_um: float
+    original_um: float
+    linear_um: float
+    log_um: float
+    cut_um: float
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Amplitudes in um, float64 (transforms, coefficients), before and after coding.
+
+    `file_bits`: of the .vct file. `frequency_hz`: of each coefficient, k rate / (2 N) from k = 1 to 400 Hz.
+    """
+
+    original_um: codec.Signal
+    coded_um: codec.Signal
+    file_bits: int
+    frequency_hz: NDArray[np.float64]
 
 
 def paper_percent(levels: int) -> float:
@@ -59,122 +120,203 @@ def paper_percent(levels: int) -> float:
 
 def generated_profiles() -> dict[str, textures.Profile]:
     """Return surfaces like the paper's three materials, made here: their heights are not those of the paper."""
+    last_mm = LENGTH_MM - SPACING_UM / 1000
     return {
-        "wood": textures.surface_profile("wood", 0, SECONDS, HAND_SPEED_MM_S),
-        "sandpaper": rough_profile(3, LENGTH_MM, spacing_um=4.0, hurst=0.3, roll_off_mm=0.4, rms_um=6.0),
-        "leather": rough_profile(5, LENGTH_MM, spacing_um=4.0, rms_um=6.0),
+        "wood": textures.surface_profile("wood", 0, LENGTH_MM / HAND_SPEED_MM_S, HAND_SPEED_MM_S, RATE_HZ),
+        "sandpaper": rough_profile(3, last_mm, SPACING_UM, hurst=0.3, roll_off_mm=0.4, rms_um=6.0),
+        "leather": rough_profile(5, last_mm, SPACING_UM, rms_um=6.0),
     }
 
 
-def measure(name: str, profile: textures.Profile, setting: codec.Setting, b0_db: float | None = None) -> Result:
-    """Code a profile at the paper's hand speed, means of blocks dropped as there. Raises CodecError or TextureError."""
-    recording = textures.resample(profile.recording(HAND_SPEED_MM_S), DEFAULT_STREAM_RATE_HZ)
-    whole: codec.Setting = {**setting, "dc": "drop"}
+def published(surface: str) -> Published:
+    """Return the paper's settings for a surface, with its figures for one that it has."""
+    return PUBLISHED.get(surface, PUBLISHED[STRICTEST])
+
+
+def code(profile: textures.Profile, setting: codec.Setting, b0_db: float | None = None) -> Coded:
+    """Code a profile as the paper does: transforms of 10 mm at 0.5 um, DC and all above 400 Hz dropped.
+
+    Raises CodecError or TextureError.
+    """
+    recording = textures.resample(profile.recording(HAND_SPEED_MM_S), RATE_HZ)
+    whole: codec.Setting = {**setting, "block": "whole", "dc": "drop"}
     if b0_db is not None:
         whole = {**whole, "threshold": "on", "b0_db": b0_db}
-    streams = []
-    for entropy in ("huffman", "range"):
-        coded = codec.encode(
-            recording.samples, DEFAULT_STREAM_RATE_HZ, {**whole, "entropy": entropy}, codec="dct", unit="um"
-        )
-        streams.append(as_stream(coded, "um"))
-    kept, decoded = (_kept_coefficients(samples) for samples in (recording.samples, streams[0].decode()))
-    bits = [8 * stream.size_bytes for stream in streams]
-    samples = len(recording.samples)
+    coded = codec.encode(recording.samples, RATE_HZ, whole, codec="dct", unit="um")
+    decoder = dct.WholeDecoder(coded.configuration, 1)
+    samples = decoder.packet_samples
+    coded_um = np.array([decoder.coefficients(packet)[0] for packet in coded.packets]) * (coded.gains[0] / UNIT)
+    padded = np.pad(recording.samples[:, 0], (0, -len(recording.samples) % samples)).reshape(-1, samples)
+    original_um = fast_dct(padded, axis=1, norm="ortho")[:, 1 : coded_um.shape[1] + 1] * math.sqrt(2 / samples)
+    frequency_hz = np.arange(1, coded_um.shape[1] + 1) * RATE_HZ / (2 * samples)
+    return Coded(original_um, coded_um, 8 * as_stream(coded, "um").size_bytes, frequency_hz)
+
+
+def measure(surface: str, coded: Coded, setting: codec.Setting, b0_db: float | None = None) -> Result:
+    """Return the figures of a coded surface."""
     levels = int(str(setting["levels"]))
+    bits_of_all = 16 * coded.coded_um.size
     return Result(
-        texture=name,
+        surface=surface,
         quantiser=str(setting.get("quantiser", "linear")),
         levels=levels,
         b0_db=b0_db,
         paper_percent=paper_percent(levels),
-        huffman_percent=100 * bits[0] / (16 * kept.size),
-        range_percent=100 * bits[1] / (16 * kept.size),
-        huffman_bits_per_sample=bits[0] / samples,
-        range_bits_per_sample=bits[1] / samples,
-        snr_db=codec.snr_db(kept.reshape(-1, 1), decoded.reshape(-1, 1)) or 0.0,
-        zeros_percent=0.0 if b0_db is None else 100 * _cut_part(kept, b0_db),
+        huffman_percent=100 * sum(map(huffman_bits, coded.coded_um)) / bits_of_all,
+        file_percent=100 * coded.file_bits / bits_of_all,
+        zeros_percent=100 * float(np.mean(coded.coded_um == 0)),
+        snr_db=codec.snr_db(coded.original_um.reshape(-1, 1), coded.coded_um.reshape(-1, 1)) or 0.0,
     )
 
 
+def huffman_bits(values: codec.Signal) -> int:
+    """Return the bits of values by the Huffman code of their own counts, its table not counted; one each at least."""
+    counts = np.unique(values, return_counts=True)[1].tolist()
+    return sum(map(int.__mul__, counts, code_lengths(counts))) if len(counts) > 1 else len(values)
+
+
 def measure_all(profiles: Mapping[str, textures.Profile]) -> list[Result]:
-    """Measure every profile: each count of levels, each threshold cut alone, and both together at 14 levels."""
-    results = []
+    """Measure every profile: each count of levels, and each threshold cut alone."""
+
+    def trials() -> Iterator[tuple[str, codec.Setting, float | None]]:
+        for name in profiles:
+            for quantiser, levels in itertools.product(QUANTISERS, LEVELS):
+                yield name, {"quantiser": quantiser, "levels": levels}, None
+            for b0_db in B0_DB:
+                yield name, {"levels": SIXTEEN_BITS}, b0_db
+
+    return [measure(name, code(profiles[name], setting, b0_db), setting, b0_db) for name, setting, b0_db in trials()]
+
+
+def spectra(profiles: Mapping[str, textures.Profile]) -> list[Line]:
+    """Return the spectra of the first transform of every profile, at the paper's settings."""
+    lines = []
     for name, profile in profiles.items():
-        for quantiser, levels in itertools.product(QUANTISERS, LEVELS):
-            results.append(measure(name, profile, {"quantiser": quantiser, "levels": levels}))
-        for levels, b0_db in itertools.product((SIXTEEN_BITS, 14), B0_DB):
-            results.append(measure(name, profile, {"levels": levels}, b0_db))
-    return results
+        at = published(name)
+        versions = [
+            code(profile, {"quantiser": "linear", "levels": at.levels}),
+            code(profile, {"quantiser": "log", "levels": at.levels}),
+            code(profile, {"levels": SIXTEEN_BITS}, at.b0_db),
+        ]
+        frequency_hz = versions[0].frequency_hz
+        threshold_um = threshold_amplitude(read_threshold(), frequency_hz, "um")
+        columns = [frequency_hz, threshold_um, versions[0].original_um[0], *(each.coded_um[0] for each in versions)]
+        lines += [Line(name, *map(float, row)) for row in zip(*columns, strict=True)]
+    return lines
 
 
-def falls(results: Iterable[Result]) -> list[int]:
-    """Return the counts of levels at which the SNR is lower than with one level less."""
+def falls(results: Iterable[Result]) -> dict[int, float]:
+    """Return the counts of levels at which the SNR is lower than with one level less, and by how many dB."""
     ordered = sorted(results, key=lambda result: result.levels)
-    return [after.levels for before, after in itertools.pairwise(ordered) if after.snr_db < before.snr_db]
+    return {
+        after.levels: before.snr_db - after.snr_db
+        for before, after in itertools.pairwise(ordered)
+        if after.snr_db < before.snr_db
+    }
+
+
+def b0_of_share(results: Sequence[Result], zeros_percent: float) -> float:
+    """Return the b0 at which a threshold cut would leave this share of zeros, between those measured."""
+    rising = np.array(sorted((result.zeros_percent, result.b0_db or 0.0) for result in results))
+    return float(np.interp(zeros_percent, rising[:, 0], rising[:, 1]))
 
 
 def markdown(results: Sequence[Result]) -> str:
     """Return the page."""
-    names = list(dict.fromkeys(result.texture for result in results))
-    uncut = {(row.texture, row.quantiser, row.levels): row for row in results if row.b0_db is None}
-    curves = {
-        (name, quantiser): [row for key, row in uncut.items() if key[:2] == (name, quantiser)]
-        for name, quantiser in itertools.product(names, QUANTISERS)
-    }
+    names = list(dict.fromkeys(result.surface for result in results))
+    uncut = {(row.surface, row.quantiser, row.levels): row for row in results if row.b0_db is None}
+    cut = {(row.surface, row.b0_db): row for row in results if row.b0_db is not None}
+    falling = {curve: falls(_curve(results, *curve)) for curve in itertools.product(names, QUANTISERS)}
+    materials = [name for name in names if name in PUBLISHED]
     return render(
         "texture_paper",
         hand_speed_mm_s=HAND_SPEED_MM_S,
-        rate_hz=DEFAULT_STREAM_RATE_HZ,
-        textures=names,
+        stretches=STRETCHES,
+        stretch_mm=STRETCH_MM,
+        surfaces=names,
+        materials=materials,
+        published=published,
         quantisers=QUANTISERS,
+        max_levels=max(LEVELS),
         paper={levels: paper_percent(levels) for levels in PAPER_LEVELS},
         uncut=uncut,
-        max_levels=max(LEVELS),
-        falls={key: falls(curve) for key, curve in curves.items()},
+        cut=cut,
         cuts_db=B0_DB,
-        sixteen_bits=SIXTEEN_BITS,
-        cut={(row.texture, row.levels, row.b0_db): row for row in results if row.b0_db is not None},
+        falling=falling,
+        rises=not any(falling[name, "linear"] for name in materials),
+        b0_of_share={
+            name: b0_of_share([row for key, row in cut.items() if key[0] == name], PUBLISHED[name].zeros_percent)
+            for name in materials
+        },
     )
 
 
-def draw(path: Path, results: Sequence[Result]) -> None:
-    """Draw SNR over the number of levels, a panel for each quantiser; ringed where the paper has one."""
-    names = list(dict.fromkeys(result.texture for result in results))
+def draw_levels(path: Path, results: Sequence[Result]) -> None:
+    """Draw SNR over the number of levels: a row for generated and one for measured surfaces; ringed where it falls."""
+    names = list(dict.fromkeys(result.surface for result in results))
     panels = []
-    for quantiser in QUANTISERS:
+    for generated, quantiser in itertools.product((True, False), QUANTISERS):
         drawn = []
         for name in names:
-            curve = [row for row in results if (row.texture, row.quantiser, row.b0_db) == (name, quantiser, None)]
-            levels = [row.levels for row in curve]
-            ringed = [count in PAPER_LEVELS for count in levels]
-            drawn.append(Curve(name, levels, [row.snr_db for row in curve], ringed))
-        panels.append(Panel(f"{quantiser} levels", "number of levels L", "SNR, dB", drawn))
+            curve = _curve(results, name, quantiser)
+            falling = falls(curve)
+            ringed = [row.levels in falling for row in curve]
+            if (name in PUBLISHED) == generated:
+                drawn.append(Curve(name, [row.levels for row in curve], [row.snr_db for row in curve], ringed))
+        if drawn:
+            title = f"{quantiser} levels, {'generated' if generated else 'measured'} surfaces"
+            panels.append(Panel(title, "number of levels L", "SNR, dB", drawn))
     curves(path, panels)
 
 
-def write(out: Path, results: Sequence[Result]) -> None:
-    """Write texture_paper.md, .csv and .png into a folder that there is. Raises OSError."""
-    rounded = [Result(*map(_rounded, astuple(result))) for result in results]
+def draw_spectra(path: Path, lines: Sequence[Line]) -> None:
+    """Draw a row of panels for each surface: its spectrum, and that of each version, with the threshold."""
+    names = list(dict.fromkeys(line.surface for line in lines))
+    figure = Figure(figsize=(WIDTH_IN, 0.4 + PANEL_IN * len(names)), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(names), 4, squeeze=False, sharex=True, sharey=True)
+    for row, name in zip(grid, names, strict=True):
+        own, at = [line for line in lines if line.surface == name], published(name)
+        frequency_hz = [line.frequency_hz for line in own]
+        panels = [
+            (f"{name}\noriginal", [line.original_um for line in own], 0.0),
+            (f"{at.levels} linear levels", [line.linear_um for line in own], 0.0),
+            (f"{at.levels} log levels", [line.log_um for line in own], 0.0),
+            (f"cut at {at.b0_db:+g} dB", [line.cut_um for line in own], at.b0_db),
+        ]
+        for axes, (title, amplitudes_um, b0_db) in zip(row, panels, strict=True):
+            threshold_um = [line.threshold_um * 10 ** (b0_db / 20) for line in own]
+            magnitudes_um = np.clip(np.abs(amplitudes_um), *AMPLITUDES_UM)
+            axes.plot(frequency_hz, threshold_um, color="0.55", linestyle="--", linewidth=1)
+            axes.plot(frequency_hz, magnitudes_um, ".", color="black", markersize=2.5, clip_on=False)
+            axes.set_yscale("log")
+            axes.set_ylim(*AMPLITUDES_UM)
+            axes.set_title(title, fontsize=FONT_POINTS, loc="left")
+            axes.tick_params(labelsize=FONT_POINTS)
+        row[0].set_ylabel("amplitude, um", fontsize=FONT_POINTS)
+    for axes in grid[-1]:
+        axes.set_xlabel("frequency, Hz", fontsize=FONT_POINTS)
+    with atomic_write(path) as partial:
+        figure.savefig(partial)
+
+
+def write(out: Path, profiles: Mapping[str, textures.Profile]) -> None:
+    """Write texture_paper.md, its tables and pictures into a folder that there is. Raises OSError, CodecError."""
+    results, lines = measure_all(profiles), spectra(profiles)
     write_page(out / "texture_paper.md", markdown(results))
-    write_rows(out / "texture_paper.csv", rounded, Result)
-    draw(out / "texture_paper.png", results)
+    write_rows(out / "texture_paper.csv", map(_rounded, results), Result)
+    write_rows(out / "texture_paper_spectra.csv", map(_rounded, lines), Line)
+    draw_levels(out / "texture_paper.png", results)
+    draw_spectra(out / "texture_paper_spectra.png", lines)
 
 
-def _kept_coefficients(heights_um: codec.Signal) -> codec.Signal:
-    """Return the amplitudes in um that the codec keeps: (blocks, indices 1 to 146, k rate / (2 N) up to 400 Hz)."""
-    padded = np.pad(heights_um[:, 0], (0, -len(heights_um) % 512)).reshape(-1, 512)
-    return np.asarray(dct(padded, axis=1, norm="ortho")[:, 1:147] * math.sqrt(2 / 512))
+def _curve(results: Iterable[Result], surface: str, quantiser: str) -> list[Result]:
+    """Return the results of a surface over the number of levels."""
+    return [row for row in results if (row.surface, row.quantiser, row.b0_db) == (surface, quantiser, None)]
 
 
-def _cut_part(amplitudes_um: codec.Signal, b0_db: float) -> float:
-    frequency_hz = np.arange(1, 147) * DEFAULT_STREAM_RATE_HZ / (2 * 512)
-    threshold = threshold_amplitude(read_threshold(), frequency_hz, "um") * 10 ** (b0_db / 20)
-    return float(np.mean(np.abs(amplitudes_um) < threshold))
-
-
-def _rounded(value: Any) -> Any:
-    return round(value, 4) if isinstance(value, float) else value
+def _rounded(row: Any) -> Any:
+    return type(row)(*(round(value, 4) if isinstance(value, float) else value for value in astuple(row)))
 
 
 @click.command()
@@ -183,17 +325,17 @@ def _rounded(value: Any) -> Any:
     "--profiles",
     "folder",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of height profiles as CSV files, measured beside those made here.",
+    help="Folder of measured height profiles as CSV files, beside the surfaces made here.",
 )
 def main(out: Path, folder: Path | None) -> None:
-    """Write the arithmetic of the paper on material-like textures beside the real bytes of the codec dct."""
+    """Write the texture paper's figures beside those of the codec dct, coded as the paper codes."""
     with errors_in_one_line():
         out.mkdir(parents=True, exist_ok=True)
         profiles = generated_profiles()
         for path in sorted(folder.glob("*.csv")) if folder else ():
             profiles[path.stem] = textures.load_profile(path)
-        write(out, measure_all(profiles))
-    click.echo(f"{out / 'texture_paper.md'}: {len(profiles)} profiles")
+        write(out, profiles)
+    click.echo(f"{out / 'texture_paper.md'}: {len(profiles)} surfaces")
 
 
 if __name__ == "__main__":

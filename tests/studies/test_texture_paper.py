@@ -1,4 +1,4 @@
-"""The paper's arithmetic beside real bytes: exact percentages, and what coding measures."""
+"""The texture paper's figures, repeated: exact percentages, and what coding measures."""
 
 import csv
 from pathlib import Path
@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from studies import texture_paper
-from studies.texture_paper import Result, measure, paper_percent
-from vibrocast import textures
+from studies.texture_paper import Result, code, measure, paper_percent
+from vibrocast import codec, textures
 
 
 def test_arithmetic_of_the_paper() -> None:
@@ -18,35 +18,50 @@ def test_arithmetic_of_the_paper() -> None:
 
 
 def profile() -> textures.Profile:
-    return textures.surface_profile("rough", 1, 0.6, texture_paper.HAND_SPEED_MM_S)
+    """10 mm at 0.5 um: 20 000 heights."""
+    return textures.surface_profile("rough", 1, 0.2, texture_paper.HAND_SPEED_MM_S, texture_paper.RATE_HZ)
 
 
-def test_real_bytes_follow_the_arithmetic_of_the_entropy() -> None:
-    """Huffman coding cannot take more than the fixed length and its tables; range coding takes less than both."""
-    coarse, fine = (measure("rough", profile(), {"levels": levels}) for levels in (5, 32))
-    assert coarse.range_percent < coarse.huffman_percent < coarse.paper_percent + 4
-    assert fine.range_percent < fine.huffman_percent < fine.paper_percent + 4
-    assert fine.snr_db > coarse.snr_db + 10
-    assert fine.zeros_percent == 0
-    assert fine.huffman_bits_per_sample == pytest.approx(fine.huffman_percent / 100 * 16 * 4 * 146 / 1680), "of 4 * 512"
+def result(setting: codec.Setting, b0_db: float | None = None) -> Result:
+    return measure("rough", code(profile(), setting, b0_db), setting, b0_db)
+
+
+def test_huffman_ratios_count_no_table_and_files_do() -> None:
+    coarse, fine = result({"levels": 5}), result({"levels": 14})
+    assert coarse.huffman_percent < fine.huffman_percent < fine.paper_percent
+    assert coarse.huffman_percent < coarse.file_percent
+    assert fine.snr_db > coarse.snr_db + 5
+    assert coarse.zeros_percent > fine.zeros_percent > 0
+    assert result({"levels": 14, "quantiser": "log"}).zeros_percent == 0
+
+
+def test_huffman_bits_are_those_of_the_counts() -> None:
+    assert texture_paper.huffman_bits(np.array([1.0, 1, 1, 1, 2, 2, 3])) == 4 * 1 + 2 * 2 + 1 * 2
+    assert texture_paper.huffman_bits(np.zeros(5)) == 5
 
 
 def test_a_higher_cut_gives_more_zeros_and_less_of_the_signal() -> None:
-    results = [
-        measure("rough", profile(), {"levels": texture_paper.SIXTEEN_BITS}, b0_db) for b0_db in (-12.0, 0.0, 12.0)
-    ]
-    zeros, snrs_db = [result.zeros_percent for result in results], [result.snr_db for result in results]
+    results = [result({"levels": texture_paper.SIXTEEN_BITS}, b0_db) for b0_db in (-12.0, 0.0, 12.0)]
+    zeros, snrs_db = [each.zeros_percent for each in results], [each.snr_db for each in results]
     assert 0 < zeros[0] < zeros[1] < zeros[2] <= 100
     assert snrs_db == sorted(snrs_db, reverse=True)
+    assert texture_paper.b0_of_share(results, (zeros[0] + zeros[1]) / 2) == pytest.approx(-6)
+
+
+def test_coefficients_are_those_of_the_whole_profile_up_to_400_hz() -> None:
+    coded = code(profile(), {"levels": texture_paper.SIXTEEN_BITS})
+    assert coded.original_um.shape == coded.coded_um.shape == (1, 160)
+    np.testing.assert_allclose(coded.frequency_hz[[0, -1]], [2.5, 400])
+    np.testing.assert_allclose(coded.coded_um, coded.original_um, atol=1e-3)
 
 
 def test_falls_are_found_between_neighbours() -> None:
-    results = [Result("t", "linear", n, None, 0, 0, 0, 0, 0, snr_db, 0) for n, snr_db in ((6, 2.0), (4, 1.0), (5, 3.0))]
-    assert texture_paper.falls(results) == [6]
+    results = [Result("t", "linear", n, None, 0, 0, 0, 0, snr_db) for n, snr_db in ((6, 2.0), (4, 1.0), (5, 3.0))]
+    assert texture_paper.falls(results) == {6: 1.0}
 
 
-def test_the_command_writes_page_table_and_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(texture_paper, "generated_profiles", lambda: {"rough": profile()})
+def test_the_command_writes_page_tables_and_charts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(texture_paper, "generated_profiles", lambda: {"wood": profile()})
     monkeypatch.setattr(texture_paper, "LEVELS", texture_paper.PAPER_LEVELS[::-1])
     own = tmp_path / "profiles"
     own.mkdir()
@@ -55,12 +70,16 @@ def test_the_command_writes_page_table_and_chart(tmp_path: Path, monkeypatch: py
     assert done.exit_code == 0, done.output
     page = (tmp_path / "out" / "texture_paper.md").read_text()
     assert "| 14 | 23.8 % |" in page
-    assert "mine: Huffman" in page
+    assert "| the paper's | 22.3 % |\n" in page
+    assert "| mine |" in page
     with (tmp_path / "out" / "texture_paper.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert {row["texture"] for row in rows} == {"rough", "mine"}
+    assert {row["surface"] for row in rows} == {"wood", "mine"}
     assert np.all([float(row["huffman_percent"]) > 0 for row in rows])
-    assert (tmp_path / "out" / "texture_paper.png").read_bytes().startswith(b"\x89PNG")
+    with (tmp_path / "out" / "texture_paper_spectra.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 2 * 160
+    for name in ("texture_paper.png", "texture_paper_spectra.png"):
+        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
 
 
 def test_files_that_are_no_profile_are_rejected(tmp_path: Path) -> None:
