@@ -26,13 +26,13 @@ uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder);
 
 /* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
  * VC_HOST_ONLY for a stream of whole transforms, or VC_BAD_PACKET (nothing written) for a packet without a head that
- * says refresh, without its ranges, or with a code that is none, of Huffman's or of a number of levels. The caller orders packets and drops those that come late. Any
- * bytes are safe. */
+ * says refresh, without its ranges, or with a code that is none, of Huffman's or of a number of levels. The caller
+ * orders packets and drops those that come late. Any bytes are safe. */
 int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
 /* Decodes one packet of a stream of whole transforms: writes the coded coefficients, first to end - 1, of channel after
- * channel, in 1/256 of a sample's least significant bit. Returns as vc_dct_decode, but VC_BAD_CONFIGURATION for a stream
- * of blocks. For hosts, which have the inverse transform of any length. */
+ * channel, in 1/256 of a sample's least significant bit. Returns as vc_dct_decode, but VC_BAD_CONFIGURATION for a
+ * stream of blocks. For hosts, which have the inverse transform of any length. */
 int vc_dct_decode_whole(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int32_t *coefficients);
 
 /* Stands in for one missing packet: writes packet_samples x channels samples, the last ones backwards and faded to
@@ -45,8 +45,8 @@ uint32_t vc_dct_levels_of(uint32_t code);
 
 /* Writes the reconstruction levels of one channel of a packet in the order of the coded values, without a zero of its
  * own, in 1/256 of a sample's least significant bit. Returns how many there are: `levels`, or with linear levels one
- * more. `logarithmic`: 0 = linear; `levels`: 4 to 65535; `smallest`, `below`, `above`: range codes of the least magnitude
- * and of the greatest on both sides of zero, the last two not both 0. For encoders. */
+ * more. `logarithmic`: 0 = linear; `levels`: 4 to 65535; `smallest`, `below`, `above`: range codes of the least
+ * magnitude and of the greatest on both sides of zero, the last two not both 0. For encoders. */
 uint32_t vc_dct_levels(int logarithmic, uint32_t levels, uint32_t smallest, uint32_t below, uint32_t above,
                        int32_t *output);
 
