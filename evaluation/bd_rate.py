@@ -1,4 +1,4 @@
-"""BD-rate: the mean difference in rate of two codecs at equal quality, within a fixed window of each quality."""
+"""BD-rate: the mean difference in rate of two codecs at equal quality, in a fixed window or over all of it."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +19,9 @@ ENOUGH_POINTS = 6
 """With fewer, a result is marked: one point decides much of the curve."""
 MIN_OVERLAP = 0.2
 """Least part of a window that two curves must share."""
-METHODS = ("pchip", "akima")  # the first is reported, the second checks it
+WINDOW_METHODS = ("pchip", "akima")  # the first is reported, the second checks it
+OVERLAP_METHOD = "cubic"
+"""The EVA paper's: one cubic polynomial of log10 rate for each curve, over all quality that both curves have."""
 RESAMPLES = 2000
 CONFIDENCE = 0.95
 
@@ -67,11 +69,12 @@ class BdRate:
     """The rate of a codec relative to another's at equal quality: -50 is half the bits.
 
     `percent` by pchip and `akima_percent` as a check, over the quality from `low` to `high`: the part of the window
-    where both codecs have points. `points`: of the envelope that has the fewer.
+    where both codecs have points. `cubic_percent`: by OVERLAP_METHOD. `points`: of the envelope that has the fewer.
     """
 
     percent: float
     akima_percent: float
+    cubic_percent: float
     low: float
     high: float
     points: int
@@ -93,6 +96,7 @@ class Summary:
     lowest: float
     highest: float
     akima_mean: float
+    cubic_mean: float
     traces: int
     low: float
     high: float
@@ -118,19 +122,20 @@ def bd_rate(anchor: Curve, test: Curve, scale: Scale) -> BdRate | None:
 
     10^(mean over quality of log10 rate_test - log10 rate_anchor) - 1, the mean being the integral over the qualities
     that both have, divided by their range: equations (4) to (6) of the EVA paper, after G. Bjontegaard, VCEG-M33
-    (2001). Interpolated as in C. Herglotz et al., "The Bjontegaard Bible" (2024), on the monotone envelopes. None where
-    either envelope has fewer than MIN_POINTS, or they share less than MIN_OVERLAP of the scale's window.
+    (2001). Interpolated as in C. Herglotz et al., "The Bjontegaard Bible" (2024), on the monotone envelopes; by
+    OVERLAP_METHOD as in VCEG-M33 and the EVA paper. None where either envelope has fewer than MIN_POINTS, or they share
+    less than MIN_OVERLAP of the scale's window.
     """
     curves = monotone_envelope(anchor), monotone_envelope(test)
     points = min(map(len, curves))
     if points < MIN_POINTS:
         return None
-    low = max(scale.low, *(curve[0][1] for curve in curves))
-    high = min(scale.high, *(curve[-1][1] for curve in curves))
+    overlap = max(curve[0][1] for curve in curves), min(curve[-1][1] for curve in curves)
+    low, high = max(scale.low, overlap[0]), min(scale.high, overlap[1])
     if high - low < MIN_OVERLAP * (scale.high - scale.low):
         return None
-    percent, akima_percent = (_percent(*curves, low, high, method) for method in METHODS)
-    return BdRate(percent, akima_percent, low, high, points)
+    percent, akima_percent = (_percent(*curves, low, high, method) for method in WINDOW_METHODS)
+    return BdRate(percent, akima_percent, _percent(*curves, *overlap, OVERLAP_METHOD), low, high, points)
 
 
 def bits_per_sample_at(curve: Curve, qualities: ArrayLike) -> NDArray[np.float64]:
@@ -169,6 +174,7 @@ def summary(rates: Sequence[BdRate], scale: Scale) -> Summary:
         min(percents),
         max(percents),
         fmean(rate.akima_percent for rate in rates),
+        fmean(rate.cubic_percent for rate in rates),
         len(rates),
         min(rate.low for rate in rates),
         max(rate.high for rate in rates),
@@ -185,12 +191,17 @@ def _interval_of_mean(values: Sequence[float]) -> tuple[float, float]:
 
 
 def _percent(anchor: Curve, test: Curve, low: float, high: float, method: str) -> float:
-    # The library integrates over the whole overlap; its interpolators serve for the window within.
-    _, anchor_curve, test_curve = bjontegaard.bd_rate(
-        *_columns(anchor), *_columns(test), method, require_matching_points=False, interpolators=True, min_overlap=0
-    )
-    difference = float(test_curve.integrate(low, high) - anchor_curve.integrate(low, high))
-    return 100 * (10 ** (difference / (high - low)) - 1)
+    """Return the BD-rate from one quality to another, in percent; `method`: of bjontegaard, between points or a fit.
+
+    Infinite where a fit leaves the range of floating point.
+    """
+    with np.errstate(over="ignore"):
+        # The library integrates over the whole overlap; its interpolators serve for the window within.
+        _, anchor_curve, test_curve = bjontegaard.bd_rate(
+            *_columns(anchor), *_columns(test), method, require_matching_points=False, interpolators=True, min_overlap=0
+        )
+        difference = test_curve.integrate(low, high) - anchor_curve.integrate(low, high)
+        return float(100 * (np.power(10.0, difference / (high - low)) - 1))
 
 
 def _columns(curve: Curve) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

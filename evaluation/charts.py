@@ -17,7 +17,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from numpy.typing import ArrayLike, NDArray
 
 from vibrocast.evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from vibrocast.evaluation.comparison import MEAN, TIMES
+from vibrocast.evaluation.comparison import FIT, TIMES
 from vibrocast.evaluation.labels import spread
 from vibrocast.evaluation.points import IMPORTED, MEASURED
 from vibrocast.evaluation.tables import as_rows, write_table
@@ -137,10 +137,8 @@ def plot_quality_against_rate(path: Path, table: pl.DataFrame, scale: Scale, mai
     figure.savefig(path)
 
 
-def plot_quality_against_ratio(
-    path: Path, table: pl.DataFrame, scales: Sequence[Scale], every_trace: Sequence[str]
-) -> None:
-    """Draw the mean curves, of some codecs every trace's points too, a panel for each quality. Raises OSError."""
+def plot_quality_against_ratio(path: Path, table: pl.DataFrame, scales: Sequence[Scale]) -> None:
+    """Draw every trace's points and the fit to them, a panel for each quality. Raises OSError."""
     rows = as_rows(table)
     codecs = list(by_codec(rows))
     figure = _figure([MIN_PANEL_IN] * len(scales), [name(row) for row in rows])
@@ -148,18 +146,73 @@ def plot_quality_against_ratio(
     _set_rate_axis(panels[-1], "compression ratio against 16 bits per sample")
     for axes, scale in zip(panels, scales, strict=True):
         _set_quality_axis(axes, scale)
+        if scale in SATURATING:  # a polynomial is no curve on an axis that is spread towards 1
+            axes.set(yscale="linear", ylim=(SATURATING[scale][0], 1))
         labels = []
         for codec, points in by_codec(row for row in rows if row.quality == scale.field).items():
             grey, marker, dashes = (forms[codecs.index(codec) % len(forms)] for forms in (GREYS, MARKERS, DASHES))
-            if codec in every_trace:
-                pairs = [(row.compression_ratio, row.value) for row in points if row.trace != MEAN]
-                ratios, values = np.transpose(pairs)
-                axes.scatter(ratios, _within(axes, values), s=9, marker=marker, color=grey, linewidth=0.6, alpha=0.7)
-            means = sorted((row.compression_ratio, row.value) for row in points if row.trace == MEAN)
-            if means:
-                end = _draw_line(axes, *np.transpose(means), color=grey, linewidth=2.5, linestyle=dashes)
+            ratios, values = np.transpose([(row.compression_ratio, row.value) for row in points if row.trace != FIT])
+            axes.scatter(ratios, _within(axes, values), s=9, marker=marker, color=grey, linewidth=0.6, alpha=0.7)
+            if fit := [(row.compression_ratio, row.value) for row in points if row.trace == FIT]:
+                end = _draw_line(axes, *np.transpose(fit), color=grey, linewidth=2.5, linestyle=dashes)
                 labels.append(_Label(*end, points[0], name(points[0])))
         _write_labels(axes, labels)
+    figure.savefig(path)
+
+
+def plot_bd_regions(path: Path, table: pl.DataFrame, scales: Sequence[Scale]) -> None:
+    """Draw two codecs' qualities over the rate, a panel for each quality; shaded where BD-rate integrates.
+
+    Raises OSError.
+    """
+    rows = as_rows(table)
+    figure = _figure([MIN_PANEL_IN] * len(scales), [name(row) for row in rows])
+    panels = figure.subplots(len(scales), squeeze=False, sharex=True).ravel()
+    _set_rate_axis(panels[-1], "bits per sample, all bytes counted")
+    panels[-1].set_xlim(MIN_RATE, MAX_RATE)
+    for axes, scale in zip(panels, scales, strict=True):
+        of_scale = by_codec(row for row in rows if row.quality == scale.field)
+        _set_quality_axis(axes, scale)
+        labels, edges = [], []
+        for codec, grey, marker, dashes in zip(of_scale, GREYS, MARKERS, DASHES, strict=False):
+            points, edge = (
+                np.transpose([(row.bits_per_sample, row.value) for row in of_scale[codec] if row.in_region == inside])
+                for inside in (False, True)
+            )
+            axes.plot(points[0], _within(axes, points[1]), marker=marker, markersize=4, color=grey, linewidth=0)
+            edges.append(edge)
+            end = _draw_line(axes, *edge, color=grey, linewidth=1.5, linestyle=dashes)
+            labels.append(_Label(*end, of_scale[codec][0], name(of_scale[codec][0])))
+        if edges:
+            (test, values), (anchor, _) = edges
+            axes.fill_betweenx(values, test, anchor, color="0.75", linewidth=0, zorder=1)
+            title = f"BD-rate {of_scale[codec][0].percent:+.1f} % at equal {scale.name}, {of_scale[codec][0].trace}"
+            axes.set_title(_plain(title), fontsize=FONT_POINTS, loc="left")
+        _write_labels(axes, labels)
+    figure.savefig(path)
+
+
+def plot_waveforms(path: Path, table: pl.DataFrame) -> None:
+    """Draw a row of panels for each codec, a column for each rate: decoded samples over the original. Raises OSError.
+
+    Columns of the table: `codec`, `source`, `compression_ratio`, `snr_db`, `time_ms`, `original`, `decoded`.
+    """
+    of_codecs = by_codec(as_rows(table))
+    figure = _figure([MIN_PANEL_IN / 2] * len(of_codecs))
+    columns = max(len({row.compression_ratio for row in rows}) for rows in of_codecs.values())
+    panels = figure.subplots(len(of_codecs), columns, squeeze=False, sharex=True, sharey=True)
+    for rows, row_of_panels in zip(of_codecs.values(), panels, strict=True):
+        ratios = sorted({row.compression_ratio for row in rows})
+        for ratio, axes in zip(ratios, row_of_panels, strict=False):
+            at_ratio = [row for row in rows if row.compression_ratio == ratio]
+            time_ms, original, decoded = np.transpose([(row.time_ms, row.original, row.decoded) for row in at_ratio])
+            axes.plot(time_ms, original, color="0.7", linewidth=3)
+            axes.plot(time_ms, decoded, color="black", linewidth=0.9)
+            title = f"{name(at_ratio[0])}, ratio {ratio:.3g}: {at_ratio[0].snr_db:.1f} dB"
+            axes.set_title(title, fontsize=FONT_POINTS, loc="left")
+            axes.set_axisbelow(True)
+            axes.grid(color="0.92")
+    figure.supxlabel("time, ms; wide and grey: original; thin and black: decoded", fontsize=FONT_POINTS)
     figure.savefig(path)
 
 
@@ -320,8 +373,12 @@ def _short(text: str) -> str:
 
     Its middle is left out: of a trace of IEEE P1918.1.1 the end tells the material and speed.
     """
-    short = text if len(text) <= MAX_NAME else f"{text[:10]}...{text[13 - MAX_NAME :]}"
-    return short.replace("$", r"\$")
+    return _plain(text if len(text) <= MAX_NAME else f"{text[:10]}...{text[13 - MAX_NAME :]}")
+
+
+def _plain(text: str) -> str:
+    """Return text that matplotlib does not take for a formula."""
+    return text.replace("$", r"\$")
 
 
 def _figure(

@@ -34,12 +34,20 @@ from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timi
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
 from vibrocast.evaluation.tables import as_rows, columns, frame
 
-MEAN = "(mean)"
+FIT = "(fit)"
+"""Stands for a trace where a row is of the fit to all of them."""
 ANCHORS = ("mdct", "slp", "vcpwq")
 """What others are compared with: the project's own codec, one of the kind that the EVA paper compares with, and the
 reference of IEEE 1918.1.1."""
 REFERENCE = "slp"
 """The anchor of the EVA paper's kind, which learned codecs are compared with."""
+AUTOENCODER = "eva"
+"""The codec of the EVA paper."""
+PAPER_SCALES = (PSNR, ST_SIM_2800)
+"""The qualities at which the EVA paper states BD-rates."""
+MIN_RATIO, MAX_RATIO = 4.0, 64.0
+"""Compression ratios of the charts in the form of the EVA paper's: where its codec and its anchor have points."""
+FIT_POINTS = 64
 LEARNED_SCALES = (PSNR, ST_SIM_2800, SPQI)
 EQUAL_SNR_DB = 12.0
 NEEDED_SNR_DB = 10.0
@@ -62,6 +70,12 @@ _CURVE_COSTS = (
     *("codec", "source", "runtime", "settings", "setting", "bits_per_sample", "snr_db", *TIMES, "real_time_factor"),
     *("delay_ms", "decoder_bytes", "model_bytes", "flash_bytes", "peak_memory_bytes", "width", "note"),
 )
+_REGIONS: Mapping[str, Any] = {
+    **dict.fromkeys(("quality", "trace", "codec", "source"), pl.String),
+    **dict.fromkeys(("value", "bits_per_sample"), pl.Float64),
+    "in_region": pl.Boolean,
+    "percent": pl.Float64,
+}
 _PAIR = {"quality": pl.String, "anchor": pl.String, "codec": pl.String, "source": pl.String}
 
 
@@ -137,6 +151,16 @@ class Measurements:
         """The curves of trained models."""
         with_models = {cost.codec for cost in self.costs if cost.model_bytes is not None}
         return [codec for codec in self.curves if codec in with_models]
+
+    @cached_property
+    def paper_pair(self) -> list[str]:
+        """The codecs of charts in the form of the EVA paper's: its own at its widest, or else another learned one, and
+        REFERENCE, or else other anchors; at most two.
+        """
+        widths = {cost.codec: cost.width or 0 for cost in self.costs if cost.coder == AUTOENCODER}
+        first = sorted(self.learned, key=lambda codec: -widths.get(codec, 0))[:1]
+        others = sorted(self.anchors, key=lambda codec: codec != REFERENCE)
+        return list(dict.fromkeys([*first, *others]))[:2]
 
     def of(self, codec: str, scale: Scale) -> dict[str, Curve]:
         """Return a codec's rate and quality by trace, of the compared traces on which it has that quality."""
@@ -228,23 +252,58 @@ def _mean_and_spread(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> pl.DataFrame:
-    """Return qualities over the compression ratio against 16 bits per sample, of anchors and learned codecs.
+    """Return qualities over the compression ratio against 16 bits per sample, of the codecs of `paper_pair`.
 
-    Columns: `quality`, `codec`, `source`, `trace` (MEAN: of the mean curve), `compression_ratio`, `value`.
+    Columns: `quality`, `codec`, `source`, `trace`, `compression_ratio` from MIN_RATIO to MAX_RATIO, `value`. Rows with
+    the trace FIT are of the least-squares fit to all points: a polynomial of the logarithm of the ratio, cubic where
+    there are enough ratios.
     """
-    found = []
+    found: list[tuple[object, ...]] = []
     for scale in scales:
-        means = mean_curves(measurements, scale)
-        for codec in dict.fromkeys([*measurements.anchors, *measurements.learned]):
-            pairs = [(trace, *pair) for trace, curve in measurements.of(codec, scale).items() for pair in curve]
-            pairs += [(MEAN, row.bits_per_sample, row.mean) for row in as_rows(means.filter(codec=codec))]
-            found += [
-                (scale.field, codec, measurements.source(codec), trace, 16 / bits, value)
-                for trace, bits, value in pairs
-                if math.isfinite(value)
+        for codec in measurements.paper_pair:
+            pairs = [
+                (trace, 16 / bits, value)
+                for trace, curve in measurements.of(codec, scale).items()
+                for bits, value in curve
+                if math.isfinite(value) and MIN_RATIO <= 16 / bits <= MAX_RATIO
             ]
+            logarithms = np.log2([ratio for _, ratio, _ in pairs])
+            if len(distinct := np.unique(logarithms)) > 1:
+                degree = min(3, len(distinct) - 1)
+                fit = np.polynomial.Polynomial.fit(logarithms, [value for *_, value in pairs], degree)
+                pairs += [(FIT, 2**x, float(fit(x))) for x in np.linspace(distinct[0], distinct[-1], FIT_POINTS)]
+            found += [(scale.field, codec, measurements.source(codec), *pair) for pair in pairs]
     text = dict.fromkeys(("quality", "codec", "source", "trace"), pl.String)
     return _table(found, {**text, "compression_ratio": pl.Float64, "value": pl.Float64})
+
+
+def bd_regions(measurements: Measurements, scales: Iterable[Scale]) -> pl.DataFrame:
+    """Return the two curves between which BD-rate integrates, on the trace whose BD-rate is the median at the first
+    scale, of the codecs of `paper_pair`.
+
+    Columns: `quality`, `trace`, `codec`, `source`, `value`, `bits_per_sample`, `in_region`: True for the interpolated
+    curve over the range of quality that is integrated, False for the measured points; and the BD-rate in `percent`, of
+    the first codec relative to the second. Empty without two codecs that can be compared.
+    """
+    chosen = list(scales)
+    if len(measurements.paper_pair) < 2:
+        return _table([], _REGIONS)
+    test, anchor = measurements.paper_pair
+    rates = {scale: bd_rates(measurements.of(anchor, scale), measurements.of(test, scale), scale) for scale in chosen}
+    ranked = sorted(rates[chosen[0]], key=lambda trace: rates[chosen[0]][trace].percent)
+    found: list[tuple[object, ...]] = []
+    for scale in chosen:
+        for trace in ranked[len(ranked) // 2 :][:1]:
+            if (rate := rates[scale].get(trace)) is None:
+                continue
+            qualities = np.linspace(rate.low, rate.high, FIT_POINTS)
+            for codec in (test, anchor):
+                envelope = monotone_envelope(measurements.of(codec, scale)[trace])
+                within = zip(qualities.tolist(), bits_per_sample_at(envelope, qualities).tolist(), strict=True)
+                rows = [(quality, bits, False) for bits, quality in envelope]
+                rows += [(quality, bits, True) for quality, bits in within]
+                found += [(scale.field, trace, codec, measurements.source(codec), *row, rate.percent) for row in rows]
+    return _table(found, _REGIONS)
 
 
 def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) -> pl.DataFrame:

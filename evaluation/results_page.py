@@ -13,7 +13,7 @@ from vibrocast import codec as codecs
 from vibrocast import pages
 from vibrocast.evaluation import bd_rate, charts, comparison, learned_page, speed
 from vibrocast.evaluation.bd_rate import SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000
-from vibrocast.evaluation.comparison import LEARNED_SCALES, TABLES, TIMES, Measurements
+from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.points import (
     IMPORTED,
     MEASURED,
@@ -25,6 +25,8 @@ from vibrocast.evaluation.points import (
 )
 from vibrocast.evaluation.tables import as_rows, write_table
 
+NOTE = "note.md"
+"""In OUT/results: what the page says of its data before all else, in Markdown, if a person has put it there."""
 TEMPLATE = Path(__file__).with_name("results.md.jinja")
 RATE_SCALES = (SNR, ST_SIM_2800, ST_SIM_8000, SPQI)
 COST_SCALES = (SNR, SPQI)
@@ -34,8 +36,10 @@ RULES = {
     "confidence": bd_rate.CONFIDENCE,
     "enough_points": bd_rate.ENOUGH_POINTS,
     "equal_snr_db": comparison.EQUAL_SNR_DB,
+    "max_ratio": comparison.MAX_RATIO,
     "min_overlap": bd_rate.MIN_OVERLAP,
     "min_points": bd_rate.MIN_POINTS,
+    "min_ratio": comparison.MIN_RATIO,
     "needed_snr_db": comparison.NEEDED_SNR_DB,
     "rates": speed.RATES,
     "ratio": speed.RATIO,
@@ -78,12 +82,17 @@ def write_results(
         values[name] = make()
         progress(place / len(parts))
     page = pages.render(
-        TEMPLATE, **_head(measurements), **values, description=description, measurements=measurements, name=charts.name
+        TEMPLATE,
+        **_head(folder, measurements),
+        **values,
+        description=description,
+        measurements=measurements,
+        name=charts.name,
     )
     (out / "results.md").write_text(page, encoding="utf-8")
 
 
-def _head(measurements: Measurements) -> dict[str, Any]:
+def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
     """Return what the page says besides tables and charts."""
     of_source: dict[str, list[str]] = {source: [] for source in (MEASURED, PROGRAM, IMPORTED)}
     for codec in measurements.curves:
@@ -103,10 +112,11 @@ def _head(measurements: Measurements) -> dict[str, Any]:
         "programs": of_source[PROGRAM],
         "imported": of_source[IMPORTED],
         "ranking": comparison.bits_to_reach(measurements, comparison.NEEDED_SNR_DB),
-        "every_trace": _every_trace(measurements),
+        "note": note.read_text(encoding="utf-8").strip() if (note := folder / NOTE).exists() else "",
         "failures": [(*kind, some) for kind, some in failures.items()],
         "max_listed_failures": MAX_LISTED_FAILURES,
         "scales": SCALES,
+        "paper_scales": PAPER_SCALES,
         "rules": RULES,
     }
 
@@ -117,14 +127,8 @@ def _written(path: Path, make: Callable[[Measurements], pl.DataFrame], measureme
     return as_rows(table)
 
 
-def _every_trace(measurements: Measurements) -> list[str]:
-    """Return the codecs of which a chart shows every trace."""
-    return [*measurements.learned[-1:], *reversed(measurements.anchors)][:2]
-
-
 def _charts(folder: Path, measurements: Measurements) -> dict[str, Any]:
-    main, every_trace = measurements.anchors[:2], _every_trace(measurements)
-    shown = tuple(dict.fromkeys([*measurements.anchors, *measurements.learned]))
+    main = measurements.anchors[:2]
     rate = [
         charts.Chart(
             f"quality_against_rate_{scale.field}",
@@ -134,12 +138,19 @@ def _charts(folder: Path, measurements: Measurements) -> dict[str, Any]:
         ).write(folder, partial(charts.plot_quality_against_rate, scale=scale, main=main))
         for scale in RATE_SCALES
     ]
+    pair = tuple(measurements.paper_pair)
     ratio = charts.Chart(
         "quality_against_ratio",
         "PSNR, ST-SIM and SPQI against compression ratio",
         comparison.ratio_points(measurements, LEARNED_SCALES),
-        shown,
-    ).write(folder, partial(charts.plot_quality_against_ratio, scales=LEARNED_SCALES, every_trace=every_trace))
+        pair,
+    ).write(folder, partial(charts.plot_quality_against_ratio, scales=LEARNED_SCALES))
+    regions = charts.Chart(
+        "bd_regions",
+        "Where BD-rate integrates",
+        comparison.bd_regions(measurements, PAPER_SCALES),
+        pair,
+    ).write(folder, partial(charts.plot_bd_regions, scales=PAPER_SCALES))
     cost = [
         charts.Chart(
             f"quality_against_{stem}_{scale.field}",
@@ -158,7 +169,7 @@ def _charts(folder: Path, measurements: Measurements) -> dict[str, Any]:
         comparison.rate_excesses(measurements),
         tuple(measurements.curves),
     ).write(folder, charts.plot_rate_excesses)
-    return {"rate": rate, "ratio": ratio, "cost": cost, "excess": excess}
+    return {"rate": rate, "ratio": ratio, "regions": regions, "cost": cost, "excess": excess}
 
 
 def _bd_rates(folder: Path, measurements: Measurements) -> list[dict[str, Any]]:

@@ -42,6 +42,7 @@ def test_a_constant_factor_of_rate_is_found(factor: float, snrs_db: list[float])
     assert result is not None
     assert result.percent == pytest.approx(100 * (factor - 1))
     assert result.akima_percent == pytest.approx(100 * (factor - 1))
+    assert result.cubic_percent == pytest.approx(100 * (factor - 1))
     assert (result.low, result.high) == (5, 20)
 
 
@@ -150,6 +151,30 @@ def test_the_library_agrees_where_the_curves_end_at_the_window() -> None:
     assert result.akima_percent == pytest.approx(bjontegaard.bd_rate(rates[0], snrs_db, rates[1], snrs_db, "akima"))
 
 
+def test_the_papers_method_is_one_cubic_over_the_whole_overlap() -> None:
+    """Log rates that are cubic polynomials are fitted exactly, so the definition's integral is the expected figure."""
+
+    def bits(snr_db: float) -> float:
+        return 10 ** (-0.5 + 0.05 * snr_db + 1e-5 * (snr_db - 12) ** 3)
+
+    def bits_of_test(snr_db: float) -> float:
+        return 10 ** (-0.6 + 0.06 * snr_db - 2e-5 * (snr_db - 9) ** 3)
+
+    anchor, test = ([(rate(snr_db), snr_db) for snr_db in FINE] for rate in (bits, bits_of_test))
+    result = bd_rate(anchor[:-6], test[4:], SNR)
+    assert result is not None
+    low, high = FINE[4], FINE[-7]
+    assert (low, high) == (3.0, 22.5)  # beyond the window on both sides
+    assert result.cubic_percent == pytest.approx(definition(bits, bits_of_test, low, high))
+    assert result.cubic_percent != pytest.approx(result.percent, abs=0.1)
+
+
+def test_a_fit_beyond_floating_point_is_infinite() -> None:
+    steep = [(1.0, 0.0), (1e9, 1e-6), (2e9, 24.9), (3e9, 25.0)]
+    result = bd_rate(curve(COARSE), steep, SNR)
+    assert result is not None and result.cubic_percent == math.inf
+
+
 def test_comparison_ends_where_a_curve_ends() -> None:
     result = bd_rate(curve([-1.0, 2.0, 5.0, 8.0, 11.0, 14.0]), curve([7.5, *FINE[20:]], 0.5), SNR)
     assert result is not None
@@ -228,19 +253,23 @@ def test_traces_are_compared_one_by_one_and_summed_up() -> None:
 
 
 def test_a_summary_names_the_check_and_the_window() -> None:
-    result = summary([BdRate(-50, -49, 5, 19, 8), BdRate(-40, -41, 6, 20, 5), BdRate(-42, -42, 5, 20, 9)], SNR)
-    assert result.akima_mean == -44
+    result = summary(
+        [BdRate(-50, -49, -43, 5, 19, 8), BdRate(-40, -41, -41, 6, 20, 5), BdRate(-42, -42, -42, 5, 20, 9)], SNR
+    )
+    assert result.akima_mean == -44 and result.cubic_mean == -42
     assert (result.low, result.high, result.whole_window_traces) == (5, 20, 1)
     assert result.points == 5
 
 
 def test_the_interval_of_the_mean_holds_it_and_shrinks_with_the_traces() -> None:
     values = np.random.default_rng(1).normal(-40, 10, 400)
-    few, many = (summary([BdRate(value, value, 5, 20, 8) for value in values[:count]], SNR) for count in (10, 400))
+    few, many = (
+        summary([BdRate(value, value, value, 5, 20, 8) for value in values[:count]], SNR) for count in (10, 400)
+    )
     for result in (few, many):
         assert result.interval_low is not None and result.interval_high is not None
         assert result.interval_low < result.mean < result.interval_high
     # 1.96 standard errors of the mean each way.
     assert many.interval_high is not None
     assert many.interval_high - many.mean == pytest.approx(1.96 * np.std(values) / 20, rel=0.1)
-    assert summary([BdRate(-50, -49, 5, 20, 8), BdRate(-40, -41, 5, 20, 8)], SNR).interval_low is None
+    assert summary([BdRate(-50, -49, -48, 5, 20, 8), BdRate(-40, -41, -42, 5, 20, 8)], SNR).interval_low is None

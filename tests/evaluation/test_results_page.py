@@ -15,11 +15,13 @@ from polars.testing import assert_frame_equal
 
 from vibrocast.codec import CODECS
 from vibrocast.evaluation import bench, learned_page, results_page
-from vibrocast.evaluation.bd_rate import SNR
+from vibrocast.evaluation.bd_rate import PSNR, SNR, ST_SIM_2800, bd_rate
 from vibrocast.evaluation.charts import FAR_DB, MAX_NAME, _set_log_axis, _short, plot_cost_points
 from vibrocast.evaluation.comparison import (
+    FIT,
     TIMES,
     Measurements,
+    bd_regions,
     bits_to_reach,
     cost_points,
     curve_costs,
@@ -27,6 +29,7 @@ from vibrocast.evaluation.comparison import (
     mean_bd_rates,
     mean_curves,
     rate_excesses,
+    ratio_points,
     recommendations,
     trace_bd_rates,
 )
@@ -234,7 +237,7 @@ def copied(written: Path, tmp_path: Path) -> Path:
 def test_every_chart_has_its_data_beside_it(written: Path) -> None:
     page = (written / "results.md").read_text()
     images = sorted((written / "results").glob("*.png"))
-    assert len(images) == 10
+    assert len(images) == 11
     for image in images:
         assert image.read_bytes().startswith(b"\x89PNG") and image.stat().st_size > 5000
         assert f"(results/{image.name})" in page and f"(results/{image.stem}.csv)" in page
@@ -389,6 +392,57 @@ def test_where_trained_models_win_and_lose_is_said_from_the_figures(tmp_path: Pa
     assert "| eva-16 | slp | -31.1 % (2 of 2) | -52.2 % (1 of 1) | -10.0 % (1 of 1) |" in page
     assert "Wanted" not in page and "missed" not in page.lower()
     assert (tmp_path / "results" / "learned_bd_rate_traces.png").stat().st_size > 5000
+
+
+def test_charts_of_the_papers_form_show_the_widest_autoencoder_and_its_anchor() -> None:
+    few = learned()
+    assert few.paper_pair == ["eva-16", "slp"]
+    wider = curve("eva-32", "a") + curve("eva-32", "b")
+    costs = [*few.costs, CodecCost("eva-32", 10_000, 1, "", 4000, "eva", 32), CodecCost("net", 1, 1, "", 1, "mdct")]
+    assert Measurements([*few.points, *wider, *curve("net")], [], costs, []).paper_pair == ["eva-32", "slp"]
+    assert Measurements(*measured(), []).paper_pair == ["slp", "mdct"]
+    assert Measurements(curve("mdct"), [], [], []).paper_pair == ["mdct"]
+
+
+def test_the_fit_goes_through_the_points_of_all_traces() -> None:
+    """Quality is a straight line of the logarithm of the ratio on each trace, so the fit lies between the traces'."""
+    rows = [row for row in as_rows(ratio_points(learned(), [PSNR])) if row.codec == "slp"]
+    fit = [row for row in rows if row.trace == FIT]
+    assert {row.trace for row in rows} == {"a", "b", FIT}
+    assert len(fit) > 10 and all(4 <= row.compression_ratio <= 64 for row in rows)
+    for row in fit:
+        of_a, of_b = (13 + 12 * math.log2(2 * 16 / row.compression_ratio / factor) for factor in (1.9, 2.09))
+        assert of_b - 0.5 < row.value < of_a + 0.5
+
+
+def test_the_shaded_region_is_what_bd_rate_integrates() -> None:
+    table = bd_regions(learned(), [PSNR, ST_SIM_2800])
+    assert set(table["trace"]) == {"a"}  # of two traces, -52 and -10 %, the upper counts as the median
+    assert set(table["codec"]) == {"eva-16", "slp"}
+    region = {
+        codec: as_rows(table.filter(codec=codec, quality="psnr_db", in_region=True)) for codec in ("eva-16", "slp")
+    }
+    for test, anchor in zip(*region.values(), strict=True):
+        assert test.value == anchor.value and 18 <= test.value <= 33
+        assert test.bits_per_sample == pytest.approx(0.9 * anchor.bits_per_sample, rel=1e-3)
+        assert test.percent == pytest.approx(-10, abs=0.1)
+    points = table.filter(codec="slp", quality="psnr_db", in_region=False)
+    assert points["value"].to_list() == [snr_db + 13 for snr_db in SNRS_DB]
+    assert bd_regions(Measurements(curve("mdct"), [], [], []), [PSNR]).is_empty()
+
+
+def test_the_page_gives_bd_rate_by_the_papers_method_too(written: Path) -> None:
+    page = (written / "results.md").read_text()
+    table = page[page.index("### Relative to `mdct`") :]
+    header, _, row = (line.split(" | ") for line in table.splitlines()[2:5])
+    assert header.count("cubic") == 2 and "PSNR" in header and len(header) == len(row)
+    rates = bd_rate(PSNR.curve(curve("mdct")), PSNR.curve(curve("slp", rate_factor=1.9)), PSNR)
+    assert rates is not None and row[header.index("cubic")] == f"{rates.cubic_percent:+.1f} %" == "+90.0 %"
+
+
+def test_a_note_in_the_folder_stands_on_the_page(copied: Path) -> None:
+    (copied / "results" / results_page.NOTE).write_text("Chosen on *these* recordings.\n")
+    assert "\n\nChosen on *these* recordings.\n\n" in write(copied, *measured())
 
 
 @pytest.mark.slow
