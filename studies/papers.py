@@ -1,0 +1,373 @@
+"""Lists what the two papers claim, and what happened here: `python -m studies.papers FOLDER --out docs`."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import polars as pl
+from scipy import signal
+
+from studies.page import FOLDER, OUT, errors_in_one_line, render, write, write_rows
+from vibrocast import codec
+from vibrocast.evaluation import cells, charts, trained
+from vibrocast.evaluation.bd_rate import PSNR, ST_SIM_2800
+from vibrocast.evaluation.comparison import (
+    AUTOENCODER,
+    PAPER_SCALES,
+    REFERENCE,
+    TABLES,
+    Measurements,
+    bd_regions,
+    mean_bd_rates,
+    pair_bd_rates,
+)
+from vibrocast.evaluation.points import MEASURED, PointsError, read_rows
+from vibrocast.evaluation.speed import RATES, RATIO, Speed
+from vibrocast.evaluation.tables import as_rows, frame
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.textures import dataset
+
+EVA, DCT = "EVA", "DCT"
+YES, NO, NOT_YET, MODEL, NOT_COMPARABLE = "yes", "no", "not yet", "in a model", "not comparable"
+ANCHORS = (REFERENCE, "mdct")
+TOLERANCE = 1.0
+"""Percentage points within which a figure counts as reproduced."""
+WAVEFORM_RATIOS = (20.0, RATIO, 5.0)
+WAVEFORM_SAMPLES = 200
+HIGHEST_HZ = 400.0
+"""Up to which the display of the DCT paper is without a resonance."""
+MATERIALS = {
+    # texture: L and b0 in dB that listeners did not notice, Huffman ratio and zeros by the threshold cut in percent
+    "wood": (14, -8.0, 22.3, 28.7),
+    "sandpaper": (14, -4.0, 17.5, 33.7),
+    "leather": (12, 4.0, 12.1, 53.7),
+}
+"""What the DCT paper reports of its materials."""
+CODED_ALONE = 65_535
+"""The levels in texture_paper.csv of coefficients that the threshold cuts, and nothing quantises."""
+
+OTHER_DATA = (
+    "The anchor is a re-creation: the authors' PVC-SLP was never measured. Models were trained on fluid pressure of a "
+    "robot finger, sounds of tools and generated textures. The paper trains and tests on parts of one set."
+)
+OTHER_MACHINE = "Other programs on another processor. The paper does not say how many cores worked."
+OTHER_SURFACES = "Other surfaces; bytes here include tables and headers. The page on the DCT codec has the details."
+OTHER_THRESHOLD = "Other surfaces, and another detection threshold, which is from memory."
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim of a paper, EVA or DCT: what it states, and what was found here. `difference`: in percentage points.
+
+    `reproduced`: YES, NO, NOT_YET, MODEL or NOT_COMPARABLE.
+    """
+
+    paper: str
+    claim: str
+    stated: str
+    here: str
+    difference: float | None
+    reproduced: str
+    why: str
+
+
+@dataclass(frozen=True)
+class WaveformSample:
+    """One sample of a recording and of what a codec made of it, in the recording's unit, at one of WAVEFORM_RATIOS."""
+
+    trace: str
+    codec: str
+    source: str
+    setting: str
+    compression_ratio: float
+    snr_db: float
+    time_ms: float
+    original: float
+    decoded: float
+
+
+@dataclass(frozen=True)
+class TextureRow:
+    """The columns of texture_paper.csv that a claim needs; see studies.texture_paper."""
+
+    texture: str
+    quantiser: str
+    levels: int
+    b0_db: float | None
+    paper_percent: float
+    huffman_percent: float
+    zeros_percent: float
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Bits of a codec relative to a peer's at equal quality on recordings that no choice has seen, in percent.
+
+    The mean over the recordings, and the worst of them; None where it was not measured.
+    """
+
+    codec: str
+    measure: str
+    peer: str
+    mean_percent: float | None
+    worst_percent: float | None
+
+
+def families(measurements: Measurements) -> list[str]:
+    """Return the paper's models: families of the autoencoder with one model for each rate, the widest first."""
+    several = {point.codec for point in measurements.points if "model=" in point.setting}
+    widths = {cost.codec: cost.width or 0 for cost in measurements.costs if cost.coder == AUTOENCODER}
+    return sorted(several & set(widths) & set(measurements.curves), key=lambda family: (-widths[family], family))
+
+
+def bd_rates(measurements: Measurements, names: Sequence[str]) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Return BD-rates relative to ANCHORS at PAPER_SCALES, of every trace and their means."""
+    anchors = [anchor for anchor in ANCHORS if anchor in measurements.curves]
+    pairs = [(scale, anchor, name) for anchor in anchors for name in names for scale in PAPER_SCALES]
+    rates = pair_bd_rates(measurements, pairs)
+    return rates, mean_bd_rates(rates)
+
+
+def eva_claims(measurements: Measurements) -> Iterator[Claim]:
+    """Yield the claims of the EVA paper, held by the widest of its models that was measured."""
+    names = families(measurements)[:1]
+    rates, means = bd_rates(measurements, names)
+    for scale, stated in ((PSNR, -14.98), (ST_SIM_2800, -13.08)):
+        rows = as_rows(means.filter(anchor=REFERENCE, quality=scale.field))
+        text = f"by the paper's method; {rows[0].mean:+.1f} % in this project's window" if rows else ""
+        here = rows[0].cubic_mean if rows else None
+        yield _percent(EVA, f"BD-rate against PVC-SLP, {scale.name}", stated, here, text, OTHER_DATA, fewer=True)
+    lowest = as_rows(rates.filter(anchor=REFERENCE, quality=PSNR.field).sort("cubic_percent").head(1))
+    here, text = (lowest[0].cubic_percent, lowest[0].trace) if lowest else (None, "")
+    yield _percent(EVA, "BD-rate of the best trace, PSNR", -38.7, here, text, OTHER_DATA, fewer=True)
+    for what, eva_s, reference_s in (("encode", 24.99, 7.14), ("decode", 21.42, 3.57)):
+        stated_s = f"{eva_s} s, PVC-SLP {reference_s} s"
+        times = [
+            f"{name} {getattr(speed, f'{what}_s_per_megasample'):.3g} s{f' ({speed.runtime})' if speed.runtime else ''}"
+            for name in (*names, REFERENCE)
+            for speed in _speeds(measurements, name)
+        ]
+        claim = f"time to {what} a million samples at compression ratio {RATIO:g}"
+        verdict = NOT_COMPARABLE if times and names else NOT_YET
+        yield Claim(EVA, claim, stated_s, ", ".join(times), None, verdict, OTHER_MACHINE)
+    yield Claim(
+        EVA,
+        "56 test traces of IEEE P1918.1.1, a fifth by trace",
+        "280 traces at 2800 Hz",
+        f"{len(measurements.compared)} traces, {_count_of_set(measurements)} of that set",
+        None,
+        NO,
+        "The set does not ship with this project, and the paper publishes no list of its split.",
+    )
+
+
+def dct_claims(rows: Sequence[TextureRow]) -> Iterator[Claim]:
+    """Yield the claims of the paper on material-like textures, with what texture_paper.csv and the actuator say."""
+    ratios = {row.levels: row.paper_percent for row in rows if row.quantiser == "linear" and row.b0_db is None}
+    worst = max((abs(ratio - 100 * math.log2(levels) / 16) for levels, ratio in ratios.items()), default=None)
+    yield Claim(
+        DCT,
+        "compression ratio log2(L) / 16",
+        "23.8 % at L = 14 to 12.5 % at L = 4",
+        ", ".join(f"{ratios[levels]:.1f} % at L = {levels}" for levels in (14, 4) if levels in ratios),
+        worst,
+        NOT_YET if worst is None else YES if worst < TOLERANCE else NO,
+        "It is arithmetic: bits of a level, no file.",
+    )
+    for texture, (levels, b0_db, huffman_percent, zeros_percent) in MATERIALS.items():
+        coded = _the_row(rows, texture, levels, None)
+        cut = _the_row(rows, texture, CODED_ALONE, b0_db)
+        here = None if coded is None else coded.huffman_percent
+        claim = f"{texture}: ratio with Huffman codes, L = {levels}"
+        yield _percent(DCT, claim, huffman_percent, here, "of a whole file", OTHER_SURFACES)
+        here = None if cut is None else cut.zeros_percent
+        yield _percent(DCT, f"{texture}: zeros by the cut, b0 = {b0_db:g} dB", zeros_percent, here, "", OTHER_THRESHOLD)
+    listeners = "It needs listeners and an actuator: no study was made."
+    levels_text = ", ".join(f"{texture} {levels}" for texture, (levels, *_) in MATERIALS.items())
+    cuts_text = ", ".join(f"{texture} {b0_db:g} dB" for texture, (_, b0_db, *_) in MATERIALS.items())
+    yield Claim(DCT, "the least L that listeners did not notice", levels_text, "", None, NOT_YET, listeners)
+    yield Claim(DCT, "the highest b0 that listeners did not notice", cuts_text, "", None, NOT_YET, listeners)
+    yield Claim(DCT, "listeners noticed a cut at b0 = 0 dB", "noticed", "", None, NOT_YET, listeners)
+    yield Claim(DCT, "quality is not monotone in L for listeners", "not monotone", "", None, NOT_YET, listeners)
+    no_hardware = "Computed from the model of the actuator. No recording has been played on a real one."
+    corner_db, falls, deviation_db = display()
+    yield Claim(DCT, "display: -3 dB at 270 Hz", "-3 dB", f"{corner_db:.2f} dB at 270 Hz", None, MODEL, no_hardware)
+    yield Claim(
+        DCT,
+        "display: no resonance up to 400 Hz",
+        "none",
+        "its gain falls throughout" if falls else "its gain rises",
+        None,
+        MODEL,
+        no_hardware,
+    )
+    yield Claim(
+        DCT,
+        "driven at 3.0 kHz through the inverse of its response",
+        "3.0 kHz",
+        f"{PIEZO_STACK.dac_rate_hz / 1000:g} kHz; within {deviation_db:.2f} dB up to {HIGHEST_HZ:g} Hz",
+        None,
+        MODEL,
+        no_hardware,
+    )
+    yield Claim(
+        DCT,
+        "position sensed to 0.4 um; a finger does not load it",
+        "0.4 um; some 800 N",
+        "",
+        None,
+        NOT_YET,
+        "The model has neither a finger nor a position sensor.",
+    )
+
+
+def display() -> tuple[float, bool, float]:
+    """Return what the model of the paper's display does.
+
+    Its gain at 270 Hz in dB; whether its gain only falls up to HIGHEST_HZ; and the largest deviation of the gain from
+    0 dB up to there when the compensation drives it, in dB.
+    """
+    frequency_hz = np.linspace(1.0, HIGHEST_HZ, 400)
+
+    def gain_db(at_hz: Any, rate_hz: float, *filters: tuple[Any, Any]) -> Any:
+        responses = [np.abs(signal.freqz(b, a, at_hz, fs=rate_hz)[1]) for b, a in filters]
+        return 20 * np.log10(np.prod(responses, axis=0))
+
+    fine_hz, dac_hz = 1e6, PIEZO_STACK.dac_rate_hz  # at a high rate the hold between samples has no effect
+    alone = gain_db(np.append(frequency_hz, 270.0), fine_hz, PIEZO_STACK.response(fine_hz))
+    driven = gain_db(frequency_hz, dac_hz, PIEZO_STACK.response(dac_hz), PIEZO_STACK.inverse())
+    return float(alone[-1]), bool(np.all(np.diff(alone[:-1]) < 0)), float(np.max(np.abs(driven)))
+
+
+def waveforms(folder: Path, measurements: Measurements) -> Iterator[WaveformSample]:
+    """Yield WAVEFORM_SAMPLES from the middle of a recording in a folder, coded by the codecs of `paper_pair`.
+
+    The recording is the one whose BD-rate is the median, coded at the settings nearest to WAVEFORM_RATIOS. Raises
+    BenchError for a model that does not ship, DatasetError, TextureError or OSError for the folder, CodecError.
+    """
+    regions = bd_regions(measurements, PAPER_SCALES)
+    trace = regions["trace"][0] if len(regions) else measurements.traces[0]
+    entries = {entry.name: entry for entry in dataset.entries(folder)}
+    if trace not in entries:
+        raise dataset.DatasetError(f"{folder}: no recording {trace!r}; give the folder that the benchmark measured")
+    recording = dataset.load_highpassed(entries[trace], None).recording
+    samples, rate_hz = recording.samples, recording.rate_hz
+    pair = measurements.paper_pair
+    methods = {method.name: method for method in cells.methods(pair, models=trained.known_models(()))}
+    for method in (methods[name] for name in pair):
+        ratios = {point.setting: point.compression_ratio for point in measurements.curves[method.name][trace]}
+        rate_points = {cells.rate_point_text(method, *rate_point): rate_point for rate_point in method.rate_points}
+        for ratio in WAVEFORM_RATIOS:
+            nearest = min(set(ratios) & set(rate_points), key=lambda text: abs(math.log2(ratios[text] / ratio)))
+            setting, model = rate_points[nearest]
+            assert isinstance(method.coder, str) and not isinstance(setting, str), (
+                "programs are no codecs of the papers"
+            )
+            file = cells.encode_file(recording, method.coder, setting, model)
+            decoded = cells.decode_file(file, model)
+            first = (len(samples) - WAVEFORM_SAMPLES) // 2
+            for place in range(max(0, first), min(len(samples), first + WAVEFORM_SAMPLES)):
+                yield WaveformSample(
+                    trace,
+                    method.name,
+                    MEASURED,
+                    nearest,
+                    round(ratios[nearest], 2),
+                    round(codec.snr_db(samples, decoded) or 0.0, 2),
+                    round(1000 * (place - first) / rate_hz, 4),
+                    round(float(samples[place, 0]), 6),
+                    round(float(decoded[place, 0]), 6),
+                )
+
+
+def page(measurements: Measurements, claims: Sequence[Claim], figure: charts.Chart) -> str:
+    """Return the page."""
+    names = families(measurements)
+    others = [name for name in ("mdct", *measurements.learned) if name in measurements.curves and name not in names]
+    _, means = bd_rates(measurements, [*names, *others])
+    rates = {(row.codec, row.anchor, row.quality): row for row in as_rows(means)}
+    return render(
+        "papers",
+        claims={paper: [claim for claim in claims if claim.paper == paper] for paper in (EVA, DCT)},
+        tolerance=TOLERANCE,
+        families=names,
+        others=others,
+        anchors=ANCHORS,
+        scales=PAPER_SCALES,
+        rates=rates,
+        costs={name: measurements.cost(name) for name in (*names, *others)},
+        speeds={name: _speeds(measurements, name) for name in (*names, *others)},
+        pair=measurements.paper_pair,
+        figure=figure,
+        ratios=WAVEFORM_RATIOS,
+        samples=WAVEFORM_SAMPLES,
+        traces=len(measurements.compared),
+    )
+
+
+def note(held_out: Sequence[HeldOut]) -> str:
+    """Return what the page of results says of its recordings, with the figures on those that no choice has seen."""
+    peers = list(dict.fromkeys(row.peer for row in held_out))
+    rows: dict[tuple[str, str], dict[str, HeldOut]] = {}
+    for row in held_out:
+        rows.setdefault((row.codec, row.measure), {})[row.peer] = row
+    return render("held_out", peers=peers, rows=rows)
+
+
+def _percent(
+    paper: str, claim: str, stated: float, here: float | None, words: str, why: str, fewer: bool = False
+) -> Claim:
+    """Return a claim of a percentage. `fewer`: less than stated counts as reproduced too."""
+    form = "+.2f" if fewer else ".1f"
+    if here is None:
+        return Claim(paper, claim, f"{stated:{form}} %", "", None, NOT_YET, "Not measured.")
+    difference = here - stated
+    reproduced = (difference if fewer else abs(difference)) <= TOLERANCE
+    text = f"{here:{'+.1f' if fewer else '.1f'}} %{f', {words}' if words else ''}"
+    verdict = YES if reproduced else NO
+    return Claim(paper, claim, f"{stated:{form}} %", text, round(difference, 1), verdict, why)
+
+
+def _speeds(measurements: Measurements, name: str) -> list[Speed]:
+    return [speed for speed in measurements.speeds if (speed.codec, speed.rate) == (name, RATES[0])]
+
+
+def _count_of_set(measurements: Measurements) -> int:
+    return sum(trace.startswith("p1918") for trace in measurements.compared)
+
+
+def _the_row(rows: Sequence[TextureRow], texture: str, levels: int, b0_db: float | None) -> TextureRow | None:
+    wanted = (texture, "linear", levels, b0_db)
+    return next((row for row in rows if (row.texture, row.quantiser, row.levels, row.b0_db) == wanted), None)
+
+
+@click.command()
+@FOLDER
+@OUT
+def main(folder: Path, out: Path) -> None:
+    """Write OUT/papers.md and OUT/results/note.md, from the tables of a benchmark of FOLDER in OUT/results."""
+    results = out / "results"
+    try:
+        with errors_in_one_line():
+            tables: dict[str, Any] = {name: read_rows(results / f"{name}.csv", kind) for name, kind in TABLES.items()}
+            measurements = Measurements(**tables)
+            claims = [*eva_claims(measurements), *dct_claims(read_rows(results / "texture_paper.csv", TextureRow))]
+            write_rows(results / "claims.csv", claims, Claim)
+            samples = frame(waveforms(folder, measurements), WaveformSample)
+            title = (
+                f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
+            )
+            figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
+            write(out / "papers.md", page(measurements, claims, figure))
+            write(results / "note.md", note(read_rows(results / "held_out.csv", HeldOut)))
+    except (PointsError, cells.BenchError) as error:
+        raise click.ClickException(str(error)) from error
+    click.echo(f"{out / 'papers.md'}: {len(claims)} claims")
+
+
+if __name__ == "__main__":
+    main()
