@@ -12,6 +12,7 @@ import polars as pl
 from scipy import signal
 
 from studies.page import FOLDER, OUT, errors_in_one_line, render, write, write_rows
+from studies.texture_paper import PUBLISHED, SIXTEEN_BITS, Result
 from vibrocast import codec
 from vibrocast.evaluation import cells, charts, trained
 from vibrocast.evaluation.bd_rate import PSNR, ST_SIM_2800
@@ -40,22 +41,12 @@ WAVEFORM_RATIOS = (20.0, RATIO, 5.0)
 WAVEFORM_SAMPLES = 200
 HIGHEST_HZ = 400.0
 """Up to which the display of the DCT paper is without a resonance."""
-MATERIALS = {
-    # texture: L and b0 in dB that listeners did not notice, Huffman ratio and zeros by the threshold cut in percent
-    "wood": (14, -8.0, 22.3, 28.7),
-    "sandpaper": (14, -4.0, 17.5, 33.7),
-    "leather": (12, 4.0, 12.1, 53.7),
-}
-"""What the DCT paper reports of its materials."""
-CODED_ALONE = 65_535
-"""The levels in texture_paper.csv of coefficients that the threshold cuts, and nothing quantises."""
-
 OTHER_DATA = (
     "The anchor is a re-creation: the authors' PVC-SLP was never measured. Models were trained on fluid pressure of a "
     "robot finger, sounds of tools and generated textures. The paper trains and tests on parts of one set."
 )
 OTHER_MACHINE = "Other programs on another processor. The paper does not say how many cores worked."
-OTHER_SURFACES = "Other surfaces; bytes here include tables and headers. The page on the DCT codec has the details."
+OTHER_SURFACES = "Other surfaces: generated ones, alike in kind. The page on this codec explains each difference."
 OTHER_THRESHOLD = "Other surfaces, and another detection threshold, which is from memory."
 
 
@@ -88,19 +79,6 @@ class WaveformSample:
     time_ms: float
     original: float
     decoded: float
-
-
-@dataclass(frozen=True)
-class TextureRow:
-    """The columns of texture_paper.csv that a claim needs; see studies.texture_paper."""
-
-    texture: str
-    quantiser: str
-    levels: int
-    b0_db: float | None
-    paper_percent: float
-    huffman_percent: float
-    zeros_percent: float
 
 
 @dataclass(frozen=True)
@@ -165,7 +143,7 @@ def eva_claims(measurements: Measurements) -> Iterator[Claim]:
     )
 
 
-def dct_claims(rows: Sequence[TextureRow]) -> Iterator[Claim]:
+def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
     """Yield the claims of the paper on material-like textures, with what texture_paper.csv and the actuator say."""
     ratios = {row.levels: row.paper_percent for row in rows if row.quantiser == "linear" and row.b0_db is None}
     worst = max((abs(ratio - 100 * math.log2(levels) / 16) for levels, ratio in ratios.items()), default=None)
@@ -178,17 +156,18 @@ def dct_claims(rows: Sequence[TextureRow]) -> Iterator[Claim]:
         NOT_YET if worst is None else YES if worst < TOLERANCE else NO,
         "It is arithmetic: bits of a level, no file.",
     )
-    for texture, (levels, b0_db, huffman_percent, zeros_percent) in MATERIALS.items():
-        coded = _the_row(rows, texture, levels, None)
-        cut = _the_row(rows, texture, CODED_ALONE, b0_db)
+    for surface, published in PUBLISHED.items():
+        coded = _the_row(rows, surface, published.levels, None)
+        cut = _the_row(rows, surface, SIXTEEN_BITS, published.b0_db)
         here = None if coded is None else coded.huffman_percent
-        claim = f"{texture}: ratio with Huffman codes, L = {levels}"
-        yield _percent(DCT, claim, huffman_percent, here, "of a whole file", OTHER_SURFACES)
+        claim = f"{surface}: ratio with Huffman codes, L = {published.levels}"
+        yield _percent(DCT, claim, published.huffman_percent, here, "tables not counted", OTHER_SURFACES)
         here = None if cut is None else cut.zeros_percent
-        yield _percent(DCT, f"{texture}: zeros by the cut, b0 = {b0_db:g} dB", zeros_percent, here, "", OTHER_THRESHOLD)
+        claim = f"{surface}: zeros by the cut, b0 = {published.b0_db:g} dB"
+        yield _percent(DCT, claim, published.zeros_percent, here, "", OTHER_THRESHOLD)
     listeners = "It needs listeners and an actuator: no study was made."
-    levels_text = ", ".join(f"{texture} {levels}" for texture, (levels, *_) in MATERIALS.items())
-    cuts_text = ", ".join(f"{texture} {b0_db:g} dB" for texture, (_, b0_db, *_) in MATERIALS.items())
+    levels_text = ", ".join(f"{surface} {published.levels}" for surface, published in PUBLISHED.items())
+    cuts_text = ", ".join(f"{surface} {published.b0_db:g} dB" for surface, published in PUBLISHED.items())
     yield Claim(DCT, "the least L that listeners did not notice", levels_text, "", None, NOT_YET, listeners)
     yield Claim(DCT, "the highest b0 that listeners did not notice", cuts_text, "", None, NOT_YET, listeners)
     yield Claim(DCT, "listeners noticed a cut at b0 = 0 dB", "noticed", "", None, NOT_YET, listeners)
@@ -340,9 +319,9 @@ def _count_of_set(measurements: Measurements) -> int:
     return sum(trace.startswith("p1918") for trace in measurements.compared)
 
 
-def _the_row(rows: Sequence[TextureRow], texture: str, levels: int, b0_db: float | None) -> TextureRow | None:
-    wanted = (texture, "linear", levels, b0_db)
-    return next((row for row in rows if (row.texture, row.quantiser, row.levels, row.b0_db) == wanted), None)
+def _the_row(rows: Sequence[Result], surface: str, levels: int, b0_db: float | None) -> Result | None:
+    wanted = (surface, "linear", levels, b0_db)
+    return next((row for row in rows if (row.surface, row.quantiser, row.levels, row.b0_db) == wanted), None)
 
 
 @click.command()
@@ -355,7 +334,7 @@ def main(folder: Path, out: Path) -> None:
         with errors_in_one_line():
             tables: dict[str, Any] = {name: read_rows(results / f"{name}.csv", kind) for name, kind in TABLES.items()}
             measurements = Measurements(**tables)
-            claims = [*eva_claims(measurements), *dct_claims(read_rows(results / "texture_paper.csv", TextureRow))]
+            claims = [*eva_claims(measurements), *dct_claims(read_rows(results / "texture_paper.csv", Result))]
             write_rows(results / "claims.csv", claims, Claim)
             samples = frame(waveforms(folder, measurements), WaveformSample)
             title = (

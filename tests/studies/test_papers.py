@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from studies import papers
+from studies.texture_paper import Result
 from vibrocast import textures
 from vibrocast.evaluation import bench, cells
 from vibrocast.evaluation.comparison import Measurements
@@ -74,10 +75,10 @@ def test_times_are_not_called_reproduced() -> None:
 
 def test_ratios_and_zeros_are_held_against_the_paper_where_its_listeners_noticed_nothing() -> None:
     rows = [
-        papers.TextureRow("wood", "linear", 14, None, 23.796, 22.0, 0.0),
-        papers.TextureRow("wood", "log", 14, None, 23.796, 99.0, 0.0),
-        papers.TextureRow("wood", "linear", 65_535, -8.0, 100.0, 99.0, 44.8),
-        papers.TextureRow("wood", "linear", 14, -8.0, 23.796, 99.0, 1.0),
+        Result("wood", "linear", 14, None, 23.796, 22.0, 99.0, 0.0, 99.0),
+        Result("wood", "log", 14, None, 23.796, 99.0, 99.0, 0.0, 99.0),
+        Result("wood", "linear", 65_535, -8.0, 100.0, 99.0, 99.0, 44.8, 99.0),
+        Result("wood", "linear", 14, -8.0, 23.796, 99.0, 99.0, 1.0, 99.0),
     ]
     claims = {claim.claim: claim for claim in papers.dct_claims(rows)}
     ratio = claims["wood: ratio with Huffman codes, L = 14"]
@@ -109,7 +110,7 @@ def test_the_command_writes_page_note_and_waveforms(tmp_path: Path) -> None:
                 points.append(cells.Cell("wood", loaded, method, setting, 0).measure().point)
     bench.write(results, Measurements(points, [], [], []))
     (results / "texture_paper.csv").write_text(
-        "texture,quantiser,levels,b0_db,paper_percent,huffman_percent,zeros_percent\n"
+        "surface,quantiser,levels,b0_db,paper_percent,huffman_percent,file_percent,zeros_percent,snr_db\n"
     )
     (results / "held_out.csv").write_text(
         "codec,measure,peer,mean_percent,worst_percent\nmdct,SNR,LC3,-55.1,-42.1\nmdct,SPQI,LC3,,\n"
