@@ -63,9 +63,10 @@ firmware: .venv/installed-for-tests
 
 # All but the largest image hold the ONNX graph as well, so that a controller can choose.
 models: .venv/installed-for-tests
-	set -e; for best in $(CHECKPOINTS)/eva-*/best.pt; do \
-	    name=$$(basename $$(dirname $$best)); \
-	    case $$name in eva-128) holds=core;; *) holds=both;; esac; \
-	    $(BIN)/vibrocast export $$best --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
-	        --training-command "vibrocast train examples/$$(echo $$name | sed 's/^eva-paper-.*/eva-paper/').toml --data $(DATA)"; \
+	set -e; for trained in $(CHECKPOINTS)/eva-*/checkpoint.pt; do \
+	    name=$$(basename $$(dirname $$trained)); \
+	    case $$name in eva-128-*) holds=core;; *) holds=both;; esac; \
+	    case $$name in eva-32-perceptual-*) examples=eva-32-perceptual;; *) examples=eva;; esac; \
+	    $(BIN)/vibrocast export $$trained --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
+	        --training-command "vibrocast train examples/$$examples.toml --data $(DATA)"; \
 	done

@@ -1,10 +1,11 @@
 """Recordings to coded streams: resamples, removes the lowest band, finds the rate or the SNR, and measures."""
 
+import bisect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from vibrocast import codec, models, textures
 from vibrocast.codec.stream import CodingQuality, Stream, as_stream, check_length
@@ -46,11 +47,12 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
 
     What lies below `highpass_hz` is removed first, as `textures.highpass` does; None = the whole band is coded.
 
-    A codec that keeps no waveform has no SNR to search for: without a rate its setting is completed by the defaults.
+    A codec that keeps no waveform has no SNR to search for: without a rate its setting is completed by the defaults. So
+    is that of a model with one rate, where it is given.
 
     `codec_name`: None = that of the model, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
     `setting`: what is given of the codec's setting; one that leaves nothing to search for is used as it is. `model`:
-    None = the tables built in or, for a codec without such, the smallest model that ships and can do what is asked.
+    None = the tables built in or, for a codec without such, what `first_reachable` chooses of those that ship.
     `runtime`: as in `Stream`. `live` adds refresh packets, for a link that may lose some. `progress` is called with the
     part of the search that is done, from 0 to 1. `unit`: the stream's, None = the recording's. Raises CodecError
     (also when the asked rate or SNR cannot be met), ModelError, ModelImageError, StreamError or TextureError, with what
@@ -70,29 +72,68 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
             raise codec.CodecError(
                 "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
             )
-    elif rate_bps is None and snr_db is None and chosen.keeps_waveform:
+    elif rate_bps is None and snr_db is None and chosen.keeps_waveform and not (model and chosen.one_rate_a_model):
         snr_db = DEFAULT_SNR_DB
 
-    def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
-        samples, coded_unit = resampled.samples, unit or resampled.unit
-        image = None if candidate is None else candidate.image
-        source = codec.Source(
+    samples, coded_unit = resampled.samples, unit or resampled.unit
+
+    def source(candidate: models.Model | None, tell: codec.Progress | None = None) -> codec.Source:
+        return codec.Source(
             samples, stream_rate_hz, chosen.name, coded_unit, live, encoder_model(candidate), progress=tell
         )
+
+    def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
+        image = None if candidate is None else candidate.image
 
         def size_bytes(coded: codec.CodedSignal) -> int:
             return as_stream(coded, coded_unit, image).size_bytes
 
         if rate_bps is not None:
-            coded = codec.encode_to_rate(source, rate_bps, size_bytes, given)
+            coded = codec.encode_to_rate(source(candidate, tell), rate_bps, size_bytes, given)
         elif snr_db is not None:
-            coded = codec.encode_to_snr(source, snr_db, given)
+            coded = codec.encode_to_snr(source(candidate, tell), snr_db, given)
         else:
-            coded = source.encode(given)
+            coded = source(candidate, tell).encode(given)
         stream = replace(as_stream(coded, coded_unit, image), runtime=runtime)
         return measure_encoding(resampled, stream, rate_bps, snr_db, passed)
 
-    return first_reachable(chosen, model, code, progress)
+    def excess(candidate: models.Model) -> float:
+        return unsearched_excess(source(candidate), candidate, given, rate_bps, snr_db)
+
+    def cost(encoding: Encoding) -> float:
+        ratio_db = encoding.quality.snr_db
+        return -ratio_db if rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
+
+    asked = rate_bps is not None or snr_db is not None
+    return first_reachable(chosen, model, code, progress, FamilyChoice(excess, cost) if asked else None)
+
+
+@dataclass(frozen=True)
+class FamilyChoice(Generic[Made]):
+    """How a member of a family of models is chosen for what is asked.
+
+    `excess`: of a member without any search, above what is asked; it rises from member to member. `cost`: of what was
+    made with one; less is better.
+    """
+
+    excess: Callable[[models.Model], float]
+    cost: Callable[[Made], float]
+
+
+def unsearched_excess(
+    source: codec.Source,
+    model: models.Model,
+    setting: codec.Setting,
+    rate_bps: float | None,
+    snr_db: float | None,
+) -> float:
+    """Return by how much a model's own setting is above a rate, in nepers, or else an SNR, in dB. Raises CodecError."""
+    coded = source.encode(setting)
+    if rate_bps is not None:
+        return math.log(as_stream(coded, source.format.unit, model.image).bits_per_second / rate_bps)
+    ratio_db = codec.snr_db(source.samples, codec.decode(coded, model.tables))
+    assert snr_db is not None, "a rate or an SNR is asked for"
+    return math.inf if ratio_db is None else ratio_db - snr_db
 
 
 def first_reachable(
@@ -100,20 +141,38 @@ def first_reachable(
     model: models.Model | None,
     code: Callable[[models.Model | None, Callable[[float], None] | None], Made],
     progress: Callable[[float], None] | None,
+    choice: FamilyChoice[Made] | None,
 ) -> Made:
-    """Return what `code` makes with the model or, where a codec needs one, with the smallest that reaches the target.
+    """Return what `code` makes with the model or, where a codec needs one, with one of the smallest family that does.
 
-    `code` is called with a model and with what it tells its progress. Raises as it does, and as `models.shipped`.
+    Of a family, the two members beside what is asked are tried, and the one that costs less is taken; where nothing is
+    asked (`choice` is None), the middle one. `code` is called with a model and with what it tells its progress. Raises
+    as it does, and as `models.shipped`.
     """
-    candidates = [model] if model or not chosen.needs_model else smallest_first(chosen)
-    for number, candidate in enumerate(candidates):
-        tell = None if progress is None else partial(_tell_of_part, progress, number, len(candidates))
-        try:
-            return code(candidate, tell)
-        except codec.TargetUnreachable:
-            if number + 1 == len(candidates):
-                raise
-    raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`")
+    if model or not chosen.needs_model:
+        return code(model, progress)
+    every = families(chosen)
+    unreachable: codec.TargetUnreachable | None = None
+    for number, members in enumerate(every):
+        if choice is None:
+            candidates = [middle(members)]
+        else:
+            above = bisect.bisect_left(members, 0.0, key=choice.excess)
+            candidates = members[max(0, above - 1) : above + 1]
+        made = []
+        for trial, candidate in enumerate(candidates):
+            share = 1 / (len(every) * len(candidates))
+            begun = number / len(every) + trial * share
+            tell = None if progress is None else partial(_tell_of_part, progress, begun, share)
+            try:
+                made.append(code(candidate, tell))
+            except codec.TargetUnreachable as error:
+                unreachable = error
+        if made:
+            return made[0] if choice is None else min(made, key=choice.cost)
+    raise unreachable or models.ModelError(
+        f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`"
+    )
 
 
 def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:
@@ -131,18 +190,29 @@ def encoder_model(model: models.Model | None) -> codec.Model | None:
     return None if model is None else codec.Model(model.tables, model.analysis)
 
 
-def smallest_first(chosen: codec.Codec) -> list[models.Model]:
-    """Return the models that ship for a codec and reach more than one quality, the smallest image first.
-
-    Raises as `models.shipped`.
-    """
-    return [
-        model
+def families(chosen: codec.Codec) -> list[list[models.Model]]:
+    """Return the families of models that ship for a codec, the smallest images first. Raises as `models.shipped`."""
+    names = dict.fromkeys(
+        model.family
         for model in models.shipped()
-        if model.codec_identifier == chosen.identifier
-        and model.family == model.name
-        and not brings_built_in_tables(model)
-    ]
+        if model.codec_identifier == chosen.identifier and not brings_built_in_tables(model)
+    )
+    return list(map(models.members, names))
+
+
+def middle(members: Sequence[models.Model]) -> models.Model:
+    """Return the member of a family that is used where nothing is asked."""
+    return members[len(members) // 2]
+
+
+def default_model(chosen: codec.Codec) -> models.Model:
+    """Return the model of a codec for a signal that is not known yet: the middle member of the smallest family.
+
+    Raises ModelError where none ships, and as `models.shipped`.
+    """
+    for members in families(chosen):
+        return middle(members)
+    raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`")
 
 
 def brings_built_in_tables(model: models.Model) -> bool:
@@ -151,9 +221,9 @@ def brings_built_in_tables(model: models.Model) -> bool:
     return built_in_tables is not None and model.tables == built_in_tables()
 
 
-def _tell_of_part(progress: Callable[[float], None], number: int, count: int, done: float) -> None:
-    """Tell how much is done when it is so much of the part of this number among equal ones."""
-    progress((number + done) / count)
+def _tell_of_part(progress: Callable[[float], None], begun: float, share: float, done: float) -> None:
+    """Tell how much is done when it is so much of a part that begins there and takes this share of the whole."""
+    progress(begun + share * done)
 
 
 def measure_encoding(

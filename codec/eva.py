@@ -1,4 +1,4 @@
-"""The codec `eva`: a learned transform, its latents coded with what its model knows; layout in docs/bitstream.md."""
+"""The codec `eva`: the EVA paper's autoencoder and adaptive binary arithmetic coding; layout in docs/bitstream.md."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vibrocast import extras
 from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
-from vibrocast.codec.eva_image import MAX_RATES, QUALITY_PARTS, EvaImage, learned_transform, with_runtime
+from vibrocast.codec.eva_image import EvaImage, learned_transform, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
 from vibrocast.codec.interface import (
     Codec,
@@ -22,10 +22,9 @@ from vibrocast.codec.interface import (
     Setting,
     Signal,
     SignalFormat,
-    number,
     numbers,
 )
-from vibrocast.codec.mdct import LAMBDA, RATE_CONTROLLED, step_code
+from vibrocast.codec.mdct import RATE_CONTROLLED, step_code
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import ffi, library
@@ -35,6 +34,9 @@ IDENTIFIER = 4
 HOP = 16
 """Samples for each column of latents."""
 MAX_PACKET_COLUMNS = 4095
+MIN_LEVEL, MAX_LEVEL = 2.0**-10, 2.0**10
+MIN_SEARCHED_LEVEL = 2.0**-1
+"""Integers have room for signals four times as loud as the network knows them (export/quantise.py), peaks included."""
 
 _REACH = 28
 """Samples on each side that a column of latents depends on, and acts on (export/eva.py)."""
@@ -45,41 +47,31 @@ _COLUMNS_BEFORE, _COLUMNS_AFTER = 2, 1
 _HISTORY = HOP * _COLUMNS_BEFORE + _LOOK_AHEAD
 _CONTEXT_COLUMNS = 4
 """Columns before a packet that the synthesis in ONNX Runtime takes again: its first sample depends on three of them."""
-_MAX_LATENT = 2**30
-# Beyond the coarsest steps of a model, latents below so many sixteenths of an octave over half a step are left out, at
-# last all of them: at any rate there is something coarse enough.
-_DEAD_ZONES = 12 * 16
-_CHANNEL_FIELDS = np.dtype([("level", "<u2"), ("quality", "u1")])
+_MAX_LATENT = 32767
+"""In the unit of the integers."""
+_QUANTISER_OFFSETS_OF_OCTAVE = 16
+_CODES_OF_QUANTISER_OFFSET = 4
+"""By how many codes, 64 to an octave, the step of a packet is larger for each unit of its quantiser offset."""
 
 
 class LatentEncoder(CoreEncoder):
     """Encoder of latents into packets: all of `eva` but its analysis."""
 
-    def __init__(
-        self, configuration: bytes, channels: int, payload: bytes, refresh_packets: int, rd_weight: float = 1.0
-    ) -> None:
+    def __init__(self, configuration: bytes, channels: int, payload: bytes, refresh_packets: int) -> None:
         """Make an encoder from the codec's bytes in the stream header and a model image's payload.
 
         Raises CodecError when they are not valid.
         """
         self._model = ffi.new("uint8_t[]", payload)
-        parameters = (self._model, len(payload), refresh_packets, round(LAMBDA * rd_weight))
-        super().__init__(NAME, configuration, channels, *parameters)
+        super().__init__(NAME, configuration, channels, self._model, len(payload), refresh_packets)
 
-    def encode(self, latents: Sequence[Signal], quantiser_offset: int = 0) -> bytes:
-        """Return the next packet, of each channel's latents (latents, columns) in the packet's quantiser steps.
+    def encode(self, levels: Sequence[NDArray[np.int32]], quantiser_offset: int = 0) -> bytes:
+        """Return the next packet, of each channel's levels int32 (latents, columns), in the packet's quantiser steps.
 
         `quantiser_offset`: of a rate-controlled stream. Raises CodecError where it does not fit.
         """
-        fixed = np.clip(np.rint(np.stack(latents) * 256), -_MAX_LATENT, _MAX_LATENT).astype(np.int32)
-        return self.packet(fixed.shape[2] * HOP, fixed.transpose(0, 2, 1), quantiser_offset)
-
-    def adapted_tables(self) -> bytes:
-        """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
-        core = library()
-        tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
-        core.vc_eva_encoder_tables(self.pointer, tables)
-        return bytes(ffi.buffer(tables))
+        stacked = np.stack(levels)
+        return self.packet(stacked.shape[2] * HOP, stacked.transpose(0, 2, 1), quantiser_offset)
 
 
 class EvaEncoder(PacketwiseEncoder):
@@ -95,42 +87,32 @@ class EvaEncoder(PacketwiseEncoder):
     def __init__(
         self,
         levels: Sequence[float],
-        qualities: Sequence[float],
         framing: Framing,
         model: Model,
-        rd_weight: float = 1.0,
         rate_control: RateControl | None = None,
     ) -> None:
         """Make an encoder of len(levels) channels.
 
-        `levels`: of each channel, relative to full scale, what the network sees as an RMS value of 1. `qualities`: of
-        each channel, in rates of the model, to the next sixteenth. `rd_weight`: weight of bits against error in
-        rounding, of a model whose prior adapts. `rate_control`: chooses the quantiser offset of each packet, in
-        sixteenths of a rate by which the qualities are lower, within the model's; None = all have the qualities as they
-        are. Raises CodecError on a channel count or packet length that the codec does not have, a model that is none or
-        does not have the quality, and where it brings no analysis that fits.
+        `levels`: of each channel, relative to full scale, what the network sees as an RMS value of 1. `rate_control`:
+        chooses the quantiser offset of each packet, in 1/16 octave of the step; None = all have a step of 1. Raises
+        CodecError on a channel count or packet length that the codec does not have, a model that is none, and where it
+        brings no analysis that fits.
         """
         super().__init__(len(levels), framing, HOP, MAX_PACKET_COLUMNS)
-        image = EvaImage.unpack(model.tables)
+        self._image = image = EvaImage.unpack(model.tables)
         if not model.analysis:
             raise CodecError(
                 "the model brings no analysis, by which to encode; give the folder that has its analysis.onnx"
             )
         self._analysis = transform(model.analysis, SIGNAL, LATENTS)
-        self._image = image
         level_codes = [step_code(level) for level in levels]
-        if max(qualities) > image.rates - 1:
-            raise CodecError(f"quality {max(qualities):g} is above the model's finest, {image.rates - 1}; ask for less")
-        self._qualities = [round(quality * QUALITY_PARTS) for quality in qualities]
-        self.configuration = configuration(self._packet_blocks, level_codes, self._qualities, rate_control is not None)
+        self.configuration = configuration(self._packet_blocks, level_codes, rate_control is not None)
         self._rate_control = rate_control
-        self._quantiser_offsets = range(
-            min(self._qualities) - image.finest_quality_code, max(self._qualities) + _DEAD_ZONES + 1
-        )
+        # From the unit of the integers to a step of which the largest latent is less than half: silence fits any rate.
+        finest = -_QUANTISER_OFFSETS_OF_OCTAVE * image.fraction_bits
+        self._quantiser_offsets = range(finest, finest + _QUANTISER_OFFSETS_OF_OCTAVE * 16 + 1)
         self._levels = [level_of(code) for code in level_codes]
-        self._encoder = LatentEncoder(
-            self.configuration, self._channels, model.tables, framing.refresh_packets, rd_weight
-        )
+        self._encoder = LatentEncoder(self.configuration, self._channels, model.tables, framing.refresh_packets)
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
         starts = range(0, len(samples) - _HISTORY, self.packet_samples)
@@ -140,15 +122,8 @@ class EvaEncoder(PacketwiseEncoder):
         latents = [self._analyse(channel, level) for channel, level in zip(samples.T, self._levels, strict=True)]
 
         def code(encoder: LatentEncoder, quantiser_offset: int) -> bytes:
-            within = min(quantiser_offset, max(self._qualities))  # what the model still has
-            told = (within + 1) // 4 * 4  # the rest is in how bits are weighed
-            qualities = np.clip(np.array(self._qualities) - told, 0, self._image.finest_quality_code)
-            steps = [self._image.relative_steps(int(quality))[:, None] for quality in qualities]
-            scaled = [part / step for part, step in zip(latents, steps, strict=True)]
-            beyond = quantiser_offset - within
-            if beyond > 0:
-                scaled = [np.where(np.abs(part) < 2 ** (beyond / 16 - 1), 0.0, part) for part in scaled]
-            return encoder.encode(scaled, within)
+            step = step_of(quantiser_offset)
+            return encoder.encode([np.rint(part / step).astype(np.int32) for part in latents], quantiser_offset)
 
         late = samples[_HISTORY - self.delay_samples :][: self.packet_samples]
         return self._chosen(late, partial(code, self._encoder), lambda offset: code(self._encoder.copy(), offset))
@@ -159,7 +134,9 @@ class EvaEncoder(PacketwiseEncoder):
         signal = np.zeros((1, 1, columns * HOP), dtype=np.float32)
         signal[0, 0, : len(samples)] = samples / level
         latents = run(self._analysis, signal, (1, self._image.latents, columns))[0]
-        return np.asarray(latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._packet_blocks], dtype=np.float64)
+        most = _MAX_LATENT / 2.0**self._image.fraction_bits  # which decoders have
+        own = latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._packet_blocks]
+        return np.asarray(np.clip(own.astype(np.float64), -most, most))
 
 
 class EvaDecoder(CoreDecoder):
@@ -184,8 +161,8 @@ class OnnxDecoder(EvaDecoder):
         self._synthesis = transform(image.graph, LATENTS, SIGNAL)
         self._unit = np.float32(2.0**-image.fraction_bits)
         head_bytes = 1 + (configuration[0] >> 7)
-        fields = np.frombuffer(configuration, _CHANNEL_FIELDS, channels, head_bytes)
-        self._levels = [32768 * level_of(int(code)) for code in fields["level"]]
+        level_codes = np.frombuffer(configuration, "<u2", channels, head_bytes)
+        self._levels = [32768 * level_of(int(code)) for code in level_codes]
         # Of each channel those of the last columns, then those of the packet.
         columns = _CONTEXT_COLUMNS + self.packet_samples // HOP
         self._latents = np.zeros((channels, columns, image.latents), dtype=np.int16)
@@ -215,12 +192,15 @@ class OnnxDecoder(EvaDecoder):
         return samples
 
 
-def configuration(
-    columns: int, level_codes: Sequence[int], quality_codes: Sequence[int], rate_controlled: bool = False
-) -> bytes:
+def configuration(columns: int, level_codes: Sequence[int], rate_controlled: bool = False) -> bytes:
     """Return the codec's bytes in the stream header."""
-    fields = np.array(list(zip(level_codes, quality_codes, strict=True)), _CHANNEL_FIELDS)
-    return pack_varint(columns) + fields.tobytes() + RATE_CONTROLLED * rate_controlled
+    return pack_varint(columns) + np.array(level_codes, "<u2").tobytes() + RATE_CONTROLLED * rate_controlled
+
+
+def step_of(quantiser_offset: int) -> float:
+    """Return the quantiser step of a packet in the graphs' unit: about 2^(quantiser_offset / 16)."""
+    octaves, part = divmod(_CODES_OF_QUANTISER_OFFSET * quantiser_offset, 64)
+    return (1 + part / 64) * 2.0**octaves
 
 
 def level_of(code: int) -> float:
@@ -247,11 +227,9 @@ def make_encoder(
     """Make an encoder whose levels are relative to the RMS values. Raises CodecError as `EvaEncoder`."""
     if model is None:
         raise CodecError("the codec eva needs a model; give one of its model images")
-    channels = signal_format.channels
-    relative_levels = numbers(setting, "level", channels)
+    relative_levels = numbers(setting, "level", signal_format.channels)
     levels = [level * rms for level, rms in zip(relative_levels, signal_format.rms, strict=True)]
-    qualities = numbers(setting, "quality", channels)
-    return EvaEncoder(levels, qualities, framing, model, number(setting, "rd_weight"), rate_control)
+    return EvaEncoder(levels, framing, model, rate_control)
 
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
@@ -264,7 +242,7 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None = Non
 
 def check_tables(tables: bytes) -> None:
     """Raise CodecError for a payload that decoders do not take, or whose graph is no synthesis of its latents."""
-    image, one_column = EvaImage.unpack(tables), configuration(1, [0], [0])
+    image, one_column = EvaImage.unpack(tables), configuration(1, [0])
     EvaDecoder(one_column, 1, tables)
     # Without ONNX Runtime only the integer core decodes, and no graph runs.
     if image.graph and (image.runtime == "onnx" or not extras.advice("learned")):
@@ -274,26 +252,17 @@ def check_tables(tables: bytes) -> None:
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
-    summary="a learned transform (EVA), quantised by the models' steps, adaptive or fixed entropy coding",
+    summary="the EVA paper's autoencoder, one model for each rate; adaptive binary arithmetic coding",
     parameters={
-        "quality": Parameter(
-            "rate of the model, the coarsest 0; fractions are between", 0.0, low=0, high=MAX_RATES - 1, per_channel=True
-        ),
         "level": Parameter(
-            "what the network sees as an RMS value of 1, relative to the signal's",
+            "what the network sees as an RMS value of 1, relative to the signal's; more is coarser",
             1.0,
-            low=2.0**-10,
-            high=2.0**10,
+            low=MIN_LEVEL,
+            high=MAX_LEVEL,
             per_channel=True,
         ),
-        "rd_weight": Parameter(
-            "weight of bits against error in rounding, 1 = the best for its rate, of models that adapt",
-            1.0,
-            low=0,
-            high=1,
-        ),
     },
-    rate_point_sets={NAME: tuple({"quality": half / 2} for half in range(15))},
+    rate_point_sets={NAME: ({"level": 1.0},)},
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     check_tables=check_tables,
@@ -303,4 +272,5 @@ CODEC = Codec(
     needs_model=True,
     controls_rate=True,
     step_parameter="level",
+    step_range=lambda signal_format: (MIN_SEARCHED_LEVEL, MAX_LEVEL),
 )

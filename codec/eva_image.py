@@ -1,4 +1,4 @@
-"""The payload of EVA's model images: steps, prior, integer synthesis network, ONNX graph; see docs/bitstream.md."""
+"""The payload of EVA's model images: prior, integer synthesis network, ONNX graph; see docs/bitstream.md."""
 
 import struct
 from dataclasses import dataclass, replace
@@ -9,27 +9,24 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.interface import RUNTIMES, CodecError, LearnedTransform
 from vibrocast.device_protocol.encoding import Reader
-from vibrocast.firmware.native_core import library
 
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 MAX_CHANNELS = 128
 """Channels of the hidden layers, and of the latents."""
-MAX_RATES = 16
-STEP_CODES = 21 * 64
-STEPS_PER_UNIT = 4096
-"""Quantiser steps are in 1/4096 of the latents' unit."""
+MAX_FRACTION_BITS = 14
 UNARY_LIMIT = 15
 """Decisions on a magnitude before its escape code."""
-QUALITY_PARTS = 16
-"""Qualities in a stream from one rate to the next."""
+DECISIONS = UNARY_LIMIT + 1
+"""Of a level: those on its magnitude, and its sign."""
 MAX_SHIFT = 30
 
-PriorKind: TypeAlias = Literal["factorised", "contexts"]
+PriorKind: TypeAlias = Literal["adaptive", "static"]
+"""What becomes of the prior's probabilities: they adapt to the latents of the stream, as in the EVA paper, or not."""
 PRIOR_KINDS: tuple[PriorKind, ...] = get_args(PriorKind)
 
-# Layout version, flags, width, latents, rates, fraction bits of the latents, bytes of the graph.
-_FIXED = struct.Struct("<BBBBBBI")
-_PRIOR_FLAG, _NETWORK_FLAG, _RUNTIME_FLAG = 1, 2, 4
+# Layout version, flags, width, latents, fraction bits of the latents, bytes of the graph.
+_FIXED = struct.Struct("<BBBBBI")
+_STATIC_FLAG, _NETWORK_FLAG, _RUNTIME_FLAG = 1, 2, 4
 _KERNELS = (5, 5, 9)
 # Taps of each phase of a transposed convolution (stride 2 or 4), in the order of the input columns that they weigh, up
 # to the newest one, which all phases take.
@@ -88,92 +85,53 @@ class IntegerNetwork:
 class EvaImage:
     """All that a decoder of EVA needs.
 
-    `width`: channels of the hidden layers. `step_codes`: uint16 (rates, latents), steps as `mdct` codes them, in 1/4096
-    of the latents' unit. `fraction_bits`: that unit is 2^-fraction_bits of the graph's. `prior`: either of kind
-    factorised, uint16 (rates, latents, 16): probabilities in 1/65536 that the magnitude is above 0, 1, ... 14, then
-    that it is negative; or of kind contexts: initial tables of the adaptive model, as those of `mdct`. `network`,
-    `graph` (ONNX, "latents" to "signal"): at least one of them is there. `runtime`: which of
-    RUNTIMES a decoder prefers.
+    `width`: channels of the hidden layers. `fraction_bits`: the latents' unit in integers is 2^-fraction_bits of the
+    graph's, in which the quantiser step is 1. `probabilities`: uint16 (latents, 16), in 1/65536, that the magnitude of
+    a level is above 0, 1, ... 14, then that it is negative; `prior` says whether they adapt. `network`, `graph` (ONNX,
+    "latents" to "signal"): at least one of them is there. `runtime`: which of RUNTIMES a decoder prefers.
     """
 
     width: int
-    step_codes: NDArray[np.uint16]
     fraction_bits: int
-    prior: NDArray[np.uint16] | bytes
+    probabilities: NDArray[np.uint16]
+    prior: PriorKind
     network: IntegerNetwork | None
     graph: bytes
     runtime: str
 
     @property
-    def rates(self) -> int:
-        """Rates that have steps of their own."""
-        return int(self.step_codes.shape[0])
-
-    @property
-    def finest_quality_code(self) -> int:
-        """The quality of the finest rate, in sixteenths of one."""
-        return QUALITY_PARTS * (self.rates - 1)
-
-    @property
     def latents(self) -> int:
         """Channels of the latents."""
-        return int(self.step_codes.shape[1])
-
-    @property
-    def prior_kind(self) -> PriorKind:
-        """What the entropy coder goes by."""
-        return "contexts" if isinstance(self.prior, bytes) else "factorised"
-
-    def steps(self, quality_code: int) -> NDArray[np.int64]:
-        """Return the quantiser steps (latents,) at a quality in sixteenths, in 1/4096 of the latents' unit.
-
-        Between two rates the codes are interpolated.
-        """
-        below = min(quality_code // QUALITY_PARTS, self.rates - 1)
-        above = min(below + 1, self.rates - 1)
-        part = quality_code % QUALITY_PARTS
-        codes = self.step_codes.astype(np.int64)
-        code = (codes[below] * (QUALITY_PARTS - part) + codes[above] * part + QUALITY_PARTS // 2) // QUALITY_PARTS
-        return np.asarray((64 + code % 64) << code // 64)
-
-    def relative_steps(self, quality_code: int) -> NDArray[np.float64]:
-        """Return the quantiser steps (latents,) at a quality in sixteenths, in the graphs' unit."""
-        return np.asarray(self.steps(quality_code) / (STEPS_PER_UNIT * 2.0**self.fraction_bits))
+        return len(self.probabilities)
 
     def pack(self) -> bytes:
         """Return the payload. Raises CodecError for values outside the layout."""
-        flags = _PRIOR_FLAG * (self.prior_kind == "contexts")
+        flags = _STATIC_FLAG * (self.prior == "static")
         flags |= _NETWORK_FLAG * (self.network is not None) | _RUNTIME_FLAG * (self.runtime == "onnx")
-        prior = self.prior if isinstance(self.prior, bytes) else self.prior.astype("<u2").tobytes()
         network = b"" if self.network is None else self.network.pack()
-        fixed = _FIXED.pack(
-            LAYOUT_VERSION, flags, self.width, self.latents, self.rates, self.fraction_bits, len(self.graph)
-        )
-        payload = fixed + self.step_codes.astype("<u2").tobytes() + prior + network + self.graph
+        fixed = _FIXED.pack(LAYOUT_VERSION, flags, self.width, self.latents, self.fraction_bits, len(self.graph))
+        payload = fixed + self.probabilities.astype("<u2").tobytes() + network + self.graph
         EvaImage.unpack(payload)
         return payload
 
     @classmethod
     def unpack(cls, payload: bytes) -> "EvaImage":
         """Return what a payload holds. Raises CodecError unless all of it is one whole, valid payload."""
+        if payload and payload[0] != LAYOUT_VERSION:
+            raise CodecError(
+                f"a model image of EVA with layout {payload[0]}; this version reads layout {LAYOUT_VERSION}: export "
+                "the model again"
+            )
         reader = _Reader(payload, _damaged)
-        version, flags, width, latents, rates, fraction_bits, graph_bytes = _FIXED.unpack(reader.take(_FIXED.size))
-        if version != LAYOUT_VERSION:
-            raise CodecError(f"a model image of EVA with layout {version}; this version reads layout {LAYOUT_VERSION}")
-        _check(flags < 8 and fraction_bits <= 15 and 1 <= rates <= MAX_RATES)
+        _, flags, width, latents, fraction_bits, graph_bytes = _FIXED.unpack(reader.take(_FIXED.size))
+        _check(flags < 8 and fraction_bits <= MAX_FRACTION_BITS)
         _check(1 <= width <= MAX_CHANNELS and 1 <= latents <= MAX_CHANNELS)
-        step_codes = reader.array("<u2", rates, latents).astype(np.uint16)
-        _check(bool(np.all(step_codes < STEP_CODES)))
-        prior: NDArray[np.uint16] | bytes
-        if flags & _PRIOR_FLAG:
-            prior = reader.take(library().vc_mdct_tables_size())
-        else:
-            prior = reader.array("<u2", rates, latents, UNARY_LIMIT + 1).astype(np.uint16)
+        probabilities = reader.array("<u2", latents, DECISIONS).astype(np.uint16)
         network = _network(reader, width, latents) if flags & _NETWORK_FLAG else None
         graph = reader.take(graph_bytes)
         runtime = RUNTIMES[bool(flags & _RUNTIME_FLAG)]
         _check(reader.at_end and (bool(graph) if runtime == "onnx" else network is not None))
-        return cls(width, step_codes, fraction_bits, prior, network, graph, runtime)
+        return cls(width, fraction_bits, probabilities, PRIOR_KINDS[flags & _STATIC_FLAG], network, graph, runtime)
 
 
 def with_runtime(payload: bytes, runtime: str) -> bytes:

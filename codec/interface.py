@@ -284,8 +284,8 @@ class Codec:
     `keeps_waveform`: decoded samples come near the input's, so that an SNR can be asked for; False for one that keeps
     what a texture is like, and none of its samples.
     `step_parameter`: what the quantiser's steps of a channel are proportional to, relative to its RMS value; None where
-    they do not differ by channel. `step_range`: the smallest and the largest step, relative to full scale; where it is
-    given, and nothing of the setting, a search tries steps in it, and the parameter `rd_weight`.
+    they do not differ by channel. `step_range(format)`: the smallest and the largest that a search tries, where nothing
+    of the setting is given; it also tries the parameter `rd_weight`, if there is one. None = rate points are tried.
     `block_parameter`: the length of a block in samples; None where the codec has one length only.
     `live_setting(rate_hz)`: what a live stream has in place of defaults, for the least delay. `planned_setting`: what
     the planner does not try, as its best value is known.
@@ -316,7 +316,7 @@ class Codec:
     controls_rate: bool = False
     keeps_waveform: bool = True
     step_parameter: str | None = None
-    step_range: tuple[float, float] | None = None
+    step_range: Callable[[SignalFormat], tuple[float, float]] | None = None
     block_parameter: str | None = None
     live_setting: Callable[[int], Setting] = lambda rate_hz: {}
     planned_setting: Setting = field(default_factory=dict)
@@ -332,6 +332,11 @@ class Codec:
         """The values of `block_parameter` but AUTO and WHOLE, empty where there is none."""
         choices = self.parameters[self.block_parameter].choices if self.block_parameter else ()
         return tuple(choice for choice in choices if choice not in (AUTO, WHOLE))
+
+    @property
+    def one_rate_a_model(self) -> bool:
+        """Whether its rate points are its models: one setting in the first set of rate points, and a model needed."""
+        return self.needs_model and len(next(iter(self.rate_point_sets.values()))) == 1
 
     def block_setting(self, block: str | None) -> Setting:
         """Return the part of a setting that chooses one of `blocks`; None leaves it open."""

@@ -285,7 +285,7 @@ CODEC = Codec(
     built_in_tables=built_in_tables,
     controls_rate=True,
     step_parameter="step",
-    step_range=(MIN_STEP, MAX_STEP),
+    step_range=lambda signal_format: (MIN_STEP, MAX_STEP / min(signal_format.rms)),
     block_parameter="hop",
     live_setting=lambda rate_hz: {"hop": str(hop_samples(rate_hz) // 2)},
 )

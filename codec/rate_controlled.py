@@ -8,7 +8,14 @@ import numpy as np
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import Signal, SignalFormat
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, encoder_model, first_reachable
+from vibrocast.codec.encoding import (
+    DEFAULT_STREAM_RATE_HZ,
+    FamilyChoice,
+    chosen_codec,
+    encoder_model,
+    first_reachable,
+    unsearched_excess,
+)
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, REFRESH_S, RatePolicy
 from vibrocast.codec.stream import Stream, as_stream
@@ -146,7 +153,7 @@ def encode(
     `highpass_hz` as in `coding.encode`.
 
     `codec_name`: None = that of the model, or DEFAULT_CODEC. `model`: None = the tables built in or, for a codec
-    without such, the smallest model that ships and holds the target. Raises CodecError, also where the target is out of
+    without such, what `first_reachable` chooses of those that ship. Raises CodecError, also where the target is out of
     reach, and as `host.coding.encode`.
     """
     resampled = textures.resample(textures.highpass(recording, highpass_hz).recording, stream_rate_hz)
@@ -155,16 +162,25 @@ def encode(
     chosen = chosen_codec(codec_name, model)
     given = {**(codec.equal_error(chosen, signal_format) if target.equal_error else {}), **(setting or {})}
 
-    def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, codec.Policy]:
-        policy = target.policy(signal_format)
-        source = codec.Source(
-            samples, stream_rate_hz, chosen.name, resampled.unit, True, encoder_model(candidate), tell
-        )
-        coded = source.encode_rate_controlled(given, policy, target.framing(stream_rate_hz))
-        return as_stream(coded, resampled.unit, None if candidate is None else candidate.image), policy
+    def source(candidate: models.Model | None, tell: Callable[[float], None] | None = None) -> codec.Source:
+        return codec.Source(samples, stream_rate_hz, chosen.name, resampled.unit, True, encoder_model(candidate), tell)
 
-    stream, policy = first_reachable(chosen, model, code, progress)
-    return stream, outcome(stream, samples, target.rate_bps, policy)
+    def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, Outcome]:
+        policy = target.policy(signal_format)
+        coded = source(candidate, tell).encode_rate_controlled(given, policy, target.framing(stream_rate_hz))
+        stream = as_stream(coded, resampled.unit, None if candidate is None else candidate.image)
+        return stream, outcome(stream, samples, target.rate_bps, policy)
+
+    def excess(candidate: models.Model) -> float:
+        # The rate decides where there is one: a quality up to it is what is left over.
+        return unsearched_excess(source(candidate), candidate, given, target.rate_bps, target.snr_db)
+
+    def cost(made: tuple[Stream, Outcome]) -> float:
+        stream, reached = made
+        return stream.size_bytes if target.rate_bps is None else -reached.snr_db
+
+    known = target.rate_bps is not None or target.snr_db is not None
+    return first_reachable(chosen, model, code, progress, FamilyChoice(excess, cost) if known else None)
 
 
 def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: codec.Policy) -> Outcome:

@@ -132,11 +132,20 @@ def _balance(
                 channel.move(excess)
             elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
                 channel.step *= _STEP_BACK
-        coded = source.encode({"step": tuple(channel.step for channel in balanced), "rd_weight": found.rd_weight})
+        coded = source.encode(_setting(source, tuple(channel.step for channel in balanced), found.rd_weight))
         excesses = excesses_db(coded)
         if _imbalance(excesses) < _imbalance(least):
             best, least = coded, excesses
     return best, least
+
+
+def _setting(source: Source, step: float | tuple[float, ...], rd_weight: float) -> Setting:
+    """Return the setting of steps, one or each channel's, with a weight of bits against error where there is one."""
+    assert source.codec.step_parameter and source.codec.step_range, "its steps can be searched"
+    weight = {"rd_weight": rd_weight} if "rd_weight" in source.codec.parameters else {}
+    low, high = source.codec.step_range(source.format)
+    within = tuple(min(max(each, low), high) for each in step) if isinstance(step, tuple) else step
+    return {source.codec.step_parameter: within, **weight}
 
 
 def _imbalance(excesses_db: list[float]) -> tuple[bool, float]:
@@ -345,9 +354,8 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
 
     # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
     # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
-    for rd_weight in _RD_WEIGHTS:
-        finest = round(_STEPS_PER_OCTAVE * math.log2(step_range[0]))
-        coarsest = round(_STEPS_PER_OCTAVE * math.log2(step_range[1] / min(source.format.rms)))
+    for rd_weight in _RD_WEIGHTS if "rd_weight" in source.codec.parameters else _RD_WEIGHTS[:1]:
+        finest, coarsest = (round(_STEPS_PER_OCTAVE * math.log2(limit)) for limit in step_range(source.format))
         above = below = math.nan  # excess beside the finest and the coarsest step that are left
         interpolates = False
         while finest <= coarsest:
@@ -356,7 +364,7 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
             if interpolates:
                 exponent = finest + round(width * min(max(above / (above - below), 0.0), 1.0))
             step = 2 ** (exponent / _STEPS_PER_OCTAVE)
-            coded = source.encode({"step": step, "rd_weight": rd_weight})
+            coded = source.encode(_setting(source, step, rd_weight))
             found = _Found(coded, excess(coded), step, rd_weight)
             if best is None or _preference(found.excess, tolerance, side) < _preference(best.excess, tolerance, side):
                 best = found

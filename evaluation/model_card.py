@@ -13,7 +13,9 @@ import numpy as np
 
 from vibrocast import codec, pages, textures
 from vibrocast.codec.encoding import Encoding, encode_recording
+from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.stream import as_stream
+from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation.cost import time_coding
 from vibrocast.evaluation.speed import cpu_name
 from vibrocast.export.checkpoint import Checkpoint
@@ -22,8 +24,6 @@ from vibrocast.export.package import Package
 from vibrocast.export.training_data import Trace
 from vibrocast.models import Model
 
-NEAR_SNR_DB = 15.0
-"""The loss of the integer synthesis and the speed are stated at the rate whose SNR is nearest to this."""
 MEASURED_S = 3.0
 """At most, of each recording that the model is measured on."""
 _REPEATS = 3
@@ -50,7 +50,7 @@ def made(
         "codec": "eva",
         "family": package.family,
         "shape": checkpoint.shape.as_dict(),
-        "prior": checkpoint.prior.kind,
+        "prior": package.prior,
         "training": {
             "data": _sources(trained, rate_hz),
             "held_back": sorted({trace.material for trace in held_back}),
@@ -58,11 +58,8 @@ def made(
             "configuration": training,
             "seed": training["seed"],
             "steps": history["step"],
-            "best_step": history["best_step"],
             "seconds": history["seconds"],
-            "curves": [
-                {name: record[name] for name in ("step", "training_loss", "loss")} for record in checkpoint.curves
-            ],
+            "curves": checkpoint.curves,
         },
         "export": {
             "command": commands[1],
@@ -73,7 +70,7 @@ def made(
                 "synthesis": package.graphs.synthesis_difference,
             },
         },
-        "results": _results(package, checkpoint.shape.rates, _recordings(held_back, rate_hz), progress),
+        "results": _results(package, _recordings(held_back, rate_hz), progress),
         "files": {
             file: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
             for file, data in package.files.items()
@@ -94,8 +91,7 @@ def as_markdown(card: Mapping[str, Any]) -> str:
         card=card,
         training=training,
         results=results,
-        near=results["near_15_db"],
-        near_snr_db=NEAR_SNR_DB,
+        point=results["point"],
         speed=results["seconds_per_million_samples"],
         curves=thinned(training["curves"]),
     )
@@ -128,49 +124,50 @@ def _recordings(traces: Sequence[Trace], rate_hz: float) -> list[textures.Record
 
 
 def _results(
-    package: Package, rates: int, recordings: Sequence[textures.Recording], progress: Callable[[float], None]
+    package: Package, recordings: Sequence[textures.Recording], progress: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Measure the model at each of its rates, by the integer network and by the graph."""
+    """Measure the model by the integer network, by the graph, and with a prior that does not adapt."""
     model = Model(package.name, Path(f"{package.name}.vcmi"), package.full, package.graphs.analysis)
-    points = []
-    for quality in range(rates):
-        encodings = []
-        for recording in recordings:
-            encodings.append(_encoded(recording, quality, model))
-            progress((quality + len(encodings) / len(recordings)) / (rates + 1))
-        points.append(_point(quality, encodings))
-    near = min(points, key=lambda point: abs(point["snr_db"] - NEAR_SNR_DB))
-    speed = _speed(model, near["quality"], recordings)
+    encodings = []
+    for recording in recordings:
+        encodings.append(_encoded(recording, model))
+        progress(len(encodings) / len(recordings) / 2)
+    by_onnx = (
+        codec.snr_db(encoding.recording.samples, replace(encoding.stream, runtime="onnx").decode())
+        for encoding in encodings
+    )
+    static = replace(model, image=_with_static_prior(package.full))
+    point = {
+        "bits_per_sample": _bits_per_sample(encodings),
+        "bits_per_sample_static": _bits_per_sample([_encoded(recording, static) for recording in recordings]),
+        "snr_db": fmean(_known(encoding.quality.snr_db) for encoding in encodings),
+        "snr_db_by_onnx": fmean(map(_known, by_onnx)),
+    }
+    speed = _speed(model, recordings)
     progress(1.0)
     return {
         "recordings": len(recordings),
         "seconds": sum(recording.seconds for recording in recordings),
-        "points": points,
-        "near_15_db": near,
+        "point": point,
         "processor": cpu_name(),
         "seconds_per_million_samples": speed,
     }
 
 
-def _encoded(recording: textures.Recording, quality: int, model: Model) -> Encoding:
-    return encode_recording(
-        recording, round(recording.rate_hz), setting={"quality": quality}, model=model, highpass_hz=None
-    )
+def _with_static_prior(image: bytes) -> bytes:
+    """Return a packed model image with the same prior, but static."""
+    held = ModelImage.unpack(image)
+    return replace(held, payload=replace(EvaImage.unpack(held.payload), prior="static").pack()).pack()
 
 
-def _point(quality: int, encodings: Sequence[Encoding]) -> dict[str, Any]:
-    """Return bits and SNR of recordings at a rate."""
-    by_onnx = (
-        codec.snr_db(encoding.recording.samples, replace(encoding.stream, runtime="onnx").decode())
-        for encoding in encodings
-    )
+def _encoded(recording: textures.Recording, model: Model) -> Encoding:
+    setting = codec.CODECS["eva"].complete({})
+    return encode_recording(recording, round(recording.rate_hz), setting=setting, model=model, highpass_hz=None)
+
+
+def _bits_per_sample(encodings: Sequence[Encoding]) -> float:
     bits = sum(8 * encoding.stream.size_bytes for encoding in encodings)
-    return {
-        "quality": quality,
-        "bits_per_sample": bits / sum(encoding.stream.samples for encoding in encodings),
-        "snr_db": fmean(_known(encoding.quality.snr_db) for encoding in encodings),
-        "snr_db_by_onnx": fmean(map(_known, by_onnx)),
-    }
+    return bits / sum(encoding.stream.samples for encoding in encodings)
 
 
 def _known(ratio_db: float | None) -> float:
@@ -178,14 +175,14 @@ def _known(ratio_db: float | None) -> float:
     return ratio_db
 
 
-def _speed(model: Model, quality: int, recordings: Sequence[textures.Recording]) -> dict[str, float]:
+def _speed(model: Model, recordings: Sequence[textures.Recording]) -> dict[str, float]:
     """Return the processor seconds that a million samples take, all recordings after one another."""
     samples = np.concatenate([recording.samples for recording in recordings])
     rate_hz = round(recordings[0].rate_hz)
     tables = codec.Model(model.tables, model.analysis)
 
     def encode() -> codec.CodedSignal:
-        return codec.encode(samples, rate_hz, {"quality": quality}, codec="eva", model=tables)
+        return codec.encode(samples, rate_hz, {}, codec="eva", model=tables)
 
     def decode(coded: codec.CodedSignal, runtime: str) -> object:
         return replace(as_stream(coded, "full scale", model.image), runtime=runtime).decode_integers()

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from vibrocast.codec import eva
-from vibrocast.codec.eva_image import EvaImage
+from vibrocast.codec.eva_image import EvaImage, PriorKind
 from vibrocast.codec.interface import Signal
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.checkpoint import Checkpoint
 from vibrocast.export.graphs import Graphs, graphs_of
-from vibrocast.export.quantise import ordered, quantise
+from vibrocast.export.quantise import quantise
 
 Contents: TypeAlias = Literal["core", "onnx", "both"]
 """What an image holds for the decoder: the integer network, the ONNX graph, or both, the network preferred."""
@@ -28,6 +28,7 @@ class Package:
     version: str
     family: str
     contents: Contents
+    prior: PriorKind
     graphs: Graphs
     image: bytes
     full: bytes
@@ -42,14 +43,21 @@ class Package:
         }
 
 
-def make(checkpoint: Checkpoint, name: str, version: str, contents: Contents, signals: Sequence[Signal]) -> Package:
+def make(
+    checkpoint: Checkpoint,
+    name: str,
+    version: str,
+    contents: Contents,
+    signals: Sequence[Signal],
+    prior: PriorKind = "adaptive",
+) -> Package:
     """Return the package of a checkpoint. `signals`: float64 (n,) of what it was trained on, as `quantise` takes them.
 
-    Raises GraphError, ModelError or ModelImageError for what cannot be used.
+    `prior`: whether its probabilities adapt to a stream. Raises GraphError, ModelError or ModelImageError for what
+    cannot be used.
     """
-    model, prior = ordered(checkpoint.model, checkpoint.prior)
-    graphs = graphs_of(model)
-    full = replace(quantise(model, prior, signals), graph=graphs.synthesis)
+    graphs = graphs_of(checkpoint.model)
+    full = replace(quantise(checkpoint.model, checkpoint.prior, signals, prior), graph=graphs.synthesis)
     payload = {
         "core": replace(full, graph=b""),
         "onnx": replace(full, network=None, runtime="onnx"),
@@ -59,6 +67,6 @@ def make(checkpoint: Checkpoint, name: str, version: str, contents: Contents, si
     def packed(payload: EvaImage) -> bytes:
         return ModelImage(eva.IDENTIFIER, name, version, "", payload.pack()).pack()
 
-    # NAME-NUMBER of one rate is one of a family of such, which make a curve together; any other makes one alone.
-    family = re.sub(r"-\d+$", "", name) if full.rates == 1 else name
-    return Package(name, version, family, contents, graphs, packed(payload), packed(full))
+    # NAME-1, NAME-2, ... are a family: one lambda each, they make a curve together.
+    family = re.sub(r"-\d+$", "", name)
+    return Package(name, version, family, contents, prior, graphs, packed(payload), packed(full))

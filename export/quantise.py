@@ -1,39 +1,30 @@
-"""A trained EVA to the payload of a model image: channels in order, integer network, steps, and tables of its prior."""
+"""A trained EVA to the payload of a model image: integer network, and probabilities of its prior."""
 
-import copy
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT
-from vibrocast.codec.eva import LatentEncoder, configuration
 from vibrocast.codec.eva_image import (
+    MAX_FRACTION_BITS,
     MAX_SHIFT,
-    STEPS_PER_UNIT,
     UNARY_LIMIT,
     Convolution,
     EvaImage,
     IntegerNetwork,
     Normalisation,
+    PriorKind,
 )
 from vibrocast.codec.interface import Signal
-from vibrocast.codec.mdct import built_in_tables, step_code
 from vibrocast.export.checkpoint import ModelError
-from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
-from vibrocast.export.priors import FactorisedPrior, Prior, probabilities
+from vibrocast.export.eva import Eva, Gdn
+from vibrocast.export.priors import FactorisedPrior, probabilities
 
 HOTTEST = 4.0
 """How far above an RMS value of 1 the calibration takes the signals, so that louder passages have headroom."""
 EXCERPT_SAMPLES = 4096
 CALIBRATION_EXCERPTS = 64
-TABLE_PASSES = 2
-"""How often the tables of an adaptive prior see every excerpt."""
-DEPENDENT_STEP = 0.5
-"""Step of dependent quantisation over that of a uniform quantiser of equal rate: each of its two quantisers takes every
-second of the points."""
 
 _LARGEST = 32767.0
 _MAX_WORD = 2**32 - 1
@@ -43,80 +34,34 @@ _ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
 Values = NDArray[np.float64]
 
 
-def ordered(model: Eva, prior: Prior) -> tuple[Eva, Prior]:
-    """Return copies whose latents stand in the order of the centre frequencies of what the synthesis makes of them.
-
-    Contexts of the entropy coder take neighbours for alike. Export graphs and quantise after this, not before.
-    """
-    order = torch.from_numpy(np.argsort(centre_frequencies(model), kind="stable"))
-    model, prior = copy.deepcopy(model), copy.deepcopy(prior)
-    encoding, decoding = model.analysis[5], model.synthesis[0]
-    assert isinstance(encoding, Gdn) and isinstance(decoding, Gdn)
-    with torch.no_grad():
-        for normalisation in (encoding, decoding):
-            normalisation.root_beta.copy_(normalisation.root_beta[order])
-            normalisation.root_gamma.copy_(normalisation.root_gamma[order][:, order])
-        for convolution in (model.analysis[4], model.synthesis[1]):
-            assert isinstance(convolution.weight, torch.Tensor)
-            convolution.weight.copy_(convolution.weight[order])
-        model.log2_step.copy_(model.log2_step[:, order])
-        if isinstance(prior, FactorisedPrior):
-            for parameter in prior.parameters():
-                parameter.copy_(parameter[order])
-    return model, prior
-
-
-def centre_frequencies(model: Eva) -> Values:
-    """Return the mean frequency, weighted by power, of the synthesis' response to each latent alone: (latents,), cycles
-    per sample.
-    """
-    latents = model.shape.latents
-    alone = torch.zeros(latents, latents, 9)
-    alone[:, :, 4] = torch.eye(latents)
-    with torch.no_grad():
-        responses = model.synthesis(alone)[:, 0].double().numpy()
-    power = np.abs(np.fft.rfft(responses, axis=1)) ** 2
-    frequencies = np.fft.rfftfreq(responses.shape[1])
-    return np.asarray(power @ frequencies / np.maximum(np.sum(power, axis=1), np.finfo(np.float64).tiny))
-
-
-def quantise(model: Eva, prior: Prior, signals: Sequence[Signal], seed: int = 1) -> EvaImage:
+def quantise(
+    model: Eva, prior: FactorisedPrior, signals: Sequence[Signal], kind: PriorKind = "adaptive", seed: int = 1
+) -> EvaImage:
     """Return the image of a model without a graph, for the integer core.
 
-    `signals`: float64 (n,) of what the model was trained on, of any level; they set the ranges of the integers, and
-    train the initial tables of a prior that adapts. Raises ModelError where they hold no signal, or where the model
-    does not fit the integers.
+    `signals`: float64 (n,) of what the model was trained on, of any level; they set the ranges of the integers. `kind`:
+    whether the prior's probabilities adapt to a stream. Raises ModelError where the signals are silent, or where the
+    model does not fit the integers.
     """
     excerpts = _excerpts(signals)
     if len(excerpts) == 0:
         raise ModelError("there is no signal to calibrate the integers with; give the recordings of the training")
     generator = np.random.default_rng(seed)
-    calibration = excerpts[generator.permutation(len(excerpts))[:CALIBRATION_EXCERPTS]]
-    ranges = _ranges(model, calibration)
-    with torch.no_grad():
-        steps = torch.exp2(model.log2_step).double().numpy()
-    if not all(np.all(np.isfinite(values) & (values > 0)) for values in (steps, *ranges)):
+    ranges = _ranges(model, excerpts[generator.permutation(len(excerpts))[:CALIBRATION_EXCERPTS]])
+    if not all(np.all(np.isfinite(values) & (values > 0)) for values in ranges):
         raise ModelError(
             "it gives NaN or infinity on the signals of its training; take an earlier one or train it anew"
         )
-    fraction_bits = int(np.clip(np.floor(np.log2(_LARGEST / np.max(ranges[0]))), 0, 15))
-    adapts = not isinstance(prior, FactorisedPrior)
-    units = steps * (DEPENDENT_STEP if adapts else 1.0) * 2**fraction_bits * STEPS_PER_UNIT
-    step_codes = np.vectorize(step_code)(units / UNIT).astype(np.uint16)
-    image = EvaImage(
+    fraction_bits = int(np.clip(np.floor(np.log2(_LARGEST / np.max(ranges[0]))), 0, MAX_FRACTION_BITS))
+    return EvaImage(
         width=model.shape.width,
-        step_codes=step_codes,
         fraction_bits=fraction_bits,
-        prior=built_in_tables() if adapts else _tables(prior, steps),
+        probabilities=_decisions(prior),
+        prior=kind,
         network=_network(model, ranges, 2.0**fraction_bits),
         graph=b"",
         runtime="core",
     )
-    if not adapts:
-        return image
-    for _ in range(TABLE_PASSES):
-        image = _adapted(image, model, excerpts[generator.permutation(len(excerpts))], generator)
-    return image
 
 
 def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
@@ -133,7 +78,7 @@ def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
 
 def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
     """Return the greatest magnitude of each channel of the latents and of what each layer of the synthesis gives, with
-    each inverse GDN's norm before its result; at the finest rate, and HOTTEST times the level.
+    each inverse GDN's norm before its result; at HOTTEST times the level.
     """
     ranges: list[Values] = []
 
@@ -144,8 +89,7 @@ def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
 
     with torch.no_grad():
         latents = model.analysis(HOTTEST * torch.from_numpy(excerpts)[:, None])
-        step = torch.exp2(model.log2_step[-1])[:, None]
-        values = torch.round(latents / step) * step
+        values = torch.round(latents)
         record(values)
         for layer in model.synthesis:
             if isinstance(layer, Gdn):
@@ -223,33 +167,18 @@ def _words(values: Values) -> NDArray[np.uint32]:
     return np.minimum(np.rint(values), _MAX_WORD).astype(np.uint32)
 
 
-def _tables(prior: Prior, steps: Values) -> NDArray[np.uint16]:
-    """Return the probabilities of each decision, (rates, latents, 16), as codec.eva_image has them."""
-    assert isinstance(prior, FactorisedPrior)
-    tables = np.empty((*steps.shape, UNARY_LIMIT + 1))
-    for rate, step in enumerate(steps):
-        each = probabilities(prior, step, UNARY_LIMIT)
-        below, above = each[:, UNARY_LIMIT - 1 :: -1], each[:, UNARY_LIMIT + 1 :]
-        magnitudes = np.hstack([each[:, UNARY_LIMIT, None], below + above])[:, :UNARY_LIMIT]
-        beyond = np.maximum(1 - np.cumsum(magnitudes, axis=1), 0)
-        tables[rate, :, :UNARY_LIMIT] = _odds(beyond, magnitudes)
-        tables[rate, :, UNARY_LIMIT] = _odds(np.sum(below, axis=1), np.sum(above, axis=1))
-    return np.asarray(np.clip(np.rint(65536 * tables), 1, 65535), dtype=np.uint16)
+def _decisions(prior: FactorisedPrior) -> NDArray[np.uint16]:
+    """Return the probabilities of each decision, (latents, 16), as codec.eva_image has them."""
+    each = probabilities(prior, UNARY_LIMIT)
+    below, above = each[:, UNARY_LIMIT - 1 :: -1], each[:, UNARY_LIMIT + 1 :]
+    magnitudes = np.hstack([each[:, UNARY_LIMIT, None], below + above])[:, :UNARY_LIMIT]
+    beyond = np.maximum(1 - np.cumsum(magnitudes, axis=1), 0)
+    negative = _odds(np.sum(below, axis=1), np.sum(above, axis=1))
+    decisions = np.hstack([_odds(beyond, magnitudes), negative[:, None]])
+    return np.asarray(np.clip(np.rint(65536 * decisions), 1, 65535), dtype=np.uint16)
 
 
 def _odds(yes: Values, no: Values) -> Values:
     """Return yes / (yes + no), even where both are nothing."""
     floor = 1e-12
     return np.asarray((yes + floor) / (yes + no + 2 * floor))
-
-
-def _adapted(image: EvaImage, model: Eva, excerpts: NDArray[np.float32], generator: np.random.Generator) -> EvaImage:
-    """Return the image with tables adapted to the excerpts, each coded at a random quality."""
-    columns = EXCERPT_SAMPLES // HOP_SAMPLES
-    encoder = LatentEncoder(configuration(columns, [0], [0]), 1, image.pack(), 0)
-    for excerpt in excerpts:
-        with torch.no_grad():
-            latents = model.analysis(torch.from_numpy(excerpt)[None, None])[0].double().numpy()
-        quality = int(generator.integers(0, 16 * (image.rates - 1) + 1))
-        encoder.encode([latents / image.relative_steps(quality)[:, None]])
-    return replace(image, prior=encoder.adapted_tables())

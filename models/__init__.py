@@ -37,7 +37,7 @@ class Model:
 
     @property
     def family(self) -> str:
-        """Models of one family make one curve of quality against rate; one that makes a curve alone is its own."""
+        """Models of one family have one rate each and make one curve; one that makes a curve alone is its own."""
         return str(self.card.get("family", self.name))
 
     @property
@@ -60,6 +60,15 @@ def names() -> list[str]:
 def shipped() -> tuple[Model, ...]:
     """Return the models that ship, the smallest image first. Raises as `load` where their files are damaged."""
     return tuple(sorted((load(_FOLDER / name) for name in names()), key=lambda model: len(model.image)))
+
+
+def members(family: str) -> list[Model]:
+    """Return the models of a family that ship, from the coarsest, which has the lowest number, to the finest.
+
+    A model that makes a curve alone is a family of one. Raises as `load`.
+    """
+    found = [model for model in shipped() if model.family == family]
+    return sorted(found, key=lambda model: (len(model.name), model.name))
 
 
 def by_hash(beginning: bytes) -> Model | None:

@@ -16,6 +16,7 @@ from studies import page
 from studies.page import write_rows
 from vibrocast import codec, extras, models
 from vibrocast.codec import CodedSignal, Signal
+from vibrocast.codec.encoding import middle
 from vibrocast.codec.live_format import live_format
 from vibrocast.codec.stream import as_stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
@@ -44,7 +45,7 @@ RATE_HZ = 2800
 SECONDS = 0.5
 TARGET_DB = 10.0
 DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128", "parametric")
-"""Codecs, and models that ship."""
+"""Codecs, and families of models that ship."""
 QUALITIES_DB = (5.0, 10.0, 20.0)
 LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
 """Wanted: less than this load of a Cortex-M4F."""
@@ -210,12 +211,12 @@ def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]
     """Yield what decoding takes at every length of block and some qualities. Raises BuildError."""
     core = CORES["M4F"]
     for decoder in decoders:
-        name, model = _codec_name(decoder), _model(decoder)
+        name = _codec_name(decoder)
         program = _program(folder, core, "DSP instructions", {name})
         known = codec.CODECS[name]
         for block in known.blocks or ("",):
-            for kind, stream in _qualities(name, model, known.block_setting(block), kinds, seconds):
-                run = decode(program, core, stream, _tables(decoder))
+            for kind, stream, tables in _qualities(decoder, known.block_setting(block), kinds, seconds):
+                run = decode(program, core, stream, tables)
                 bits_per_sample = 8 * sum(map(len, stream.packets)) / len(run.decoded)
                 quiet = quiet_part(run.decoded)
                 yield Decoding(
@@ -224,18 +225,26 @@ def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]
 
 
 def _qualities(
-    name: str, model: Model | None, given: codec.Setting, kinds: Sequence[str], seconds: float
-) -> Iterator[tuple[str, CodedSignal]]:
-    """Yield textures as they are streamed at QUALITIES_DB, or at each rate point of a codec that keeps no waveform."""
-    how: dict[str, Any] = {"codec": name, "live": True, "model": trained.for_encoder(model) if model else None}
+    decoder: str, given: codec.Setting, kinds: Sequence[str], seconds: float
+) -> Iterator[tuple[str, CodedSignal, bytes | None]]:
+    """Yield textures as they are streamed, with the tables that decode them: at QUALITIES_DB; by every third member of
+    a family of models; or at each rate point of a codec that keeps no waveform.
+    """
+    name, members = _codec_name(decoder), _members(decoder)
     for kind in kinds:
         signal = texture(kind, seconds)
-        if codec.CODECS[name].keeps_waveform:
+        if len(members) > 1:
+            for model in members[::3]:
+                stream = codec.encode(signal, RATE_HZ, given, codec=name, live=True, model=trained.for_encoder(model))
+                yield kind, stream, model.tables
+        elif codec.CODECS[name].keeps_waveform:
+            for_encoder = trained.for_encoder(members[0]) if members else None
             for snr_db in QUALITIES_DB:
-                yield kind, codec.encode_to_snr(codec.Source(signal, RATE_HZ, **how), snr_db, given)
+                source = codec.Source(signal, RATE_HZ, name, live=True, model=for_encoder)
+                yield kind, codec.encode_to_snr(source, snr_db, given), _tables(decoder)
         else:
             for rate_point in next(iter(codec.CODECS[name].rate_point_sets.values())):
-                yield kind, codec.encode(signal, RATE_HZ, {**rate_point, **given}, **how)
+                yield kind, codec.encode(signal, RATE_HZ, {**rate_point, **given}, codec=name, live=True), None
 
 
 def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
@@ -315,11 +324,18 @@ def _program(folder: Path, core: Core, kernels: str, codecs: set[str], channels:
 
 
 def _codec_name(decoder: str) -> str:
-    return decoder if decoder in codec.CODECS else trained.codec_name(models.find(decoder))
+    return decoder if decoder in codec.CODECS else trained.codec_name(_members(decoder)[0])
+
+
+def _members(decoder: str) -> list[Model]:
+    """Return the models of a family; none of a codec's own name."""
+    return [] if decoder in codec.CODECS else models.members(decoder)
 
 
 def _model(decoder: str) -> Model | None:
-    return None if decoder in codec.CODECS else models.find(decoder)
+    """Return the middle model of a family, near TARGET_DB; None for a codec's own name."""
+    members = _members(decoder)
+    return middle(members) if members else None
 
 
 def _tables(decoder: str) -> bytes | None:

@@ -48,7 +48,7 @@ def test_the_base_encodes_decodes_plays_and_uploads(tmp_path: Path) -> None:
     learned = str(tmp_path / "learned.vct")
     assert (
         CliRunner()
-        .invoke(main, ["encode", str(ROOT / "examples" / "taps.wav"), learned, "--model", "eva-16"])
+        .invoke(main, ["encode", str(ROOT / "examples" / "taps.wav"), learned, "--model", "eva-16-4"])
         .exit_code
         == 0
     )
@@ -65,7 +65,7 @@ def test_the_base_encodes_decodes_plays_and_uploads(tmp_path: Path) -> None:
         ["models"],
         ["devices"],
         ["status"],
-        ["flash", "eva-16"],
+        ["flash", "eva-16-4"],
     ]
     for command, (code, errors) in zip(commands, run_without_extras(*commands), strict=True):
         assert code == 0, (command, errors)
@@ -90,7 +90,7 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("bench", ["measure", "--bench", "examples/bench.toml", "--out", out]),
         ("bench", ["conformance"]),
         ("bench", ["plan", "examples/scenes/glove.toml", "--out", out]),
-        ("train", ["train", "examples/eva-16.toml", "--out", out]),
+        ("train", ["train", "examples/eva.toml", "--out", out]),
         ("train", ["export", "best.pt", "--out", out]),
         ("firmware", ["play", oak, "--device", "cortex-m4"]),
         ("firmware", ["play", oak, "--device", "stm32f405"]),
@@ -98,7 +98,7 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("peers", ["play", oak, "--codec", "opus"]),
         ("peers", ["encode", oak, f"{out}.vct", "--codec", "flac"]),
         ("learned", ["encode", oak, f"{out}.vct", "--codec", "eva"]),
-        ("learned", ["live", "taps", "--model", "eva-16"]),
+        ("learned", ["live", "taps", "--model", "eva-16-4"]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),
     ]
     for (extra, command), (code, errors) in zip(cases, run_without_extras(*(case[1] for case in cases)), strict=True):

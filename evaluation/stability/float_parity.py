@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.eva import HOP
-from vibrocast.codec.eva_image import QUALITY_PARTS, EvaImage
+from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.graphs import LATENTS, SIGNAL
-from vibrocast.codec.interface import number
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
@@ -61,34 +60,32 @@ def _in_pieces(transform: Callable[[Values], Values], values: Values, hop_in: in
     return np.concatenate(parts, axis=2)
 
 
-def _latents(rate_point: RatePoint) -> tuple[Values, Values, NDArray[np.float64]]:
-    """Return a texture (1, 1, time) as the network gets it, its latents (1, latents, columns), and the steps."""
+def _latents(rate_point: RatePoint) -> tuple[Values, Values]:
+    """Return a texture (1, 1, time) as the network gets it, and its latents (1, latents, columns)."""
     assert rate_point.model is not None, "a learned method has models"
     samples = texture()
     samples = samples[: len(samples) // HOP * HOP] / np.sqrt(np.mean(samples**2))
     signal = samples.T[None].astype(np.float32)
-    image = EvaImage.unpack(rate_point.model.tables)
-    code = round(number(rate_point.setting, "quality") * QUALITY_PARTS)
-    return signal, run(rate_point.model.analysis, SIGNAL, LATENTS, signal), image.relative_steps(code)[:, None]
+    return signal, run(rate_point.model.analysis, SIGNAL, LATENTS, signal)
 
 
 def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
     """Run the analysis otherwise; count the latents that are rounded to other integers."""
-    signal, latents, steps = _latents(rate_point)
+    signal, latents = _latents(rate_point)
     assert rate_point.model is not None, "a learned method has models"
     level, threads, pieces = _WAYS[way]
     transform = partial(run, rate_point.model.analysis, SIGNAL, LATENTS, level=level, threads=threads)
     other = _in_pieces(transform, signal, HOP, 1) if pieces else transform(signal)
-    rounded = float(np.mean(np.rint(latents / steps) != np.rint(other / steps)))
+    rounded = float(np.mean(np.rint(latents) != np.rint(other)))
     return _judged(latents, other, {"rounded_otherwise_per_million": 1e6 * rounded})
 
 
 def measure_synthesis(rate_point: RatePoint, way: str) -> Measured:
     """Run the synthesis otherwise on the same integers."""
-    _, latents, steps = _latents(rate_point)
+    _, latents = _latents(rate_point)
     assert rate_point.model is not None, "a learned method has models"
     graph = EvaImage.unpack(rate_point.model.tables).graph
-    values = (np.rint(latents / steps) * steps).astype(np.float32)
+    values = np.rint(latents)
     level, threads, pieces = _WAYS[way]
     transform = partial(run, graph, LATENTS, SIGNAL, level=level, threads=threads)
     other = _in_pieces(transform, values, 1, HOP) if pieces else transform(values)

@@ -1,6 +1,6 @@
 /* The block coder: values of one block to bits and back, by dependent quantisation and the context model of mdct.h.
  *
- * A block is the spectrum of `mdct`, or a column of EVA's latents. */
+ * A block is the spectrum of `mdct`. */
 #ifndef VIBROCAST_BLOCK_CODER_H
 #define VIBROCAST_BLOCK_CODER_H
 

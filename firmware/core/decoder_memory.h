@@ -4,7 +4,9 @@
 #ifndef VIBROCAST_DECODER_MEMORY_H
 #define VIBROCAST_DECODER_MEMORY_H
 
+#include "block_coder.h"
 #include "dct_model.h"
+#include "eva_latents.h"
 #include "eva_synthesis.h"
 #include "parametric_frame.h"
 #include "slp_frame.h"
@@ -63,7 +65,7 @@ struct vc_parametric_decoder {
 };
 
 typedef struct {
-    vc_block_state block;
+    vc_eva_contexts contexts;
     vc_eva_history history;
     int16_t latents[VC_EVA_MAX_WIDTH]; /* of the last column */
 } vc_eva_channel;
@@ -71,7 +73,6 @@ typedef struct {
 struct vc_eva_decoder {
     vc_eva_model model;
     vc_eva_configuration configuration;
-    vc_model prior;
     vc_quantiser_offset quantiser_offset;
     uint32_t next_sequence;
     int in_sequence; /* packets since the last refresh all came */

@@ -45,22 +45,15 @@ int vc_eva_decode_latents(vc_eva_decoder *decoder, const uint8_t *packet, size_t
 void vc_eva_conceal_latents(vc_eva_decoder *decoder, int16_t *latents);
 
 /* Prepares an encoder; configuration, model and result as for a decoder. `refresh_packets`: packets from one refresh to
- * the next, 0 = only the first packet is one. `lambda`: Lagrangian weight of one bit against squared error, in 1/256 of
- * a squared quantiser step; a model with a factorised prior rounds to the nearest whatever it is. */
+ * the next, 0 = only the first packet is one. */
 int vc_eva_encoder_init(vc_eva_encoder *encoder, const uint8_t *configuration, size_t configuration_length,
-                        unsigned channels, const uint8_t *model, size_t model_length, uint32_t refresh_packets,
-                        uint32_t lambda);
+                        unsigned channels, const uint8_t *model, size_t model_length, uint32_t refresh_packets);
 
-/* Codes one packet. `latents`: channels x columns x latents, in 1/256 of the quantiser step of each, limited to +-2^30;
- * those of the packet's quality. `quantiser_offset`: of a rate-controlled stream, in 1/16 of a rate of the model by
- * which the qualities are lower: told in fours, the nearest one, and the rest moves lambda; other streams ignore it.
- * Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE; then the encoder must be initialised again. */
-int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *latents, int32_t quantiser_offset, uint8_t *packet,
+/* Codes one packet. `levels`: channels x columns x latents, in quantiser steps of the packet, limited to +-2^22.
+ * `quantiser_offset`: of a rate-controlled stream, in 1/16 octave by which the steps are larger; other streams ignore
+ * it. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE; then the encoder must be initialised again. */
+int32_t vc_eva_encode(vc_eva_encoder *encoder, const int32_t *levels, int32_t quantiser_offset, uint8_t *packet,
                       size_t capacity);
-
-/* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes), for a model whose prior adapts.
- */
-void vc_eva_encoder_tables(const vc_eva_encoder *encoder, uint8_t *tables);
 /* cffi: end */
 
 #endif

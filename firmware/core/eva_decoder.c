@@ -25,8 +25,7 @@ int vc_eva_decoder_init(vc_eva_decoder *decoder, const uint8_t *configuration, s
     status = vc_eva_model_read(&decoder->model, model, model_length);
     if (status != VC_OK)
         return status;
-    return vc_eva_configuration_read(&decoder->configuration, &decoder->model, configuration, configuration_length,
-                                     channels);
+    return vc_eva_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
 }
 
 uint32_t vc_eva_decoder_packet_samples(const vc_eva_decoder *decoder)
@@ -40,18 +39,6 @@ uint32_t vc_eva_decoder_delay_samples(const vc_eva_decoder *decoder)
     return VC_EVA_DELAY;
 }
 
-static int32_t decode_factorised(vc_range_coder *coder, const uint8_t *probabilities)
-{
-    uint32_t magnitude = 0;
-    while (magnitude < VC_UNARY_LIMIT && vc_range_decode(coder, vc_eva_probability(probabilities, magnitude)))
-        magnitude++;
-    if (magnitude == VC_UNARY_LIMIT)
-        magnitude += vc_golomb_decode(coder);
-    if (magnitude != 0 && vc_range_decode(coder, vc_eva_probability(probabilities, VC_UNARY_LIMIT)))
-        return -(int32_t)magnitude;
-    return (int32_t)magnitude;
-}
-
 /* The latent, in the model's unit, that a level stands for. */
 static int16_t dequantised(int32_t level, int32_t step)
 {
@@ -63,20 +50,14 @@ static int16_t dequantised(int32_t level, int32_t step)
 }
 
 /* Decodes the next column of a channel into its latents. */
-static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, uint32_t quality,
-                          const int32_t *steps)
+static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, int32_t step)
 {
-    const vc_eva_model *model = &decoder->model;
     vc_eva_channel *state = &decoder->channels[channel];
     int32_t levels[VC_EVA_MAX_WIDTH];
     uint32_t k;
-    if (model->adapts)
-        vc_block_decode(coder, &decoder->prior, &state->block, model->latents, levels);
-    for (k = 0; k < model->latents; k++) {
-        if (!model->adapts)
-            levels[k] = decode_factorised(coder, vc_eva_probabilities(model, quality, k));
-        state->latents[k] = dequantised(levels[k], steps[k]);
-    }
+    vc_eva_code_column(coder, 0, &state->contexts, &decoder->model, levels);
+    for (k = 0; k < decoder->model.latents; k++)
+        state->latents[k] = dequantised(levels[k], step);
 }
 
 /* Turns the last latents of a channel into those of a missing column: the same with random signs, scaled so that they
@@ -99,17 +80,14 @@ static void put_out(vc_eva_decoder *decoder, vc_range_coder *coder, output to)
     const vc_eva_configuration *configuration = &decoder->configuration;
     const uint32_t latents = decoder->model.latents, columns = configuration->packet_columns;
     vc_eva_work *work = &decoder->work;
-    int32_t steps[VC_EVA_MAX_WIDTH];
+    const int32_t step = vc_eva_packet_step(&decoder->model, decoder->quantiser_offset.value);
     unsigned channel;
     for (channel = 0; channel < configuration->channels; channel++) {
         vc_eva_channel *state = &decoder->channels[channel];
-        const uint32_t quality =
-            vc_eva_packet_quality(&decoder->model, configuration, channel, decoder->quantiser_offset.value);
         uint32_t column, gathered = 0;
-        vc_eva_steps(&decoder->model, quality, steps);
         for (column = 0; column < columns; column++) {
             if (coder != NULL)
-                decode_column(decoder, coder, channel, quality, steps);
+                decode_column(decoder, coder, channel, step);
             else
                 fade_column(decoder, channel, column);
             if (to.latents != NULL) {
@@ -142,10 +120,8 @@ static int decode_packet(vc_eva_decoder *decoder, const uint8_t *packet, size_t 
         put_out(decoder, NULL, to);
         return VC_CONCEALED;
     }
-    if (refresh && decoder->model.adapts)
-        vc_model_reset(&decoder->prior, decoder->model.prior);
     for (channel = 0; channel < decoder->configuration.channels && refresh; channel++)
-        vc_block_reset(&decoder->channels[channel].block);
+        vc_eva_contexts_reset(&decoder->channels[channel].contexts, &decoder->model);
     if (refresh)
         vc_quantiser_offset_reset(&decoder->quantiser_offset);
     decoder->in_sequence = 1;
@@ -205,8 +181,8 @@ static int check(vc_coding *coding)
     vc_eva_configuration read;
     int status = vc_eva_model_read(&model, coding->tables, coding->tables_length);
     if (status == VC_OK)
-        status = vc_eva_configuration_read(&read, &model, coding->configuration, coding->configuration_length,
-                                           coding->channels);
+        status =
+            vc_eva_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
     if (status == VC_OK)
         coding->packet_samples = read.packet_columns * VC_EVA_HOP;
     coding->delay_samples = VC_EVA_DELAY;

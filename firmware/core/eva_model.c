@@ -1,14 +1,16 @@
-/* Reads EVA's models and configurations, and what they say of a quality; see eva_model.h. */
+/* Reads EVA's models and configurations; see eva_model.h. */
 #include "eva_model.h"
 
-#define HEAD_BYTES 10u
-#define ADAPTS_FLAG 1u
+#define HEAD_BYTES 9u
+#define STATIC_FLAG 1u
 #define NETWORK_FLAG 2u
 #define FLAGS 7u
-#define MAX_FRACTION_BITS 15u
+#define MAX_FRACTION_BITS 14u
 #define MAX_SHIFT 30u
-#define QUALITY_PARTS 16u
-#define MIN_PROBABILITY 32u
+/* Step codes, 64 an octave: that of a step of 1 in the latents' unit, and the largest of which a step fits 32 bits. */
+#define UNIT_STEP_CODE (6 * 64)
+#define MAX_STEP_CODE (24 * 64 - 1)
+#define CODES_OF_QUANTISER_OFFSET 4
 
 /* What is left of the bytes of a model. */
 typedef struct {
@@ -70,32 +72,26 @@ int vc_eva_model_read(vc_eva_model *model, const uint8_t *bytes, size_t length)
 {
     reader from = {bytes, length, 0};
     const uint8_t *head = take(&from, HEAD_BYTES);
-    uint32_t graph_bytes, latent, codes;
+    uint32_t graph_bytes;
     memset(model, 0, sizeof *model);
-    if (from.short_of || head[0] != VC_EVA_LAYOUT_VERSION || head[1] > FLAGS || head[5] > MAX_FRACTION_BITS)
+    if (from.short_of || head[0] != VC_EVA_LAYOUT_VERSION || head[1] > FLAGS || head[4] > MAX_FRACTION_BITS)
         return VC_BAD_TABLES;
     model->width = head[2];
     model->latents = head[3];
-    model->rates = head[4];
-    graph_bytes = number(head + 6) | number(head + 8) << 16;
-    if (model->width < 1 || model->width > VC_EVA_MAX_WIDTH || model->latents < 1 ||
-        model->latents > VC_EVA_MAX_WIDTH || model->rates < 1 || model->rates > VC_EVA_MAX_RATES)
+    model->fraction_bits = head[4];
+    graph_bytes = number(head + 5) | number(head + 7) << 16;
+    if (model->width < 1 || model->width > VC_EVA_MAX_WIDTH || model->latents < 1 || model->latents > VC_EVA_MAX_WIDTH)
         return VC_BAD_TABLES;
-    codes = model->rates * model->latents;
-    model->adapts = (head[1] & ADAPTS_FLAG) != 0;
+    model->adapts = (head[1] & STATIC_FLAG) == 0;
     model->has_network = (head[1] & NETWORK_FLAG) != 0;
-    model->step_codes = take(&from, 2 * codes);
-    model->prior = take(&from, model->adapts ? vc_mdct_tables_size() : (size_t)2 * (VC_UNARY_LIMIT + 1) * codes);
+    model->probabilities = take(&from, (size_t)2 * VC_EVA_DECISIONS * model->latents);
     if (from.short_of || (model->has_network && read_network(model, &from) != VC_OK))
         return VC_BAD_TABLES;
-    for (latent = 0; latent < codes; latent++)
-        if (number(model->step_codes + 2 * latent) >= VC_STEP_CODES)
-            return VC_BAD_TABLES;
     return from.length == graph_bytes && (model->has_network || graph_bytes > 0) ? VC_OK : VC_BAD_TABLES;
 }
 
-int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_model *model, const uint8_t *bytes,
-                              size_t length, unsigned channels)
+int vc_eva_configuration_read(vc_eva_configuration *configuration, const uint8_t *bytes, size_t length,
+                              unsigned channels)
 {
     vc_eva_configuration read;
     const size_t head_bytes = length > 0 && (bytes[0] & 0x80u) ? 2 : 1;
@@ -103,53 +99,30 @@ int vc_eva_configuration_read(vc_eva_configuration *configuration, const vc_eva_
     if (channels < 1 || channels > VC_MAX_CHANNELS || length < head_bytes || (bytes[head_bytes - 1] & 0x80u))
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
-    if (!vc_rate_control_read(bytes, length, head_bytes + 3 * channels, &read.rate_controlled))
+    if (!vc_rate_control_read(bytes, length, head_bytes + 2 * channels, &read.rate_controlled))
         return VC_BAD_CONFIGURATION;
     read.packet_columns = head_bytes == 1 ? bytes[0] : (bytes[0] & 0x7Fu) | (uint32_t)bytes[1] << 7;
     read.channels = channels;
     if (read.packet_columns < 1 || read.packet_columns > VC_EVA_MAX_PACKET_COLUMNS)
         return VC_BAD_CONFIGURATION;
     for (channel = 0; channel < channels; channel++) {
-        const uint8_t *fields = bytes + head_bytes + 3 * channel;
-        if (number(fields) >= VC_STEP_CODES || fields[2] > QUALITY_PARTS * (model->rates - 1))
+        const uint32_t code = number(bytes + head_bytes + 2 * channel);
+        if (code >= VC_STEP_CODES)
             return VC_BAD_CONFIGURATION;
-        read.level[channel] = vc_step_of(number(fields));
-        read.quality[channel] = fields[2];
+        read.level[channel] = vc_step_of(code);
     }
     *configuration = read;
     return VC_OK;
 }
 
-uint32_t vc_eva_packet_quality(const vc_eva_model *model, const vc_eva_configuration *configuration, unsigned channel,
-                               int32_t quantiser_offset)
+int32_t vc_eva_packet_step(const vc_eva_model *model, int32_t quantiser_offset)
 {
-    const int32_t finest = (int32_t)(QUALITY_PARTS * (model->rates - 1));
-    const int32_t quality = (int32_t)configuration->quality[channel] - 4 * quantiser_offset;
-    return (uint32_t)(quality < 0 ? 0 : quality < finest ? quality : finest);
+    const int32_t code =
+        UNIT_STEP_CODE + 64 * (int32_t)model->fraction_bits + CODES_OF_QUANTISER_OFFSET * quantiser_offset;
+    return vc_step_of(code < 0 ? 0 : code < MAX_STEP_CODE ? (uint32_t)code : MAX_STEP_CODE);
 }
 
-void vc_eva_steps(const vc_eva_model *model, uint32_t quality, int32_t *steps)
+uint16_t vc_eva_probability(const vc_eva_model *model, uint32_t latent, uint32_t decision)
 {
-    const uint32_t part = quality % QUALITY_PARTS;
-    const uint8_t *below = model->step_codes + quality / QUALITY_PARTS * model->latents * 2;
-    const uint8_t *above = part == 0 ? below : below + 2 * model->latents;
-    uint32_t k;
-    for (k = 0; k < model->latents; k++) {
-        uint32_t sum = number(below + 2 * k) * (QUALITY_PARTS - part) + number(above + 2 * k) * part;
-        steps[k] = vc_step_of((sum + QUALITY_PARTS / 2) / QUALITY_PARTS);
-    }
-}
-
-const uint8_t *vc_eva_probabilities(const vc_eva_model *model, uint32_t quality, uint32_t k)
-{
-    const uint32_t rate = (quality + QUALITY_PARTS / 2) / QUALITY_PARTS;
-    return model->prior + (size_t)2 * (VC_UNARY_LIMIT + 1) * (rate * model->latents + k);
-}
-
-uint32_t vc_eva_probability(const uint8_t *probabilities, unsigned decision)
-{
-    uint32_t probability = number(probabilities + 2 * decision);
-    return probability < MIN_PROBABILITY           ? MIN_PROBABILITY
-           : probability > 65536 - MIN_PROBABILITY ? 65536 - MIN_PROBABILITY
-                                                   : probability;
+    return (uint16_t)number(model->probabilities + 2 * (latent * VC_EVA_DECISIONS + decision));
 }

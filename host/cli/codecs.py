@@ -1,7 +1,6 @@
 """The subcommands `codecs` and `models`: what there is to code with."""
 
 import json
-from typing import Any
 
 import click
 
@@ -10,7 +9,7 @@ from vibrocast.device_protocol.model_image import sha256
 from vibrocast.host.cli.steps import show
 from vibrocast.host.printable import plain
 
-_COLUMNS = ("name", "codec", "width", "image bytes", "rates", "SNR dB", "bit/sample")
+_COLUMNS = ("name", "codec", "width", "image bytes", "SNR dB", "bit/sample")
 
 
 @click.command()
@@ -40,7 +39,7 @@ def codecs(as_json: bool) -> None:
 @click.command("models")
 @click.option("--json", "as_json", is_flag=True, help="Print their cards as JSON.")
 def list_models(as_json: bool) -> None:
-    """List the trained models that ship, with their rates and quality."""
+    """List the trained models that ship, with their rate and quality."""
     if as_json:
         cards = {model.name: {**model.card, "image_sha256": sha256(model.image).hex()} for model in models.shipped()}
         click.echo(json.dumps(cards, indent=2, allow_nan=False))
@@ -52,20 +51,13 @@ def list_models(as_json: bool) -> None:
 
 
 def _row(model: models.Model) -> tuple[str, ...]:
-    """Return a model's cells in the table; the last two are ranges, on the recordings that were held back."""
+    """Return a model's cells in the table; the last two are means over the recordings that were held back."""
     card = model.card
-    shape = card.get("shape", {})
-    points = card.get("results", {}).get("points", [])
+    point = card.get("results", {}).get("point", {})
     return (
         model.name,
         str(card["codec"]),
-        str(shape.get("width", "")),
+        str(card.get("shape", {}).get("width", "")),
         str(len(model.image)),
-        str(shape.get("rates", "")),
-        _range([point["snr_db"] for point in points]),
-        _range([point["bits_per_sample"] for point in points]),
+        *(f"{point[name]:.2f}" if name in point else "" for name in ("snr_db", "bits_per_sample")),
     )
-
-
-def _range(values: list[Any]) -> str:
-    return f"{min(values):.1f} to {max(values):.1f}" if values else ""

@@ -42,6 +42,13 @@ def reject_replacing_others(folder: Path) -> None:
     help="What the image holds for decoding: the integer network, the ONNX graph, or both, the network preferred.",
 )
 @click.option(
+    "--prior",
+    type=click.Choice(("adaptive", "static")),
+    default="adaptive",
+    show_default=True,
+    help="Whether the probabilities of the prior adapt to each stream, as in the EVA paper, or stay as trained.",
+)
+@click.option(
     "--data",
     "data_folder",
     type=INPUT,
@@ -56,12 +63,13 @@ def export(
     model_version: str,
     out: Path | None,
     runtime: Any,
+    prior: Any,
     data_folder: Path,
     training_command: str | None,
 ) -> None:
     """Write a folder with ONNX graphs, model image and card of a trained model.
 
-    The data that it was trained on prepare its integers and tables; what was held back is what its card measures it on.
+    The data that it was trained on set the ranges of its integers; what was held back is what its card measures it on.
     The folder is written whole or not at all; one that holds a model is replaced.
     """
     extras.require("train")
@@ -85,9 +93,9 @@ def export(
             update(0, "reading the training's data")
             traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
             trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
-            update(0, "integers and tables")
+            update(0, "integers")
             made = package.make(
-                loaded, name, model_version, runtime, [trace.samples.astype(np.float64) for trace in trained]
+                loaded, name, model_version, runtime, [trace.samples.astype(np.float64) for trace in trained], prior
             )
             commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
             card = model_card.made(loaded, made, trained, held_back, commands, update)
@@ -98,8 +106,8 @@ def export(
             (partial / file).write_bytes(data)
         (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
         (partial / "card.md").write_text(model_card.as_markdown(card), encoding="utf-8")
-    points = card["results"]["points"]
+    point = card["results"]["point"]
     click.echo(
-        f"{out}: {name}, image of {len(made.image)} bytes, {points[0]['snr_db']:.1f} to {points[-1]['snr_db']:.1f} dB "
-        f"at {points[0]['bits_per_sample']:.2f} to {points[-1]['bits_per_sample']:.2f} bit/sample"
+        f"{out}: {name}, image of {len(made.image)} bytes, {point['snr_db']:.1f} dB at "
+        f"{point['bits_per_sample']:.2f} bit/sample"
     )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import codec, models, progress, textures
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, smallest_first
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, default_model
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
@@ -128,7 +128,7 @@ def live(
     model = coding.model
     chosen = chosen_codec(coding.codec_name, model)
     if chosen.needs_model and model is None:
-        model = smallest_first(chosen)[0]
+        model = default_model(chosen)
     with devices.connect(address) as controller, progress.bar("streaming") as update:
         if model is not None:
             uploader.provide(controller, address, model.image)

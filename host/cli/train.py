@@ -34,8 +34,8 @@ def train(
 ) -> None:
     """Train a model as CONFIG describes it.
 
-    examples/eva-16.toml is a CONFIG. OUT/NAME/best.pt is the checkpoint to export. A sweep runs its trainings side by
-    side, each on one core.
+    examples/eva.toml is a CONFIG. OUT/NAME/checkpoint.pt is the checkpoint to export. A sweep runs its trainings side
+    by side, each on one core.
     """
     extras.require("train")
     from vibrocast.export import configuration, training

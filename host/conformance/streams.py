@@ -22,7 +22,7 @@ SECONDS = 0.4
 # Moderate: no limit of the actuator acts. Of the displacement, or of the drive, from rest.
 STRENGTH = 0.1
 TONE_HZ = 150.0
-MODEL = "eva-16"
+MODEL = "eva-16-4"
 # What needs no model image; the first that the controller has is played where a test needs no other.
 PLAIN_CODECS = tuple(known.name for known in codec.BUILT_IN.values() if known.keeps_waveform and not known.needs_model)
 SignalMaker = Callable[[int, int, str, float, float], textures.Recording]

@@ -7,7 +7,7 @@ import numpy as np
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import Codec, CodecError, Framing, Setting, Signal, Source
-from vibrocast.codec.encoding import Encoding, encoder_model, smallest_first
+from vibrocast.codec.encoding import Encoding, encoder_model, families
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
 from vibrocast.codec.registry import LIVE_REFRESH_S
@@ -53,13 +53,14 @@ _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
 
 @dataclass(frozen=True)
 class CodingOption:
-    """An option to code: all but the quality. `block`: samples, None where the codec has one length only.
+    """An option to code: all but the quality. `family`: of models, None = no model. `block`: samples, None where the
+    codec has one length only.
 
     `rate_limit_bps`: what the rate is capped to keep, over any second; None = every packet is by the setting.
     """
 
     codec: str
-    model: str | None
+    family: str | None
     block: str | None
     rate_limit_bps: float | None = None
 
@@ -68,12 +69,12 @@ class CodingOption:
         """What a person calls it."""
         block = "".join(f", {name} {value}" for name, value in self._known.block_setting(self.block).items())
         capped = "" if self.rate_limit_bps is None else f", capped to {self.rate_limit_bps:g} bit/s"
-        return (self.codec if self.model is None else f"{self.codec} with {self.model}") + block + capped
+        return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + capped
 
     @property
     def decoder(self) -> str:
         """Its name in the tables of what decoding costs."""
-        return self.model or self.codec
+        return self.family or self.codec
 
     @property
     def given(self) -> Setting:
@@ -95,6 +96,7 @@ class MeasuredCoding:
     """
 
     option: CodingOption
+    model: str | None
     setting: Setting
     target: RateTarget | None
     packet_samples: int
@@ -196,7 +198,7 @@ class Evaluator:
                 )
         self.excerpt = self.whole if self.over_position else _strongest(self.whole)
         self.drive_s = self._drive_s()
-        self._settings: dict[CodingOption, list[Setting]] = {}
+        self._settings: dict[CodingOption, list[tuple[str | None, Setting]]] = {}
         self._measured: dict[tuple[CodingOption, int, int, bool], MeasuredCoding | None] = {}
 
     @property
@@ -229,32 +231,52 @@ class Evaluator:
         for name, each in codec.CODECS.items():
             if self._waveform and not each.keeps_waveform:
                 continue
-            shipped = [model.name for model in smallest_first(each)]
+            shipped = [members[0].family for members in families(each)]
             names = shipped if each.needs_model else [None, *shipped]
-            found += [CodingOption(name, model, block) for model in names for block in each.blocks or (None,)]
+            found += [CodingOption(name, family, block) for family in names for block in each.blocks or (None,)]
         longest = MAX_PACKET_S * self.samples_per_second
         found = [option for option in found if option.block is None or int(option.block) <= longest]
         return [option for option in found if core is None or costs.decoder_cost(option.decoder, core) is not None]
 
-    def settings(self, option: CodingOption) -> list[Setting]:
-        """Return the settings of an option, the coarsest first; empty where it has none for this texture."""
+    def settings(self, option: CodingOption) -> list[tuple[str | None, Setting]]:
+        """Return the settings of an option, each with the model of the family that it is for, the coarsest first.
+
+        Empty where it has none for this texture.
+        """
         if option not in self._settings:
             chosen = codec.codec_by_name(option.codec)
             part = self.excerpt
-            tables = encoder_model(None if option.model is None else models.find(option.model))
+            members = [None] if option.family is None else models.members(option.family)
+            found: list[tuple[str | None, Setting]] = []
             try:
-                source = Source(part.samples, round(part.rate_hz), option.codec, part.unit, True, tables)
-                self._settings[option] = [chosen.complete(setting) for setting in settings(source, option.given)]
+                for model in members:
+                    source = Source(
+                        part.samples, round(part.rate_hz), option.codec, part.unit, True, encoder_model(model)
+                    )
+                    name = None if model is None else model.name
+                    found += [(name, chosen.complete(setting)) for setting in settings(source, option.given)]
             except CodecError:
-                self._settings[option] = []
+                found = []
+            self._settings[option] = found
         return self._settings[option]
 
-    def qualities(self, option: CodingOption) -> list[tuple[Setting, float | None]]:
-        """Return the settings of an option, the coarsest first; of a capped one, that with each SNR of a packet."""
+    def qualities(self, option: CodingOption) -> list[tuple[str | None, Setting, float | None]]:
+        """Return models and settings of an option, the coarsest first; of a capped one, with each SNR of a packet."""
+        every = self.settings(option if option.rate_limit_bps is None else replace(option, rate_limit_bps=None))
         if option.rate_limit_bps is None:
-            return [(setting, None) for setting in self.settings(option)]
+            return [(model, setting, None) for model, setting in every]
         setting = codec.codec_by_name(option.codec).complete(option.given)
-        return [(setting, snr_db) for snr_db in PACKET_SNRS_DB]
+        return [(self._model_for(option, snr_db), setting, snr_db) for snr_db in PACKET_SNRS_DB]
+
+    def _model_for(self, option: CodingOption, snr_db: float) -> str | None:
+        """Return the model of an option's family whose own step comes nearest to an SNR from above; else the finest."""
+        own = replace(option, rate_limit_bps=None)
+        every = [model for model, _ in self.settings(own)]
+        if len(set(every)) < 2:
+            return every[0] if every else None
+        coded = (self.evaluate(own, index, PACKET_BLOCKS[-1]) for index in range(len(every)))
+        reached = (each is not None and (each.snr_db is None or each.snr_db >= snr_db) for each in coded)
+        return next((model for model, enough in zip(every, reached, strict=True) if enough), every[-1])
 
     def packet_blocks(self, option: CodingOption) -> list[int]:
         """Return the packet lengths of an option, in blocks."""
@@ -280,14 +302,14 @@ class Evaluator:
     def _coded(
         self, option: CodingOption, index: int, packet_blocks: int, recording: Recording, every: bool
     ) -> MeasuredCoding:
-        setting, packet_snr_db = self.qualities(option)[index]
+        model_name, setting, packet_snr_db = self.qualities(option)[index]
         target = None
         if option.rate_limit_bps is not None:
             target = RateTarget(capped_rate_bps=math.floor(_CAP * option.rate_limit_bps), snr_db=packet_snr_db)
         rate_hz = self.samples_per_second
         packet_samples = packet_blocks * _block_samples(option)
         refresh_packets = max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples))
-        model = None if option.model is None else models.find(option.model)
+        model = None if model_name is None else models.find(model_name)
         encoding = encode(
             recording,
             option.codec,
@@ -312,6 +334,7 @@ class Evaluator:
         spectral = every or self._measure == "third_octave_distance_db"
         return MeasuredCoding(
             option=option,
+            model=model_name,
             setting=setting,
             target=target,
             packet_samples=decoder.packet_samples,

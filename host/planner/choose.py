@@ -295,7 +295,7 @@ def _planned(choice: TextureChoice) -> PlannedTexture:
         hand_speed_mm_s=evaluator.hand_speed_mm_s,
         over_position=evaluator.over_position,
         codec=measured.option.codec,
-        model=measured.option.model,
+        model=measured.model,
         setting=measured.setting,
         rate=evaluator.band.rate,
         lowest=evaluator.band.lowest,

@@ -96,7 +96,7 @@ def _candidate_rows(choice: TextureChoice) -> Iterator[CandidateRow]:
         yield CandidateRow(
             choice.name,
             measured.option.codec,
-            measured.option.model,
+            measured.model,
             json.dumps(measured.setting),
             target.snr_db,
             target.capped_rate_bps,

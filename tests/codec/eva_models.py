@@ -1,4 +1,4 @@
-"""Models of EVA for tests: the tiny one that tests.codec.make_eva_model trained, and ones of random integers."""
+"""Models of EVA for tests: the tiny one that tests.codec.make_eva_model wrote, and ones of random integers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from vibrocast import models
-from vibrocast.codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation, PriorKind
-from vibrocast.codec.mdct import built_in_tables
+from vibrocast.codec.eva_image import DECISIONS, Convolution, EvaImage, IntegerNetwork, Normalisation, PriorKind
 
 FOLDER = Path(__file__).parent
 
 
 def tiny_model() -> models.Model:
-    """Return the tiny model: 16 channels, 8 rates, contexts, integers and graph."""
+    """Return the tiny model: 16 channels, integers and graph."""
     analysis = (FOLDER / "tiny_eva_analysis.onnx").read_bytes()
     path = FOLDER / "tiny_eva.vcmi"
     return models.Model("tiny", path, path.read_bytes(), analysis)
@@ -34,22 +33,12 @@ def random_network(generator: np.random.Generator, width: int, latents: int) -> 
     return IntegerNetwork((first, second, third), (convolutions[0], convolutions[1], convolutions[2]))
 
 
-def random_image(
-    seed: int, width: int = 4, latents: int = 3, rates: int = 2, prior: PriorKind = "contexts"
-) -> EvaImage:
+def random_image(seed: int, width: int = 4, latents: int = 3, prior: PriorKind = "adaptive") -> EvaImage:
     """Return an image with a random integer network and no graph."""
     generator = np.random.default_rng(seed)
-    falling = 64 * (15 - np.arange(rates))[:, None] + generator.integers(0, 64, (rates, latents))
-    probabilities = generator.integers(0, 65536, (rates, latents, 16)).astype(np.uint16)
-    return EvaImage(
-        width,
-        falling.astype(np.uint16),
-        10,
-        built_in_tables() if prior == "contexts" else probabilities,
-        random_network(generator, width, latents),
-        b"",
-        "core",
-    )
+    probabilities = generator.integers(0, 65536, (latents, DECISIONS)).astype(np.uint16)
+    fraction_bits = int(generator.integers(0, 15))
+    return EvaImage(width, fraction_bits, probabilities, prior, random_network(generator, width, latents), b"", "core")
 
 
 def with_extreme_weights(image: EvaImage, seed: int) -> EvaImage:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.codec.reference_decoder import Channel, Coarseness, Model, RangeDecoder, bounded, decode_block, suffix
+from tests.codec.reference_decoder import Coarseness, RangeDecoder, bounded, suffix
 from vibrocast.codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation
 
 Columns = NDArray[np.int64]
@@ -67,10 +67,9 @@ class EvaReferenceDecoder:
         self.image = EvaImage.unpack(payload)
         head = 1 + (configuration[0] >> 7)
         self.columns = configuration[0] & 0x7F | (configuration[1] << 7 if head == 2 else 0)
-        fields = np.frombuffer(configuration, [("level", "<u2"), ("quality", "u1")], channels, head)
-        self.rate_controlled = configuration[head + 3 * channels :] == b"\x01"
-        self.levels = [(64 + int(code) % 64) << int(code) // 64 for code in fields["level"]]
-        self.qualities = [int(quality) for quality in fields["quality"]]
+        codes = np.frombuffer(configuration, "<u2", channels, head)
+        self.rate_controlled = configuration[head + 2 * channels :] == b"\x01"
+        self.levels = [(64 + int(code) % 64) << int(code) // 64 for code in codes]
 
     def latents(self, packets: list[bytes]) -> NDArray[np.int64]:
         """Latents (channels, columns of all packets, latents) in the model's unit."""
@@ -88,32 +87,37 @@ class EvaReferenceDecoder:
     def _packet(self, packet: bytes) -> NDArray[np.int64]:
         start = next(i for i, byte in enumerate(packet) if byte < 0x80) + 1
         if packet[0] & 1:
-            self.known = [Channel(self.image.latents) for _ in self.levels]
-            self.model = Model(self.image.prior) if isinstance(self.image.prior, bytes) else None
+            self.probabilities = [self.image.probabilities.astype(int).tolist() for _ in self.levels]
+            self.coded = [0 for _ in self.levels]
             self.quantiser_offset = Coarseness()
         coder = RangeDecoder(packet[start:])
         if self.rate_controlled:
             self.quantiser_offset.decode(coder)
-        levels = np.zeros((len(self.levels), self.columns, self.image.latents), dtype=np.int64)
-        for channel, (known, asked) in enumerate(zip(self.known, self.qualities, strict=True)):
-            quality = min(max(asked - 4 * self.quantiser_offset.value, 0), 16 * (self.image.rates - 1))
-            for row in levels[channel]:
-                if self.model is not None:
-                    decode_block(coder, self.model, known, row)
-                else:
-                    self._factorised(coder, row, quality)
-            values = levels[channel] * self.image.steps(quality)
-            rounded = np.sign(values) * ((np.abs(values) + 2048) // 4096)
-            levels[channel] = np.clip(rounded, -32767, 32767)
-        return levels
+        code = min(max(64 * (6 + self.image.fraction_bits) + 4 * self.quantiser_offset.value, 0), 1535)
+        step = (64 + code % 64) << code // 64
+        values = np.zeros((len(self.levels), self.columns, self.image.latents), dtype=np.int64)
+        for channel, columns in enumerate(values):
+            for column in columns:
+                self._column(coder, channel, column)
+        rounded = np.sign(values) * ((np.abs(values * step) + 2048) // 4096)
+        return np.asarray(np.clip(rounded, -32767, 32767))
 
-    def _factorised(self, coder: RangeDecoder, row: NDArray[np.int64], quality: int) -> None:
-        assert not isinstance(self.image.prior, bytes)
-        for k, probabilities in enumerate(self.image.prior[(quality + 8) // 16]):
+    def _column(self, coder: RangeDecoder, channel: int, column: NDArray[np.int64]) -> None:
+        coded = self.coded[channel]
+        shift = 3 if coded < 8 else 4 if coded < 24 else 5
+        for k, probabilities in enumerate(self.probabilities[channel]):
             magnitude = 0
-            while magnitude < 15 and coder.decode(bounded(int(probabilities[magnitude]))):
+            while magnitude < 15 and self._decision(coder, probabilities, magnitude, shift):
                 magnitude += 1
             if magnitude == 15:
                 magnitude += suffix(coder)
-            negative = magnitude > 0 and coder.decode(bounded(int(probabilities[15])))
-            row[k] = -magnitude if negative else magnitude
+            negative = magnitude > 0 and self._decision(coder, probabilities, 15, shift)
+            column[k] = -magnitude if negative else magnitude
+        self.coded[channel] += 1
+
+    def _decision(self, coder: RangeDecoder, probabilities: list[int], decision: int, shift: int) -> bool:
+        probability = probabilities[decision]
+        bit = coder.decode(bounded(probability))
+        if self.image.prior == "adaptive":
+            probabilities[decision] += (65535 - probability) >> shift if bit else -(probability >> shift)
+        return bool(bit)

@@ -169,7 +169,7 @@ static int run_eva(void)
 {
     vc_eva_decoder *decoder = malloc(vc_eva_decoder_size());
     vc_eva_encoder *encoder = malloc(vc_eva_encoder_size());
-    uint8_t *model, *bytes, packet[3000], *tables = malloc(vc_mdct_tables_size());
+    uint8_t *model, *bytes, packet[3000];
     int16_t *samples, *latents;
     int32_t *values;
     size_t model_length, length, count, columns, i;
@@ -179,7 +179,7 @@ static int run_eva(void)
         return 2;
     channels = (unsigned)kind;
     if (vc_eva_decoder_init(decoder, bytes, length, channels, model, model_length) != VC_OK ||
-        vc_eva_encoder_init(encoder, bytes, length, channels, model, model_length, 3, 96) != VC_OK)
+        vc_eva_encoder_init(encoder, bytes, length, channels, model, model_length, 3) != VC_OK)
         return 0;
     free(bytes);
     count = (size_t)vc_eva_decoder_packet_samples(decoder) * channels;
@@ -203,8 +203,6 @@ static int run_eva(void)
             return 3;
         free(bytes);
     }
-    vc_eva_encoder_tables(encoder, tables);
-    free(tables);
     free(samples);
     free(latents);
     free(values);

@@ -174,10 +174,10 @@ def test_random_configurations_of_slp(program: Path) -> None:
 @pytest.mark.parametrize(("width", "latents"), [(1, 1), (9, 17), (17, 9)])
 def test_eva_streams_with_losses_and_noise(program: Path, width: int, latents: int, prior: PriorKind) -> None:
     generator = np.random.default_rng(5)
-    image = random_image(1, width, latents, 3, prior)
+    image = random_image(1, width, latents, prior)
     for model, channels in ((image, 1), (with_extreme_weights(image, 2), 16)):
         rate_controlled = channels > 1
-        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, [32] * channels, rate_controlled)
+        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, rate_controlled)
         records = record(0, model.pack()) + record(channels, configuration)
         records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(0, 256, 17))
         for sequence in range(30):
@@ -192,10 +192,10 @@ def test_damaged_models_and_configurations_of_eva(program: Path) -> None:
     for trial in range(40):
         model = bytearray(random_image(trial, prior=PRIOR_KINDS[trial % 2]).pack())
         if trial > 3:
-            model[generator.integers(10 if trial % 4 else len(model))] = generator.integers(256)
+            model[generator.integers(9 if trial % 4 else len(model))] = generator.integers(256)
             model = model[: len(model) - int(generator.choice([0, 0, 1, 500]))]
         head = generator.integers(0, 256, int(generator.integers(8)), dtype=np.uint8).tobytes()
-        configuration = head if trial % 3 else eva.configuration(3, [700], [0])
+        configuration = head if trial % 3 else eva.configuration(3, [700])
         records = record(0, bytes(model)) + record(1, configuration) + record(0, b"\x01" + generator.bytes(150))
         done = run(program, records, "eva")
         assert done.returncode == 0, done.stderr.decode()

@@ -44,7 +44,7 @@ MDCT = codec.CODECS["mdct"]
 STEP = RatePoint("mdct", {"step": 0.25})
 TINY = tiny_model()
 QUICK = Scope(methods(["mdct", "dct", "slp", "eva"], [TINY]), quick=True, recordings=(wood(0, 0.5),))
-LEARNED = RatePoint("eva", {"quality": 2.0}, TINY)
+LEARNED = RatePoint("eva", {"level": 2.0}, TINY)
 
 
 def hold() -> Measured:
@@ -313,8 +313,8 @@ def test_a_source_with_its_own_pace_runs_dry_by_the_drift(monkeypatch: pytest.Mo
 def test_a_trained_model_is_tried_as_codecs_are() -> None:
     assert [method.name for method in QUICK.learned] == ["tiny"]
     assert signals.measure(LEARNED, "texture").outcome is Outcome.HOLDS
-    assert RatePoint("eva", {"quality": 2.0}, tiny_model()) == LEARNED != RatePoint("eva", {"quality": 2.5}, TINY)
-    assert hash(RatePoint("eva", {"quality": 2.0}, tiny_model())) == hash(LEARNED)
+    assert RatePoint("eva", {"level": 2.0}, tiny_model()) == LEARNED != RatePoint("eva", {"level": 2.5}, TINY)
+    assert hash(RatePoint("eva", {"level": 2.0}, tiny_model())) == hash(LEARNED)
 
 
 @pytest.mark.usefixtures("played_once")
@@ -356,7 +356,7 @@ def test_a_quiet_passage_is_judged_alone() -> None:
 def test_a_wrong_level_costs_quality_in_either_runtime() -> None:
     for runtime in codec.RUNTIMES:
         right, wrong = (
-            learned_signals.measure_level(RatePoint("eva", {"quality": 2.0, "level": level}, TINY), runtime, "texture")
+            learned_signals.measure_level(RatePoint("eva", {"level": level}, TINY), runtime, "texture")
             for level in (1.0, 0.001)
         )
         assert right.outcome is Outcome.HOLDS

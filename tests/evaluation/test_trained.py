@@ -28,16 +28,10 @@ def with_image(model: Model, name: str, image: EvaImage) -> Model:
     return replace(model, name=name, image=packed)
 
 
-def with_rates(name: str, rates: slice) -> Model:
-    """Return the tiny model by another name with some of its rates."""
+def member(number: int) -> Model:
+    """Return the tiny model by another name, as a member of a family."""
     tiny = tiny_model()
-    image = EvaImage.unpack(tiny.tables)
-    return with_image(tiny, name, replace(image, step_codes=image.step_codes[rates]))
-
-
-def one_rate(name: str, rate: int) -> Model:
-    """Return the tiny model with one of its rates only, as one of a family."""
-    return replace(with_rates(name, slice(rate, rate + 1)), card={"family": "steps"})
+    return replace(with_image(tiny, f"step-{number}", EvaImage.unpack(tiny.tables)), card={"family": "steps"})
 
 
 @pytest.fixture
@@ -45,33 +39,27 @@ def recording() -> Recording:
     return wood(1, 0.5)
 
 
-def test_a_model_of_several_rates_has_the_rate_points_that_differ() -> None:
-    (method,) = cells.families([with_rates("four", slice(4))])
-    assert (method.name, method.coder) == ("four", "eva")
-    assert [setting["quality"] for setting in method.settings if not isinstance(setting, str)] == [
-        half / 2 for half in range(7)
-    ]
-
-
-def test_models_of_one_rate_make_one_curve(recording: Recording) -> None:
-    models = [one_rate(f"step-{rate}", rate) for rate in (2, 0)]
-    (method,) = cells.families(models)
-    assert (method.name, [model.name for model in method.models]) == ("steps", ["step-0", "step-2"])
+def test_a_model_has_one_rate_point_and_a_family_one_for_each(recording: Recording) -> None:
+    (method,) = cells.families([member(2), member(0)])
+    assert (method.name, method.coder, [model.name for model in method.models]) == (
+        "steps",
+        "eva",
+        ["step-0", "step-2"],
+    )
     points = [
         Cell("wood", recording, method, setting, 0, model).measure().point for setting, model in method.rate_points
     ]
-    assert [point.setting for point in points] == ["quality=0 model=step-0", "quality=0 model=step-2"]
-    assert points[0].bytes_total < points[1].bytes_total
+    assert [point.setting for point in points] == ["level=1 model=step-0", "level=1 model=step-2"]
 
 
 def test_the_model_is_in_the_key(recording: Recording) -> None:
     tiny = tiny_model()
     (method,) = cells.families([tiny])
-    cell = Cell("wood", recording, method, {"quality": 1.0}, 0, tiny)
+    cell = Cell("wood", recording, method, {"level": 1.0}, 0, tiny)
     others = [
         replace(cell, model=replace(tiny, name="other")),
         replace(cell, model=replace(tiny, analysis=tiny.analysis + b"\0")),
-        replace(cell, model=one_rate("tiny", 0)),
+        replace(cell, model=replace(member(0), name="tiny")),
         replace(cell, model=None),
     ]
     assert len({each.key for each in (cell, *others)}) == 1 + len(others)
@@ -79,7 +67,7 @@ def test_the_model_is_in_the_key(recording: Recording) -> None:
 
 
 def test_names_stand_for_codecs_rate_point_sets_and_families() -> None:
-    models = [tiny_model(), one_rate("step-0", 0)]
+    models = [tiny_model(), member(0)]
     every = cells.methods([], models=models)
     assert [method.name for method in every][-2:] == ["tiny", "steps"]
     assert not {method.name for method in cells.methods([])} & {"eva", "tiny"}
@@ -96,9 +84,9 @@ def test_a_family_costs_its_images_without_their_graphs() -> None:
     image = EvaImage.unpack(tiny.tables)
     without = with_image(tiny, "tiny", replace(image, graph=b"", runtime="core"))
     assert trained.flash_bytes(tiny) == len(without.image) < len(tiny.image)
-    (family,) = cost.measure_costs(cells.coders(cells.families([one_rate("step-0", 0), one_rate("step-1", 1)])))
+    (family,) = cost.measure_costs(cells.coders(cells.families([member(0), member(1)])))
     assert (family.codec, family.coder, family.width) == ("steps", "eva", 16)
-    assert family.model_bytes == 2 * trained.flash_bytes(one_rate("step-0", 0))
+    assert family.model_bytes == 2 * trained.flash_bytes(member(0))
     assert family.decoder_bytes == cost.decoder_bytes("eva")
     assert family.flash_bytes == (family.decoder_bytes or 0) + family.model_bytes
     assert "2 images" in family.note
@@ -123,23 +111,22 @@ def test_speed_is_timed_at_the_setting_nearest_to_the_ratio_by_every_runtime(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(speed, "SAMPLES", 3000)
-    (method,) = cells.families([tiny_model()])
-    points = points_of(method, {"quality=0": 0.5, "quality=1": 1.5, "quality=3": 2.9})
+    (method,) = cells.families(list(map(member, range(3))))
+    points = points_of(method, {f"level=1 model=step-{number}": bits for number, bits in enumerate((0.5, 1.5, 2.9))})
     told: list[tuple[float, str]] = []
     speeds = speed.measure([method], points, [recording], 1, lambda *done: told.append(done))
     found = [each for each in speeds if isinstance(each, Speed)]
     assert [(each.rate, each.runtime, each.setting) for each in found] == [
-        (1.6, "core", "quality=1"),
-        (1.6, "onnx", "quality=1"),
-        (3.0, "core", "quality=3"),
-        (3.0, "onnx", "quality=3"),
+        (1.6, "core", "level=1 model=step-1"),
+        (1.6, "onnx", "level=1 model=step-1"),
+        (3.0, "core", "level=1 model=step-2"),
+        (3.0, "onnx", "level=1 model=step-2"),
     ]
     assert all(
         each.samples == 3000 and each.encode_s_per_megasample > 0 < each.decode_s_per_megasample for each in found
     )
-    assert found[0].bits_per_sample == found[1].bits_per_sample < found[2].bits_per_sample
     assert found[0].snr_db == pytest.approx(found[1].snr_db, abs=1)
-    assert told == [(1.0, "tiny")]
+    assert told == [(1.0, "steps")]
 
 
 def test_a_codec_that_fails_costs_only_its_own_speed(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,7 +150,7 @@ def test_all_traces_make_one_signal() -> None:
 
 @pytest.mark.slow
 def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path: Path, recording: Recording) -> None:
-    (method,) = cells.families([with_rates("two", slice(2))])
+    (method,) = cells.families([member(0), member(1)])
     traces = [DatasetEntry("wood", tmp_path / "wood.wav")]
 
     def run(name: str, work: Callable[[Iterator[bench.Task]], bench.Outcomes]) -> list[Measured | Failure]:
@@ -177,7 +164,7 @@ def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path:
 
     spread = partial(workers.on_cores, processes=2)
     whole = run("whole", spread)
-    assert len(whole) == 3 and all(isinstance(each, Measured) for each in whole)
+    assert len(whole) == 2 and all(isinstance(each, Measured) for each in whole)
     with pytest.raises(KeyboardInterrupt):
         run("cut", cut)
     assert run("cut", spread) == whole

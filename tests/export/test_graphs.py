@@ -10,7 +10,7 @@ from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
 from vibrocast.export import graphs
 from vibrocast.export.eva import Eva, EvaShape
 
-SHAPE = EvaShape(width=6, latents=5, rates=2)
+SHAPE = EvaShape(width=6, latents=5)
 
 
 def model(seed: int = 1) -> Eva:

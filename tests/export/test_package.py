@@ -7,7 +7,7 @@ from tests.export import tiny
 from vibrocast import textures
 from vibrocast.codec import CodecError
 from vibrocast.codec.encoding import encode_recording
-from vibrocast.codec.eva_image import EvaImage
+from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.package import Contents, make
@@ -28,7 +28,7 @@ def test_an_image_holds_what_was_asked_for(contents: Contents) -> None:
     image = EvaImage.unpack(ModelImage.unpack(package.image).payload)
     assert (image.network is not None, bool(image.graph)) == (contents != "onnx", contents != "core")
     assert image.runtime == ("onnx" if contents == "onnx" else "core")
-    np.testing.assert_array_equal(image.step_codes, both.step_codes)
+    np.testing.assert_array_equal(image.probabilities, both.probabilities)
     assert (package.full == package.image) == (contents == "both")
 
 
@@ -36,15 +36,18 @@ def test_an_image_holds_what_was_asked_for(contents: Contents) -> None:
 def test_a_runtime_that_an_image_does_not_have_is_rejected(contents: Contents, missing: str) -> None:
     with pytest.raises(CodecError, match=f"runtime {contents}"):
         encode_recording(
-            textures.GENERATORS["rough"](5, 0.3), setting={"quality": 2}, model=tiny.model(contents), runtime=missing
+            textures.GENERATORS["rough"](5, 0.3), setting={"level": 1.0}, model=tiny.model(contents), runtime=missing
         )
 
 
-def test_models_of_one_rate_are_a_family() -> None:
-    signals = [textures.GENERATORS["rough"](1, 1.0).samples[:, 0]]
-    single = tiny.checkpoint("factorised", (10.0,))
-    assert make(single, "eva-paper-32-4", "1", "core", signals).family == "eva-paper-32"
-    assert make(tiny.checkpoint(), "eva-16", "1", "core", signals).family == "eva-16"
+def test_numbered_models_are_a_family() -> None:
+    assert tiny.package(name="eva-16-4").family == "eva-16"
+    assert tiny.package(name="tiny").family == "tiny"
+
+
+@pytest.mark.parametrize("prior", PRIOR_KINDS)
+def test_the_prior_of_an_image_is_the_one_asked_for(prior: PriorKind) -> None:
+    assert EvaImage.unpack(tiny.model("core", prior=prior).tables).prior == prior
 
 
 def test_without_any_signal_there_are_no_integers() -> None:

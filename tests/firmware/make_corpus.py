@@ -43,7 +43,7 @@ from vibrocast.device_protocol.model_image import ModelImage, sha256
 HEADER = StreamHeader(
     1, RATE_HZ, 700, "m/s^2", (2.5, 1.0), mdct.configuration(16, 4, [700, 700], 3), b"\x01\x02\x03\x04"
 )
-IMAGE = ModelImage(4, "oak", "1.0", "board", random_image(1, 2, 2, 1).pack()).pack()
+IMAGE = ModelImage(4, "oak", "1.0", "board", random_image(1, 2, 2).pack()).pack()
 SETTINGS: tuple[tuple[str, Setting], ...] = (
     ("mdct", {"step": 0.05}),
     ("mdct", {"step": 0.05, "noise_filling": 0.1, "hop": "16"}),
@@ -108,10 +108,10 @@ def streams() -> list[bytes]:
     inputs += [rate_controlled(name, setting) for name, setting in SETTINGS if codec.codec_by_name(name).controls_rate]
     generator = np.random.default_rng(1)
     for prior, is_rate_controlled in itertools.product(PRIOR_KINDS, (False, True)):
-        configuration = eva.configuration(3, [700], [8], is_rate_controlled)
+        configuration = eva.configuration(3, [700], is_rate_controlled)
         header = StreamHeader(4, RATE_HZ, None, "um", (1.0,), configuration, b"hash")
         noise = [pack_varint(2 * number + (number % 4 == 0)) + generator.bytes(30) for number in range(8)]
-        model = random_image(2, 2, 3, 1, prior).pack()
+        model = random_image(2, 2, 3, prior).pack()
         inputs.append(b"".join(map(record, [model, header.pack(), *noise[:2], b"", *noise[3:]])))
     return inputs
 
@@ -169,10 +169,10 @@ def controllers() -> list[bytes]:
     with_holes = StreamData(
         7, 0, tuple(packet for number, packet in enumerate(coded.packets) if number not in (1, 3, 4))
     )
-    image = ModelImage(4, "oak", "1.0", "", random_image(1, 2, 2, 1, "factorised").pack()).pack()
+    image = ModelImage(4, "oak", "1.0", "", random_image(1, 2, 2).pack()).pack()
     begin = FlashBegin(1, len(image), sha256(image), "board")
     pieces = [FlashData(1, offset, image[offset : offset + 400]) for offset in range(0, len(image), 400)]
-    configuration = eva.configuration(5, [700], [0])
+    configuration = eva.configuration(5, [700])
     noise = StreamData(8, 0, tuple(pack_varint(2 * number + (number == 0)) + bytes(range(20)) for number in range(8)))
     learned = StreamHeader(4, RATE_HZ, 600, "full scale", (1.0,), configuration, sha256(image)[:4])
     flashing = [begin, *pieces, FlashVerify(1), FlashActivate(1), Hello(), FlashConfirm(1)]

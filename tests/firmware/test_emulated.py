@@ -43,7 +43,7 @@ from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory
 from vibrocast.simulated_device.stm32f405 import Stm32F405
 
-LEARNED = "eva-16"
+LEARNED = "eva-16-4"
 START_US, BOARD_DAC_HZ = 300_000, 3000
 
 

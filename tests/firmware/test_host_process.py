@@ -36,7 +36,7 @@ def test_stream_is_played_as_computed_and_goes_to_the_file_of_codes(tmp_path: Pa
 
 
 def test_images_are_kept_in_the_flash_file(tmp_path: Path) -> None:
-    image = models.find("eva-16").image
+    image = models.find("eva-16-4").image
     with HostProcess("--flash", tmp_path / "flash") as process, Host(SerialTransport(process.name)) as host:
         kept = uploader.flash(host, image)
     with HostProcess("--flash", tmp_path / "flash") as process, Host(SerialTransport(process.name)) as host:

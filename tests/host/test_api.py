@@ -238,7 +238,7 @@ def encoded(**options: Any) -> Any:
         (lambda: encoded(progress=5), "`progress` is of type int"),
         (lambda: untyped.encode("wood.wav"), "`samples` is a path"),
         (lambda: untyped.decode(TEXTURE), "`data` is of type ndarray"),
-        (lambda: untyped.decode(STREAM, model="eva-16"), "leave out `model`"),
+        (lambda: untyped.decode(STREAM, model="eva-16-4"), "leave out `model`"),
         (lambda: untyped.decode(STREAM, progress=5), "`progress` is of type int"),
         (lambda: untyped.Stream.from_bytes("VCT"), "`data` is of type str"),
         (lambda: untyped.Stream.save(STREAM, None), "`path` is of type NoneType"),

@@ -1,4 +1,4 @@
-"""Which model is used where none is named: the smallest that ships and can do what is asked of this signal."""
+"""Which model is used where none is named: of the smallest family that can do what is asked of this signal."""
 
 from pathlib import Path
 
@@ -8,18 +8,22 @@ import pytest
 from tests.cli.test_command_line import fails, succeeds
 from tests.export import tiny
 from vibrocast import models, textures
-from vibrocast.codec import CodecError, TargetUnreachable
-from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec import CODECS, CodecError, TargetUnreachable
+from vibrocast.codec.encoding import default_model, encode_recording
+from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.codec.rate_controlled import encode as encode_rate_controlled
 from vibrocast.codec.stream import read_stream
 
 
 @pytest.fixture(autouse=True)
 def shipped(monkeypatch: pytest.MonkeyPatch) -> tuple[models.Model, ...]:
-    """Three models: of a single rate, of low rates, of all rates; the images are larger from each to the next."""
+    """Two families: of three lambdas and, in larger images, of one that reaches more."""
     several = (
-        tiny.model("core", name="kin-1", lambdas=(100.0,)),
-        tiny.model("core", name="low", lambdas=(0.4, 1.0)),
-        tiny.model("both", name="all", lambdas=(0.4, 100.0)),
+        *(
+            tiny.model("core", name=f"low-{number}", lambda_=lambda_)
+            for number, lambda_ in enumerate((0.4, 2.0, 10.0), 1)
+        ),
+        tiny.model("both", name="fine-1", lambda_=1000.0),
     )
     assert [len(model.image) for model in several] == sorted(len(model.image) for model in several)
     monkeypatch.setattr(models, "shipped", lambda: several)
@@ -34,19 +38,39 @@ def chosen(**target: float) -> str | None:
     return encode_recording(texture(), codec_name="eva", **target).stream.model_name  # type: ignore[arg-type]
 
 
-def test_the_smallest_that_meets_the_snr() -> None:
-    assert chosen(snr_db=4) == "low"
-    assert chosen(snr_db=15) == "all"
-    assert chosen() == "all"
+@pytest.mark.parametrize(("snr_db", "names"), [(3, {"low-1"}), (12, {"low-2", "low-3"}), (25, {"fine-1"})])
+def test_the_smallest_family_that_meets_the_snr_and_a_member_near_it(snr_db: float, names: set[str]) -> None:
+    assert chosen(snr_db=snr_db) in names
 
 
-def test_the_smallest_that_meets_the_rate() -> None:
-    assert chosen(rate_bps=4000) == "low"
+def test_of_the_members_beside_the_snr_the_one_of_the_fewest_bits(shipped: tuple[models.Model, ...]) -> None:
+    best = encode_recording(texture(), codec_name="eva", snr_db=12).stream
+    for model in shipped[1:3]:
+        assert best.size_bytes <= encode_recording(texture(), model=model, snr_db=12).stream.size_bytes
 
 
-def test_a_setting_is_the_smallest_models() -> None:
-    stream = encode_recording(texture(), codec_name="eva", setting={"quality": 1}).stream
-    assert stream.model_name == "low"
+@pytest.mark.parametrize(("rate_bps", "names"), [(1500, {"low-1"}), (3300, {"low-2", "low-3"}), (30_000, {"low-3"})])
+def test_the_smallest_family_that_meets_the_rate_and_a_member_near_it(rate_bps: float, names: set[str]) -> None:
+    assert chosen(rate_bps=rate_bps) in names
+
+
+def test_where_nothing_is_asked_the_middle_of_the_smallest_family() -> None:
+    assert encode_recording(texture(), codec_name="eva", setting={"level": 1}).stream.model_name == "low-2"
+    assert default_model(CODECS["eva"]).name == "low-2"
+
+
+@pytest.mark.parametrize(
+    ("target", "names"),
+    [
+        (RateTarget(constant_rate_bps=2000), {"low-1", "low-2"}),
+        (RateTarget(constant_rate_bps=9000), {"low-3"}),
+        (RateTarget(snr_db=3), {"low-1", "low-2"}),
+        (RateTarget(error_db=0), {"low-2"}),
+    ],
+)
+def test_rate_controlled_streams_take_a_member_near_what_is_asked(target: RateTarget, names: set[str]) -> None:
+    stream, _ = encode_rate_controlled(texture(), target, codec_name="eva")
+    assert stream.model_name in names
 
 
 def test_what_none_can_do_is_rejected_with_what_the_largest_reaches() -> None:
@@ -58,7 +82,7 @@ def test_what_none_can_do_is_rejected_with_what_the_largest_reaches() -> None:
 
 def test_progress_never_falls_from_one_model_to_the_next() -> None:
     told: list[float] = []
-    encode_recording(texture(), codec_name="eva", snr_db=15, progress=told.append)
+    encode_recording(texture(), codec_name="eva", snr_db=25, progress=told.append)
     assert told == sorted(told)
     assert told[0] > 0 and told[-1] <= 1
 
@@ -66,7 +90,7 @@ def test_progress_never_falls_from_one_model_to_the_next() -> None:
 def test_a_model_that_is_named_is_used(shipped: tuple[models.Model, ...]) -> None:
     single = shipped[0]
     encoding = encode_recording(texture(), model=single)
-    assert (encoding.stream.codec_name, encoding.stream.model_name) == ("eva", "kin-1")
+    assert (encoding.stream.codec_name, encoding.stream.model_name) == ("eva", "low-1")
 
 
 def test_without_any_model_the_error_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,7 +103,7 @@ def test_streams_find_their_model_again(tmp_path: Path) -> None:
     stream = encode_recording(texture(), codec_name="eva").stream
     stream.save(tmp_path / "rough.vct")
     again = read_stream(tmp_path / "rough.vct")
-    assert again.facts()["model"] == "all"
+    assert again.facts()["model"] == stream.model_name
     np.testing.assert_array_equal(again.decode(), stream.decode())
 
 
@@ -95,16 +119,16 @@ def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monke
 def test_play_on_a_simulated_controller_needs_nothing_else(runtime: tuple[str, ...], tmp_path: Path) -> None:
     path = tmp_path / "rough.wav"
     textures.save(path, texture())
-    output = succeeds("play", path, "--codec", "eva", *runtime)
-    assert "codec eva, model all" in output
+    output = succeeds("play", path, "--codec", "eva", "--snr-db", 25, *runtime)
+    assert "codec eva, model fine-1" in output
     assert "decoded as sent  yes" in output
 
 
 def test_commands_name_the_model_that_they_chose(tmp_path: Path) -> None:
     path, coded = tmp_path / "rough.wav", tmp_path / "rough.vct"
     textures.save(path, texture())
-    assert "model low" in succeeds("encode", path, coded, "--codec", "eva", "--snr-db", 4)
-    assert "low" in succeeds("info", coded)
+    assert "model low-" in succeeds("encode", path, coded, "--codec", "eva", "--snr-db", 4)
+    assert "low-" in succeeds("info", coded)
     assert "runtime core" in fails(2, "decode", coded, tmp_path / "out.wav", "--runtime", "onnx")
     succeeds("decode", coded, tmp_path / "out.wav", "--runtime", "core")
     assert "decoded as sent  yes" in succeeds("play", coded)

@@ -84,17 +84,19 @@ def test_without_a_plan_what_it_makes_up_for_is_asked() -> None:
 
 def test_a_plan_says_what_to_flash_and_no_more_than_a_controller_runs(plan: Path, tmp_path: Path) -> None:
     text = re.sub(r'^model = ".*"\n', "", plan.read_text(), flags=re.MULTILINE)
-    text = text.replace('codec = "', 'model = "eva-16"\ncodec = "')
+    text = text.replace('codec = "', 'model = "eva-16-4"\ncodec = "')
     one = tmp_path / "one.toml"
     one.write_text(text.replace("../scene.toml", str(plan.parent.parent / "scene.toml")))
     result = run("flash", "--plan", one)
     assert result.exit_code == 0, result.stderr
-    assert result.stdout.startswith("one: eva-16 ") and "confirmed" in result.stdout
-    another = text[text.index("[[textures]]") :].replace('name = "wood"', 'name = "oak"').replace("eva-16", "eva-32")
+    assert result.stdout.startswith("one: eva-16-4 ") and "confirmed" in result.stdout
+    another = (
+        text[text.index("[[textures]]") :].replace('name = "wood"', 'name = "oak"').replace("eva-16-4", "eva-16-5")
+    )
     (tmp_path / "two.toml").write_text(text + another)
     result = run("flash", "--plan", tmp_path / "two.toml")
     assert result.exit_code == 2
-    assert "one runs one model at a time, and its textures need eva-16 and eva-32" in result.stderr
+    assert "one runs one model at a time, and its textures need eva-16-4 and eva-16-5" in result.stderr
 
 
 def test_what_is_measured_of_a_bench_is_measured_of_a_plan(plan: Path, tmp_path: Path) -> None:

@@ -72,12 +72,12 @@ def golden(name: str) -> CodedSignal:
 
 
 def image(name: str) -> bytes:
-    return ModelImage.unpack((STREAMS / f"golden_{name}.vcmi").read_bytes()).payload
+    return ModelImage.unpack((STREAMS / f"golden_{name.removesuffix('_steered')}.vcmi").read_bytes()).payload
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=str)
 @pytest.mark.parametrize(
-    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "eva_contexts", "eva_factorised"]
+    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "eva_adaptive", "eva_static_steered"]
 )
 def test_golden_streams_decode_to_the_hosts_samples(name: str, build: tuple[str, int], programs: Programs) -> None:
     coded = golden(name)
@@ -102,7 +102,7 @@ def test_models_of_any_width_decode_to_the_hosts_samples(
     tables = (with_extreme_weights(model, seed) if extreme else model).pack()
     random = np.random.default_rng(seed)
     packets = tuple(b"\x01" + random.bytes(200) for _ in range(3))
-    coded = CodedSignal("eva", 2800, 240, (1.0,), eva.configuration(5, [1000], [3]), packets)
+    coded = CodedSignal("eva", 2800, 240, (1.0,), eva.configuration(5, [1000]), packets)
     run = emulated_core.decode(programs[build], CORES[build[0]], coded, tables)
     np.testing.assert_array_equal(run.decoded, codec.decode_integers(coded, tables))
 
