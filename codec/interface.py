@@ -279,8 +279,8 @@ class Codec:
     `make_encoder(setting, format, framing, model, rate_control)`: the setting complete and checked; `rate_control`
     chooses the quality of each packet, None = all are of the setting's; a codec without `controls_rate` rejects it.
     `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
-    `resolve(samples, format)`: what a parameter at AUTO is for a file, whose whole signal is known, in its physical
-    unit; None where no signal decides on it.
+    `resolve(samples, format, model)`: what a parameter at AUTO is for a file, whose whole signal is known, in its
+    physical unit; None where no signal decides on it.
     `keeps_waveform`: decoded samples come near the input's, so that an SNR can be asked for; False for one that keeps
     what a texture is like, and none of its samples.
     `step_parameter`: what the quantiser's steps of a channel are proportional to, relative to its RMS value; None where
@@ -305,7 +305,7 @@ class Codec:
     rate_point_sets: Mapping[str, tuple[Setting, ...]]
     make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None, RateControl | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
-    resolve: Callable[[Signal, SignalFormat], Setting] | None = None
+    resolve: Callable[[Signal, SignalFormat, Model | None], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
     built_in_tables: Callable[[], bytes] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None

@@ -1,7 +1,7 @@
 """The codec `mdct`: low-delay MDCT, trellis-coded quantisation, adaptive range coding; layout in docs/bitstream.md."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -94,10 +94,14 @@ def analysis_matrix(hop: int) -> Signal:
     Princen, Johnson and Bradley, "Subband/transform coding using filter bank designs based on time domain aliasing
     cancellation", 1987.
     """
-    n = np.arange(2 * hop)[:, None]
+    return modulated(np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)), hop)
+
+
+def modulated(window: Signal, hop: int) -> Signal:
+    """Return sqrt(2/N) w[n] cos(pi/N (n + 1/2 + N/2)(k + 1/2)), (len(window), hop), of a window w at hop N."""
+    n = np.arange(len(window))[:, None]
     k = np.arange(hop)[None, :]
-    window = np.sin(np.pi * (n + 0.5) / (2 * hop))
-    matrix: Signal = np.sqrt(2 / hop) * window * np.cos(np.pi / hop * (n + 0.5 + hop / 2) * (k + 0.5))
+    matrix: Signal = np.sqrt(2 / hop) * window[:, None] * np.cos(np.pi / hop * (n + 0.5 + hop / 2) * (k + 0.5))
     return matrix
 
 
@@ -114,21 +118,24 @@ class MdctEncoder(PacketwiseEncoder):
         hop: int | None = None,
         noise_filling: float = 0.0,
         rate_control: RateControl | None = None,
+        analysis: Callable[[int], Signal] = analysis_matrix,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
         `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
         `hop`: one of HOPS, None = that of live streams. `noise_filling`: magnitude that stands in for coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
-        of the steps; None = all have the steps as they are. Raises CodecError on a channel count, step, packet length,
-        hop, noise filling or tables that the codec does not have.
+        of the steps; None = all have the steps as they are. `analysis`: the transform at a hop, (samples of a window,
+        hop). Raises CodecError on a channel count, step, packet length, hop, noise filling or tables that the codec
+        does not have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
             raise CodecError(f"hop {self._hop} is not one of {HOPS}")
         if not all(math.isfinite(step) and step > 0 for step in steps):
             raise CodecError("quantiser steps must be positive numbers")
-        self._history = self.delay_samples = self._hop
+        self._analysis = analysis(self._hop)
+        self._history = self.delay_samples = len(self._analysis) - self._hop
         self._chunk_samples = max(1, _CHUNK_BLOCKS * self._hop // max(1, len(steps)))
         super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
         if not 0 <= noise_filling <= MAX_NOISE_FILLING:
@@ -168,9 +175,9 @@ class MdctEncoder(PacketwiseEncoder):
         return self._examples[: library().vc_mdct_encoder_recorded(self._core.pointer)]
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
-        count = (len(samples) - self._hop) // self.packet_samples
-        frames = np.lib.stride_tricks.sliding_window_view(samples, 2 * self._hop, axis=0)[:: self._hop]
-        exact = frames @ analysis_matrix(self._hop) * UNIT
+        count = (len(samples) - self._history) // self.packet_samples
+        frames = np.lib.stride_tricks.sliding_window_view(samples, len(self._analysis), axis=0)[:: self._hop]
+        exact = frames @ self._analysis * UNIT
         coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
         return [
             self._packet_of(part, samples[index * self.packet_samples : (index + 1) * self.packet_samples])
@@ -211,7 +218,17 @@ def check_tables(tables: bytes) -> None:
     _tables_arguments(tables)
 
 
-def resolve(samples: Signal, signal_format: SignalFormat) -> Setting:
+def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None) -> Setting:
+    """Choose the hop of a file by the built-in tables; see codec.interface.Codec."""
+    return best_hop(samples, signal_format, analysis_matrix, MdctDecoder)
+
+
+def best_hop(
+    samples: Signal,
+    signal_format: SignalFormat,
+    analysis: Callable[[int], Signal],
+    decoder_of: Callable[[bytes, int], CoreDecoder],
+) -> Setting:
     """Choose the hop for a whole signal (n, channels) in its physical unit, by coding its beginning with each.
 
     The one of the least squared error + lambda * bits, as the encoder's search weighs them, at a step of the RMS value.
@@ -220,11 +237,12 @@ def resolve(samples: Signal, signal_format: SignalFormat) -> Setting:
     steps = np.array(signal_format.rms)
 
     def cost(hop: int) -> float:
-        encoder = MdctEncoder(list(steps), signal_format.rate_hz, Framing(_RESOLVING_PACKET, 0), hop=hop)
-        decoder = MdctDecoder(encoder.configuration, signal_format.channels)
+        framing = Framing(_RESOLVING_PACKET, 0)
+        encoder = MdctEncoder(list(steps), signal_format.rate_hz, framing, hop=hop, analysis=analysis)
+        decoder = decoder_of(encoder.configuration, signal_format.channels)
         packets = encoder.encode(normalised) + encoder.finish()
-        decoded = np.concatenate([decoder.decode(packet) for packet in packets])[hop : hop + len(normalised)]
-        error = np.sum(np.square((normalised - decoded / 32768) / steps))
+        decoded = np.concatenate([decoder.decode(packet) for packet in packets])[decoder.delay_samples :]
+        error = np.sum(np.square((normalised - decoded[: len(normalised)] / 32768) / steps))
         return float(error + LAMBDA / 256 * 8 * sum(map(len, packets)))
 
     return {"hop": str(min(HOPS, key=cost))}
@@ -236,6 +254,7 @@ def make_encoder(
     framing: Framing,
     model: Model | None,
     rate_control: RateControl | None = None,
+    analysis: Callable[[int], Signal] = analysis_matrix,
 ) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
     relative_steps = numbers(setting, "step", signal_format.channels)
@@ -244,9 +263,10 @@ def make_encoder(
     ]
     live_hop = hop_samples(signal_format.rate_hz)
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
-    if framing.refresh_packets == 0 and hop > live_hop:
+    delay_samples = len(analysis(hop)) - hop
+    if framing.refresh_packets == 0 and delay_samples > live_hop:
         # The framing of a file leaves room for one block of a live stream behind the end; this one needs more.
-        framing = Framing(framing.packet_samples + hop - live_hop, 0)
+        framing = Framing(framing.packet_samples + delay_samples - live_hop, 0)
     return MdctEncoder(
         steps,
         signal_format.rate_hz,
@@ -256,6 +276,7 @@ def make_encoder(
         hop,
         number(setting, "noise_filling"),
         rate_control,
+        analysis,
     )
 
 

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from vibrocast.codec import dct, eva, general_codecs, mdct, parametric, plugins, slp
+from vibrocast.codec import dct, eva, general_codecs, lapped, mdct, parametric, plugins, slp
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -37,7 +37,7 @@ Progress: TypeAlias = Callable[[float], None]
 
 BUILT_IN: dict[str, Codec] = {
     codec.name: codec
-    for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *general_codecs.CODECS, parametric.CODEC)
+    for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *general_codecs.CODECS, parametric.CODEC, lapped.CODEC)
 }
 DEFAULT_CODEC = mdct.NAME
 
@@ -311,7 +311,7 @@ class Source:
     def _choice(self) -> Setting:
         """What the codec chooses by the signal: the same at every setting, so that a search meets no jump."""
         assert self.codec.resolve is not None, f"{self.codec.name} has parameters that may be {AUTO}"
-        return self.codec.resolve(self.samples, self.format)
+        return self.codec.resolve(self.samples, self.format, self.model)
 
     def _coded(self, encoder: Encoder, packets: list[bytes]) -> CodedSignal:
         return CodedSignal(

@@ -44,7 +44,18 @@ except ModuleNotFoundError as error:
 RATE_HZ = 2800
 SECONDS = 0.5
 TARGET_DB = 10.0
-DECODERS = ("mdct", "mdct-network", "dct", "slp", "eva-16", "eva-32", "eva-64", "eva-128", "parametric")
+DECODERS = (
+    "mdct",
+    "mdct-network",
+    "dct",
+    "slp",
+    "eva-16",
+    "eva-32",
+    "eva-64",
+    "eva-128",
+    "lapped-textures",
+    "parametric",
+)
 """Codecs, and families of models that ship."""
 QUALITIES_DB = (5.0, 10.0, 20.0)
 LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}

@@ -47,6 +47,7 @@ typedef struct {
     CODEC(dct)                                                                                                         \
     CODEC(slp)                                                                                                         \
     CODEC(eva)                                                                                                         \
+    CODEC(lapped)                                                                                                      \
     CODEC(parametric)
 
 #define VC_CODEC_DECLARED(name) extern const vc_codec vc_##name##_codec;

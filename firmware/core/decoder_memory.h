@@ -8,6 +8,7 @@
 #include "dct_model.h"
 #include "eva_latents.h"
 #include "eva_synthesis.h"
+#include "lapped.h"
 #include "parametric_frame.h"
 #include "slp_frame.h"
 
@@ -26,6 +27,12 @@ struct vc_mdct_decoder {
     int in_sequence; /* packets since the last refresh all came */
     uint32_t random; /* state of the generator that gives signs to fill and concealment */
     vc_mdct_channel channels[VC_MAX_CHANNELS];
+};
+
+struct vc_lapped_decoder {
+    struct vc_mdct_decoder spectra;                  /* the first member: a pointer to it is one to all */
+    const uint8_t *window;                           /* of the stream's hop */
+    int32_t later[VC_MAX_CHANNELS][2 * VC_MAX_BINS]; /* behind the overlap of each channel, what overlaps then */
 };
 
 struct vc_dct_decoder {

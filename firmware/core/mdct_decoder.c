@@ -1,6 +1,6 @@
 /* Decoder of `mdct`: packets to levels, levels to coefficients, fades where packets miss. */
+#include "mdct_decoder.h"
 #include "codec.h"
-#include "decoder_memory.h"
 #include "mdct_synthesis.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
@@ -85,7 +85,8 @@ static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsign
                                                          : vc_reconstruct(channel->spectrum[k], step);
 }
 
-int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+int vc_spectra_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, vc_synthesis synthesise,
+                      int16_t *samples)
 {
     const vc_mdct_configuration *configuration = &decoder->configuration;
     vc_range_coder coder;
@@ -96,7 +97,7 @@ int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t lengt
     if (head == 0)
         return VC_BAD_PACKET;
     if (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence)) {
-        vc_mdct_conceal(decoder, samples);
+        vc_spectra_conceal(decoder, synthesise, samples);
         return VC_CONCEALED;
     }
     if (refresh) {
@@ -114,15 +115,14 @@ int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t lengt
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++) {
             decode_block(decoder, &coder, channel);
-            vc_mdct_synthesise(decoder->channels[channel].spectrum, decoder->channels[channel].overlap,
-                               configuration->hop, samples + channel, configuration->channels);
+            synthesise(decoder, channel, samples + channel);
             if (channel + 1 == configuration->channels)
                 samples += (size_t)configuration->hop * configuration->channels;
         }
     return VC_OK;
 }
 
-void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
+void vc_spectra_conceal(vc_mdct_decoder *decoder, vc_synthesis synthesise, int16_t *samples)
 {
     const vc_mdct_configuration *configuration = &decoder->configuration;
     const uint32_t fade = configuration->packet_blocks < FADE_BLOCKS ? configuration->packet_blocks : FADE_BLOCKS;
@@ -137,11 +137,27 @@ void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
                 state->spectrum[k] = block < fade ? state->spectrum[k] / (int32_t)(fade - block) *
                                                         (int32_t)(fade - block - 1) * vc_random_sign(&decoder->random)
                                                   : 0;
-            vc_mdct_synthesise(state->spectrum, state->overlap, configuration->hop, samples + channel,
-                               configuration->channels);
+            synthesise(decoder, channel, samples + channel);
             if (channel + 1 == configuration->channels)
                 samples += (size_t)configuration->hop * configuration->channels;
         }
+}
+
+static void synthesise(vc_mdct_decoder *decoder, unsigned channel, int16_t *samples)
+{
+    vc_mdct_channel *state = &decoder->channels[channel];
+    vc_mdct_synthesise(state->spectrum, state->overlap, decoder->configuration.hop, samples,
+                       decoder->configuration.channels);
+}
+
+int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_spectra_decode(decoder, packet, length, synthesise, samples);
+}
+
+void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
+{
+    vc_spectra_conceal(decoder, synthesise, samples);
 }
 
 static const char *check_tables(const uint8_t *tables, size_t length)

@@ -12,4 +12,11 @@
  */
 void vc_mdct_synthesise(const int32_t *spectrum, int32_t *overlap, uint32_t hop, int16_t *samples, unsigned stride);
 
+/* The same with a window of 4 N values, of which the first 2 N are given, int16 in 1/2^15, little endian, and mirrored:
+ * the extended lapped transform (Malvar, "Extended lapped transforms: properties, applications, and fast algorithms",
+ * 1992) of overlap 4, the transform's output going on periodically. `overlap`, `later`: hop and 2 hop values, as
+ * above. */
+void vc_lapped_synthesise(const uint8_t *window, const int32_t *spectrum, int32_t *overlap, int32_t *later,
+                          uint32_t hop, int16_t *samples, unsigned stride);
+
 #endif

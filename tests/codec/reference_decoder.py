@@ -253,14 +253,16 @@ class ReferenceDecoder:
         self.rate_controlled = configuration[position + 2 * channels :] == b"\x01"
         self.tables = tables
         self.channels = [Channel(self.hop) for _ in range(channels)]
-        self.overlap = np.zeros((channels, self.hop))
-        n = np.arange(2 * self.hop)[None, :]
+        window = self.window()
+        self.overlap = np.zeros((channels, len(window) - self.hop))
+        n = np.arange(len(window))[None, :]
         k = np.arange(self.hop)[:, None]
         self.synthesis = (
-            math.sqrt(2 / self.hop)
-            * np.cos(np.pi / self.hop * (n + 0.5 + self.hop / 2) * (k + 0.5))
-            * np.sin(np.pi * (n + 0.5) / (2 * self.hop))
+            math.sqrt(2 / self.hop) * np.cos(np.pi / self.hop * (n + 0.5 + self.hop / 2) * (k + 0.5)) * window
         )
+
+    def window(self) -> NDArray[np.float64]:
+        return np.sin(np.pi * (np.arange(2 * self.hop) + 0.5) / (2 * self.hop))
 
     def levels(self, packet: bytes) -> NDArray[np.int64]:
         position = next(i for i, byte in enumerate(packet) if byte < 0x80) + 1
@@ -301,7 +303,20 @@ class ReferenceDecoder:
         self.fill(levels, spectra, steps, read_varint(packet) >> 1)
         signal = np.zeros((self.blocks, self.hop, len(self.channels)))
         for block, spectrum in zip(signal, spectra, strict=True):
-            halves = spectrum @ self.synthesis
-            block[:] = (self.overlap + halves[:, : self.hop]).T
-            self.overlap = halves[:, self.hop :]
+            added = spectrum @ self.synthesis
+            added[:, : -self.hop] += self.overlap
+            block[:] = added[:, : self.hop].T
+            self.overlap = added[:, self.hop :]
         return signal.reshape(-1, len(self.channels))
+
+
+class LappedReferenceDecoder(ReferenceDecoder):
+    """Section "`lapped`"."""
+
+    def __init__(self, configuration: bytes, channels: int, payload: bytes) -> None:
+        self.windows = np.frombuffer(payload[:960], "<i2") / 32768
+        super().__init__(configuration, channels, payload[960:])
+
+    def window(self) -> NDArray[np.float64]:
+        half = self.windows[2 * (self.hop - 16) :][: 2 * self.hop]
+        return np.concatenate([half, half[::-1]])

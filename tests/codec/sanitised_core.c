@@ -1,10 +1,10 @@
 /* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct`,
- * `core dct`, `core slp`, `core eva`, `core parametric` or `core output`.
+ * `core dct`, `core slp`, `core eva`, `core lapped`, `core parametric` or `core output`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
- * first record is the configuration, its kind the number of channels; of `eva` and `mdct` the model stands before it,
- * empty where `mdct` is to take its own tables. Every packet is decoded, and its bytes are encoded as coefficients,
- * values or samples.
+ * first record is the configuration, its kind the number of channels; of `eva`, `lapped` and `mdct` the model stands
+ * before it, empty where `mdct` is to take its own tables. Every packet is decoded, and its bytes are encoded as
+ * coefficients, values or samples.
  *
  * Of `output`, the first record is a vc_actuator, its kind the compensation; the second a vc_output_stream. Then follow
  * records of samples (0), gains (1) and of nothing: a joint (2), the way to rest (3), the end (4). All is done twice,
@@ -15,6 +15,7 @@
 
 #include "dct.h"
 #include "eva.h"
+#include "lapped.h"
 #include "output.h"
 #include "parametric.h"
 #include "slp.h"
@@ -213,6 +214,33 @@ static int run_eva(void)
     return 0;
 }
 
+static int run_lapped(void)
+{
+    vc_lapped_decoder *decoder = malloc(vc_lapped_decoder_size());
+    uint8_t *model, *bytes;
+    int16_t *samples;
+    size_t model_length, length;
+    int kind;
+    unsigned channels;
+    if (!read_record(&kind, &model, &model_length) || !read_record(&kind, &bytes, &length))
+        return 2;
+    channels = (unsigned)kind;
+    if (vc_lapped_decoder_init(decoder, bytes, length, channels, model, model_length) != VC_OK)
+        return 0;
+    free(bytes);
+    samples = malloc((size_t)vc_lapped_decoder_packet_samples(decoder) * channels * sizeof *samples);
+    while (read_record(&kind, &bytes, &length)) {
+        if (kind == 1 || vc_lapped_decode(decoder, bytes, length, samples) < 0)
+            vc_lapped_conceal(decoder, samples);
+        free(bytes);
+    }
+    free(samples);
+    free(model);
+    free(decoder);
+    puts("done");
+    return 0;
+}
+
 static int run_parametric(void)
 {
     vc_parametric_decoder *decoder = malloc(vc_parametric_decoder_size());
@@ -346,6 +374,7 @@ int main(int count, char **arguments)
     return strcmp(codec, "dct") == 0          ? run_dct()
            : strcmp(codec, "slp") == 0        ? run_slp()
            : strcmp(codec, "eva") == 0        ? run_eva()
+           : strcmp(codec, "lapped") == 0     ? run_lapped()
            : strcmp(codec, "parametric") == 0 ? run_parametric()
            : strcmp(codec, "output") == 0     ? run_output()
                                               : run_mdct();

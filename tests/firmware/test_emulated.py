@@ -44,6 +44,7 @@ from vibrocast.simulated_device.flash import FlashMemory
 from vibrocast.simulated_device.stm32f405 import Stm32F405
 
 LEARNED = "eva-16-4"
+MODELS = {"eva": LEARNED, "lapped": "lapped-textures"}
 START_US, BOARD_DAC_HZ = 300_000, 3000
 
 
@@ -51,7 +52,7 @@ def coded(codec_name: str, seconds: float = 0.3) -> Stream:
     """Return a texture on two channels at some 12 dB if there is an SNR to ask for, with refresh packets."""
     recording = textures.GENERATORS["rough"](3, seconds)
     recording = replace(recording, samples=np.tile(recording.samples, (1, 2)))
-    model = models.find(LEARNED) if codec_name == "eva" else None
+    model = models.find(MODELS[codec_name]) if codec_name in MODELS else None
     snr_db = 12 if codec.codec_by_name(codec_name).keeps_waveform else None
     return encode_recording(
         recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True, runtime="core"
@@ -61,7 +62,7 @@ def coded(codec_name: str, seconds: float = 0.3) -> Stream:
 def rate_controlled(stream: Stream) -> Stream:
     """Return the stream coded again, its packets of different qualities, some padded."""
     header, known = stream.header, codec.codec_by_identifier(stream.header.codec_identifier)
-    model = models.find(LEARNED) if known.needs_model else None
+    model = models.find(MODELS[known.name]) if known.needs_model else None
     signal = stream.decode_integers()[stream.decoder().delay_samples :][: stream.samples] / 32768
     turn = itertools.cycle([Choice(0), Choice(-7), Choice(-20, min_bytes=100), Choice(-12)])
     encoder = known.make_encoder(
@@ -97,7 +98,7 @@ def flash_of(name: str) -> FlashMemory:
         *(
             pytest.param(name, codec_name, marks=pytest.mark.slow)
             for name in ("cortex-m4", "stm32f405")
-            for codec_name in ("dct", "slp", "eva", "parametric")
+            for codec_name in ("dct", "slp", "eva", "lapped", "parametric")
         ),
     ],
 )
@@ -106,8 +107,8 @@ def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: 
     codes: list[Codes] = []
     device = board(name, on_dac=codes.append)
     link, host = session(device)
-    if codec_name == "eva":
-        uploader.flash(host, models.find(LEARNED).image)
+    if codec_name in MODELS:
+        uploader.flash(host, models.find(MODELS[codec_name]).image)
     stream = coded(codec_name)
     if name != "cortex-m4" and codec.codec_by_name(codec_name).controls_rate:
         stream = rate_controlled(stream)

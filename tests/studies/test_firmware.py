@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from studies import emulated_core, firmware
 from studies.emulated_core import CORES, EmulatedCore, compile_core
 from tests.codec.eva_models import random_image, with_extreme_weights
-from vibrocast import codec
+from vibrocast import codec, models
 from vibrocast.codec import CodedSignal, eva
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.model_image import ModelImage
@@ -33,7 +33,7 @@ BUILDS = [
 ]
 FUNCTIONS = [
     f"vc_{name}_{function}"
-    for name in ("mdct", "dct", "slp", "parametric", "eva")
+    for name in ("mdct", "dct", "slp", "parametric", "eva", "lapped")
     for function in ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
 ]
 KERNELS = ["vc_dot_products", *(f"vc_eva_{name}" for name in ("products", "squares", "normalise", "scale"))]
@@ -72,16 +72,18 @@ def golden(name: str) -> CodedSignal:
 
 
 def image(name: str) -> bytes:
+    if name == "lapped":
+        return models.find("lapped-textures").tables
     return ModelImage.unpack((STREAMS / f"golden_{name.removesuffix('_steered')}.vcmi").read_bytes()).payload
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=str)
 @pytest.mark.parametrize(
-    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "eva_adaptive", "eva_static_steered"]
+    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "lapped", "eva_adaptive", "eva_static_steered"]
 )
 def test_golden_streams_decode_to_the_hosts_samples(name: str, build: tuple[str, int], programs: Programs) -> None:
     coded = golden(name)
-    tables = image(name) if coded.codec == "eva" else None
+    tables = image(name) if codec.CODECS[coded.codec].needs_model else None
     run = emulated_core.decode(programs[build], CORES[build[0]], coded, tables)
     np.testing.assert_array_equal(run.decoded, codec.decode_integers(coded, tables))
     assert np.any(run.decoded) and run.cycles > run.instructions > 100

@@ -1,0 +1,106 @@
+"""The codec `lapped`: `mdct` with learned windows of four hops; layout in docs/bitstream.md."""
+
+from functools import cache, partial
+
+import numpy as np
+
+from vibrocast.codec import mdct
+from vibrocast.codec.core import CoreDecoder
+from vibrocast.codec.interface import (
+    Codec,
+    CodecError,
+    Framing,
+    Model,
+    RateControl,
+    Setting,
+    Signal,
+    SignalFormat,
+)
+from vibrocast.codec.mdct import HOPS, MdctEncoder
+from vibrocast.firmware.native_core import ffi
+
+NAME = "lapped"
+IDENTIFIER = 12
+WINDOWS_BYTES = 4 * sum(HOPS)
+_WINDOW_UNIT = 2**15
+
+
+def pack_windows(windows: list[Signal]) -> bytes:
+    """Return windows as they begin a model image: of each of HOPS the first half, 2 hop values within +-1."""
+    return b"".join(np.clip(np.rint(half * _WINDOW_UNIT), -32767, 32767).astype("<i2").tobytes() for half in windows)
+
+
+@cache
+def analysis_matrix(windows: bytes, hop: int) -> Signal:
+    """Return the extended lapped transform (4 hop, hop) with a window of a model image: its transpose synthesises.
+
+    Malvar, "Extended lapped transforms: properties, applications, and fast algorithms", 1992, overlap 4.
+    """
+    half = np.frombuffer(windows, "<i2", 2 * hop, 4 * (hop - HOPS[0])) / _WINDOW_UNIT
+    return mdct.modulated(np.concatenate([half, half[::-1]]), hop)
+
+
+def parts(payload: bytes | None) -> tuple[bytes, bytes]:
+    """Return the windows in a model image's payload, and what is left: tables of `mdct`. Raises CodecError."""
+    if payload is None:
+        raise CodecError("the codec lapped needs a model; give one of its model images")
+    if len(payload) < WINDOWS_BYTES:
+        raise CodecError(f"a model image of {len(payload)} bytes; lapped needs {WINDOWS_BYTES} bytes of windows alone")
+    windows, tables = payload[:WINDOWS_BYTES], payload[WINDOWS_BYTES:]
+    mdct.check_tables(tables)
+    return windows, tables
+
+
+class LappedDecoder(CoreDecoder):
+    """Decoder of `lapped`; see codec.interface.Decoder."""
+
+    def __init__(self, configuration: bytes, channels: int, payload: bytes | None = None) -> None:
+        """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
+        windows, tables = parts(payload)
+        self._model = ffi.new("uint8_t[]", windows + tables)
+        super().__init__(NAME, configuration, channels, self._model, len(windows + tables))
+
+
+def check_tables(payload: bytes) -> None:
+    """Raise CodecError where the payload of a model image is none of this codec."""
+    parts(payload)
+
+
+def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None) -> Setting:
+    """Choose the hop of a file with the model's windows and the tables of `mdct`; see codec.interface.Codec."""
+    windows, _ = parts(model.tables if model else None)
+    payload = windows + mdct.built_in_tables()
+    decoder_of = partial(LappedDecoder, payload=payload)
+    return mdct.best_hop(samples, signal_format, partial(analysis_matrix, windows), decoder_of)
+
+
+def make_encoder(
+    setting: Setting,
+    signal_format: SignalFormat,
+    framing: Framing,
+    model: Model | None,
+    rate_control: RateControl | None = None,
+) -> MdctEncoder:
+    """Make an encoder, that of `mdct` with the model's windows. Raises CodecError as that, and without a model."""
+    windows, tables = parts(model.tables if model else None)
+    analysis = partial(analysis_matrix, windows)
+    return mdct.make_encoder(setting, signal_format, framing, Model(tables), rate_control, analysis)
+
+
+CODEC = Codec(
+    name=NAME,
+    identifier=IDENTIFIER,
+    summary="a learned lapped transform over four blocks, quantised and coded as in mdct, by a learned network",
+    parameters=mdct.CODEC.parameters,
+    rate_point_sets={NAME: mdct.CODEC.rate_point_sets[mdct.NAME]},
+    make_encoder=make_encoder,
+    make_decoder=LappedDecoder,
+    resolve=resolve,
+    check_tables=check_tables,
+    needs_model=True,
+    controls_rate=True,
+    step_parameter=mdct.CODEC.step_parameter,
+    step_range=mdct.CODEC.step_range,
+    block_parameter=mdct.CODEC.block_parameter,
+    live_setting=mdct.CODEC.live_setting,
+)
