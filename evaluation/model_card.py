@@ -42,6 +42,7 @@ def made(
     `trained`, `held_back`: the traces of its training's data. `commands`: how it was trained, and how exported.
     `progress` is called with the part done. Raises CodecError.
     """
+    assert checkpoint.shape is not None, "a package is of an EVA"
     training, history = checkpoint.training, checkpoint.progress
     rate_hz = training["training"]["rate_hz"]
     return {
@@ -52,7 +53,7 @@ def made(
         "shape": checkpoint.shape.as_dict(),
         "prior": package.prior,
         "training": {
-            "data": _sources(trained, rate_hz),
+            "data": sources_of(trained, rate_hz),
             "held_back": sorted({trace.material for trace in held_back}),
             "command": commands[0],
             "configuration": training,
@@ -70,7 +71,7 @@ def made(
                 "synthesis": package.graphs.synthesis_difference,
             },
         },
-        "results": _results(package, _recordings(held_back, rate_hz), progress),
+        "results": _results(package, recordings_of(held_back, rate_hz), progress),
         "files": {
             file: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
             for file, data in package.files.items()
@@ -103,7 +104,7 @@ def thinned(records: Sequence[Mapping[str, Any]], most: int = 20) -> list[Mappin
     return [records[(number + 1) * len(records) // count - 1] for number in range(count)]
 
 
-def _sources(traces: Sequence[Trace], rate_hz: float) -> list[dict[str, Any]]:
+def sources_of(traces: Sequence[Trace], rate_hz: float) -> list[dict[str, Any]]:
     """Return name, recordings and hours of each source."""
     samples: dict[str, list[int]] = {}
     for trace in traces:
@@ -114,7 +115,7 @@ def _sources(traces: Sequence[Trace], rate_hz: float) -> list[dict[str, Any]]:
     ]
 
 
-def _recordings(traces: Sequence[Trace], rate_hz: float) -> list[textures.Recording]:
+def recordings_of(traces: Sequence[Trace], rate_hz: float) -> list[textures.Recording]:
     """Return the beginning of the first trace of each material."""
     first = {trace.material: trace for trace in reversed(traces)}
     return [

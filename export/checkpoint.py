@@ -1,4 +1,4 @@
-"""Checkpoints: a trained EVA with its prior, how it was trained, and what a cut training needs to go on."""
+"""Checkpoints: a trained model with its prior, how it was trained, and what a cut training needs to go on."""
 
 import io
 import math
@@ -10,8 +10,10 @@ from typing import Any
 import torch
 from torch import nn
 
+from vibrocast.codec.mdct import HOPS
 from vibrocast.export.eva import Eva, EvaShape
-from vibrocast.export.priors import FactorisedPrior
+from vibrocast.export.lapped import Lapped
+from vibrocast.export.priors import ContextPrior, FactorisedPrior
 from vibrocast.files import atomic_write
 
 FORMAT, VERSION = "vibrocast-eva", 2
@@ -29,28 +31,29 @@ class ModelError(ValueError):
 class Checkpoint:
     """A model with its prior and its history.
 
-    `training`: the configuration, as plain tables. `progress`: `step` and `seconds` so far. `curves`: a record for each
-    validation, see export.training. `optimiser`: the state of Adam, from which a cut training goes on.
+    `model`, `prior`: Eva and FactorisedPrior; or Lapped, and a ContextPrior for each hop. `training`: the
+    configuration, as plain tables. `progress`: `step` and `seconds` so far. `curves`: a record for each validation,
+    see export.training. `optimiser`: the state of Adam, from which a cut training goes on.
     """
 
-    model: Eva
-    prior: FactorisedPrior
+    model: Eva | Lapped
+    prior: FactorisedPrior | nn.ModuleList
     training: dict[str, Any]
     progress: dict[str, Any] = field(default_factory=dict)
     curves: list[dict[str, Any]] = field(default_factory=list)
     optimiser: dict[str, Any] | None = None
 
     @property
-    def shape(self) -> EvaShape:
-        """The shape of the model."""
-        return self.model.shape
+    def shape(self) -> EvaShape | None:
+        """The shape of an EVA; Lapped has one only."""
+        return self.model.shape if isinstance(self.model, Eva) else None
 
     def save(self, path: Path) -> None:
         """Write the checkpoint, whole or not at all. Raises OSError."""
         content = {
             "format": FORMAT,
             "version": VERSION,
-            "shape": self.shape.as_dict(),
+            "shape": self.shape and self.shape.as_dict(),
             "model": self.model.state_dict(),
             "prior": self.prior.state_dict(),
             "training": self.training,
@@ -93,14 +96,13 @@ def load(path: Path) -> Checkpoint:
 
 def _parsed(content: Any) -> Checkpoint:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise ModelError("not a checkpoint of EVA; give one that `vibrocast train` wrote")
+        raise ModelError("not a checkpoint of a model; give one that `vibrocast train` wrote")
     if content.get("version") != VERSION:
         raise ModelError(
             f"a checkpoint of version {content.get('version')!r}, this program reads {VERSION}; train the model again, "
             "or use the program that wrote it"
         )
-    shape = _shape(content.get("shape"))
-    model, prior = Eva(shape), FactorisedPrior(shape.latents)
+    model, prior = _untrained(content.get("shape"))
     _fill(model, content.get("model"), "model")
     _fill(prior, content.get("prior"), "prior")
     curves, optimiser = content.get("curves"), content.get("optimiser")
@@ -112,6 +114,14 @@ def _parsed(content: Any) -> Checkpoint:
     if not _has_numbers(progress, *_REACHED):
         raise ModelError("it does not say how far its training is; train the model again")
     return Checkpoint(model.eval(), prior.eval(), training, progress, curves, optimiser)
+
+
+def _untrained(shape: Any) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
+    """Return a model, and its prior, of the stored shape; None is that of Lapped."""
+    if shape is None:
+        return Lapped(), nn.ModuleList(map(ContextPrior, HOPS))
+    eva = Eva(_shape(shape))
+    return eva, FactorisedPrior(eva.shape.latents)
 
 
 def _shape(stored: Any) -> EvaShape:

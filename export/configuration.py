@@ -12,6 +12,7 @@ from vibrocast import textures
 from vibrocast.toml_tables import Table, convert, located, one_of, read_toml, within
 
 _HOP_SAMPLES = 16  # as export.eva, which needs torch
+_LONGEST_HOP_SAMPLES = 128  # of `lapped`
 
 Lambda = Annotated[float, within(1e-3, 1e6)]
 Width = Annotated[int, within(16, 128)]
@@ -27,10 +28,21 @@ class ConfigurationError(ValueError):
 
 
 class ModelChoice(Table, frozen=True):
-    """[model]: the filters of each layer, as many as latents; `lambda`, the weight of squared error against bits."""
+    """[model]: what is trained.
 
-    lambda_: Lambda = msgspec.field(name="lambda")
+    Of kind "eva" the filters of each layer, as many as latents; `lambda`, the weight of squared error against bits. Of
+    kind "lapped" the windows of every hop, for all rates.
+    """
+
+    kind: Literal["eva", "lapped"] = "eva"
+    lambda_: Lambda | None = msgspec.field(name="lambda", default=None)
     width: Width = 128
+
+    def __post_init__(self) -> None:
+        if self.kind == "eva" and self.lambda_ is None:
+            raise ValueError("a model of kind eva needs lambda, the weight of squared error against bits")
+        if self.kind == "lapped" and (self.lambda_ is not None or self.width != 128):
+            raise ValueError("a model of kind lapped has neither lambda nor width; leave them out")
 
 
 class ArchiveSource(Table, frozen=True):
@@ -174,6 +186,12 @@ class Configuration(Table, frozen=True):
         names = [source.name for source in self.sources]
         if len(set(names)) < len(names):
             raise ValueError(f"two sources are called {max(names, key=names.count)!r}; rename one")
+        samples = self.training.excerpt_samples
+        if self.model.kind == "lapped" and (samples % _LONGEST_HOP_SAMPLES or samples < 10 * _LONGEST_HOP_SAMPLES):
+            raise ValueError(
+                f"excerpt_samples must be a multiple of {_LONGEST_HOP_SAMPLES}, from {10 * _LONGEST_HOP_SAMPLES} on, "
+                f"for a model of kind lapped, not {samples}"
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the configuration as plain tables, as a checkpoint stores it and `parsed` takes it."""

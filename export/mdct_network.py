@@ -1,7 +1,9 @@
 """Trains the network of `mdct`, which predicts each decision beside the adaptive contexts, and the tables under it."""
 
 import math
+from collections.abc import Callable
 from itertools import cycle, pairwise
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from vibrocast.codec import Framing, Signal
-from vibrocast.codec.mdct import HOPS, MdctEncoder
+from vibrocast.codec.mdct import HOPS, MdctEncoder, analysis_matrix
 from vibrocast.export.mdct_training import RATE_HZ, STEP, excerpts
 
 EXAMPLES = 8_000_000
@@ -26,20 +28,23 @@ _DECISIONS = 6
 _UNARY_LIMIT = 15
 _INPUT_UNIT, _WEIGHT_UNIT, _BIAS_UNIT = 16, 64, 256  # of the integers, see docs/bitstream.md
 
+Analysis: TypeAlias = Callable[[int], Signal]
+"""The transform at a hop, (samples of a window, hop), whose coefficients are coded."""
 
-def trained(textures: list[Signal], seed: int, tables: bytes) -> bytes:
+
+def trained(textures: list[Signal], seed: int, tables: bytes, analysis: Analysis = analysis_matrix) -> bytes:
     """Return the payload of a model image, tables and network, trained on textures, (n, 1) each.
 
     `tables`: to begin with. In the result no weight is given to the contexts at first: they are inputs of the network.
     """
     torch.set_num_threads(1)  # the same sums in the same order
-    tables = averaged_tables(textures, seed, tables)
-    network = train(*examples(textures, seed + 1, tables), seed + 2)
+    tables = averaged_tables(textures, seed, tables, analysis)
+    network = train(*examples(textures, seed + 1, tables, analysis), seed + 2)
     cells, _, silence = _parts(tables)
     return cells + bytes(_WEIGHT_BYTES) + silence + network.payload()
 
 
-def averaged_tables(textures: list[Signal], seed: int, tables: bytes) -> bytes:
+def averaged_tables(textures: list[Signal], seed: int, tables: bytes, analysis: Analysis = analysis_matrix) -> bytes:
     """Return the mean of the states that `tables` pass through while excerpts of the textures are coded at every hop.
 
     A cell holds what its last 32 decisions were, so the state at the end of training is a noisy one to begin with.
@@ -52,7 +57,7 @@ def averaged_tables(textures: list[Signal], seed: int, tables: bytes) -> bytes:
             tables = encoder.adapted_tables() if encoder is not None else tables
             states.append(tables)
             hop = next(hops)
-            encoder = MdctEncoder((STEP,), RATE_HZ, Framing(hop, 0), tables, hop=hop)
+            encoder = MdctEncoder((STEP,), RATE_HZ, Framing(hop, 0), tables, hop=hop, analysis=analysis)
         assert encoder is not None
         encoder.encode(excerpt)
     parts = zip(*map(_parts, states), strict=True)
@@ -68,14 +73,17 @@ def _parts(tables: bytes) -> tuple[bytes, bytes, bytes]:
     return tables[:weights_at], tables[weights_at:-_SILENCE_BYTES], tables[-_SILENCE_BYTES:]
 
 
-def examples(textures: list[Signal], seed: int, tables: bytes) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+def examples(
+    textures: list[Signal], seed: int, tables: bytes, analysis: Analysis = analysis_matrix
+) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
     """Return up to EXAMPLES rows of MdctEncoder.examples, of excerpts each coded from a refresh on, and their weights.
 
     The weights make every excerpt's bits count alike, relative to the sum of them.
     """
     rows, weights, left = [], [], EXAMPLES
     for excerpt, hop in zip(excerpts(textures, seed, _EXCERPT_S), cycle(HOPS), strict=False):
-        encoder = MdctEncoder((STEP,), RATE_HZ, Framing(int(_PACKET_S * RATE_HZ), 0), tables, hop=hop)
+        framing = Framing(int(_PACKET_S * RATE_HZ), 0)
+        encoder = MdctEncoder((STEP,), RATE_HZ, framing, tables, hop=hop, analysis=analysis)
         encoder.record(min(left, len(excerpt)))
         coded_bytes = sum(map(len, encoder.encode(excerpt)))
         rows.append(encoder.examples())

@@ -10,7 +10,9 @@ from vibrocast.codec.eva_image import EvaImage, PriorKind
 from vibrocast.codec.interface import Signal
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.eva import Eva
 from vibrocast.export.graphs import Graphs, graphs_of
+from vibrocast.export.priors import FactorisedPrior
 from vibrocast.export.quantise import quantise
 
 Contents: TypeAlias = Literal["core", "onnx", "both"]
@@ -56,6 +58,7 @@ def make(
     `prior`: whether its probabilities adapt to a stream. Raises GraphError, ModelError or ModelImageError for what
     cannot be used.
     """
+    assert isinstance(checkpoint.model, Eva) and isinstance(checkpoint.prior, FactorisedPrior)
     graphs = graphs_of(checkpoint.model)
     full = replace(quantise(checkpoint.model, checkpoint.prior, signals, prior), graph=graphs.synthesis)
     payload = {

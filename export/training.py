@@ -1,7 +1,8 @@
-"""Trains EVA: bits + lambda * distortion, from a seed to checkpoints, validated on materials that are held back."""
+"""Trains models: bits + lambda * distortion, from a seed to checkpoints, validated on materials that are held back."""
 
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -10,12 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from vibrocast.codec.mdct import HOPS
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
-from vibrocast.export import training_data
+from vibrocast.export import lapped, training_data
 from vibrocast.export.checkpoint import Checkpoint, ModelError, load
 from vibrocast.export.configuration import Augmentation, Configuration
 from vibrocast.export.eva import REACH_SAMPLES, Eva, EvaShape
-from vibrocast.export.priors import FactorisedPrior
+from vibrocast.export.lapped import Lapped, Window
+from vibrocast.export.priors import ContextPrior, FactorisedPrior
 from vibrocast.export.training_data import Excerpts
 
 CHECKPOINT = "checkpoint.pt"
@@ -24,6 +27,12 @@ LOGGED = ("training_loss", "loss", "bits_per_sample", "snr_db")
 _EXPLODED = 100.0
 """Times the mean loss: what no batch of a training that goes well reaches."""
 _LAST_LEARNING_RATE = 0.02
+_LOG2_STEPS = (-2.0, 2.0)
+"""Quantiser steps of `lapped`, relative to the RMS value: about 24 dB down to 3 dB of SNR."""
+_QUIET = 0.15
+"""Bits per sample, so that excerpts of next to none do not outweigh all others."""
+_INDIFFERENCE = 0.02
+"""Difference of the loss, 2 %, below which hops learn from an excerpt much alike."""
 _UNVARIED = Augmentation(gain_db=0, rate_octaves=0, polarity=False, tilt_db_per_octave=0, filter_share=0, noise_share=0)
 
 
@@ -39,10 +48,10 @@ class Tell(Protocol):
 
 @dataclass(frozen=True)
 class Measured:
-    """Of each excerpt (batch,): bits per sample, mean squared error as in the loss, and that of the plain signal."""
+    """Of each excerpt (batch,): the loss, bits per sample, and the mean squared error of the plain signal."""
 
+    loss: Tensor
     bits: Tensor
-    distortion: Tensor
     squared_error: Tensor
 
 
@@ -85,7 +94,12 @@ class Perception:
 
 
 class Training:
-    """A training under way: model, prior, optimiser and data."""
+    """A training of EVA under way: model, prior, optimiser and data.
+
+    Those of other models have another `_begin`, `_measure` and `_reach_samples`, what lacks blocks at the ends.
+    """
+
+    _reach_samples = REACH_SAMPLES
 
     def __init__(self, configuration: Configuration, data_folder: Path, device: torch.device) -> None:
         """Load the data and begin a model. Raises TextureError for data that cannot be used."""
@@ -98,13 +112,13 @@ class Training:
         )
         unseen = Excerpts(held_back, schedule.excerpt_samples, schedule.rate_hz, _UNVARIED, configuration.seed)
         self._validation = self._signals(unseen.batch(0, schedule.validation_excerpts))
-        inner_samples = schedule.excerpt_samples - 2 * REACH_SAMPLES
+        inner_samples = schedule.excerpt_samples - 2 * self._reach_samples
         self._perception = Perception(schedule.distortion, schedule.rate_hz, inner_samples, device)
-        choice = configuration.model
         torch.manual_seed(configuration.seed)
+        model, prior = self._begin()
         self.state = Checkpoint(
-            Eva(EvaShape(choice.width, choice.width)).to(device),
-            FactorisedPrior(choice.width).to(device),
+            model.to(device),
+            prior.to(device),
             configuration.as_dict(),
             {"step": 0, "seconds": 0.0},
         )
@@ -160,6 +174,11 @@ class Training:
                 self.state.optimiser = self._optimiser.state_dict()
                 self.state.save(out / CHECKPOINT)
 
+    def _begin(self) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
+        """Return a model and a prior to begin with."""
+        width = self.configuration.model.width
+        return Eva(EvaShape(width, width)), FactorisedPrior(width)
+
     def _begin_optimiser(self) -> None:
         self._parameters = [*self.state.model.parameters(), *self.state.prior.parameters()]
         self._optimiser = torch.optim.Adam(self._parameters, lr=self._schedule.learning_rate)
@@ -180,7 +199,7 @@ class Training:
         generator = torch.Generator().manual_seed(2**31 * self.configuration.seed + step)
         signals = self._signals(self._excerpts.batch(step, self._schedule.batch))
         measured = self._measure(signals, generator)
-        loss = self._loss(measured)
+        loss = measured.loss.mean()
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         norm = nn.utils.clip_grad_norm_(self._parameters, self._schedule.gradient_norm)
@@ -193,34 +212,39 @@ class Training:
                 "good checkpoint is kept: lower [training] learning_rate and go on with --resume"
             )
         self._optimiser.step()
-        average.add(value, measured.bits.mean().item(), _mean_snr_db(signals, measured.squared_error))
-
-    def _loss(self, measured: Measured) -> Tensor:
-        return torch.mean(measured.bits + self.configuration.model.lambda_ * measured.distortion)
+        average.add(value, measured.bits.mean().item(), self._mean_snr_db(signals, measured))
 
     def _measure(self, signals: Tensor, generator: torch.Generator | None) -> Measured:
         """Code signals (batch, 1, n): with rounding alone, or as in training with a generator."""
-        model = self.state.model
-        latents = model.analysis(signals)
+        model, prior, weight = self.state.model, self.state.prior, self.configuration.model.lambda_
+        assert isinstance(model, Eva) and isinstance(prior, FactorisedPrior) and weight is not None
+        values, used, _ = self._quantised(model.analysis(signals), generator)
+        bits = prior.bits(values).sum(dim=(1, 2)) / signals.shape[-1]
+        error = self._inner(model.synthesis(used) - signals)
+        loss = bits + weight * self._perception.mean_square(error)
+        return Measured(loss, bits, torch.mean(error**2, dim=(1, 2)))
+
+    def _quantised(self, latents: Tensor, generator: torch.Generator | None) -> tuple[Tensor, Tensor, Tensor]:
+        """Return latents, in quantiser steps, for the prior, for the synthesis, and rounded.
+
+        Without a generator they are the same; with it, as in training, the first and perhaps the second hold noise in
+        place of rounding.
+        """
         # What is shrunk before it is rounded has a dead zone around zero.
         latents = torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
         rounded = torch.round(latents).detach()
-        values = used = rounded
-        if generator is not None:
-            noise = torch.rand(latents.shape, generator=generator).to(self._device) - 0.5
-            values = used = latents + noise
-            if self._schedule.rounding == "straight-through":
-                used = latents + (rounded - latents).detach()
-        bits = self.state.prior.bits(values).sum(dim=(1, 2)) / signals.shape[-1]
-        error = _inner(model.synthesis(used) - signals)
-        return Measured(bits, self._perception.mean_square(error), torch.mean(error**2, dim=(1, 2)))
+        if generator is None:
+            return rounded, rounded, rounded
+        noisy = latents + torch.rand(latents.shape, generator=generator).to(self._device) - 0.5
+        straight_through = self._schedule.rounding == "straight-through"
+        return noisy, latents + (rounded - latents).detach() if straight_through else noisy, rounded
 
     def _validate(self, training_loss: float) -> None:
         """Code the held-back materials, and note the outcome in the curves."""
         progress = self.state.progress
         with torch.no_grad():
             measured = self._measure(self._validation, None)
-            loss, bits = self._loss(measured).item(), measured.bits.mean().item()
+            loss, bits = measured.loss.mean().item(), measured.bits.mean().item()
         if not math.isfinite(loss):
             raise TrainingError(
                 f"the loss on held-back materials is {loss:.3g} at step {progress['step']}; the last good checkpoint "
@@ -233,9 +257,63 @@ class Training:
                 "training_loss": training_loss,
                 "loss": loss,
                 "bits_per_sample": bits,
-                "snr_db": _mean_snr_db(self._validation, measured.squared_error),
+                "snr_db": self._mean_snr_db(self._validation, measured),
             }
         )
+
+    def _inner(self, signals: Tensor) -> Tensor:
+        """Return what lies between the ends of signals (batch, 1, n): there blocks are missing that a stream has."""
+        return signals[..., self._reach_samples : -self._reach_samples]
+
+    def _mean_snr_db(self, signals: Tensor, measured: Measured) -> float:
+        with torch.no_grad():
+            power = torch.mean(self._inner(signals) ** 2, dim=(1, 2)).clamp(min=1e-12)
+            return (10 * torch.log10(power / measured.squared_error.clamp(min=1e-12))).mean().item()
+
+
+class LappedTraining(Training):
+    """A training of `lapped`: every excerpt, at a random step, mostly by the hops that a file like it would take."""
+
+    _reach_samples = lapped.REACH_SAMPLES
+
+    def _begin(self) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
+        return Lapped(), nn.ModuleList(map(ContextPrior, HOPS))
+
+    def _measure(self, signals: Tensor, generator: torch.Generator | None) -> Measured:
+        """Of each excerpt, loss, bits and squared error are those of its best hop; the loss is a logarithm.
+
+        At a step s the slope of squared error over bits is 2 ln(2) s^2 / 12, which fixes lambda: Gish and Pierce,
+        "Asymptotically efficient quantizing", 1968. In training a hop learns from an excerpt the more, the nearer its
+        loss is to that of the best one.
+        """
+        count, (finest, coarsest) = len(signals), _LOG2_STEPS
+        part = torch.linspace(0, 1, count) if generator is None else torch.rand(count, generator=generator)
+        steps = torch.exp2(finest + (coarsest - finest) * part).to(self._device)
+        weight = 12 / (2 * math.log(2) * steps**2)
+        bits, squared_errors = map(torch.stack, zip(*self._by_hop(signals, steps, generator), strict=True))
+        losses = torch.log1p((bits + weight * squared_errors) / _QUIET)
+        best = losses.argmin(0, keepdim=True)
+        loss = losses.gather(0, best)[0]
+        if generator is not None:
+            loss = (torch.softmax(-losses.detach() / _INDIFFERENCE, 0) * losses).sum(0)
+        return Measured(loss, bits.gather(0, best)[0], squared_errors.gather(0, best)[0])
+
+    def _by_hop(
+        self, signals: Tensor, steps: Tensor, generator: torch.Generator | None
+    ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield bits per sample and mean squared error of each excerpt (batch,) at every hop."""
+        model, priors, step = self.state.model, self.state.prior, steps[:, None, None]
+        assert isinstance(model, Lapped) and isinstance(priors, nn.ModuleList)
+        for window, prior in zip(model.windows, priors, strict=True):
+            assert isinstance(window, Window) and isinstance(prior, ContextPrior)
+            matrix = window.matrix()
+            values, used, rounded = self._quantised(lapped.analysed(signals, matrix) / step, generator)
+            bits = prior.bits(values, rounded, step.expand(-1, window.hop, -1)).mean(dim=(1, 2))
+            error = self._inner(lapped.synthesised(used * step, matrix) - signals)
+            yield bits, self._perception.mean_square(error)
+
+
+_TRAININGS = {"eva": Training, "lapped": LappedTraining}
 
 
 def train(
@@ -252,7 +330,7 @@ def train(
     if threads:
         torch.set_num_threads(threads)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    training = Training(configuration, data_folder, device)
+    training = _TRAININGS[configuration.model.kind](configuration, data_folder, device)
     if checkpoint.exists():
         training.resume(checkpoint)
     out.mkdir(parents=True, exist_ok=True)
@@ -271,14 +349,3 @@ def _tensorboard_logs(out: Path, step: int) -> Any:
     except ImportError:
         return None
     return SummaryWriter(str(out / "tensorboard"), purge_step=step)
-
-
-def _inner(signals: Tensor) -> Tensor:
-    """Return what lies between the ends of signals (batch, 1, n): at the ends columns are missing that a stream has."""
-    return signals[..., REACH_SAMPLES:-REACH_SAMPLES]
-
-
-def _mean_snr_db(signals: Tensor, squared_error: Tensor) -> float:
-    with torch.no_grad():
-        power = torch.mean(_inner(signals) ** 2, dim=(1, 2)).clamp(min=1e-12)
-        return (10 * torch.log10(power / squared_error.clamp(min=1e-12))).mean().item()

@@ -73,10 +73,11 @@ def export(
     The folder is written whole or not at all; one that holds a model is replaced.
     """
     extras.require("train")
-    from vibrocast.evaluation import model_card
-    from vibrocast.export import configuration, package, training_data
+    from vibrocast.evaluation import lapped_card, model_card
+    from vibrocast.export import configuration, lapped_image, package, training_data
     from vibrocast.export.checkpoint import ModelError, load
     from vibrocast.export.graphs import GraphError
+    from vibrocast.export.lapped import Lapped
 
     try:
         loaded = load(checkpoint)
@@ -84,30 +85,43 @@ def export(
             trained_as = configuration.parsed(loaded.training)
         except configuration.ConfigurationError as error:
             raise ModelError(f"{checkpoint}: how it was trained is damaged: {error}; train the model again") from error
+        if isinstance(loaded.model, Lapped) and (runtime, prior) != ("core", "adaptive"):
+            raise ModelError(
+                "a model of kind lapped has no ONNX graph and no static prior; leave --runtime and --prior out"
+            )
         name = name or trained_as.name
         out = out or Path(name)
         reject_replacing_others(out)
         # Before the work, so that a place that cannot be written to is not found out after it.
         out.parent.mkdir(parents=True, exist_ok=True)
+        commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
         with progress.bar("exporting") as update:
             update(0, "reading the training's data")
             traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
             trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
-            update(0, "integers")
-            made = package.make(
-                loaded, name, model_version, runtime, [trace.samples.astype(np.float64) for trace in trained], prior
-            )
-            commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
-            card = model_card.made(loaded, made, trained, held_back, commands, update)
+            signals = [trace.samples.astype(np.float64) for trace in trained]
+            if not isinstance(loaded.model, Lapped):
+                update(0, "integers")
+                made = package.make(loaded, name, model_version, runtime, signals, prior)
+                image, files = made.image, made.files
+                card = model_card.made(loaded, made, trained, held_back, commands, update)
+                page = model_card.as_markdown(card)
+        if isinstance(loaded.model, Lapped):
+            image = lapped_image.image(loaded.model, name, model_version, signals, trained_as.seed)
+            model = models.Model(name, Path(f"{name}{models.IMAGE_SUFFIX}"), image)
+            files = {str(model.path): image}
+            with progress.bar("measuring") as update:
+                card = lapped_card.made(loaded, model, model_version, (trained, held_back), commands, update)
+            page = lapped_card.as_markdown(card)
     except (ModelError, GraphError) as error:
         raise BadInput(str(error)) from error
     with atomic_folder(out) as partial:
-        for file, data in made.files.items():
+        for file, data in files.items():
             (partial / file).write_bytes(data)
         (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
-        (partial / "card.md").write_text(model_card.as_markdown(card), encoding="utf-8")
+        (partial / "card.md").write_text(page, encoding="utf-8")
     point = card["results"]["point"]
     click.echo(
-        f"{out}: {name}, image of {len(made.image)} bytes, {point['snr_db']:.1f} dB at "
+        f"{out}: {name}, image of {len(image)} bytes, {point['snr_db']:.1f} dB at "
         f"{point['bits_per_sample']:.2f} bit/sample"
     )

@@ -298,7 +298,7 @@ def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("format", "other", "not a checkpoint of EVA"),
+        ("format", "other", "not a checkpoint of a model"),
         ("version", 1, "version 1"),
         ("shape", {"width": 10**6, "latents": 16}, "width 1000000"),
         ("shape", {"width": 8, "latents": 16}, "float32 of shape"),
@@ -327,7 +327,7 @@ def test_files_that_are_no_checkpoints_are_rejected(trained: Path, tmp_path: Pat
         with pytest.raises(ModelError, match="not a checkpoint"):
             checkpoint.load(tmp_path / f"{number}.pt")
     torch.save([1], tmp_path / "list.pt")
-    with pytest.raises(ModelError, match="not a checkpoint of EVA"):
+    with pytest.raises(ModelError, match="not a checkpoint of a model"):
         checkpoint.load(tmp_path / "list.pt")
     with pytest.raises(ModelError, match="no such file"):
         checkpoint.load(tmp_path)

@@ -1,0 +1,21 @@
+"""The model image of a trained `lapped`: its windows, and tables and network trained on what they make of textures."""
+
+from collections.abc import Sequence
+from functools import partial
+
+from vibrocast.codec import lapped, mdct
+from vibrocast.codec.interface import Signal
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export.lapped import Lapped
+from vibrocast.export.mdct_network import trained
+
+
+def image(model: Lapped, name: str, version: str, signals: Sequence[Signal], seed: int) -> bytes:
+    """Return the packed image of a model. `signals`: float64 (n,), all that it was trained on.
+
+    Raises ModelImageError for a name or version that an image cannot have.
+    """
+    windows = lapped.pack_windows(model.halves())
+    textures = [signal[:, None] for signal in signals]
+    tables = trained(textures, seed, mdct.built_in_tables(), partial(lapped.analysis_matrix, windows))
+    return ModelImage(lapped.IDENTIFIER, name, version, "", windows + tables).pack()
