@@ -108,8 +108,8 @@ class EvaEncoder(PacketwiseEncoder):
         level_codes = [step_code(level) for level in levels]
         self.configuration = configuration(self._packet_blocks, level_codes, rate_control is not None)
         self._rate_control = rate_control
-        # From the unit of the integers to a step of which the largest latent is less than half: silence fits any rate.
-        finest = -_QUANTISER_OFFSETS_OF_OCTAVE * image.fraction_bits
+        # From the coarsest unit of the integers to a step of which the largest latent is less than half: silence fits any rate.
+        finest = -_QUANTISER_OFFSETS_OF_OCTAVE * int(np.min(image.fraction_bits))
         self._quantiser_offsets = range(finest, finest + _QUANTISER_OFFSETS_OF_OCTAVE * 16 + 1)
         self._levels = [level_of(code) for code in level_codes]
         self._encoder = LatentEncoder(self.configuration, self._channels, model.tables, framing.refresh_packets)
@@ -134,7 +134,7 @@ class EvaEncoder(PacketwiseEncoder):
         signal = np.zeros((1, 1, columns * HOP), dtype=np.float32)
         signal[0, 0, : len(samples)] = samples / level
         latents = run(self._analysis, signal, (1, self._image.latents, columns))[0]
-        most = _MAX_LATENT / 2.0**self._image.fraction_bits  # which decoders have
+        most = _MAX_LATENT / np.exp2(self._image.fraction_bits)[:, None]  # which decoders have
         own = latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._packet_blocks]
         return np.asarray(np.clip(own.astype(np.float64), -most, most))
 
@@ -159,7 +159,7 @@ class OnnxDecoder(EvaDecoder):
         super().__init__(configuration, channels, payload)
         image = EvaImage.unpack(payload)
         self._synthesis = transform(image.graph, LATENTS, SIGNAL)
-        self._unit = np.float32(2.0**-image.fraction_bits)
+        self._units = np.exp2(-image.fraction_bits.astype(np.float32))[:, None]
         head_bytes = 1 + (configuration[0] >> 7)
         level_codes = np.frombuffer(configuration, "<u2", channels, head_bytes)
         self._levels = [32768 * level_of(int(code)) for code in level_codes]
@@ -186,7 +186,7 @@ class OnnxDecoder(EvaDecoder):
         samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
         start = _CONTEXT_COLUMNS * HOP - _REACH
         for channel, (latents, level) in enumerate(zip(self._latents, self._levels, strict=True)):
-            values = latents.T[None].astype(np.float32) * self._unit
+            values = latents.T[None].astype(np.float32) * self._units
             signal = run(self._synthesis, values, (1, 1, len(latents) * HOP))[0, 0, start : start + len(samples)]
             samples[:, channel] = np.clip(np.rint(signal.astype(np.float64) * level), -32768, 32767)
         return samples

@@ -24,8 +24,8 @@ PriorKind: TypeAlias = Literal["adaptive", "static"]
 """What becomes of the prior's probabilities: they adapt to the latents of the stream, as in the EVA paper, or not."""
 PRIOR_KINDS: tuple[PriorKind, ...] = get_args(PriorKind)
 
-# Layout version, flags, width, latents, fraction bits of the latents, bytes of the graph.
-_FIXED = struct.Struct("<BBBBBI")
+# Layout version, flags, width, latents, bytes of the graph.
+_FIXED = struct.Struct("<BBBBI")
 _STATIC_FLAG, _NETWORK_FLAG, _RUNTIME_FLAG = 1, 2, 4
 _KERNELS = (5, 5, 9)
 # Taps of each phase of a transposed convolution (stride 2 or 4), in the order of the input columns that they weigh, up
@@ -85,14 +85,14 @@ class IntegerNetwork:
 class EvaImage:
     """All that a decoder of EVA needs.
 
-    `width`: channels of the hidden layers. `fraction_bits`: the latents' unit in integers is 2^-fraction_bits of the
-    graph's, in which the quantiser step is 1. `probabilities`: uint16 (latents, 16), in 1/65536, that the magnitude of
+    `width`: channels of the hidden layers. `fraction_bits`: uint8 (latents,), the unit of each latent in
+    integers is 2^-fraction_bits of the graph's, in which the quantiser step is 1. `probabilities`: uint16 (latents, 16), in 1/65536, that the magnitude of
     a level is above 0, 1, ... 14, then that it is negative; `prior` says whether they adapt. `network`, `graph` (ONNX,
     "latents" to "signal"): at least one of them is there. `runtime`: which of RUNTIMES a decoder prefers.
     """
 
     width: int
-    fraction_bits: int
+    fraction_bits: NDArray[np.uint8]
     probabilities: NDArray[np.uint16]
     prior: PriorKind
     network: IntegerNetwork | None
@@ -109,8 +109,10 @@ class EvaImage:
         flags = _STATIC_FLAG * (self.prior == "static")
         flags |= _NETWORK_FLAG * (self.network is not None) | _RUNTIME_FLAG * (self.runtime == "onnx")
         network = b"" if self.network is None else self.network.pack()
-        fixed = _FIXED.pack(LAYOUT_VERSION, flags, self.width, self.latents, self.fraction_bits, len(self.graph))
-        payload = fixed + self.probabilities.astype("<u2").tobytes() + network + self.graph
+        fixed = _FIXED.pack(LAYOUT_VERSION, flags, self.width, self.latents, len(self.graph))
+        payload = (
+            fixed + self.fraction_bits.tobytes() + self.probabilities.astype("<u2").tobytes() + network + self.graph
+        )
         EvaImage.unpack(payload)
         return payload
 
@@ -123,9 +125,10 @@ class EvaImage:
                 "the model again"
             )
         reader = _Reader(payload, _damaged)
-        _, flags, width, latents, fraction_bits, graph_bytes = _FIXED.unpack(reader.take(_FIXED.size))
-        _check(flags < 8 and fraction_bits <= MAX_FRACTION_BITS)
-        _check(1 <= width <= MAX_CHANNELS and 1 <= latents <= MAX_CHANNELS)
+        _, flags, width, latents, graph_bytes = _FIXED.unpack(reader.take(_FIXED.size))
+        _check(flags < 8 and 1 <= width <= MAX_CHANNELS and 1 <= latents <= MAX_CHANNELS)
+        fraction_bits = reader.array("u1", latents)
+        _check(bool(np.all(fraction_bits <= MAX_FRACTION_BITS)))
         probabilities = reader.array("<u2", latents, DECISIONS).astype(np.uint16)
         network = _network(reader, width, latents) if flags & _NETWORK_FLAG else None
         graph = reader.take(graph_bytes)

@@ -10,7 +10,7 @@ from vibrocast import codec, pages, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.evaluation import trained as trained_model
 from vibrocast.evaluation.bd_rate import SNR, bd_rate
-from vibrocast.evaluation.model_card import recordings_of, sources_of, thinned
+from vibrocast.evaluation.model_card import recordings_of, sources_of
 from vibrocast.export.checkpoint import Checkpoint
 from vibrocast.export.training_data import Trace
 from vibrocast.models import IMAGE_SUFFIX, Model
@@ -42,7 +42,7 @@ def made(
         "codec": trained_model.codec_name(model),
         "family": model.name,
         "training": {
-            "data": sources_of(trained, rate_hz),
+            "data": sources_of(trained, training),
             "held_back": sorted({trace.material for trace in held_back}),
             "command": commands[0],
             "configuration": training,
@@ -70,7 +70,6 @@ def as_markdown(card: Mapping[str, Any]) -> str:
         training=card["training"],
         results=card["results"],
         other=codec.DEFAULT_CODEC,
-        curves=thinned(card["training"]["curves"]),
     )
 
 

@@ -18,6 +18,7 @@ from vibrocast.codec.stream import as_stream
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation.cost import time_coding
 from vibrocast.evaluation.speed import cpu_name
+from vibrocast.export import configuration
 from vibrocast.export.checkpoint import Checkpoint
 from vibrocast.export.graphs import OPSET
 from vibrocast.export.package import Package
@@ -53,7 +54,7 @@ def made(
         "shape": checkpoint.shape.as_dict(),
         "prior": package.prior,
         "training": {
-            "data": sources_of(trained, rate_hz),
+            "data": sources_of(trained, training),
             "held_back": sorted({trace.material for trace in held_back}),
             "command": commands[0],
             "configuration": training,
@@ -94,23 +95,26 @@ def as_markdown(card: Mapping[str, Any]) -> str:
         results=results,
         point=results["point"],
         speed=results["seconds_per_million_samples"],
-        curves=thinned(training["curves"]),
     )
 
 
-def thinned(records: Sequence[Mapping[str, Any]], most: int = 20) -> list[Mapping[str, Any]]:
-    """Return at most so many records, evenly spread, the last one among them."""
-    count = min(most, len(records))
-    return [records[(number + 1) * len(records) // count - 1] for number in range(count)]
+def sources_of(traces: Sequence[Trace], training: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return name, recordings, hours, and what is said of them, of each source of a training's data.
 
-
-def sources_of(traces: Sequence[Trace], rate_hz: float) -> list[dict[str, Any]]:
-    """Return name, recordings and hours of each source."""
+    `training`: the configuration as a checkpoint stores it.
+    """
+    chosen = configuration.parsed(training)
+    about = {source.name: source.about for source in chosen.sources}
     samples: dict[str, list[int]] = {}
     for trace in traces:
         samples.setdefault(trace.source, []).append(len(trace.samples))
     return [
-        {"name": name, "recordings": len(lengths), "hours": sum(lengths) / rate_hz / 3600}
+        {
+            "name": name,
+            "about": about[name],
+            "recordings": len(lengths),
+            "hours": sum(lengths) / chosen.training.rate_hz / 3600,
+        }
         for name, lengths in samples.items()
     ]
 

@@ -25,6 +25,7 @@ HOTTEST = 4.0
 """How far above an RMS value of 1 the calibration takes the signals, so that louder passages have headroom."""
 EXCERPT_SAMPLES = 4096
 CALIBRATION_EXCERPTS = 64
+TONES = 64
 
 _LARGEST = 32767.0
 _MAX_WORD = 2**32 - 1
@@ -52,13 +53,13 @@ def quantise(
         raise ModelError(
             "it gives NaN or infinity on the signals of its training; take an earlier one or train it anew"
         )
-    fraction_bits = int(np.clip(np.floor(np.log2(_LARGEST / np.max(ranges[0]))), 0, MAX_FRACTION_BITS))
+    fraction_bits = np.clip(np.floor(np.log2(_LARGEST / ranges[0])), 0, MAX_FRACTION_BITS)
     return EvaImage(
         width=model.shape.width,
-        fraction_bits=fraction_bits,
+        fraction_bits=fraction_bits.astype(np.uint8),
         probabilities=_decisions(prior),
         prior=kind,
-        network=_network(model, ranges, 2.0**fraction_bits),
+        network=_network(model, ranges, np.exp2(fraction_bits)),
         graph=b"",
         runtime="core",
     )
@@ -79,6 +80,8 @@ def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
 def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
     """Return the greatest magnitude of each channel of the latents and of what each layer of the synthesis gives, with
     each inverse GDN's norm before its result; at HOTTEST times the level.
+
+    Latents have room for tones of every frequency too, as all of a tone's power may lie in one of them.
     """
     ranges: list[Values] = []
 
@@ -88,9 +91,9 @@ def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
         ranges.append(np.maximum(greatest, np.min(greatest[greatest > 0], initial=1.0)))
 
     with torch.no_grad():
-        latents = model.analysis(HOTTEST * torch.from_numpy(excerpts)[:, None])
+        latents, tones = (model.analysis(HOTTEST * torch.from_numpy(each)[:, None]) for each in (excerpts, _tones()))
+        record(torch.cat([latents, tones]))
         values = torch.round(latents)
-        record(values)
         for layer in model.synthesis:
             if isinstance(layer, Gdn):
                 energy = torch.nn.functional.conv1d(values * values, layer.gamma[:, :, None], layer.beta)
@@ -100,9 +103,14 @@ def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
     return ranges
 
 
-def _network(model: Eva, ranges: Sequence[Values], latent_unit: float) -> IntegerNetwork:
+def _tones() -> NDArray[np.float32]:
+    """Return tones (TONES, EXCERPT_SAMPLES) of RMS value 1 from 1 / (2 TONES) of the Nyquist frequency up."""
+    radians = np.pi * (np.arange(TONES) + 0.5) / TONES
+    return np.asarray(np.sqrt(2) * np.sin(radians[:, None] * np.arange(EXCERPT_SAMPLES)), dtype=np.float32)
+
+
+def _network(model: Eva, ranges: Sequence[Values], input_units: Values) -> IntegerNetwork:
     """Return the synthesis in integers. A unit is how many of them stand for 1, in each channel."""
-    input_units = np.full(model.shape.latents, latent_unit)
     normalisations, convolutions = [], []
     for stage, (norms, normalised, convolved) in enumerate(zip(ranges[1::3], ranges[2::3], ranges[3::3], strict=True)):
         gdn, convolution = model.synthesis[2 * stage], model.synthesis[2 * stage + 1]

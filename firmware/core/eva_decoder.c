@@ -39,7 +39,7 @@ uint32_t vc_eva_decoder_delay_samples(const vc_eva_decoder *decoder)
     return VC_EVA_DELAY;
 }
 
-/* The latent, in the model's unit, that a level stands for. */
+/* The latent, in its unit, that a level stands for. */
 static int16_t dequantised(int32_t level, int32_t step)
 {
     int64_t value = (int64_t)level * step;
@@ -50,14 +50,14 @@ static int16_t dequantised(int32_t level, int32_t step)
 }
 
 /* Decodes the next column of a channel into its latents. */
-static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, int32_t step)
+static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsigned channel, const int32_t *steps)
 {
     vc_eva_channel *state = &decoder->channels[channel];
     int32_t levels[VC_EVA_MAX_WIDTH];
     uint32_t k;
     vc_eva_code_column(coder, 0, &state->contexts, &decoder->model, levels);
     for (k = 0; k < decoder->model.latents; k++)
-        state->latents[k] = dequantised(levels[k], step);
+        state->latents[k] = dequantised(levels[k], steps[k]);
 }
 
 /* Turns the last latents of a channel into those of a missing column: the same with random signs, scaled so that they
@@ -80,14 +80,15 @@ static void put_out(vc_eva_decoder *decoder, vc_range_coder *coder, output to)
     const vc_eva_configuration *configuration = &decoder->configuration;
     const uint32_t latents = decoder->model.latents, columns = configuration->packet_columns;
     vc_eva_work *work = &decoder->work;
-    const int32_t step = vc_eva_packet_step(&decoder->model, decoder->quantiser_offset.value);
+    int32_t steps[VC_EVA_MAX_WIDTH];
     unsigned channel;
+    vc_eva_packet_steps(&decoder->model, decoder->quantiser_offset.value, steps);
     for (channel = 0; channel < configuration->channels; channel++) {
         vc_eva_channel *state = &decoder->channels[channel];
         uint32_t column, gathered = 0;
         for (column = 0; column < columns; column++) {
             if (coder != NULL)
-                decode_column(decoder, coder, channel, step);
+                decode_column(decoder, coder, channel, steps);
             else
                 fade_column(decoder, channel, column);
             if (to.latents != NULL) {

@@ -1,7 +1,7 @@
 /* Reads EVA's models and configurations; see eva_model.h. */
 #include "eva_model.h"
 
-#define HEAD_BYTES 9u
+#define HEAD_BYTES 8u
 #define STATIC_FLAG 1u
 #define NETWORK_FLAG 2u
 #define FLAGS 7u
@@ -72,21 +72,24 @@ int vc_eva_model_read(vc_eva_model *model, const uint8_t *bytes, size_t length)
 {
     reader from = {bytes, length, 0};
     const uint8_t *head = take(&from, HEAD_BYTES);
-    uint32_t graph_bytes;
+    uint32_t graph_bytes, latent;
     memset(model, 0, sizeof *model);
-    if (from.short_of || head[0] != VC_EVA_LAYOUT_VERSION || head[1] > FLAGS || head[4] > MAX_FRACTION_BITS)
+    if (from.short_of || head[0] != VC_EVA_LAYOUT_VERSION || head[1] > FLAGS)
         return VC_BAD_TABLES;
     model->width = head[2];
     model->latents = head[3];
-    model->fraction_bits = head[4];
-    graph_bytes = number(head + 5) | number(head + 7) << 16;
+    graph_bytes = number(head + 4) | number(head + 6) << 16;
     if (model->width < 1 || model->width > VC_EVA_MAX_WIDTH || model->latents < 1 || model->latents > VC_EVA_MAX_WIDTH)
         return VC_BAD_TABLES;
     model->adapts = (head[1] & STATIC_FLAG) == 0;
     model->has_network = (head[1] & NETWORK_FLAG) != 0;
+    model->fraction_bits = take(&from, model->latents);
     model->probabilities = take(&from, (size_t)2 * VC_EVA_DECISIONS * model->latents);
     if (from.short_of || (model->has_network && read_network(model, &from) != VC_OK))
         return VC_BAD_TABLES;
+    for (latent = 0; latent < model->latents; latent++)
+        if (model->fraction_bits[latent] > MAX_FRACTION_BITS)
+            return VC_BAD_TABLES;
     return from.length == graph_bytes && (model->has_network || graph_bytes > 0) ? VC_OK : VC_BAD_TABLES;
 }
 
@@ -115,11 +118,14 @@ int vc_eva_configuration_read(vc_eva_configuration *configuration, const uint8_t
     return VC_OK;
 }
 
-int32_t vc_eva_packet_step(const vc_eva_model *model, int32_t quantiser_offset)
+void vc_eva_packet_steps(const vc_eva_model *model, int32_t quantiser_offset, int32_t *steps)
 {
-    const int32_t code =
-        UNIT_STEP_CODE + 64 * (int32_t)model->fraction_bits + CODES_OF_QUANTISER_OFFSET * quantiser_offset;
-    return vc_step_of(code < 0 ? 0 : code < MAX_STEP_CODE ? (uint32_t)code : MAX_STEP_CODE);
+    uint32_t latent;
+    for (latent = 0; latent < model->latents; latent++) {
+        const int32_t code =
+            UNIT_STEP_CODE + 64 * (int32_t)model->fraction_bits[latent] + CODES_OF_QUANTISER_OFFSET * quantiser_offset;
+        steps[latent] = vc_step_of(code < 0 ? 0 : code < MAX_STEP_CODE ? (uint32_t)code : MAX_STEP_CODE);
+    }
 }
 
 uint16_t vc_eva_probability(const vc_eva_model *model, uint32_t latent, uint32_t decision)

@@ -31,7 +31,7 @@ typedef struct {
 /* A model whose bytes have been checked; all pointers lead into them. */
 typedef struct {
     uint32_t width, latents;
-    unsigned fraction_bits;       /* a latent of 1, the quantiser step, is 2^fraction_bits in the model's unit */
+    const uint8_t *fraction_bits; /* of each latent: 1, the quantiser step, is 2^fraction_bits in its unit */
     const uint8_t *probabilities; /* latents x VC_EVA_DECISIONS, 2 bytes each */
     int adapts;                   /* probabilities are only where those of a stream begin */
     int has_network;
@@ -50,8 +50,8 @@ int vc_eva_model_read(vc_eva_model *model, const uint8_t *bytes, size_t length);
 int vc_eva_configuration_read(vc_eva_configuration *configuration, const uint8_t *bytes, size_t length,
                               unsigned channels);
 
-/* The quantiser step of a packet of this quantiser offset, in 1/16 octave, in 1/4096 of the latents' unit. */
-int32_t vc_eva_packet_step(const vc_eva_model *model, int32_t quantiser_offset);
+/* The quantiser step of each latent in a packet of this quantiser offset, in 1/16 octave, in 1/4096 of its unit. */
+void vc_eva_packet_steps(const vc_eva_model *model, int32_t quantiser_offset, int32_t *steps);
 
 /* The prior's probability of a decision on a latent, in 1/65536: below VC_UNARY_LIMIT that the magnitude of its level
  * is above `decision`, else that the level is negative. */

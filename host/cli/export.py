@@ -11,7 +11,7 @@ from vibrocast import extras, models, progress
 from vibrocast.files import atomic_folder
 from vibrocast.host.cli.options import INPUT, BadInput, command_run
 
-FILES = {models.CARD, "card.md", models.ANALYSIS, "synthesis.onnx"}
+FILES = {models.CARD, "card.md", "curves.csv", "curves.png", models.ANALYSIS, "synthesis.onnx"}
 """What the folder of a model holds, in addition to its image."""
 
 
@@ -73,7 +73,7 @@ def export(
     The folder is written whole or not at all; one that holds a model is replaced.
     """
     extras.require("train")
-    from vibrocast.evaluation import lapped_card, model_card
+    from vibrocast.evaluation import lapped_card, model_card, training_curves
     from vibrocast.export import configuration, lapped_image, package, training_data
     from vibrocast.export.checkpoint import ModelError, load
     from vibrocast.export.graphs import GraphError
@@ -88,6 +88,11 @@ def export(
         if isinstance(loaded.model, Lapped) and (runtime, prior) != ("core", "adaptive"):
             raise ModelError(
                 "a model of kind lapped has no ONNX graph and no static prior; leave --runtime and --prior out"
+            )
+        if (done := loaded.progress["step"]) < trained_as.training.steps:
+            raise ModelError(
+                f"{checkpoint}: its training was cut at step {done} of {trained_as.training.steps}; go on with "
+                "`vibrocast train --resume`"
             )
         name = name or trained_as.name
         out = out or Path(name)
@@ -116,7 +121,7 @@ def export(
     except (ModelError, GraphError) as error:
         raise BadInput(str(error)) from error
     with atomic_folder(out) as partial:
-        for file, data in files.items():
+        for file, data in {**files, **training_curves.files(loaded.curves)}.items():
             (partial / file).write_bytes(data)
         (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
         (partial / "card.md").write_text(page, encoding="utf-8")

@@ -1,6 +1,5 @@
 """Tests of `vibrocast export`: a checkpoint becomes a folder that codes and plays; what is none is rejected."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -39,7 +38,7 @@ def texture() -> textures.Recording:
 def test_the_folder_holds_a_model(exported: Path) -> None:
     model = models.load(exported)
     assert sorted(path.name for path in exported.iterdir()) == sorted(
-        ["analysis.onnx", "synthesis.onnx", "tiny.vcmi", "card.json", "card.md"]
+        ["analysis.onnx", "synthesis.onnx", "tiny.vcmi", "card.json", "card.md", "curves.csv", "curves.png"]
     )
     assert (model.name, model.family) == ("tiny", "tiny")
     codec.check_tables(model.codec_identifier, model.tables)
@@ -55,10 +54,15 @@ def test_the_card_says_what_the_model_is_and_does(exported: Path) -> None:
     assert card["shape"] == {"width": 16, "latents": 16}
     assert card["prior"] == "adaptive"
     assert card["training"]["data"] == [
-        {"name": "generator", "recordings": 2, "hours": pytest.approx(2 / 3600, rel=0.01)}
+        {
+            "name": "generator",
+            "about": "this project's generated textures",
+            "recordings": 2,
+            "hours": pytest.approx(2 / 3600, rel=0.01),
+        }
     ]
     assert card["training"]["held_back"] == ["generator/grating", "generator/wood"]
-    assert (card["training"]["seed"], card["training"]["steps"]) == (1, 0)
+    assert (card["training"]["seed"], card["training"]["steps"]) == (1, 1)
     assert max(card["export"]["parity"].values()) <= 1e-5
     point = card["results"]["point"]
     assert 0 < point["bits_per_sample"] < point["bits_per_sample_static"]
@@ -184,11 +188,19 @@ def test_without_torch_or_onnx_the_command_says_what_to_install(missing: str, tr
     assert "Traceback" not in done.stderr
 
 
-def test_thinned_curves_keep_their_end() -> None:
-    records = [{"step": step} for step in range(1, 101)]
-    assert [record["step"] for record in model_card.thinned(records)] == list(range(5, 101, 5))
-    assert model_card.thinned(records[:3]) == records[:3]
-    assert json.loads(model_card.as_json({"name": "x"})) == {"name": "x"}
+def test_a_training_that_was_cut_is_not_exported(tmp_path: Path) -> None:
+    cut = tiny.checkpoint()
+    cut.training["training"]["steps"] = 2
+    cut.save(tmp_path / "checkpoint.pt")
+    assert "was cut at step 1 of 2; go on with `vibrocast train --resume`" in fails(
+        2, "export", tmp_path / "checkpoint.pt", "--out", tmp_path / "model"
+    )
+
+
+def test_curves_stand_beside_the_card(exported: Path) -> None:
+    assert (exported / "curves.csv").read_text().splitlines()[0].startswith("step,seconds,training_loss,loss")
+    assert (exported / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert "![Losses over steps; SNR over rate](curves.png)" in (exported / "card.md").read_text()
 
 
 def test_a_folder_that_holds_more_than_a_model_is_not_replaced(exported: Path, trained: Path, tmp_path: Path) -> None:

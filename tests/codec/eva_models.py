@@ -37,7 +37,7 @@ def random_image(seed: int, width: int = 4, latents: int = 3, prior: PriorKind =
     """Return an image with a random integer network and no graph."""
     generator = np.random.default_rng(seed)
     probabilities = generator.integers(0, 65536, (latents, DECISIONS)).astype(np.uint16)
-    fraction_bits = int(generator.integers(0, 15))
+    fraction_bits = generator.integers(0, 15, latents).astype(np.uint8)
     return EvaImage(width, fraction_bits, probabilities, prior, random_network(generator, width, latents), b"", "core")
 
 

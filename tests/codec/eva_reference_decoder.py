@@ -93,13 +93,13 @@ class EvaReferenceDecoder:
         coder = RangeDecoder(packet[start:])
         if self.rate_controlled:
             self.quantiser_offset.decode(coder)
-        code = min(max(64 * (6 + self.image.fraction_bits) + 4 * self.quantiser_offset.value, 0), 1535)
-        step = (64 + code % 64) << code // 64
+        codes = (64 * (6 + int(bits)) + 4 * self.quantiser_offset.value for bits in self.image.fraction_bits)
+        steps = [(64 + code % 64) << code // 64 for code in (min(max(code, 0), 1535) for code in codes)]
         values = np.zeros((len(self.levels), self.columns, self.image.latents), dtype=np.int64)
         for channel, columns in enumerate(values):
             for column in columns:
                 self._column(coder, channel, column)
-        rounded = np.sign(values) * ((np.abs(values * step) + 2048) // 4096)
+        rounded = np.sign(values) * ((np.abs(values * np.array(steps)) + 2048) // 4096)
         return np.asarray(np.clip(rounded, -32767, 32767))
 
     def _column(self, coder: RangeDecoder, channel: int, column: NDArray[np.int64]) -> None:

@@ -57,7 +57,7 @@ def test_a_runtime_without_what_it_needs_is_rejected() -> None:
     both = replace(EvaImage.unpack(PACKED), graph=b"a graph").pack()
     assert EvaImage.unpack(with_runtime(both, "onnx")).runtime == "onnx"
     with pytest.raises(CodecError, match="damaged"):
-        replace(EvaImage.unpack(PACKED), fraction_bits=15).pack()
+        replace(EvaImage.unpack(PACKED), fraction_bits=np.full(EvaImage.unpack(PACKED).latents, 15, np.uint8)).pack()
 
 
 @pytest.mark.parametrize("payload", [b"\x01" + PACKED[1:], b"\x01", b"\x03" + PACKED[1:]])

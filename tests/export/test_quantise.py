@@ -46,7 +46,7 @@ def test_the_integers_do_what_torch_does(shape: EvaShape) -> None:
     model = random_model(shape)
     image = quantise(model, FactorisedPrior(shape.latents), SIGNALS)
     assert image.network is not None and image.latents == shape.latents
-    unit = 2.0**image.fraction_bits
+    unit = torch.exp2(torch.from_numpy(image.fraction_bits.astype(np.float32)))[:, None]
     integers = torch.round(analysed(model) * unit)
     with torch.no_grad():
         exact = model.synthesis(integers / unit)[0, 0].double().numpy()
@@ -68,7 +68,7 @@ def test_norms_of_latents_of_few_steps_are_exact() -> None:
     assert 2 <= torch.max(torch.abs(latents)) <= 4
     image = quantise(model, FactorisedPrior(8), SIGNALS)
     assert image.network is not None
-    integers = (latents[0].T * 2**image.fraction_bits).long().numpy()
+    integers = latents[0].T.long().numpy() << image.fraction_bits.astype(int)
     found = synthesised(image.network, integers, 128 << 12) / (128 << 4)
     assert 10 * np.log10(np.sum(exact**2) / np.sum((found - exact) ** 2)) > 30
 

@@ -26,14 +26,15 @@ def checkpoint(lambda_: float = LAMBDA) -> Checkpoint:
             "name": "tiny",
             "model": {"width": 16, "lambda": lambda_},
             "generator": {"kinds": ["rough", "wood", "grating"], "recordings": 2, "seconds": 1.0},
+            "training": {"steps": 1},
             "held_back": {"materials": ["generator/wood", "generator/grating"]},
         }
     )
     torch.manual_seed(1)
     eva = Eva(EvaShape(16, 16))
     start_lapped(eva, lambda_)
-    record = {"step": 0, "seconds": 0.0, "training_loss": 2.0, "loss": 3.0, "bits_per_sample": 1.0, "snr_db": 10.0}
-    progress = {"step": 0, "seconds": 0.0}
+    record = {"step": 1, "seconds": 0.0, "training_loss": 2.0, "loss": 3.0, "bits_per_sample": 1.0, "snr_db": 10.0}
+    progress = {"step": 1, "seconds": 0.0}
     return Checkpoint(eva, FactorisedPrior(16), configuration.as_dict(), progress, [record])
 
 
