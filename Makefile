@@ -61,12 +61,12 @@ firmware: .venv/installed-for-tests
 	$(BIN)/python -m vibrocast.firmware.build
 	$(BIN)/python -m vibrocast.firmware.build --sizes
 
-# All but the largest image hold the ONNX graph as well, so that a controller can choose.
+# All but the largest images of eva hold the ONNX graph as well, so that a controller can choose.
 models: .venv/installed-for-tests
-	set -e; for trained in $(CHECKPOINTS)/eva-*/checkpoint.pt; do \
+	set -e; for trained in $(CHECKPOINTS)/*/checkpoint.pt; do \
 	    name=$$(basename $$(dirname $$trained)); \
-	    case $$name in eva-128-*) holds=core;; *) holds=both;; esac; \
-	    case $$name in eva-32-perceptual-*) examples=eva-32-perceptual;; *) examples=eva;; esac; \
+	    case $$name in eva-128-*|lapped-*) holds=core;; *) holds=both;; esac; \
+	    case $$name in eva-32-perceptual-*) examples=eva-32-perceptual;; lapped-*) examples=lapped;; *) examples=eva;; esac; \
 	    $(BIN)/vibrocast export $$trained --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
 	        --training-command "vibrocast train examples/$$examples.toml --data $(DATA)"; \
 	done

@@ -35,7 +35,7 @@ def _picture(curves: Sequence[Mapping[str, Any]]) -> bytes:
 
     left.plot(steps, line("training_loss"), color="0.6", label="training")
     left.plot(steps, line("loss"), color="black", label="held-back materials")
-    left.set(xlabel="step", ylabel="loss")
+    left.set(xlabel="step", ylabel="loss", yscale="log")
     left.legend(frameon=False, fontsize=8)
     right.plot(line("bits_per_sample"), line("snr_db"), color="0.6", marker=".")
     right.annotate(f"step {steps[-1]}", (curves[-1]["bits_per_sample"], curves[-1]["snr_db"]), fontsize=8)
