@@ -108,7 +108,8 @@ class EvaEncoder(PacketwiseEncoder):
         level_codes = [step_code(level) for level in levels]
         self.configuration = configuration(self._packet_blocks, level_codes, rate_control is not None)
         self._rate_control = rate_control
-        # From the coarsest unit of the integers to a step of which the largest latent is less than half: silence fits any rate.
+        # From the coarsest unit of the integers to a step of which the largest latent is less than half: silence
+        # fits any rate.
         finest = -_QUANTISER_OFFSETS_OF_OCTAVE * int(np.min(image.fraction_bits))
         self._quantiser_offsets = range(finest, finest + _QUANTISER_OFFSETS_OF_OCTAVE * 16 + 1)
         self._levels = [level_of(code) for code in level_codes]

@@ -85,10 +85,11 @@ class IntegerNetwork:
 class EvaImage:
     """All that a decoder of EVA needs.
 
-    `width`: channels of the hidden layers. `fraction_bits`: uint8 (latents,), the unit of each latent in
-    integers is 2^-fraction_bits of the graph's, in which the quantiser step is 1. `probabilities`: uint16 (latents, 16), in 1/65536, that the magnitude of
-    a level is above 0, 1, ... 14, then that it is negative; `prior` says whether they adapt. `network`, `graph` (ONNX,
-    "latents" to "signal"): at least one of them is there. `runtime`: which of RUNTIMES a decoder prefers.
+    `width`: channels of the hidden layers. `fraction_bits`: uint8 (latents,), the unit of each latent in integers is
+    2^-fraction_bits of the graph's, in which the quantiser step is 1. `probabilities`: uint16 (latents, 16), in
+    1/65536, that the magnitude of a level is above 0, 1, ... 14, then that it is negative; `prior` says whether they
+    adapt. `network`, `graph` (ONNX, "latents" to "signal"): at least one of them is there. `runtime`: which of RUNTIMES
+    a decoder prefers.
     """
 
     width: int

@@ -13,7 +13,7 @@ EXTRAS = {
     "distributed": ("bench",),
     "elftools": ("firmware",),
     "jinja2": ("bench",),
-    "matplotlib": ("plot", "bench"),
+    "matplotlib": ("plot", "bench", "train"),
     "onnx": ("train",),
     "onnxruntime": ("learned", "bench", "train"),
     "pebble": ("bench", "train"),

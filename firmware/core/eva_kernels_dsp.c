@@ -188,7 +188,7 @@ void vc_eva_squares_dsp(const int16_t *values, uint32_t channels, uint32_t colum
 }
 
 /* Energies of a column: constants + sums * multipliers / 2^down, at most VC_EVA_MAX_ENERGY. No addition overflows: a
- * sum is below 2^29, and so a product below 2^61. */
+ * sum is below 2^29, and so a product below 2^61; constants are VC_EVA_MAX_ENERGY at most. */
 static void find_energies(const int32_t *sums, const uint32_t *multipliers, const uint32_t *constants,
                           uint32_t channels, unsigned down, uint32_t *energies)
 {
@@ -204,7 +204,8 @@ static void find_energies(const int32_t *sums, const uint32_t *multipliers, cons
         for (i = 0; i < channels; i++) {
             const uint64_t product = (uint64_t)(uint32_t)sums[i] * multipliers[i];
             const uint32_t high = (uint32_t)(product >> 32), limited = high < most ? high : most;
-            energies[i] = __usat((int32_t)(constants[i] + (limited << up) + ((uint32_t)product >> down)), 30);
+            const uint32_t weighted = __usat((int32_t)((limited << up) + ((uint32_t)product >> down)), 30);
+            energies[i] = __usat((int32_t)(constants[i] + weighted), 30);
         }
     }
 }

@@ -39,7 +39,7 @@ def codecs(as_json: bool) -> None:
 @click.command("models")
 @click.option("--json", "as_json", is_flag=True, help="Print their cards as JSON.")
 def list_models(as_json: bool) -> None:
-    """List the trained models that ship, with their rate and quality."""
+    """List the trained models that ship, with their rates and quality."""
     if as_json:
         cards = {model.name: {**model.card, "image_sha256": sha256(model.image).hex()} for model in models.shipped()}
         click.echo(json.dumps(cards, indent=2, allow_nan=False))

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from tests.codec.eva_models import tiny_model
-from vibrocast import codec
+from vibrocast import codec, models
 from vibrocast.codec import Framing, SignalFormat
 from vibrocast.evaluation import cost, trained
 from vibrocast.models import Model
+
+MODELS = {"eva": tiny_model(), "lapped": models.find("lapped-textures")}
 
 
 class Clock:
@@ -68,7 +70,7 @@ def test_delay_is_the_longest_that_a_sample_waits(name: str) -> None:
     """Fed one sample at a time: what has come in by the time that a sample can be played."""
     rate_hz = 2800
     plug_in = codec.CODECS[name]
-    model = tiny_model() if plug_in.needs_model else None
+    model = MODELS.get(name)
     signal_format = SignalFormat(rate_hz, "full scale", (1.0,), (0.3,))
     encoder = plug_in.make_encoder(
         plug_in.complete({}), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None, None

@@ -81,7 +81,7 @@ def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path
 def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_path: Path) -> None:
     wood = textures.GENERATORS["wood"](hand_speed_mm_s=60, seconds=5, rate_hz=1600)
     samples = wood.samples.copy()
-    samples[3200:4800] *= 2
+    samples[3200:4800] *= 2.5
     textures.save(tmp_path / "loud.wav", replace(wood, samples=samples))
     limited = scene(
         tmp_path,
