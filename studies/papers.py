@@ -15,7 +15,7 @@ from studies.page import FOLDER, OUT, errors_in_one_line, render, write, write_r
 from studies.texture_paper import PUBLISHED, SIXTEEN_BITS, Result
 from vibrocast import codec
 from vibrocast.evaluation import cells, charts, trained
-from vibrocast.evaluation.bd_rate import PSNR, ST_SIM_2800
+from vibrocast.evaluation.bd_rate import PSNR, SPQI, ST_SIM_2800
 from vibrocast.evaluation.comparison import (
     AUTOENCODER,
     PAPER_SCALES,
@@ -103,9 +103,9 @@ def families(measurements: Measurements) -> list[str]:
 
 
 def bd_rates(measurements: Measurements, names: Sequence[str]) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Return BD-rates relative to ANCHORS at PAPER_SCALES, of every trace and their means."""
+    """Return BD-rates relative to ANCHORS at PAPER_SCALES and SPQI, of every trace and their means."""
     anchors = [anchor for anchor in ANCHORS if anchor in measurements.curves]
-    pairs = [(scale, anchor, name) for anchor in anchors for name in names for scale in PAPER_SCALES]
+    pairs = [(scale, anchor, name) for anchor in anchors for name in names for scale in (*PAPER_SCALES, SPQI)]
     rates = pair_bd_rates(measurements, pairs)
     return rates, mean_bd_rates(rates)
 
@@ -277,6 +277,7 @@ def page(measurements: Measurements, claims: Sequence[Claim], figure: charts.Cha
         others=others,
         anchors=ANCHORS,
         scales=PAPER_SCALES,
+        perceptual=SPQI,
         rates=rates,
         costs={name: measurements.cost(name) for name in (*names, *others)},
         speeds={name: _speeds(measurements, name) for name in (*names, *others)},
