@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vibrocast import codec, models, textures
-from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.encoding import default_model, encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Tap
 from vibrocast.device_protocol.model_image import ModelImage
@@ -100,7 +100,7 @@ def coded(
             rate_hz,
             codec_name,
             setting=setting,
-            model=model() if chosen.needs_model else None,
+            model=model(codec_name) if chosen.needs_model else None,
             live=True,
             highpass_hz=None,
         )
@@ -132,13 +132,12 @@ def amplitude(actuator: ActuatorDescription, unit: str) -> float:
 
 
 @cache
-def model() -> models.Model:
-    """Return a learned model whose image is decoded by its integer network, which gives the same bits everywhere."""
-    shipped = models.find(MODEL)
+def model(codec_name: str | None = None) -> models.Model:
+    """Return a learned model of a codec, or of any; integers decode it, which give the same bits everywhere."""
+    shipped = models.find(MODEL) if codec_name is None else default_model(codec.codec_by_name(codec_name))
     image = ModelImage.unpack(shipped.image)
     with_runtime = codec.codec_by_identifier(image.codec_identifier).with_runtime
-    assert with_runtime is not None, "a learned codec leaves the choice"
-    payload = with_runtime(image.payload, "core")
+    payload = with_runtime(image.payload, "core") if with_runtime else image.payload
     return replace(shipped, image=replace(image, name="conformance", payload=payload).pack())
 
 
