@@ -10,7 +10,7 @@ from vibrocast import codec, pages, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.evaluation import trained as trained_model
 from vibrocast.evaluation.bd_rate import SNR, bd_rate
-from vibrocast.evaluation.model_card import recordings_of, sources_of
+from vibrocast.evaluation.model_card import recordings_of, training_of
 from vibrocast.export.checkpoint import Checkpoint
 from vibrocast.export.training_data import Trace
 from vibrocast.models import IMAGE_SUFFIX, Model
@@ -34,23 +34,13 @@ def made(
     `commands`: how it was trained, and how exported. `progress` is called with the part done. Raises CodecError.
     """
     trained, held_back = data
-    training, history = checkpoint.training, checkpoint.progress
-    rate_hz = training["training"]["rate_hz"]
+    rate_hz = checkpoint.training["training"]["rate_hz"]
     return {
         "name": model.name,
         "version": version,
         "codec": trained_model.codec_name(model),
         "family": model.name,
-        "training": {
-            "data": sources_of(trained, training),
-            "held_back": sorted({trace.material for trace in held_back}),
-            "command": commands[0],
-            "configuration": training,
-            "seed": training["seed"],
-            "steps": history["step"],
-            "seconds": history["seconds"],
-            "curves": checkpoint.curves,
-        },
+        "training": training_of(checkpoint, trained, held_back, commands[0]),
         "export": {"command": commands[1]},
         "results": _results(model, recordings_of(held_back, rate_hz), progress),
         "files": {

@@ -44,8 +44,7 @@ def made(
     `progress` is called with the part done. Raises CodecError.
     """
     assert checkpoint.shape is not None, "a package is of an EVA"
-    training, history = checkpoint.training, checkpoint.progress
-    rate_hz = training["training"]["rate_hz"]
+    rate_hz = checkpoint.training["training"]["rate_hz"]
     return {
         "name": package.name,
         "version": package.version,
@@ -53,16 +52,7 @@ def made(
         "family": package.family,
         "shape": checkpoint.shape.as_dict(),
         "prior": package.prior,
-        "training": {
-            "data": sources_of(trained, training),
-            "held_back": sorted({trace.material for trace in held_back}),
-            "command": commands[0],
-            "configuration": training,
-            "seed": training["seed"],
-            "steps": history["step"],
-            "seconds": history["seconds"],
-            "curves": checkpoint.curves,
-        },
+        "training": training_of(checkpoint, trained, held_back, commands[0]),
         "export": {
             "command": commands[1],
             "image_holds": package.contents,
@@ -98,7 +88,24 @@ def as_markdown(card: Mapping[str, Any]) -> str:
     )
 
 
-def sources_of(traces: Sequence[Trace], training: Mapping[str, Any]) -> list[dict[str, Any]]:
+def training_of(
+    checkpoint: Checkpoint, trained: Sequence[Trace], held_back: Sequence[Trace], command: str
+) -> dict[str, Any]:
+    """Return what a card says of a training, given the traces of its data and the command that ran it."""
+    training, history = checkpoint.training, checkpoint.progress
+    return {
+        "data": _sources(trained, training),
+        "held_back": sorted({trace.material for trace in held_back}),
+        "command": command,
+        "configuration": training,
+        "seed": training["seed"],
+        "steps": history["step"],
+        "seconds": history["seconds"],
+        "curves": checkpoint.curves,
+    }
+
+
+def _sources(traces: Sequence[Trace], training: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return name, recordings, hours, and what is said of them, of each source of a training's data.
 
     `training`: the configuration as a checkpoint stores it.
