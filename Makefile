@@ -10,7 +10,7 @@ C_SOURCES := $(filter-out %_tables.c %/messages.c %/messages.h %/protocol.h,$(wi
 CHECKPOINTS ?= trained
 DATA ?= recordings
 
-.PHONY: install play test test-long lint lock fuzz firmware models
+.PHONY: install play test test-long lint docs lock fuzz firmware models
 
 install: .venv/installed
 
@@ -40,6 +40,15 @@ lint: .venv/installed-for-tests
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
+
+# The documentation site, in site/.
+docs: .venv/installed-for-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
+.venv/installed-for-docs: $(SOURCES)
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[docs]'
+	touch $@
 
 # Refreshes the pins; `pip install uv` first. Pins that still fit stay; to move one, delete its lines before.
 LOCK := requirements-dev.txt

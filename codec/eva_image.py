@@ -1,4 +1,4 @@
-"""The payload of EVA's model images: prior, integer synthesis network, ONNX graph; see docs/bitstream.md."""
+"""The payload of EVA's model images: prior, integer synthesis network, ONNX graph; see docs/reference/bitstream.md."""
 
 import struct
 from dataclasses import dataclass, replace
@@ -38,7 +38,7 @@ class Normalisation:
     """An inverse GDN in integers.
 
     `weights`: int8 (channels, channels), 0 to 127, of each square (second axis) in each norm. `multipliers`,
-    `constants`: uint32 (channels,). `shift`: 0 to 30. docs/bitstream.md says what they do.
+    `constants`: uint32 (channels,). `shift`: 0 to 30. docs/reference/bitstream.md says what they do.
     """
 
     weights: NDArray[np.int8]

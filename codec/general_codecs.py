@@ -1,4 +1,4 @@
-"""Speech and audio codecs of FFmpeg's libraries, as others would use them; layout in docs/bitstream.md."""
+"""Speech and audio codecs of FFmpeg's libraries, as others would use them; layout in docs/reference/bitstream.md."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The codec `lapped`: `mdct` with learned windows of four hops; layout in docs/bitstream.md."""
+"""The codec `lapped`: `mdct` with learned windows of four hops; layout in docs/reference/bitstream.md."""
 
 from functools import cache, partial
 

@@ -1,4 +1,4 @@
-"""Encoder and decoder by FFmpeg's libraries (PyAV), for any codec of theirs; layout in docs/bitstream.md."""
+"""Encoder and decoder by FFmpeg's libraries (PyAV), for any codec of theirs; layout in docs/reference/bitstream.md."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

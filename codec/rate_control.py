@@ -2,7 +2,7 @@
 
 A policy is a codec.interface.RateControl: it is asked for the quantiser offset of each packet when all of that
 packet's input is there, and nothing beyond it. `rate_controlled_encoder` joins a codec with a policy;
-docs/rate_control.md shows what they do.
+docs/benchmarks/rate_control.md shows what they do.
 """
 
 import math
@@ -361,7 +361,7 @@ def rate_controlled_framing(
 
     `bits_per_second`: of all channels, frames included. `max_s`: what the asked delay leaves for a packet. Encoders
     round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the actuator for half of that on
-    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/rate_control.md). Raises TargetUnreachable for
+    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/benchmarks/rate_control.md). Raises TargetUnreachable for
     a rate whose packets would last longer than the time over which it is held.
     """
     packet = b"\xff"

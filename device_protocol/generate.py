@@ -1,4 +1,4 @@
-"""Writes what follows from the messages, C sources and tables of docs/protocol.md.
+"""Writes what follows from the messages, C sources and tables of docs/reference/protocol.md.
 
 Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
@@ -16,7 +16,7 @@ from vibrocast.device_protocol.layout import Fixed, Flag, Part, Rest, Tag, WireF
 from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Described, Message
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "protocol.md"
+PAGE = ROOT / "docs" / "reference" / "protocol.md"
 CONTROLLER = ROOT / "firmware" / "controller"
 _NUMBERS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "uint64_t": 8, "int64_t": 8}
 _TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i64": "int64_t", "f32": "uint32_t"}
@@ -175,7 +175,7 @@ def _size(owner: type) -> str:
     return " + ".join(term for field in wire_fields(owner) for term in _in_c(field, "value->").size)
 
 
-# ---- docs/protocol.md ----
+# ---- docs/reference/protocol.md ----
 
 
 def page(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Messages between host and controller: one dataclass each. Bytes, C sources and docs/protocol.md follow from them."""
+"""Messages between host and controller: one dataclass each. Bytes, C sources and docs/reference/protocol.md follow from them."""
 
 import struct
 from dataclasses import dataclass, field
@@ -46,7 +46,7 @@ PACKET_OVERHEAD_BYTES = STREAM_DATA_HEAD_BYTES + MAX_VARINT_BYTES
 
 
 class Described(IntEnum):
-    """A number of the protocol with its row in docs/protocol.md."""
+    """A number of the protocol with its row in docs/reference/protocol.md."""
 
     description: str
 

@@ -1,4 +1,4 @@
-"""Quality of a decoded signal against its reference, by seven measures; docs/metrics.md has their rules."""
+"""Quality of a decoded signal against its reference, by seven measures; docs/reference/metrics.md has their rules."""
 
 import math
 from collections.abc import Iterable

@@ -26,7 +26,7 @@ _QUIET = 0.15  # bits per sample, so that excerpts of next to none do not outwei
 _WEIGHT_BYTES, _SILENCE_BYTES = 480, 16
 _DECISIONS = 6
 _UNARY_LIMIT = 15
-_INPUT_UNIT, _WEIGHT_UNIT, _BIAS_UNIT = 16, 64, 256  # of the integers, see docs/bitstream.md
+_INPUT_UNIT, _WEIGHT_UNIT, _BIAS_UNIT = 16, 64, 256  # of the integers, see docs/reference/bitstream.md
 
 Analysis: TypeAlias = Callable[[int], Signal]
 """The transform at a hop, (samples of a window, hop), whose coefficients are coded."""
@@ -68,7 +68,7 @@ def averaged_tables(textures: list[Signal], seed: int, tables: bytes, analysis: 
 
 
 def _parts(tables: bytes) -> tuple[bytes, bytes, bytes]:
-    """Return the cells, the weights and the probabilities of silence in tables, see docs/bitstream.md."""
+    """Return the cells, the weights and the probabilities of silence in tables, see docs/reference/bitstream.md."""
     weights_at = len(tables) - _SILENCE_BYTES - _WEIGHT_BYTES
     return tables[:weights_at], tables[weights_at:-_SILENCE_BYTES], tables[-_SILENCE_BYTES:]
 

@@ -30,7 +30,7 @@ from vibrocast.device_protocol.transports import Closing, Transport, TransportEr
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Pause, Steps
 
-# docs/protocol.md, "Sequence numbers"
+# docs/reference/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1
 TRIES = 20
 HELLO_TRIES = 5

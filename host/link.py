@@ -13,7 +13,7 @@ from vibrocast.host.stream_session import next_number
 # The controller drops data of a stream that is not under way, so a frame of it may be of any length.
 _PROBE_BYTES = 128
 _PROBES = 3
-# A controller that plays sends a Status at least so often (docs/protocol.md, "Credit").
+# A controller that plays sends a Status at least so often (docs/reference/protocol.md, "Credit").
 STATUS_INTERVAL_S = 0.1
 # A computer and a bus shift a frame by so much; what is later tells of the link's capacity.
 _JITTER_S = 0.005

@@ -51,7 +51,7 @@ class DeviceDescription:
 
 @dataclass(frozen=True)
 class Report:
-    """Figures of one play; docs/report.md explains each. None stands for what could not be measured.
+    """Figures of one play; docs/reference/report.md explains each. None stands for what could not be measured.
 
     `seconds` is the duration of one pass; `stream_bytes`, and the rates from it, are of the whole .vct file.
     """

@@ -23,7 +23,7 @@ from vibrocast.host.devices import SIMULATED
 
 RECONNECT_S = 10.0
 
-# docs/protocol.md: erasing or reading a whole slot takes its time.
+# docs/reference/protocol.md: erasing or reading a whole slot takes its time.
 _SLOT_TIMEOUT_S = 0.5
 _RESTART_S = 10.0
 _RESTART_PAUSE_S = 0.1

@@ -135,7 +135,7 @@ class EmulatedCore:
 
     @property
     def cycles(self) -> int:
-        """Cycles that a Cortex-M4 would have needed since the last `clear`, by docs/firmware.md's model."""
+        """Cycles that a Cortex-M4 would have needed since the last `clear`, by docs/benchmarks/firmware.md's model."""
         jumps = sum(times for (start, size, to), times in self._entered.items() if size and to != start + size)
         return sum(self._timing(*place)[1] * times for place, times in self._visits()) + _REFILL_CYCLES * jumps
 

@@ -1,4 +1,4 @@
-"""What decoding costs a microcontroller, counted in emulation: `python -m studies.firmware --out docs`."""
+"""What decoding costs a microcontroller, counted in emulation: `python -m studies.firmware --out docs/benchmarks`."""
 
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence

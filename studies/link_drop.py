@@ -1,4 +1,4 @@
-"""Live streams when a link drops to half: `python -m studies.link_drop RECORDINGS --out docs`."""
+"""Live streams when a link drops to half: `python -m studies.link_drop RECORDINGS --out docs/benchmarks`."""
 
 import math
 from collections.abc import Sequence

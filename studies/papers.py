@@ -1,4 +1,4 @@
-"""Lists what the two papers claim, and what happened here: `python -m studies.papers FOLDER --out docs`."""
+"""Lists what the two papers claim, and what happened here: `python -m studies.papers FOLDER --out docs/benchmarks`."""
 
 import math
 from collections.abc import Iterator, Sequence

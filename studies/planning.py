@@ -1,4 +1,4 @@
-"""Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs`."""
+"""Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs/benchmarks`."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

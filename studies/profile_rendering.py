@@ -1,6 +1,6 @@
 """One coded profile at several hand speeds and through a reversal: `python -m studies.profile_rendering`.
 
-Writes docs/profiles.png and docs/profiles.csv: what is rendered against the decoded profile, resampled exactly, and
+Writes docs/benchmarks/profiles.png and docs/benchmarks/profiles.csv: what is rendered against the decoded profile, resampled exactly, and
 what a Cortex-M4 takes for it.
 """
 
@@ -128,9 +128,9 @@ def main() -> None:
     axes[-1].set_xlabel("time, s")
     axes[0].legend(loc="upper right")
     figure.suptitle(f"{PROFILE.name}, coded once ({stream.size_bytes} bytes), under a hand")
-    figure.savefig(ROOT / "docs" / "profiles.png", dpi=80)
+    figure.savefig(ROOT / "docs" / "benchmarks" / "profiles.png", dpi=80)
     rows += cost(decoded[:, 0], header.rate_hz).items()
-    with (ROOT / "docs" / "profiles.csv").open("w", newline="", encoding="utf-8") as file:
+    with (ROOT / "docs" / "benchmarks" / "profiles.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("figure", "value"))
         writer.writerows((name, f"{value:.4g}" if value < 1000 else f"{value:.0f}") for name, value in rows)

@@ -1,4 +1,4 @@
-"""Measures how exactly rates are held: `python -m studies.rate_control RECORDINGS --out docs`."""
+"""Measures how exactly rates are held: `python -m studies.rate_control RECORDINGS --out docs/benchmarks`."""
 
 import math
 import shlex

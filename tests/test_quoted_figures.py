@@ -1,6 +1,6 @@
 """Figures that hand-written pages quote are those of the generated tables that comments next to them name.
 
-A comment follows a figure and its unit: 16 %<!-- from docs/results/bd_rate.csv: mean where codec=slp, anchor=mdct -->.
+A comment follows a figure and its unit: 16 %<!-- from docs/benchmarks/results/bd_rate.csv: mean where codec=slp, anchor=mdct -->.
 """
 
 import csv
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")})
+PAGES = sorted({ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("*/README.md")})
 COMMENT = re.compile(r"<!-- from (\S+): (\w+) where (.+?) -->")
 FIGURE = re.compile(r"([-+]?)(\d+(?:\.\d+)?)( kB)?[ %]*$")
 

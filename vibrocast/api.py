@@ -143,7 +143,7 @@ def render(
     """Return the displacement at the skin in um, (n, channels) at 4 times the DAC's rate, aligned to the recording.
 
     The integer output stage of a controller computes the DAC codes, limits and compensation included; the model of the
-    actuator makes them displacement. `actuator`: a name, an Actuator or a TOML file (docs/harness.md). `unit`: "drive"
+    actuator makes them displacement. `actuator`: a name, an Actuator or a TOML file (docs/how-to/measure_a_bench.md). `unit`: "drive"
     for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError or ActuatorFileError
     (ValueError).
     """
@@ -230,7 +230,7 @@ def codecs() -> Mapping[str, Codec]:
 def register(codec: BlockCodec | type[BlockCodec] | Codec) -> Codec:
     """Add a codec to `codecs()` in this process, or replace one that you registered; return it as listed there.
 
-    `codec`: an object or a class as docs/codecs.md, "A codec of your own", describes. Processes that vibrocast starts,
+    `codec`: an object or a class as docs/reference/codecs.md, "A codec of your own", describes. Processes that vibrocast starts,
     such as the workers of `vibrocast bench`, do not know it; for these, install a package with an entry point in the
     group `vibrocast.codecs`. Raises CodecError (ValueError) where something of it is missing or its name is taken.
     """

@@ -467,7 +467,7 @@ static void take_request(vc_controller *controller, const vc_message *message)
     }
 }
 
-/* Acts on a message and answers it; docs/protocol.md, "Sequence numbers". */
+/* Acts on a message and answers it; docs/reference/protocol.md, "Sequence numbers". */
 static void handle(vc_controller *controller, vc_piece payload)
 {
     vc_playback *playback = &controller->playback;

@@ -1,7 +1,7 @@
 /* A tactor controller without any input or output of its own: bytes and time in, bytes and DAC codes out.
  *
  * C99, no allocation, no recursion, no libc beyond memcpy and memset: the whole controller is one vc_controller that
- * the port owns. What it does is docs/protocol.md; what a port must provide is in firmware/README.md.
+ * the port owns. What it does is docs/reference/protocol.md; what a port must provide is in firmware/README.md.
  */
 #ifndef VIBROCAST_CONTROLLER_H
 #define VIBROCAST_CONTROLLER_H

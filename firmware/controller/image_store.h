@@ -1,5 +1,5 @@
 /* Two slots for model images in flash, and the record of their states: whenever the power goes, an image that runs is
- * left. docs/protocol.md, "Flashing".
+ * left. docs/reference/protocol.md, "Flashing".
  */
 #ifndef VIBROCAST_IMAGE_STORE_H
 #define VIBROCAST_IMAGE_STORE_H

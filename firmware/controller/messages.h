@@ -1,4 +1,4 @@
-/* Messages between host and controller (docs/protocol.md); written by device_protocol/generate.py.
+/* Messages between host and controller (docs/reference/protocol.md); written by device_protocol/generate.py.
  *
  * Pieces of a message that was read point into its payload. Texts are UTF-8. A sha256 has 32 bytes;
  * NULL writes zeros. Floats are the bits of an IEEE 754 single. A tap, state or code is a number of protocol.h.

@@ -1,4 +1,4 @@
-/* Model images, read where they lie; docs/protocol.md, "Model image". */
+/* Model images, read where they lie; docs/reference/protocol.md, "Model image". */
 #ifndef VIBROCAST_MODEL_IMAGE_H
 #define VIBROCAST_MODEL_IMAGE_H
 

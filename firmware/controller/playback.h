@@ -1,6 +1,6 @@
 /* One stream on the controller: packets buffered, decoded and concealed, drive, DAC, and the capture of both ends.
  *
- * What it does is docs/protocol.md, "Playing"; time comes from outside, in microseconds of the controller's clock.
+ * What it does is docs/reference/protocol.md, "Playing"; time comes from outside, in microseconds of the controller's clock.
  * Packets are counted over all iterations.
  */
 #ifndef VIBROCAST_PLAYBACK_H

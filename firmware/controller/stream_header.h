@@ -1,4 +1,4 @@
-/* The header of a coded stream, and the heads of its packets; docs/bitstream.md. */
+/* The header of a coded stream, and the heads of its packets; docs/reference/bitstream.md. */
 #ifndef VIBROCAST_STREAM_HEADER_H
 #define VIBROCAST_STREAM_HEADER_H
 

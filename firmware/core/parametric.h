@@ -1,7 +1,7 @@
 /* The codec `parametric`: a description of a texture - band levels, their course over time, ridges - and no waveform.
  *
  * Decoder, which synthesises the texture, and the encoder's integer half that mirrors its syntax; the description is
- * found in codec/parametric.py. The layout of streams is in docs/bitstream.md. Statuses are those of
+ * found in codec/parametric.py. The layout of streams is in docs/reference/bitstream.md. Statuses are those of
  * vibrocast_core.h. */
 #ifndef VIBROCAST_PARAMETRIC_H
 #define VIBROCAST_PARAMETRIC_H

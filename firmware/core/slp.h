@@ -1,7 +1,7 @@
 /* The codec `slp`: sparse linear prediction, closed loop, its residual quantised in the DCT domain.
  *
  * Decoder, and the encoder's integer half that mirrors it; the predictors are found in codec/slp.py. The layout of
- * streams is in docs/bitstream.md. Statuses are those of vibrocast_core.h. */
+ * streams is in docs/reference/bitstream.md. Statuses are those of vibrocast_core.h. */
 #ifndef VIBROCAST_SLP_H
 #define VIBROCAST_SLP_H
 

@@ -30,7 +30,7 @@ SUBCOMMANDS: Mapping[str, Subcommand] = {
         "bench", "bench", "Measure codecs and trained models on every recording of a folder or a manifest."
     ),
     "codecs": Subcommand("codecs", "codecs", "List the codecs and the parameters of their settings."),
-    "conformance": Subcommand("conformance", "conformance", "Test a controller against docs/protocol.md."),
+    "conformance": Subcommand("conformance", "conformance", "Test a controller against docs/reference/protocol.md."),
     "decode": Subcommand(
         "decode",
         "decode",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--quick", is_flag=True, help="Leave out what takes more than a second.")
 @click.option("--date", "dated", is_flag=True, help="Put today's date into the report.")
 def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, dated: bool) -> None:
-    """Test a controller against docs/protocol.md.
+    """Test a controller against docs/reference/protocol.md.
 
     It plays textures, and writes the slot for model images that does not run; the image that runs runs again
     afterwards. The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tested.

@@ -179,7 +179,7 @@ def live(
 
 
 def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[str, Any]:
-    """Return the report of a live stream, ready for JSON; docs/report.md explains each figure."""
+    """Return the report of a live stream, ready for JSON; docs/reference/report.md explains each figure."""
     return {
         "version": version("vibrocast"),
         "codec": codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration).name,

@@ -1,4 +1,4 @@
-"""The conformance suite: tests a controller against docs/protocol.md, through nothing but its port.
+"""The conformance suite: tests a controller against docs/reference/protocol.md, through nothing but its port.
 
 `run_suite` runs the modules test_*.py on a `TappedLink` and returns a `Report`.
 """

@@ -1,4 +1,4 @@
-"""Writes the list of requirements into docs/conformance.md: `python -m vibrocast.host.conformance.page`."""
+"""Writes the list of requirements into docs/reference/conformance.md: `python -m vibrocast.host.conformance.page`."""
 
 from itertools import groupby
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from vibrocast.host.conformance.fixtures import SECTIONS
 from vibrocast.host.conformance.runner import requirements
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "conformance.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "conformance.md"
 # All behind it is generated.
 _HEADING = "## Requirements\n"
 

@@ -42,7 +42,7 @@ from vibrocast.host.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import MIN_PAYLOAD_LIMIT_BYTES
 from vibrocast.host.stream_session import next_number
 
-# docs/protocol.md, "Sequence numbers" and "Flashing": so long a controller may take to answer, and to restart.
+# docs/reference/protocol.md, "Sequence numbers" and "Flashing": so long a controller may take to answer, and to restart.
 ANSWER_S = 2.0
 SLOT_S = 10.0
 RESTART_S = 10.0
@@ -361,7 +361,7 @@ class Probe:
 
 
 def name(message: Message) -> str:
-    """Return what a message is called in docs/protocol.md."""
+    """Return what a message is called in docs/reference/protocol.md."""
     return type(message).__name__
 
 

@@ -33,7 +33,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Requirement:
-    """What the protocol asks of a controller. `section`: of docs/protocol.md. `test`: its name in the suite."""
+    """What the protocol asks of a controller. `section`: of docs/reference/protocol.md. `test`: its name in the suite."""
 
     section: str
     text: str

@@ -27,7 +27,7 @@ MODEL = "eva-16-4"
 PLAIN_CODECS = tuple(known.name for known in codec.BUILT_IN.values() if known.keeps_waveform and not known.needs_model)
 SignalMaker = Callable[[int, int, str, float, float], textures.Recording]
 """Makes a signal of a rate in hertz, of so many channels, in a unit, with a peak value, for so many seconds."""
-# docs/protocol.md, "Credit"
+# docs/reference/protocol.md, "Credit"
 _MAX_PACKETS = 1024
 
 

@@ -1,4 +1,4 @@
-"""The plan file of `vibrocast plan`: how each texture of a scene is coded, sent and played (docs/planning.md)."""
+"""The plan file of `vibrocast plan`: how each texture of a scene is coded, sent and played (docs/how-to/plan.md)."""
 
 import json
 import os
@@ -54,7 +54,7 @@ class Forecast(Table, frozen=True, kw_only=True):
     """What a plan says of a texture; measured when it was planned, on the texture itself, unless told otherwise.
 
     `payload_bps`, `wire_bps`: packets alone, and in their frames. `instructions_per_second`, `load_percent`,
-    `flash_bytes`, `ram_bytes`: of the decoder, from this project's tables (docs/firmware.md), None where they were not
+    `flash_bytes`, `ram_bytes`: of the decoder, from this project's tables (docs/benchmarks/firmware.md), None where they were not
     measured; load is of the whole controller's processor. `snr_db`, `spqi`, `third_octave_distance_db`: as
     evaluation.metrics measures the decoded signal in the band worth coding. `error_over_threshold_db`: the loudest
     part of the error at the skin, relative to the detection threshold. `delay_ms`: from a sample at the host to the
@@ -241,7 +241,7 @@ def write_plan(path: Path, plan: Plan) -> None:
     # The one that ships is found wherever it is installed.
     threshold = None if plan.threshold_path == DETECTION_THRESHOLD else from_folder(plan.threshold_path)
     parts = [
-        "# Made by `vibrocast plan`; what each key means is in docs/planning.md.",
+        "# Made by `vibrocast plan`; what each key means is in docs/how-to/plan.md.",
         _lines({"format": FORMAT, "scene": from_folder(plan.scene), "threshold": threshold}),
     ]
     for controller in plan.controllers:

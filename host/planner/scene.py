@@ -1,4 +1,4 @@
-"""The scene file: textures, hand speeds, actuators, controllers, link and targets, in TOML (docs/planning.md)."""
+"""The scene file: textures, hand speeds, actuators, controllers, link and targets, in TOML (docs/how-to/plan.md)."""
 
 import hashlib
 import math
@@ -31,7 +31,7 @@ from vibrocast.textures.recording import MAX_CHANNELS
 from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
 
 CORES = ("M4F", "M7", "M33")
-"""Processors for which decoding has been measured (docs/firmware.md)."""
+"""Processors for which decoding has been measured (docs/benchmarks/firmware.md)."""
 LINKS = ("serial", "usb-full-speed", "usb-high-speed", "simulated")
 USB_BYTES_PER_SECOND = {"usb-full-speed": 1_216_000.0, "usb-high-speed": 53_248_000.0}
 """The most that bulk transfers carry: 19 packets of 64 bytes in a frame of 1 ms, 13 of 512 in a microframe of 125 us
@@ -164,7 +164,7 @@ class Asked(Table, frozen=True, kw_only=True):
                 f"one quality must be asked, and {said} given: keep one of snr_db, spqi, third_octave_distance_db and "
                 "imperceptible = true (as little as nobody can feel)"
             )
-        # SPQI takes another take of the same noise for no better than silence (docs/metrics.md).
+        # SPQI takes another take of the same noise for no better than silence (docs/reference/metrics.md).
         blind = self.third_octave_distance_db is not None
         if self.waveform is None:
             structs.force_setattr(self, "waveform", not blind)

@@ -160,7 +160,7 @@ def test_what_several_controllers_cannot_do_is_rejected(arguments: list[str], re
 
 
 def test_report_page_explains_every_field() -> None:
-    page = (ROOT / "docs" / "report.md").read_text()
+    page = (ROOT / "docs" / "reference" / "report.md").read_text()
     missing = [field.name for field in dataclasses.fields(Report) if f"`{field.name}" not in page]
     assert missing == []
 

@@ -1,4 +1,4 @@
-"""A decoder of `dct` written from docs/bitstream.md alone, slow and in floating point."""
+"""A decoder of `dct` written from docs/reference/bitstream.md alone, slow and in floating point."""
 
 import itertools
 import math

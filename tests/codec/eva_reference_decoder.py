@@ -1,4 +1,4 @@
-"""A decoder of `eva` written from docs/bitstream.md: the synthesis in numpy, of whole signals at once."""
+"""A decoder of `eva` written from docs/reference/bitstream.md: the synthesis in numpy, of whole signals at once."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""A decoder of `parametric` written from docs/bitstream.md alone; its synthesis is in floating point."""
+"""A decoder of `parametric` written from docs/reference/bitstream.md alone; its synthesis is in floating point."""
 
 import math
 from dataclasses import dataclass, field

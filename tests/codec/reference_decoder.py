@@ -1,4 +1,4 @@
-"""A decoder of `mdct` written from docs/bitstream.md alone, slow and in floating point where it may be."""
+"""A decoder of `mdct` written from docs/reference/bitstream.md alone, slow and in floating point where it may be."""
 
 import math
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""A decoder of `slp` written from docs/bitstream.md alone; its filter and transform are in floating point."""
+"""A decoder of `slp` written from docs/reference/bitstream.md alone; its filter and transform are in floating point."""
 
 import math
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""The example of docs/protocol.md is what the code packs; test_generate.py holds the tables."""
+"""The example of docs/reference/protocol.md is what the code packs; test_generate.py holds the tables."""
 
 import re
 from pathlib import Path
@@ -22,7 +22,7 @@ from vibrocast.device_protocol.messages import (
     unpack,
 )
 
-PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "protocol.md").read_text()
 
 EXAMPLE: list[tuple[str, int, Message]] = [
     ("Hello, sequence 0x1234", 0x1234, Hello(1, 0)),

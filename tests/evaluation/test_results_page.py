@@ -42,7 +42,7 @@ from vibrocast.evaluation.tables import as_rows
 
 SAMPLES = 1_000_000
 SNRS_DB = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
-DESCRIPTION = Description("recordings", "one core", "vibrocast bench recordings --out docs")
+DESCRIPTION = Description("recordings", "one core", "vibrocast bench recordings --out docs/benchmarks")
 
 
 def curve(
@@ -260,7 +260,7 @@ def test_the_page_says_what_it_is_of(written: Path) -> None:
         "`recordings`, 2 traces, 2000000 samples at 2800 Hz",
         "Times: one core",
         f"- `mdct`: {CODECS['mdct'].summary}\n- `slp`: ",
-        "    vibrocast bench recordings --out docs",
+        "    vibrocast bench recordings --out docs/benchmarks",
         "Imported: figures that other programs reached on the same traces, taken from a table: `vcpwq`",
         "**25 failures**",
         r"| a \| b &lt;c> | slp | 25 | a step=0 |",

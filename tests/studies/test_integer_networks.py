@@ -13,7 +13,7 @@ from vibrocast.codec import eva
 from vibrocast.textures.generate import wood
 
 SHIPPED = [model for model in models.shipped() if model.codec_identifier == eva.IDENTIFIER]
-TABLE = Path(__file__).parents[2] / "docs" / "results" / f"{integer_networks.STEM}.csv"
+TABLE = Path(__file__).parents[2] / "docs" / "benchmarks" / "results" / f"{integer_networks.STEM}.csv"
 
 
 def test_no_model_that_ships_loses_more_than_the_limit() -> None:
