@@ -4,8 +4,8 @@ A block of N samples x[n] becomes the orthonormal DCT-II C[k] = s_k sum x[n] cos
 s_k = sqrt(2/N). Its index k stands for the frequency F = k rate / (2N); for a hand that sweeps at the speed v over the
 length D of the block that is v k / (2D), half the spacing v / D of a discrete Fourier transform. The paper's |C_k| is
 an amplitude of displacement: here it is |C[k]| sqrt(2/N), that of a cosine which fits the block. Blocks do not
-overlap. A whole file is one transform, whose coefficients are coded as these amplitudes. Layout in docs/reference/bitstream.md,
-choices in docs/reference/codecs.md.
+overlap. A whole file is one transform, whose coefficients are coded as these amplitudes. The layout is in
+docs/reference/bitstream.md, the choices in docs/reference/codecs.md.
 """
 
 import math

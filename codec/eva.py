@@ -1,4 +1,4 @@
-"""The codec `eva`: the EVA paper's autoencoder and adaptive binary arithmetic coding; layout in docs/reference/bitstream.md."""
+"""The codec `eva`: the EVA paper's autoencoder and adaptive arithmetic coding; layout: docs/reference/bitstream.md."""
 
 from collections.abc import Sequence
 from functools import partial

@@ -13,8 +13,8 @@ from vibrocast.codec.interface import CodecError, Signal
 
 MAX_REFLECTION_CODE = 15
 SPARSITY = 120.0
-"""Weight gamma of the predictor's 1-norm against the residual's in units of the RMS value; docs/reference/codecs.md has the rates
-that others take."""
+"""Weight gamma of the predictor's 1-norm against the residual's in units of the RMS value; docs/reference/codecs.md has
+the rates of other weights."""
 _ITERATIONS = 5
 _MIN_RESIDUAL = 0.01
 _MIN_COEFFICIENT = 0.01

@@ -1,4 +1,4 @@
-"""The codec `mdct`: low-delay MDCT, trellis-coded quantisation, adaptive range coding; layout in docs/reference/bitstream.md."""
+"""The codec `mdct`: low-delay MDCT, trellis-coded quantisation, range coding; layout: docs/reference/bitstream.md."""
 
 import math
 from collections.abc import Callable, Sequence

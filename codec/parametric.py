@@ -1,4 +1,4 @@
-"""The codec `parametric`: band levels, their course over time and ridges, no waveform; layout in docs/reference/bitstream.md."""
+"""The codec `parametric`: band levels, their course over time and ridges; layout: docs/reference/bitstream.md."""
 
 import math
 from dataclasses import dataclass

@@ -89,7 +89,9 @@ def as_codec(found: object) -> Codec:
     except Exception as error:
         raise CodecError(f"its class cannot be called without arguments: {type(error).__name__}: {error}") from error
     if not isinstance(plugin, BlockCodec):
-        raise CodecError("it lacks name, summary, block_samples, qualities, encode or decode; see docs/reference/codecs.md")
+        raise CodecError(
+            "it lacks name, summary, block_samples, qualities, encode or decode; see docs/reference/codecs.md"
+        )
     return adapted(plugin)
 
 

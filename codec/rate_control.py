@@ -361,8 +361,8 @@ def rate_controlled_framing(
 
     `bits_per_second`: of all channels, frames included. `max_s`: what the asked delay leaves for a packet. Encoders
     round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the actuator for half of that on
-    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/benchmarks/rate_control.md). Raises TargetUnreachable for
-    a rate whose packets would last longer than the time over which it is held.
+    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/benchmarks/rate_control.md). Raises
+    TargetUnreachable for a rate whose packets would last longer than the time over which it is held.
     """
     packet = b"\xff"
     while frame_bytes(packet) > FRAMES_ADD * len(packet):

@@ -1,4 +1,4 @@
-"""The codec `slp`: sparse linear prediction, closed loop, its residual coded as a DCT; layout in docs/reference/bitstream.md.
+"""The codec `slp`: sparse linear prediction, closed loop, its residual as a DCT; layout: docs/reference/bitstream.md.
 
 Written from public descriptions of PVC-SLP (Hassen, Guelecyuez and Steinbach, "PVC-SLP: Perceptual
 Vibrotactile-Signal Compression Based-on Sparse Linear Prediction", IEEE Trans. Multimedia, 2021); it is not the codec

@@ -43,7 +43,7 @@ def _sha256(sha256: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Fixed:
-    """A field of the fixed part. `name`: in docs/reference/protocol.md. `code`: in `struct`. `check`: returns a valid value."""
+    """A field of the fixed part. `name`: as in docs/reference/protocol.md. `code`: of `struct`. `check`: validates."""
 
     name: str
     code: str

@@ -1,4 +1,4 @@
-"""Messages between host and controller: one dataclass each. Bytes, C sources and docs/reference/protocol.md follow from them."""
+"""Messages between host and controller, as dataclasses. Bytes, C sources and docs/reference/protocol.md follow."""
 
 import struct
 from dataclasses import dataclass, field

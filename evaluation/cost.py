@@ -141,7 +141,7 @@ def _peak_resident_bytes() -> int:
 
 
 def decoder_bytes(codec_name: str) -> int | None:
-    """Return the bytes of the codec's decoder, as docs/reference/metrics.md counts them; None where they cannot be told."""
+    """Return the bytes of the codec's decoder (see docs/reference/metrics.md), or None where they are unknown."""
     return _decoder_size(codec_name).bytes
 
 

@@ -1,4 +1,4 @@
-"""Compares each model's integer network with its ONNX graph: `python -m studies.integer_networks FOLDER --out docs/benchmarks`."""
+"""Compares integer networks with ONNX graphs: `python -m studies.integer_networks FOLDER --out docs/benchmarks`."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

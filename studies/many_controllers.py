@@ -1,4 +1,4 @@
-"""CPU time of one process that streams to many controllers: `python -m studies.many_controllers --out docs/benchmarks`."""
+"""Measures CPU time of streaming to many controllers: `python -m studies.many_controllers --out docs/benchmarks`."""
 
 import contextlib
 import os

@@ -1,7 +1,7 @@
 """One coded profile at several hand speeds and through a reversal: `python -m studies.profile_rendering`.
 
-Writes docs/benchmarks/profiles.png and docs/benchmarks/profiles.csv: what is rendered against the decoded profile, resampled exactly, and
-what a Cortex-M4 takes for it.
+Writes profiles.png and profiles.csv in docs/benchmarks: the rendered profile against the decoded one, resampled
+exactly, and its cost on a Cortex-M4.
 """
 
 import csv

@@ -1,6 +1,7 @@
 """Figures that hand-written pages quote are those of the generated tables that comments next to them name.
 
-A comment follows a figure and its unit: 16 %<!-- from docs/benchmarks/results/bd_rate.csv: mean where codec=slp, anchor=mdct -->.
+A comment follows a figure and its unit:
+16 %<!-- from docs/benchmarks/results/bd_rate.csv: mean where codec=slp, anchor=mdct -->.
 """
 
 import csv

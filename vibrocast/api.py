@@ -143,9 +143,9 @@ def render(
     """Return the displacement at the skin in um, (n, channels) at 4 times the DAC's rate, aligned to the recording.
 
     The integer output stage of a controller computes the DAC codes, limits and compensation included; the model of the
-    actuator makes them displacement. `actuator`: a name, an Actuator or a TOML file (docs/how-to/measure_a_bench.md). `unit`: "drive"
-    for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError or ActuatorFileError
-    (ValueError).
+    actuator makes them displacement. `actuator`: a name, an Actuator or a TOML file (docs/how-to/measure_a_bench.md).
+    `unit`: "drive" for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError or
+    ActuatorFileError (ValueError).
     """
     return end_to_end.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
 
@@ -230,9 +230,9 @@ def codecs() -> Mapping[str, Codec]:
 def register(codec: BlockCodec | type[BlockCodec] | Codec) -> Codec:
     """Add a codec to `codecs()` in this process, or replace one that you registered; return it as listed there.
 
-    `codec`: an object or a class as docs/reference/codecs.md, "A codec of your own", describes. Processes that vibrocast starts,
-    such as the workers of `vibrocast bench`, do not know it; for these, install a package with an entry point in the
-    group `vibrocast.codecs`. Raises CodecError (ValueError) where something of it is missing or its name is taken.
+    `codec`: an object or a class as docs/how-to/add_a_codec.md describes. Other processes, such as the workers of
+    `vibrocast bench`, do not know it; for these, install a package with an entry point in the group
+    `vibrocast.codecs`. Raises CodecError (ValueError) where something of it is missing or its name is taken.
     """
     try:
         registered = as_codec(codec)

@@ -1,4 +1,5 @@
-/* Frames on the wire: a payload and its CRC-16, COBS-encoded, closed by a zero byte; docs/reference/protocol.md, "Frames". */
+/* Frames on the wire: a payload and its CRC-16, COBS-encoded, closed by a zero byte; docs/reference/protocol.md,
+ * "Frames". */
 #ifndef VIBROCAST_FRAMES_H
 #define VIBROCAST_FRAMES_H
 

@@ -1,7 +1,7 @@
 /* One stream on the controller: packets buffered, decoded and concealed, drive, DAC, and the capture of both ends.
  *
- * What it does is docs/reference/protocol.md, "Playing"; time comes from outside, in microseconds of the controller's clock.
- * Packets are counted over all iterations.
+ * What it does is docs/reference/protocol.md, "Playing"; time comes from outside, in microseconds of the controller's
+ * clock. Packets are counted over all iterations.
  */
 #ifndef VIBROCAST_PLAYBACK_H
 #define VIBROCAST_PLAYBACK_H

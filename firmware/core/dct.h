@@ -1,4 +1,5 @@
-/* The codec `dct`: blockwise DCT-II, quantised to a few levels, Huffman or range coded; layout in docs/reference/bitstream.md.
+/* The codec `dct`: blockwise DCT-II, quantised to a few levels, Huffman or range coded; layout in
+ * docs/reference/bitstream.md.
  *
  * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structure
  * that the caller owns. Packets are independent of each other, so there is no state that a lost one could break.

@@ -1,4 +1,5 @@
-/* The learned codec `eva`: latents by an entropy coder, samples by a network in integers; layout in docs/reference/bitstream.md.
+/* The learned codec `eva`: latents by an entropy coder, samples by a network in integers; layout in
+ * docs/reference/bitstream.md.
  *
  * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structures
  * that the caller owns. A model is read in place, at any address, from flash if it lies there, and never copied.

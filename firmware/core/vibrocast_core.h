@@ -1,7 +1,8 @@
 /* The integer core of vibrocast: the one decoder of `mdct` streams, and the encoder that mirrors it.
  *
  * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structures
- * that the caller owns. Every function returns a status or cannot fail. The layout of streams is in docs/reference/bitstream.md.
+ * that the caller owns. Every function returns a status or cannot fail. The layout of streams is in
+ * docs/reference/bitstream.md.
  */
 #ifndef VIBROCAST_CORE_H
 #define VIBROCAST_CORE_H

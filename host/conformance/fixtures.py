@@ -43,7 +43,7 @@ SECTIONS = (
     "Flashing",
     "Flashing: Model image",
 )
-"""Where requirements stand in docs/reference/protocol.md, in its order: a heading, or the heading and what is below it."""
+"""Where requirements stand in docs/reference/protocol.md, in its order: a heading, alone or with a subheading."""
 
 section = pytest.mark.section
 """Marks a test with one of SECTIONS."""

@@ -33,7 +33,7 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Requirement:
-    """What the protocol asks of a controller. `section`: of docs/reference/protocol.md. `test`: its name in the suite."""
+    """A requirement of the protocol. `section`: of docs/reference/protocol.md. `test`: its name in the suite."""
 
     section: str
     text: str

@@ -44,7 +44,7 @@ PACKET_SNRS_DB = tuple(step / 2 for step in range(1, 121))
 SPQI_RATE_HZ = 2800
 """SPQI counts its blocks and thresholds in samples: it is always measured at this rate, that of the reference data."""
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
-"""Margins of packets, the usual one first; docs/benchmarks/latency.md has the least that is stable on each controller."""
+"""Playout delays, the usual one first; docs/benchmarks/latency.md has the shortest stable one of each controller."""
 
 # A capped rate goes beyond the cap by what its rate buffer holds, in whole packets that last a second but for half of
 # one. A larger rate buffer would need a lower cap, and so lose more than it brings.

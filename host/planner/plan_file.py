@@ -54,8 +54,8 @@ class Forecast(Table, frozen=True, kw_only=True):
     """What a plan says of a texture; measured when it was planned, on the texture itself, unless told otherwise.
 
     `payload_bps`, `wire_bps`: packets alone, and in their frames. `instructions_per_second`, `load_percent`,
-    `flash_bytes`, `ram_bytes`: of the decoder, from this project's tables (docs/benchmarks/firmware.md), None where they were not
-    measured; load is of the whole controller's processor. `snr_db`, `spqi`, `third_octave_distance_db`: as
+    `flash_bytes`, `ram_bytes`: of the decoder, from this project's tables (docs/benchmarks/firmware.md), None where
+    they were not measured; load is of the whole processor. `snr_db`, `spqi`, `third_octave_distance_db`: as
     evaluation.metrics measures the decoded signal in the band worth coding. `error_over_threshold_db`: the loudest
     part of the error at the skin, relative to the detection threshold. `delay_ms`: from a sample at the host to the
     skin, packet, codec, buffer, link and compensation together.
