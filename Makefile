@@ -56,7 +56,7 @@ lock:
 	set -e; \
 	head=$$(grep '^#' $(LOCK)); \
 	uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
-	    --extra bench --extra firmware --extra test --output-file $(LOCK) pyproject.toml; \
+	    --extra bench --extra firmware --extra test --extra docs --output-file $(LOCK) pyproject.toml; \
 	printf '%s\n' "$$head" | cat - $(LOCK) > $(LOCK).new; \
 	mv $(LOCK).new $(LOCK)
 
