@@ -90,7 +90,7 @@ def as_codec(found: object) -> Codec:
         raise CodecError(f"its class cannot be called without arguments: {type(error).__name__}: {error}") from error
     if not isinstance(plugin, BlockCodec):
         raise CodecError(
-            "it lacks name, summary, block_samples, qualities, encode or decode; see docs/reference/codecs.md"
+            "it lacks name, summary, block_samples, qualities, encode or decode; see docs/how-to/add_a_codec.md"
         )
     return adapted(plugin)
 
