@@ -272,6 +272,7 @@ def page(measurements: Measurements, claims: Sequence[Claim], figure: charts.Cha
     return render(
         "papers",
         claims={paper: [claim for claim in claims if claim.paper == paper] for paper in (EVA, DCT)},
+        outcomes=(YES, NO, NOT_YET, MODEL, NOT_COMPARABLE),
         tolerance=TOLERANCE,
         families=names,
         others=others,

@@ -120,7 +120,7 @@ def write(out: Path, rows: Sequence[Row], data: str) -> None:
     """Write OUT/parametric.md, and its figures and chart in OUT/results. `data`: the folder's name. Raises OSError."""
     results = results_folder(out)
     write_rows(results / "parametric.csv", rows, Row)
-    with atomic_write(results / "parametric.png") as path:
+    with atomic_write(results / "parametric.svg") as path:
         draw(path, means(rows))
     page.write(out / "parametric.md", _page(rows, data))
 
@@ -131,15 +131,15 @@ def draw(path: Path, rows: Sequence[Row]) -> None:
     FigureCanvasAgg(figure)
     shown = [name for name in MEASURES if name != "log_spectral_distance_db"]
     for axes, each in zip(figure.subplots(1, len(shown)), shown, strict=True):
-        for name, marker in ((DESCRIPTION, "o-"), (WAVEFORM, "s:")):
+        for name, marker, colour in ((DESCRIPTION, "o-", "#d55e00"), (WAVEFORM, "s:", "#0072b2")):
             curve = sorted((row.bits_per_second, getattr(row, each)) for row in rows if row.codec.startswith(name))
-            axes.plot(*zip(*curve, strict=True), marker, color="black", markersize=3, linewidth=1, label=name)
+            axes.plot(*zip(*curve, strict=True), marker, color=colour, markersize=3, linewidth=1, label=name)
         axes.set_xscale("log")
         axes.set_xlabel("bit/s")
         axes.set_title(MEASURES[each], fontsize=9)
         axes.grid(color="0.85", linewidth=0.5)
     axes.legend(fontsize=8, frameon=False)
-    figure.savefig(path, format="png")
+    figure.savefig(path, format="svg", metadata={"Date": None})
 
 
 def _page(rows: Sequence[Row], data: str) -> str:
@@ -147,6 +147,7 @@ def _page(rows: Sequence[Row], data: str) -> str:
     settings: dict[str, list[dict[str, Any]]] = {}
     for row in means(rows):
         settings.setdefault(row.rate_point, []).append(vars(row))
+    least, waveform_least = next(iter(settings.values()))[:2]
     return page.render(
         "parametric",
         description=DESCRIPTION,
@@ -155,6 +156,8 @@ def _page(rows: Sequence[Row], data: str) -> str:
         data=data,
         rate_hz=DEFAULT_STREAM_RATE_HZ,
         settings=settings,
+        least=least,
+        waveform_least=waveform_least,
         measures=MEASURES,
         another_take=another_take,
         silence=silence,

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.fft import dct as fast_dct
 
-from studies.page import OUT, errors_in_one_line, render, write_rows
+from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
 from studies.page import write as write_page
 from vibrocast import codec, textures
 from vibrocast.codec import dct
@@ -287,8 +287,8 @@ def draw_spectra(path: Path, lines: Sequence[Line]) -> None:
         for axes, (title, amplitudes_um, b0_db) in zip(row, panels, strict=True):
             threshold_um = [line.threshold_um * 10 ** (b0_db / 20) for line in own]
             magnitudes_um = np.clip(np.abs(amplitudes_um), *AMPLITUDES_UM)
-            axes.plot(frequency_hz, threshold_um, color="0.55", linestyle="--", linewidth=1)
-            axes.plot(frequency_hz, magnitudes_um, ".", color="black", markersize=2.5, clip_on=False)
+            axes.plot(frequency_hz, threshold_um, color="#d55e00", linestyle="--", linewidth=1)
+            axes.plot(frequency_hz, magnitudes_um, ".", color="#0072b2", markersize=2.5, clip_on=False)
             axes.set_yscale("log")
             axes.set_ylim(*AMPLITUDES_UM)
             axes.set_title(title, fontsize=FONT_POINTS, loc="left")
@@ -301,13 +301,14 @@ def draw_spectra(path: Path, lines: Sequence[Line]) -> None:
 
 
 def write(out: Path, profiles: Mapping[str, textures.Profile]) -> None:
-    """Write texture_paper.md, its tables and pictures into a folder that there is. Raises OSError, CodecError."""
+    """Write OUT/texture_paper.md, and its tables and pictures in OUT/results. Raises OSError, CodecError."""
+    folder = results_folder(out)
     results, lines = measure_all(profiles), spectra(profiles)
     write_page(out / "texture_paper.md", markdown(results))
-    write_rows(out / "texture_paper.csv", map(_rounded, results), Result)
-    write_rows(out / "texture_paper_spectra.csv", map(_rounded, lines), Line)
-    draw_levels(out / "texture_paper.png", results)
-    draw_spectra(out / "texture_paper_spectra.png", lines)
+    write_rows(folder / "texture_paper.csv", map(_rounded, results), Result)
+    write_rows(folder / "texture_paper_spectra.csv", map(_rounded, lines), Line)
+    draw_levels(folder / "texture_paper.png", results)
+    draw_spectra(folder / "texture_paper_spectra.png", lines)
 
 
 def _curve(results: Iterable[Result], surface: str, quantiser: str) -> list[Result]:
@@ -325,12 +326,11 @@ def _rounded(row: Any) -> Any:
     "--profiles",
     "folder",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of measured height profiles as CSV files, beside the surfaces made here.",
+    help="Add measured height profiles, the CSV files of this folder.",
 )
 def main(out: Path, folder: Path | None) -> None:
     """Write the texture paper's figures beside those of the codec dct, coded as the paper codes."""
     with errors_in_one_line():
-        out.mkdir(parents=True, exist_ok=True)
         profiles = generated_profiles()
         for path in sorted(folder.glob("*.csv")) if folder else ():
             profiles[path.stem] = textures.load_profile(path)

@@ -27,7 +27,7 @@ def test_the_command_writes_page_table_and_chart(folder: Path, tmp_path: Path) -
     page = (tmp_path / "parametric.md").read_text()
     assert "2 recordings" in page
     assert f"studies.parametric {folder.name} --out" in page
-    assert (tmp_path / "results" / "parametric.png").stat().st_size > 5000
+    assert (tmp_path / "results" / "parametric.svg").stat().st_size > 5000
     with (tmp_path / "results" / "parametric.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {row["trace"] for row in rows} == {"wood1", "wood2"}

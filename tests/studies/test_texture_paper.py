@@ -72,14 +72,14 @@ def test_the_command_writes_page_tables_and_charts(tmp_path: Path, monkeypatch: 
     assert "| 14 | 23.8 % |" in page
     assert "| the paper's | 22.3 % |\n" in page
     assert "| mine |" in page
-    with (tmp_path / "out" / "texture_paper.csv").open() as file:
+    with (tmp_path / "out" / "results" / "texture_paper.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {row["surface"] for row in rows} == {"wood", "mine"}
     assert np.all([float(row["huffman_percent"]) > 0 for row in rows])
-    with (tmp_path / "out" / "texture_paper_spectra.csv").open() as file:
+    with (tmp_path / "out" / "results" / "texture_paper_spectra.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 2 * 160
     for name in ("texture_paper.png", "texture_paper_spectra.png"):
-        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+        assert (tmp_path / "out" / "results" / name).read_bytes().startswith(b"\x89PNG")
 
 
 def test_files_that_are_no_profile_are_rejected(tmp_path: Path) -> None:
