@@ -38,6 +38,7 @@ test-long: .venv/installed-for-tests
 lint: .venv/installed-for-tests
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
+	$(BIN)/codespell
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
 
