@@ -121,7 +121,7 @@ def eva_claims(measurements: Measurements) -> Iterator[Claim]:
         yield _percent(EVA, f"BD-rate against PVC-SLP, {scale.name}", stated, here, text, OTHER_DATA, fewer=True)
     lowest = as_rows(rates.filter(anchor=REFERENCE, quality=PSNR.field).sort("cubic_percent").head(1))
     here, text = (lowest[0].cubic_percent, lowest[0].trace) if lowest else (None, "")
-    yield _percent(EVA, "BD-rate of the best trace, PSNR", -38.7, here, text, OTHER_DATA, fewer=True)
+    yield _percent(EVA, "BD-rate of the best recording, PSNR", -38.7, here, text, OTHER_DATA, fewer=True)
     for what, eva_s, reference_s in (("encode", 24.99, 7.14), ("decode", 21.42, 3.57)):
         stated_s = f"{eva_s} s, PVC-SLP {reference_s} s"
         times = [
@@ -134,9 +134,9 @@ def eva_claims(measurements: Measurements) -> Iterator[Claim]:
         yield Claim(EVA, claim, stated_s, ", ".join(times), None, verdict, OTHER_MACHINE)
     yield Claim(
         EVA,
-        "56 test traces of IEEE P1918.1.1, a fifth by trace",
-        "280 traces at 2800 Hz",
-        f"{len(measurements.compared)} traces, {_count_of_set(measurements)} of that set",
+        "56 test recordings of IEEE P1918.1.1, a fifth of them",
+        "280 recordings at 2800 Hz",
+        f"{len(measurements.compared)} recordings, {_count_of_set(measurements)} of that set",
         None,
         NO,
         "The set does not ship with this project, and the paper publishes no list of its split.",
