@@ -1,36 +1,55 @@
-"""Writes the page of the latency budget of live streams: `python -m studies.latency PAGE`."""
+"""Writes the page of the latency budget, and its table: `python -m studies.latency --out docs/benchmarks`."""
 
-import shlex
 import statistics
-import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from studies.page import errors_in_one_line, render, write
+import vibrocast
+from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast.host import bench_file, live
 from vibrocast.host.bench_file import Bench, BenchController
-from vibrocast.host.harness import (
-    PARTS,
-    Latency,
-    MinLatency,
-    find_min_latency,
-    machine,
-    measure_latency,
-    subject,
-)
+from vibrocast.host.harness import Latency, MinLatency, find_min_latency, machine, measure_latency, subject
+from vibrocast.host.report import Report
 
 ADDRESSES = ("sim", "sim-usb", "host", "cortex-m4", "cortex-m7")
+RECORDING = Path("examples/oak.wav")
 # A computer that does other work as well delays some runs: the median of these is shown.
 RUNS = 5
 TARGET_MS = 30.0
+PAGE = "latency.md"
+TABLE = "latency.csv"
+PARTS = {
+    "wake": "waking the host's program",
+    "encode": "encoding",
+    "send": "handing the packet to the operating system",
+    "wire": "transport to the controller",
+    "buffer": "playout delay: the packet waits until it is needed",
+    "packet": "packet: a sample waits for the others of its packet",
+    "overlap": "overlap of the codec's blocks",
+    "drive": "output processing: resampling to the DAC's rate, low-pass of the compensation",
+    "dac": "one DAC sample, by which the compensation looks back",
+}
+"""In the order in which a sample goes through them."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A part of the delay, of `live` or `play` on a controller; the part "total" is the whole."""
+
+    command: str
+    device: str
+    part: str
+    delay_ms: float
 
 
 @click.command()
-@click.argument("path", metavar="PAGE", type=click.Path(dir_okay=False, path_type=Path))
+@OUT
 @click.option("--device", "addresses", multiple=True, default=ADDRESSES, help="Address; may be repeated.")
-def main(path: Path, addresses: tuple[str, ...]) -> None:
-    """Measure the controllers at the addresses given, and write PAGE."""
+def main(out: Path, addresses: tuple[str, ...]) -> None:
+    """Measure the controllers at the addresses given, and write the page and its table into OUT."""
     budgets, searches = {}, {}
     for address in addresses:
         bench = Bench((BenchController(address, address),))
@@ -41,31 +60,75 @@ def main(path: Path, addresses: tuple[str, ...]) -> None:
             budgets[address] = runs
             searches[address] = find_min_latency(controller, measured.actuator, texture)
         click.echo(f"{address}: {statistics.median(map(_total_ms, runs)):.1f} ms", err=True)
-    command = shlex.join(["python", "-m", "studies.latency", *sys.argv[1:]])
+    played = played_parts(RECORDING)
     with errors_in_one_line():
-        write(path, page(budgets, searches, machine(), command))
+        write_rows(results_folder(out) / TABLE, rows(budgets, played), Row)
+        write(out / PAGE, page(budgets, searches, played, machine()))
+
+
+def live_parts(latency: Latency) -> dict[str, float]:
+    """Return the delays of a live stream by the names of PARTS, in ms."""
+    delays_ms = {name: part.median_ms for name, part in latency.parts.items()}
+    delays_ms["packet"] = 1e3 * (latency.packet_samples - 1) / latency.rate_hz
+    delays_ms["overlap"] = delays_ms.pop("codec") - delays_ms["packet"]
+    return {name: delays_ms[name] for name in PARTS}
+
+
+def played_parts(path: Path) -> dict[str, float]:
+    """Play a recording on the simulated controller, RUNS times; return the delays of the median run, in ms.
+
+    Those that a report does not have, of the host and the link, are left out.
+    """
+    stream = vibrocast.encode(vibrocast.load(path), live=True)
+    decoder = stream.decoder()
+    with vibrocast.connect("sim") as controller:
+        reports: list[Report] = [controller.play(stream) for _ in range(RUNS)]
+        dac_ms = 1e3 / controller.controller.description.actuator.dac_rate_hz
+    latency = sorted((report.latency_ms for report in reports), key=lambda each: each.end_to_end)[RUNS // 2]
+    return {
+        "buffer": latency.buffered,
+        "packet": 1e3 * decoder.packet_samples / stream.header.rate_hz,
+        "overlap": 1e3 * decoder.delay_samples / stream.header.rate_hz,
+        "drive": latency.end_to_end - latency.algorithmic - latency.buffered - dac_ms,
+        "dac": dac_ms,
+    }
+
+
+def rows(budgets: dict[str, list[Latency]], played: dict[str, float]) -> list[Row]:
+    """Return the table: of each live stream, and of the recording played on the simulated controller."""
+    found = []
+    for address, runs in budgets.items():
+        middle = _middle(runs)
+        parts = {**live_parts(middle), "total": middle.total_ms}
+        found += [Row("live", address, part, round(delay_ms, 2)) for part, delay_ms in parts.items()]
+    parts = {**played, "total": sum(played.values())}
+    return found + [Row("play", "sim", part, round(delay_ms, 2)) for part, delay_ms in parts.items()]
 
 
 def page(
-    budgets: dict[str, list[Latency]], searches: dict[str, MinLatency], machine: dict[str, str], command: str
+    budgets: dict[str, list[Latency]],
+    searches: dict[str, MinLatency],
+    played: dict[str, float],
+    machine: dict[str, str],
 ) -> str:
-    """Return the page, of what was measured by address. `budgets`: runs with default buffers, sorted by their total."""
+    """Return the page. `budgets`: by address, runs with the default playout delay, sorted by their total."""
     middle = {address: _middle(runs) for address, runs in budgets.items()}
-    below = [address for address, latency in middle.items() if latency.total_ms < TARGET_MS]
     return render(
         "latency",
-        command=command,
         machine=machine,
+        recording=RECORDING,
         runs=RUNS,
         target_ms=TARGET_MS,
-        margin_ms=1e3 * live.PLAYOUT_DELAY_S,
-        below=below,
-        above=[address for address in middle if address not in below],
+        playout_delay_ms=1e3 * live.PLAYOUT_DELAY_S,
+        totals_ms=[latency.total_ms for latency in middle.values()],
+        above=[address for address, latency in middle.items() if latency.total_ms >= TARGET_MS],
         first=next(iter(middle.values())),
         parts=PARTS,
+        played=played,
         budgets={
             address: {
                 "middle": middle[address],
+                "parts": live_parts(middle[address]),
                 "min_ms": _total_ms(runs[0]),
                 "max_ms": _total_ms(runs[-1]),
                 "stable": sum(run.stable for run in runs),
@@ -76,7 +139,7 @@ def page(
     )
 
 
-def _middle(runs: list[Latency]) -> Latency:
+def _middle(runs: Sequence[Latency]) -> Latency:
     """Return the one in the middle of the runs without an underrun, or of all where there is no such."""
     kept = [run for run in runs if run.stable] or runs
     return kept[len(kept) // 2]
