@@ -1,0 +1,95 @@
+"""The pictures of the pages: as the script draws them, true to the sources, and legible."""
+
+import itertools
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.test_architecture import ALLOWED, PRODUCTS
+from vibrocast.device_protocol import messages
+from vibrocast.device_protocol.messages import State
+
+pytest.importorskip("schemdraw")
+diagrams = pytest.importorskip("studies.diagrams")
+
+ROOT = Path(__file__).parents[2]
+FIGURES = ROOT / "docs" / "figures"
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def labels(name: str) -> list[str]:
+    """Return the labels of a stored picture, line by line."""
+    root = ElementTree.parse(FIGURES / f"{name}.svg").getroot()
+    return ["".join(text.itertext()) for text in root.iter(f"{SVG}text")]
+
+
+@pytest.mark.parametrize("name", diagrams.PICTURES)
+def test_the_stored_picture_is_what_the_script_draws(name: str) -> None:
+    assert diagrams.PICTURES[name]().save() == (FIGURES / f"{name}.svg").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", diagrams.PICTURES)
+def test_a_picture_is_white_and_its_labels_lie_apart(name: str) -> None:
+    root = ElementTree.parse(FIGURES / f"{name}.svg").getroot()
+    assert "fill:white" in root[0].attrib["style"]
+    boxes = []
+    for text in root.iter(f"{SVG}text"):
+        (line,) = text
+        size = float(text.attrib["font-size"])
+        assert size >= 12
+        width = 0.54 * size * len("".join(text.itertext()))
+        left = float(line.attrib["x"]) - {"start": 0.0, "middle": 0.5, "end": 1.0}[text.attrib["text-anchor"]] * width
+        boxes.append((left, left + width, float(text.attrib["y"]), size, "".join(text.itertext())))
+    assert all(left >= 0 and right <= 36 * diagrams.WIDTH for left, right, *_ in boxes)
+    for one, other in itertools.combinations(boxes, 2):
+        beside = one[1] <= other[0] or other[1] <= one[0]
+        assert beside or abs(one[2] - other[2]) >= 0.9 * min(one[3], other[3]), (one[4], other[4])
+
+
+def test_every_package_has_a_box() -> None:
+    words = set(re.findall(r"[\w.]+", " ".join(labels("architecture"))))
+    assert {*ALLOWED, "host", "host.cli", *(f"host.{product}" for product in PRODUCTS)} <= words
+
+
+def test_a_package_lies_above_all_that_it_imports() -> None:
+    level = {package: number for number, layer in enumerate(diagrams.levels()) for package in layer}
+    assert set(level) == set(ALLOWED)
+    assert all(level[package] > level[other] for package, allowed in ALLOWED.items() for other in allowed)
+
+
+def test_every_state_of_the_controller_has_a_box() -> None:
+    assert {state.name for state in State} <= set(labels("states"))
+    assert {"Configure", "Start", "Pause", "Resume", "Stop"} <= set(labels("states"))
+
+
+@pytest.mark.parametrize("name", ["session", "upload"])
+def test_every_request_is_followed_by_its_answer(name: str) -> None:
+    known = {message.__name__: message for message in messages.ALL}
+    sent = [label.split(":")[0] for label in labels(name) if ":" in label]
+    sent = [label for label in sent if label in known]
+    assert len(sent) >= 10
+    for request, answer in itertools.pairwise(sent):
+        if known[request] in messages.REQUESTS:
+            assert known[request].ANSWER.startswith(answer)
+
+
+def test_fields_are_as_declared() -> None:
+    drawn = labels("frame")
+    for field, size in (("type", "u8"), ("sequence", "u16"), ("stream", "u8"), ("iteration", "varint")):
+        assert size in drawn[drawn.index(field) + 1 :][:1]
+
+
+def test_the_pins_are_those_of_the_board() -> None:
+    board = (ROOT / "firmware" / "ports" / "stm32f405" / "board.h").read_text()
+    pins = [label for label in labels("wiring") if "(P" in label]
+    assert len(pins) == 4
+    assert all(word in board for pin in pins for word in re.findall(r"\w+", pin))
+
+
+def test_the_bars_add_up_to_the_totals() -> None:
+    delays = diagrams.delays()
+    for command in ("play", "live"):
+        assert f"{delays[command]['total']:.0f} ms" in labels("latency")
+    assert f"{delays['play']['packet'] + delays['play']['overlap']:.0f} ms" in labels("latency")
