@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from studies.page import OUT, errors_in_one_line, render, write
+from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
@@ -25,11 +25,12 @@ from vibrocast.host.harness import machine
 from vibrocast.textures import Recording
 
 KINDS = {
-    "firmware": "the firmware, a process each, which decodes and computes DAC codes",
-    "null": "controllers that only count packets, all in one process",
+    "firmware": "firmware",
+    "null": "packet counters",
 }
 RATE_HZ = 2800
 PAGE = "many_controllers.md"
+TABLE = "many_controllers.csv"
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,7 @@ def main(
             for count in counts:
                 rows.append(measure(kind, count, channels, seconds, buffer_s))
                 click.echo(rows[-1])
+        write_rows(results_folder(out) / TABLE, rows, Measured)
         write(out / PAGE, page(rows, seconds, buffer_s))
 
 
