@@ -1,4 +1,4 @@
-"""Draws the pictures of the pages, as SVG: `python -m studies.diagrams --out docs/figures`."""
+"""Draws the pictures of the pages, as SVG in docs/figures: `python -m studies.diagrams`."""
 
 import csv
 import re
@@ -15,7 +15,7 @@ from schemdraw.segments import SegmentText
 from schemdraw.types import Halign
 
 import vibrocast
-from studies.page import OUT, errors_in_one_line, write
+from studies.page import errors_in_one_line, write
 from tests.test_architecture import ALLOWED, PRODUCTS
 from vibrocast.device_protocol import frames, messages
 from vibrocast.device_protocol.layout import wire_fields
@@ -25,6 +25,7 @@ from vibrocast.output.actuator import PIEZO_STACK
 ROOT = Path(__file__).resolve().parents[1]
 RECORDING = ROOT / "examples" / "oak.wav"
 BOARD = ROOT / "firmware" / "ports" / "stm32f405" / "board.h"
+FIGURES = ROOT / "docs" / "figures"
 DELAYS = ROOT / "docs" / "benchmarks" / "results" / "latency.csv"
 
 WIDTH = 19.2  # units of 36 points
@@ -49,12 +50,10 @@ class Picture:
         if title:
             self.text((lower[0] + 0.2, upper[1] - 0.35), title, align="left")
 
-    def box(
-        self, centre: Point, width: float, height: float, text: str, fill: str = "white", color: str = "black"
-    ) -> None:
+    def box(self, centre: Point, width: float, height: float, text: str, fill: str = "white") -> None:
         """Draw a box with lines of text."""
         self.drawing.add(flow.Box(w=width, h=height).at(centre).anchor("center").theta(0).fill(fill))
-        self.text(centre, text, size=13, color=color)
+        self.text(centre, text, size=13)
 
     def text(self, at: Point, text: str, size: float = 12, align: Halign = "center", color: str = "black") -> None:
         """Write lines of text, centred vertically."""
@@ -85,7 +84,7 @@ class Picture:
 def data_path() -> Picture:
     """From a recording to the skin, with the bit rates of the example."""
     stream = vibrocast.encode(vibrocast.load(RECORDING), live=True)
-    samples = f"{16 * stream.header.rate_hz / 1000:.1f} kbit/s"
+    samples = f"{16 * stream.header.rate_hz / 1000:.1f} kbit/s"  # of 16 bits
     picture = Picture(7.6)
     picture.area((0.1, 4.5), (19.1, 7.5), "Host: Python")
     picture.area((0.1, 0.1), (12.6, 3.3))
@@ -466,9 +465,9 @@ PICTURES: dict[str, Callable[[], Picture]] = {
 
 
 @click.command()
-@OUT
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=FIGURES, help="Default: docs/figures.")
 def main(out: Path) -> None:
-    """Draw every picture into OUT."""
+    """Draw every picture."""
     with errors_in_one_line():
         out.mkdir(parents=True, exist_ok=True)
         for name, draw in PICTURES.items():
