@@ -35,7 +35,7 @@ TABLE = "many_controllers.csv"
 
 @dataclass(frozen=True)
 class Measured:
-    """What streaming took. `host_share`: CPU time of this process for each second of playback, 1 = a core.
+    """The cost of streaming. `host_share`: CPU time of this process for each second of playback, 1 = a core.
 
     `controllers_share`: the same of all processes of the controllers together. `failed`: how many did not finish.
     """
@@ -64,7 +64,7 @@ def noise(channels: int, seconds: float) -> Stream:
 
 
 def commands_of(kind: str, count: int, channels: int) -> list[list[str]]:
-    """Return the commands that run so many controllers, which may have to be compiled first."""
+    """Return the commands that run `count` controllers, which may have to be compiled first."""
     if kind == "firmware":
         return [[str(build("host", {"VC_CHANNELS": channels, "VC_CAPTURE_SAMPLES": 0}))]] * count
     return [[sys.executable, "-m", "studies.null_controllers", str(count)]]
@@ -72,7 +72,7 @@ def commands_of(kind: str, count: int, channels: int) -> list[list[str]]:
 
 @contextlib.contextmanager
 def ports(commands: Sequence[Sequence[str]], count: int, cores: Sequence[int]) -> Iterator[list[str]]:
-    """Run so many controllers on some cores; yield the names of their serial ports."""
+    """Run `count` controllers on some cores; yield the names of their serial ports."""
     processes = []
     try:
         for command in commands:
@@ -88,7 +88,7 @@ def ports(commands: Sequence[Sequence[str]], count: int, cores: Sequence[int]) -
 
 
 def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: float) -> Measured:
-    """Stream to so many controllers at once, without reading back; this process on one core, theirs on the others."""
+    """Stream to `count` controllers at once, without reading back; this process on one core, theirs on the others."""
     stream = noise(channels, seconds)
     packet_samples = stream.decoder().packet_samples
     settings = player.PlaybackSettings(buffer_s=buffer_s)
