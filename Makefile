@@ -21,7 +21,7 @@ install: .venv/installed
 
 .venv/installed-for-tests: $(SOURCES)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[bench,firmware,test,train]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[bench,docs,firmware,test,train]'
 	touch $@ .venv/installed
 
 play: install
