@@ -1,1 +1,1 @@
-"""What a person runs: the vibrocast command, streaming player, flasher."""
+"""The programs that people run: the vibrocast command, streaming player, uploader."""

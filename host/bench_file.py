@@ -92,7 +92,7 @@ class Sensor(Table, frozen=True, kw_only=True):
 
 
 class TextureTable(Table, frozen=True, kw_only=True):
-    """An entry of [[textures]]: a file, with what it does not state, or a generator with its parameters."""
+    """An entry of [[textures]]: a file, with facts that it does not state, or a generator with its parameters."""
 
     file: FileNames | None = None
     generate: Annotated[str, one_of(sorted(textures.GENERATORS))] | None = None
@@ -134,7 +134,7 @@ class _BenchFile(Table, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Bench:
-    """What a bench has; `controllers` has at least one entry, and `first` is the one under test."""
+    """The parts of a bench; `controllers` has at least one entry, and `first` is the one under test."""
 
     controllers: tuple[BenchController, ...]
     actuators: tuple[BenchActuator, ...] = ()
@@ -210,7 +210,7 @@ def check_places(kind: str, entries: Sequence[BenchActuator | Sensor]) -> None:
 def choose_controller(bench: Bench | None, device: str | None) -> Bench:
     """Return the bench with the controller that `device` names, by name or address, as the first; None = as it is.
 
-    Without a bench, one with that controller alone. Raises BenchFileError for what is neither.
+    Without a bench, one with that controller alone. Raises BenchFileError for any other text.
     """
     if bench is None:
         bench = Bench((BenchController("controller", "sim"),))

@@ -110,7 +110,7 @@ class Controller(Closing):
 
     @property
     def file(self) -> Any:
-        """What `selectors` can wait for; None where the transport has none."""
+        """The object that `selectors` can wait for; None where the transport has none."""
         return getattr(self._transport, "file", None)
 
     @property
@@ -269,7 +269,7 @@ class Controller(Closing):
         self._write(self._next_request(message))
 
     def poll_steps(self, timeout_s: float) -> Steps[Message | None]:
-        """Take in what the controller sends, waiting for it at most `timeout_s`; return the answer to what was asked.
+        """Receive messages for at most `timeout_s`; return the answer to the request.
 
         Raises TransportError, ConnectionLost, and ControllerError if the controller rejects something or complains.
         """
@@ -290,7 +290,7 @@ class Controller(Closing):
         return answer
 
     def poll(self, timeout_s: float) -> Message | None:
-        """Take in what the controller sends, waiting for it at most `timeout_s`. Returns and raises as `poll_steps`."""
+        """Receive messages for at most `timeout_s`. Returns and raises as `poll_steps`."""
         return self.run(self.poll_steps(timeout_s))
 
     # ---- frames ----

@@ -10,7 +10,7 @@ from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controll
 # Round trips kept: those that no queue on the way has held up.
 _KEPT_PART = 0.25
 _MIN_KEPT = 8
-# A read is given up so long before its time, for it may take longer than requested: USB counts in whole milliseconds.
+# A read ends this much before its time, because it may take longer than requested: USB counts in whole milliseconds.
 _READ_EARLY_S = 0.001
 _MIN_READ_S = 1e-6
 
@@ -53,7 +53,7 @@ class DeviceClock:
             self._controller.ask_status()
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass and take in what is answered. Raises as `Controller.poll`."""
+        """Let time pass and receive answers. Raises as `Controller.poll`."""
         until_s = self._controller.clock() + seconds
         read_until_s = until_s - _READ_EARLY_S
         while self._pending is not None and (left_s := read_until_s - self._controller.clock()) >= _MIN_READ_S:

@@ -182,7 +182,7 @@ def emulated(address: str, count_instructions: bool = False) -> "CortexM | Stm32
 
 
 def available() -> dict[str, str]:
-    """Return the addresses that may be controllers, each with what is known of it."""
+    """Return the addresses that may be controllers, each with a description."""
     from serial.tools import list_ports
 
     found = dict(SIMULATED)
@@ -191,7 +191,7 @@ def available() -> dict[str, str]:
     # Without libusb there are no USB devices to list; `connect` says what to do then.
     backend = libusb_backend()
     for device in usb.core.find(find_all=True, backend=backend) if backend else ():
-        # What cannot be read or has no vendor interface is no controller that could be used.
+        # A device that cannot be read, or has no vendor interface, is of no use.
         with contextlib.suppress(usb.core.USBError, NotImplementedError):
             for configuration in device:
                 if usb.util.find_descriptor(configuration, bInterfaceClass=VENDOR_INTERFACE_CLASS) is not None:

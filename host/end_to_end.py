@@ -40,7 +40,7 @@ SKIN_OVERSAMPLING = 4
 
 @dataclass(frozen=True)
 class Outcome:
-    """What playing gave: the report, and the traces that the picture shows, with where they come from."""
+    """The result of playing: the report, and the signals that the picture shows, with their origin."""
 
     report: Report
     caption: str
@@ -91,7 +91,7 @@ def play_together(
 ) -> dict[_Key, Outcome | Exception]:
     """Play a stream to its end on all controllers at once; return by key what each did, or why it failed.
 
-    What was decoded and what went to the DAC is compared with the same computed here. Both are read back from the
+    The decoded samples and the DAC codes are compared with those computed here. Both are read back from the
     controller, unless it captures nothing or there would be more than MAX_COMPARED_SAMPLES: then nothing is compared,
     and the skin is computed from one pass. A simulated controller of this session gets the stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
@@ -313,7 +313,7 @@ def displacement_um(values: NDArray[np.float64], unit: str, rate_hz: float, actu
 
 
 def _equal(read_back: NDArray[np.int16] | None, computed: NDArray[np.int16], passes: int = 1) -> bool | None:
-    """Return whether what was read back is so many times what was computed; None if nothing was read back."""
+    """Return whether the read-back repeats the computed values this often; None if nothing was read back."""
     if read_back is None:
         return None
     return len(read_back) == passes * len(computed) and np.array_equal(

@@ -37,7 +37,7 @@ class Reader(Protocol):
 
     @property
     def file(self) -> Any:
-        """What `selectors` can wait for, another object once it was opened again; None where there is none."""
+        """The object that `selectors` can wait for, a new one after a reconnect; None where there is none."""
 
     @property
     def is_sending(self) -> bool:
@@ -216,7 +216,7 @@ class _Loop(Generic[_Key, _Result]):
                 self._step(member, member.steps.throw, interrupt)
 
     def _watch(self, member: _Member[_Key]) -> None:
-        """Have the selector wait for what a member now waits for."""
+        """Update the events of a member that the selector waits for."""
         assert self._selector is not None
         waits = not (member.ended or member.pauses)
         file = member.reader.file if waits else None

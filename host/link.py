@@ -1,4 +1,4 @@
-"""What the link to a controller carries: when frames arrive, how many bytes a second, learned from what has arrived."""
+"""Learns from arrivals what a link carries: when frames arrive, and how many bytes per second."""
 
 import math
 from collections import deque
@@ -15,7 +15,7 @@ _PROBE_BYTES = 128
 _PROBES = 3
 # A controller that plays sends a Status at least so often (docs/reference/protocol.md, "Credit").
 STATUS_INTERVAL_S = 0.1
-# A computer and a bus shift a frame by so much; what is later tells of the link's capacity.
+# Computer and bus shift a frame by up to this. A later arrival shows the link's capacity.
 _JITTER_S = 0.005
 # The capacity is taken to double in so long while nothing speaks against it, and halves at most for each frame.
 _DOUBLING_S = 2.0
@@ -36,7 +36,7 @@ class _Frame:
     """A frame under way: when it reached the link, when that begins to carry it, when it should arrive
     (`due_s`) and when it is expected to, by now.
 
-    `min_rate`: below so many bytes a second the capacity does not fall because of this frame. `is_first`: all before it
+    `min_rate`: this frame does not lower the capacity below these bytes per second. `is_first`: all earlier frames
     have arrived.
     """
 
@@ -59,17 +59,17 @@ class Link:
       carried at most what has arrived, and this frame.
     - While nothing is overdue the capacity grows, as far as it is `needed`: so a link is found out to have recovered.
 
-    So the delay is the signal, as in TCP Vegas (Brakmo and Peterson, IEEE JSAC 13(8), 1995), the decrease goes to the
-    rate of delivery, as in BBR (Cardwell et al., ACM Queue 14(5), 2016), and the increase is by a factor, as in Google
+    So the delay is the signal, as in TCP Vegas (Brakmo and Peterson, IEEE JSAC 13(8), 1995). The decrease goes to the
+    rate of delivery, as in BBR (Cardwell et al., ACM Queue 14(5), 2016). The increase is by a factor, as in Google
     Congestion Control (Carlucci et al., ACM MMSys 2016).
     """
 
     def __init__(self, controller: Controller, stream: int) -> None:
         """Measure the link while nothing else is on it; `stream` is under way. Raises as `Controller.request`.
 
-        A request is timed alone, and behind a frame of data: by how much later it then arrives is what the frame takes
-        (the packet pair of Keshav, "A control-theoretic approach to flow control", SIGCOMM 1991). Of each the soonest
-        counts: a busy computer, or an answer that was lost, can only make it later.
+        A request is timed alone, and behind a frame of data. The difference is the time of the frame (the packet pair
+        of Keshav, "A control-theoretic approach to flow control", SIGCOMM 1991). The soonest of each counts, because a
+        busy computer or a lost answer can only make it later.
         """
         probe = StreamData(next_number(stream), 0, (bytes(_PROBE_BYTES),))
         trips = [[_trip(controller, data) for _ in range(_PROBES)] for data in ((), (probe,))]
@@ -94,7 +94,7 @@ class Link:
         return host_s + self._offset_s
 
     def queue_s(self, now_s: float) -> float:
-        """Return for how long the link is still busy with what was sent."""
+        """Return for how long the link is still busy with sent frames."""
         return max(0.0, self._under_way[-1].arrives_s - now_s) if self._under_way else 0.0
 
     def answer_s(self, now_s: float) -> float:
@@ -102,7 +102,7 @@ class Link:
         return self._round_trip_s + self.queue_s(now_s)
 
     def seconds(self, size: float) -> float:
-        """Return how long the link takes for so many bytes."""
+        """Return how long the link takes for a number of bytes."""
         return size / self.bytes_per_second
 
     def send(self, number: int, size: int, now_s: float) -> float:
@@ -156,7 +156,7 @@ class Link:
         self._observe(now_s - self._round_trip_s - STATUS_INTERVAL_S - _JITTER_S)
 
     def _observe(self, device_s: float) -> None:
-        """Hold what has arrived by a time against what should have."""
+        """Compare the arrivals by a time with the expected ones."""
         passed_s = device_s - self._observed_s
         if passed_s <= 0:
             return
@@ -187,7 +187,7 @@ class Link:
             if frame is not head or math.isfinite(arrived_s):
                 frame.begins_s = max(frame.reached_s, free_s)
             frame.due_s = frame.begins_s + self.seconds(frame.size)
-            # What is late is taken to be as much later again: a link that stands still is found out so.
+            # A late frame is assumed to be late by as much again. This detects a link that stands still.
             frame.arrives_s = frame.due_s + 2 * max(0.0, device_s - frame.due_s)
             free_s = frame.arrives_s
 

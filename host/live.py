@@ -20,24 +20,24 @@ from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.stream_session import check_limits, check_packet, configure_steps, stopped_on_error
 
-# How long a packet lies on the controller before it is needed: what sending may be late by. All of it is delay.
+# How long a packet lies on the controller before it is needed: sending may be late by this. All of it is delay.
 PLAYOUT_DELAY_S = 0.01
 REFRESH_S = 0.25
-# What a stream may take of the link's capacity, so that its packets do not queue.
+# The share of the link's capacity that a stream may take, so that its packets do not queue.
 LINK_SHARE = 0.9
 
-# The controller's clock and the source's drift apart: beyond the playout delay on one side, or so much on the other,
-# for so long, the stream is begun again.
+# The clocks of controller and source drift apart. The stream starts again when they differ by the playout delay on one
+# side, or by _MAX_GROWTH_S on the other, for _OUT_OF_STEP_S.
 _MAX_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 _END_S = 5.0
-# What a live source kept before it was heard may come at once; what floods so many streams in a row is none.
+# A live source may deliver its backlog at once. A source that floods _MAX_FLOODS streams in a row is not live.
 _FLOOD_FACTOR = 1.5
 _MAX_FLOODS = 4
 _POLL_S = 0.005
 _END_ASK_S = 0.1
 _ASK_S = 0.5
-# A link of so many times what is needed bears whatever happens to it without a longer playout delay.
+# A link this many times as fast as needed requires no longer playout delay.
 _AMPLE = 8
 # How much earlier than it is needed a rate-controlled packet has to come.
 _GUARD_S = 0.005
@@ -49,11 +49,11 @@ class LiveError(ValueError):
 
 @dataclass(frozen=True)
 class LiveResult:
-    """What live streaming did.
+    """The result of live streaming.
 
-    `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: those of the lost ones that
-    the host did not send, as they would have come too late. `streams`: more than one where it was begun again, as
-    clocks had drifted apart, the source had paused or the connection was lost. `seconds`: of signal. `payload_bytes`:
+    `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: the lost packets that
+    the host did not send, because they would have been late. `streams`: more than one if it started again: clocks had
+    drifted apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`:
     of all packets that were sent. `wire_bytes`: all that went to the controller with them, frames and requests
     included.
     """
@@ -74,7 +74,7 @@ class LiveResult:
 
     @property
     def wire_adds(self) -> float:
-        """What the wire adds to the packets, relative to these."""
+        """Bytes that frames and requests add, relative to the packets."""
         return self.wire_bytes / self.payload_bytes - 1 if self.payload_bytes else 0.0
 
     @property
@@ -84,7 +84,7 @@ class LiveResult:
 
 
 def limit_rate(policy: codec.RatePolicy, target_bps: float, carried_bps: float) -> None:
-    """Set a policy to what is asked or, if that is less, to what a link carries, as far as the policy reaches."""
+    """Set a policy to the target or, if less, to the link's rate, within the range of the policy."""
     # A little above its least, which rounding would put out of reach.
     policy.bits_per_second = min(target_bps, max(1.001 * policy.min_bits_per_second, carried_bps))
 
@@ -94,10 +94,10 @@ class LiveCoding:
     """How a live stream is coded.
 
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
-    `policy`: controls the quality, None = all packets are of the setting's. One with a rate is held to what
-    the link carries: quality falls before a packet is late, and rises again. What would come too late is never sent.
-    `packet_samples`: samples per channel in a packet, at least those asked for and the codec's shortest block; None =
-    for a rate the shortest to which the wire adds at most 15 %, within `max_packet_s`, or else one block.
+    `policy`: controls the quality, None = all packets are of the setting's. A policy with a rate
+    follows the link: quality falls before a packet is late, and rises again. The host never sends a late packet.
+    `packet_samples`: the least samples per channel in a packet, rounded up to the codec's blocks. None: with a rate,
+    the shortest packet to which the wire adds at most 15 %, within `max_packet_s`; else one block.
     `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of RATE_CONTROLLED_REFRESH_S.
     """
 
@@ -114,12 +114,12 @@ class LiveStream:
     """A live stream on a controller: `send` blocks, `finish` it; playing begins with the first packet.
 
     `coding`: how it is coded.
-    `playout_delay_s`: how long packets lie on the controller before they are needed; None = PLAYOUT_DELAY_S, a quarter
-    of a packet if that is more or, with a policy on a link not much faster than needed, what bears its fall to half.
+    `playout_delay_s`: how long packets wait at the controller. None: PLAYOUT_DELAY_S, or a quarter of a packet if that
+    is more. With a policy on a link that is not much faster than needed, the delay covers its fall to half.
     `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
     `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
     carries packets in time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
-    Raises CodecError, LiveError, StreamError for what the controller does not take, ControllerError, TransportError.
+    Raises CodecError, LiveError, StreamError for a stream that the controller rejects, ControllerError, TransportError.
     """
 
     def __init__(
@@ -250,7 +250,7 @@ class LiveStream:
         A packet that is under way then takes 2 LINK_SHARE of its duration. So does one that is sent behind it before
         that can be seen, which takes up to two Status, and it is needed a duration after the first one would have come.
         A link that is far faster than it needs to be leaves room for that. Without a policy, a long packet gets more
-        than a short one, for more is lost with it.
+        than a short one, because more is lost with it.
         """
         if self.policy is None or self._link.bytes_per_second >= _AMPLE * self._link.needed:
             return max(PLAYOUT_DELAY_S, self.packet_s / 4)
@@ -279,7 +279,7 @@ class LiveStream:
             self.payload_bytes += len(packet)
 
     def send(self, samples: Signal) -> None:
-        """Code and send samples (n, channels), take in what has come; begin again where the clocks are out of step."""
+        """Code and send samples (n, channels), receive; start again if the clocks are out of step."""
         start = 0
         while start < len(samples):
             end = start + self.left_samples
@@ -288,7 +288,7 @@ class LiveStream:
         self.keep_up()
 
     def keep_up(self) -> None:
-        """Take in what has come; begin again where the clocks are out of step."""
+        """Receive messages; start again if the clocks are out of step."""
         self.poll(0)
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
@@ -312,11 +312,10 @@ class LiveStream:
         return self.code(samples)
 
     def fits(self, drained: float = 0.25) -> bool:
-        """Return whether the next packet can come in time; set `carried_bps`, and the policy's rate, to what can.
+        """Return whether the next packet can come in time; set `carried_bps` and the policy's rate to match.
 
-        A packet may take LINK_SHARE of its own duration on the link, less the part `drained` of what still waits there:
-        a quarter, so that the queue shrinks over some packets without a jump in quality, and they come as early again
-        as at the start.
+        A packet may take LINK_SHARE of its own duration on the link, less the part `drained` of the queue there. With a
+        quarter, the queue shrinks over some packets without a jump in quality, until they come as early as at first.
         """
         now_s = self._link.now_s(self.controller.clock())
         if self.status.state == State.PLAYING:
@@ -360,7 +359,7 @@ class LiveStream:
             )
 
     def poll(self, timeout_s: float) -> None:
-        """Take in what the controller sends, waiting for it at most `timeout_s`."""
+        """Receive messages for at most `timeout_s`."""
         if isinstance(self.controller.poll(timeout_s), Status):
             self._link.flushed()
         before = self.status

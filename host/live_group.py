@@ -41,7 +41,7 @@ class LiveGroup:
         self._heard = [(stream.status, stream.controller.clock()) for stream in streams]
 
     def send(self, blocks: Sequence[Signal]) -> None:
-        """Code and send a block (n, channels) of each stream, all of the same n, and take in what has come."""
+        """Code and send a block (n, channels) of each stream, all of the same n, and receive messages."""
         start = 0
         while start < len(blocks[0]):
             end = start + self.streams[0].left_samples
@@ -89,9 +89,9 @@ class LiveGroup:
         return (lambda samples: []) if number in self.failed else self.streams[number].coded
 
     def _listen(self, stream: LiveStream) -> None:
-        """Take in what a controller has sent. Raises ConnectionLost where it has been silent."""
+        """Receive messages of a controller. Raises ConnectionLost where it has been silent."""
         if stream.left_samples == stream.packet_samples:
-            stream.keep_up()  # between packets, so that all stay in step where it begins the stream anew
+            stream.keep_up()  # between packets, so that all stay in step if it starts the stream again
         else:
             stream.poll(0)
         number, now_s = self.streams.index(stream), stream.controller.clock()

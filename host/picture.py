@@ -23,7 +23,7 @@ COLUMNS = 1200
 MIN_HZ = 10.0
 # Levels below this are silence for the skin at every frequency.
 FLOOR_DB = -60.0
-# Told apart in grey print: by lightness from the first to the last, and by dashes.
+# Distinct in grey print: by lightness from the first to the last, and by dashes.
 STYLES: tuple[dict[str, object], ...] = (
     {"color": "#f0a030", "linestyle": "-", "linewidth": 2.6},
     {"color": "#2a7fb8", "linestyle": (0, (5, 2)), "linewidth": 1.6},

@@ -45,13 +45,13 @@ class Progress:
 
 @dataclass(frozen=True)
 class PlaybackResult:
-    """What a playback did.
+    """The result of a playback.
 
     `state`: FINISHED, or STOPPED if someone stopped it. `seconds`: from start to end. `buffered_s`: mean time that
     data waited in the controller. `wire_bytes_*`: all bytes of this playback on the transport. `underruns`,
     `lost_packets` and `reconnects` count over all of it; `status` is the last one. `decoded` (int16, stream rate) and
-    `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture from packet `captured_from`
-    (counted over all loops) on: 0 unless a lost connection made the controller begin again; None if not required.
+    `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture, None if not required.
+    `captured_from`: its first packet, counted over all loops; 0 unless the controller started again after a loss.
     """
 
     state: State
@@ -99,9 +99,9 @@ def play(
     """Play packets to their end and return what happened.
 
     `loops`: how often, 0 = until stopped. `buffer_s`: how much the controller holds before it begins and while it
-    plays, as far as its own buffer and credit go. `progress` is called in this thread whenever the controller reports,
-    and may itself use the controller: `request` a Pause, Resume or Gain, or `stop` it; but no Loop, for which this host
-    would send no data. Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken
+    plays, as far as its own buffer and credit go. `progress` is called in this thread whenever the controller reports.
+    It may `request` a Pause, Resume or Gain, or `stop` the controller. It may not request a Loop, because this host
+    would send no data for it. Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken
     connection is opened again for `reconnect_s`; if the controller has given up meanwhile, playing (also what was
     paused) goes on at the next random-access packet.
 
@@ -176,7 +176,7 @@ class _Source:
     def __init__(
         self, controller: Controller, header: StreamHeader, packets: Sequence[bytes], packet_samples: int, loops: int
     ) -> None:
-        """Check the stream. Raises StreamError, and ControllerError for what never fits the controller."""
+        """Check the stream. Raises StreamError, and ControllerError for a stream that never fits the controller."""
         check_limits(controller, header.channels, header.rate_hz)
         if not packets or header.samples == 0:
             raise StreamError("the stream has no packets or no samples: there is nothing to play")
@@ -207,7 +207,7 @@ class _Source:
             raise StreamError("the stream does not begin with a refresh packet: it cannot be decoded")
 
     def seconds(self, positions: int) -> float:
-        """Return the time that it takes to play so many samples, as positions count them."""
+        """Return the time that samples take to play, as positions count them."""
         return positions / self.packet_samples * self.packet_s
 
     def next_refresh(self, packet: int) -> int | None:
@@ -223,8 +223,8 @@ class _Source:
 def _begin_steps(controller: Controller, source: _Source, settings: PlaybackSettings, first: int) -> Steps["_Sender"]:
     """Set up and start the stream from packet `first` on, a random-access packet; return who sends it."""
     limits = controller.description.limits
-    # What is played and the next one, however long packets are, where the controller has room for it; and one more
-    # where the packet at the end of an iteration may be cut to almost nothing.
+    # The current packet and the next, however long, where the controller has room. One more where the last packet of an
+    # iteration may be almost empty.
     min_packets = 3 if source.packet_s < source.packet_samples / source.header.rate_hz else 2
     ahead_packets = max(min_packets, int(settings.buffer_s / source.packet_s))
     buffer_packets = min(ahead_packets, limits.buffer_samples // source.packet_samples)
@@ -291,7 +291,7 @@ class _Sender:
         return self._base * self._source.packet_samples + self.status.position
 
     def send_steps(self) -> Steps[None]:
-        """Send what there is credit for and take in what comes, until the playback has ended."""
+        """Send as far as the credit reaches, and receive, until the playback has ended."""
         while self.status.state not in (State.FINISHED, State.STOPPED):
             now_s = self._controller.clock()
             if now_s - self._noted_s > _SILENCE_S:
@@ -317,12 +317,12 @@ class _Sender:
                     self._settings.progress(self._progress())
 
     def goes_on_steps(self) -> Steps[bool]:
-        """Take in what a controller that was out of reach is doing; return whether it still plays this stream."""
+        """Ask a controller that was out of reach for its state; return whether it still plays this stream."""
         status = yield from self._controller.request_steps(StatusRequest(), Status)
         if status.stream != self._session.number:
             return False
         if status.state in (State.ARMED, State.PLAYING, State.PAUSED, State.FINISHED, State.STOPPED):
-            # What was under way when the connection broke may be lost; the controller drops what it has twice.
+            # Frames under way when the connection broke may be lost. The controller drops packets that it has already.
             self._next = min(self._next, self._base + status.position // self._source.packet_samples)
             self._session.news()
             self._note()
@@ -415,7 +415,7 @@ class _Sender:
             self.buffered_s_sum += source.seconds(status.buffered_samples)
         playing = self._base + status.position // source.packet_samples
         if playing > self._next:
-            # Too late for what lies between: the controller is silent until the next random-access packet, if any.
+            # Too late for the packets between: the controller is silent until the next refresh, if any.
             self._next = source.next_refresh(playing) or playing
 
     def _progress(self) -> Progress:
@@ -438,9 +438,9 @@ class _Sender:
         ]
 
     def _ask(self, now_s: float) -> None:
-        """Ask for the status, or else for a frame of a capture that would soon be longer than what is kept of it.
+        """Ask for the status, or for a frame of a capture that the controller would soon overwrite.
 
-        Neither is waited for, so that a lost answer does not hold up the data.
+        Neither waits for the answer, so that a lost one does not hold up the data.
         """
         if now_s >= self._ask_s:
             self._sent_s, self._ask_s = now_s, now_s + self._status_interval_s
@@ -452,7 +452,7 @@ class _Sender:
             self._controller.ask_once(self.captures[tap].request())
 
     def _tap_to_read(self) -> Tap | None:
-        """Return the tap whose capture would soon be longer than what is kept of it; None if neither."""
+        """Return the tap whose capture the controller would soon overwrite; None if neither."""
         if not self._settings.capture:
             return None
         unread = {tap: captured_by_now - self.captures[tap].samples_read for tap, captured_by_now, _ in self._taps()}

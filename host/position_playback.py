@@ -27,8 +27,8 @@ _MAX_MM = 1e6
 _AHEAD_S, _BEHIND_S = 0.2, 0.05
 _LOADING_S = 5.0
 _READ_S, _MIN_READ_S = 0.02, 0.001
-# The controller's clock is no earlier than the last Status said, ten a second: of so many the soonest holds. Sent
-# so much later than that, no position comes before its time, also where that clock is slow by 1 %.
+# The controller's clock is at least at the time of the last Status, ten a second; the soonest of _HEARD counts. Sent
+# _SENT_AFTER_S later, no position comes before its time, even if that clock is slow by 1 %.
 _HEARD, _SENT_AFTER_S = 2, 0.003
 
 
@@ -51,7 +51,7 @@ class Movement:
 
 
 def back_and_forth(stroke_mm: float, speed_mm_s: float, strokes: int) -> Movement:
-    """Return a hand that goes there and back so many times along a cosine, at most as fast as this."""
+    """Return a hand that strokes there and back along a cosine, this many `strokes`, at most at this speed."""
     seconds = strokes * math.pi * stroke_mm / speed_mm_s
     if not seconds <= _MAX_S:
         raise InputFileError(f"a movement of {seconds:.0f} s: make it shorter, by --loop, --stroke-mm or a faster hand")
@@ -92,7 +92,7 @@ def read_movement(path: Path) -> Movement:
 def chosen_movement(
     positions_path: Path | None, stroke_mm: float | None, speed_mm_s: float | None, strokes: int
 ) -> Movement:
-    """Return the movement that a file holds, or so many strokes. Raises InputFileError, also if both are given."""
+    """Return the movement that a file holds, or strokes. Raises InputFileError, also if both are given."""
     if positions_path is None and stroke_mm and speed_mm_s:
         return back_and_forth(stroke_mm, speed_mm_s, strokes)
     if positions_path is None:
@@ -106,9 +106,11 @@ def chosen_movement(
 
 @dataclass(frozen=True)
 class Played:
-    """What a controller did: `status` at the end; `damaged`: frames that came so meanwhile; `dac_codes` int16
-    (n, channels) as far as it kept them, from sample `captured_from` on; `positions` as they were sent, device time in
-    us and place in nm; `start_us`: device time of the first DAC sample.
+    """The result of a playback by position.
+
+    `status`: at the end. `damaged`: frames that came damaged. `dac_codes`: int16 (n, channels) as far as the controller
+    kept them, from sample `captured_from` on. `positions`: as sent, device time in us and place in nm. `start_us`:
+    device time of the first DAC sample.
     """
 
     status: Status
@@ -156,8 +158,8 @@ def play(
 ) -> Played:
     """Load a spatial stream and play it under a hand that moves, in real time; read back what went to the DAC.
 
-    The hand goes straight from each position to the next: the controller is told of it 500 times a second, by the
-    controller's own clock. `progress` is called with the part done. Raises ControllerError, TransportError.
+    The hand goes straight from each position to the next. The controller gets it 500 times a second, by its own
+    clock. `progress` is called with the part done. Raises ControllerError, TransportError.
     """
     session = load(controller, stream)
     begun = controller.request_status()
@@ -203,7 +205,7 @@ def play(
 
 @dataclass(frozen=True)
 class Computed:
-    """What the controller puts out where all positions come in time: heights in um and codes, both (n, channels)."""
+    """The controller's output if all positions come in time: heights in um and codes, both (n, channels)."""
 
     heights_um: NDArray[np.float64]
     codes: Codes

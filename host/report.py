@@ -1,4 +1,4 @@
-"""What a play reports: figures of the stream, the device and the comparison with the offline decoder, as JSON."""
+"""The report of a playback: figures of stream, device and comparison with the offline decoder, as JSON."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -51,7 +51,7 @@ class DeviceDescription:
 
 @dataclass(frozen=True)
 class Report:
-    """Figures of one play; docs/reference/report.md explains each. None stands for what could not be measured.
+    """Figures of one playback; docs/reference/report.md explains each. None: not measured.
 
     `seconds` is the duration of one pass; `stream_bytes`, and the rates from it, are of the whole .vct file.
     """
@@ -87,7 +87,7 @@ class Report:
 
     @property
     def differs(self) -> bool:
-        """Whether the controller decoded, or gave its DAC, something else than what is computed here."""
+        """Whether the controller decoded other samples, or gave its DAC other codes, than computed here."""
         return False in (self.decoded_equals_offline, self.dac_equals_offline)
 
     def as_json(self) -> str:

@@ -44,7 +44,7 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
 
 
 def check_packet(controller: Controller, packet_samples: int) -> None:
-    """Raise ControllerError if the controller's buffer does not hold a packet of so many samples."""
+    """Raise ControllerError if the controller's buffer does not hold a packet of this many samples."""
     buffer_samples = controller.description.limits.buffer_samples
     if packet_samples > buffer_samples:
         raise ControllerError(
@@ -141,7 +141,7 @@ def stopped_on_error(controller: Controller) -> Iterator[None]:
 
 
 class Capture:
-    """What a tap has captured of a stream, read back frame by frame.
+    """The capture of a tap, read back frame by frame.
 
     `samples_read`: samples per channel, counted as the controller does, up to which it has been read.
     """

@@ -40,7 +40,7 @@ def flash(
     """Flash a packed model image, start it as a test, confirm it; return what the slot then holds.
 
     `slot`: None = one that is not running. `progress` is called with the bytes that the slot has and the image's size.
-    A cut connection is opened anew for `reconnect_s` and the transfer resumed; a later call resumes it as well.
+    A cut connection is opened again for `reconnect_s`, and the transfer resumed; a later call resumes it as well.
     An image that runs already is left alone. Raises ModelImageError, ControllerError, TransportError, MessageError.
     """
     model = ModelImage.unpack(image)

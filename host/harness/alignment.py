@@ -1,4 +1,4 @@
-"""Lays a recording over what was sent: lag, gain and the drift of the recorder's clock, to fractions of a sample."""
+"""Aligns a recording with the sent signal: lag, gain and drift of the recorder's clock, to fractions of a sample."""
 
 from dataclasses import dataclass
 
@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 Samples = NDArray[np.float64]
 
-# The recording is interpolated by cubic splines between so many points a sample.
+# Cubic splines interpolate the recording between this many points per sample.
 _OVERSAMPLING = 8
 _ITERATIONS = 12
 _MIN_CORRELATION = 0.1
 
 
 class AlignmentError(ValueError):
-    """A recording that holds nothing of what was sent; the message says what to do."""
+    """A recording without the sent signal; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
         sample += shift / factor
         stretch += stretched / factor
     values = spline(np.clip(sample + numbers + stretch * centred, 0, len(recorded) - 1))
-    # Over the power of what was sent, which has no noise.
+    # Over the power of the sent signal, which has no noise.
     gain = float(np.sum(values * reference) / np.sum(np.square(reference)))
     return Alignment(
         lag_s=(sample - stretch * float(np.mean(numbers))) / rate_hz,

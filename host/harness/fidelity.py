@@ -1,4 +1,4 @@
-"""Measures how near what is played comes to what was sent: DAC codes bit by bit, and the skin, recorded or modelled."""
+"""Compares the played texture with the sent one: DAC codes bit by bit, and the skin, recorded or modelled."""
 
 import contextlib
 from collections.abc import Callable
@@ -42,7 +42,7 @@ class Fidelity:
     are bit for bit what the host computes; None where the controller has no read-back. `coding_snr_db`: of the decoded
     signal, in the texture's unit; `decoded_snr_db`: of the same as displacement above 20 Hz, for which acceleration is
     integrated twice: the codec's noise at low frequencies weighs most then. The rest is of that displacement at the
-    skin, `source` says by what it is known: `snr_db` and `st_sim` compare it with the texture, `playing_snr_db` with
+    skin, which `source` measured or modelled: `snr_db` and `st_sim` compare it with the texture, `playing_snr_db` with
     the decoded signal, which leaves the codec out.
     `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock.
     """
@@ -74,7 +74,7 @@ def measure_fidelity(
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     progress: Callable[[float], None] | None = None,
 ) -> Fidelity:
-    """Play the first channel of a texture and compare the skin with what was sent.
+    """Play the first channel of a texture and compare the skin with the sent signal.
 
     `actuator`: the one that the controller works with. `recorder`: the sensor on that channel; None = the DAC's codes
     through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.

@@ -46,7 +46,7 @@ class Spread:
 class Latency:
     """The delay of a live stream, from a block's last sample at the host to the DAC.
 
-    `parts`: by the names of PARTS. `total_ms`: the median, the sum of what a sample waits; every sample of a stream has
+    `parts`: by the names of PARTS. `total_ms`: the median wait of a sample in all parts; every sample of a stream has
     the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, relative to when their
     samples were taken. `margin_ms`: the time that packets should lie ready. `stable`: no underrun and no
     lost packet. `as_sent`: what the controller decoded, as far as it keeps that, is bit for bit what the packets hold.
@@ -83,7 +83,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class MinLatency:
-    """What the search has found: the lowest stable delay, None where nothing was stable, and all trials."""
+    """The result of the search: the lowest stable delay, None if none was stable, and all trials."""
 
     found: Latency | None
     trials: tuple[Trial, ...]

@@ -30,7 +30,7 @@ _AFTER_GAP_S = 0.3
 
 @dataclass(frozen=True)
 class Throughput:
-    """What the link carries, in bytes on the wire a second. `to_host`: requested frame by frame, as captures are.
+    """The capacity of the link, in bytes on the wire a second. `to_host`: requested frame by frame, as captures are.
 
     `bad_frames`: of those sent, how many arrived damaged.
     """
@@ -42,7 +42,7 @@ class Throughput:
 
 @dataclass(frozen=True)
 class Load:
-    """One live stream of so many channels at such a rate, and what was not in time."""
+    """One live stream with its channels and rate, and the packets that were late."""
 
     channels: int
     rate_hz: int
@@ -146,7 +146,7 @@ def max_gap(
 
 
 def _silence(controller: Controller, texture: Recording, buffer_s: float, gap_s: float, rate_hz: int) -> str | None:
-    """Send so much ahead, be silent for so long, and send the rest; return what ended the stream before its end."""
+    """Send ahead, be silent, and send the rest; return the cause if the stream ended early."""
     samples = looped(texture, max(buffer_s, gap_s) + 2 * _AFTER_GAP_S, rate_hz)
     stream = live.LiveStream(controller, _format(texture, samples, rate_hz), playout_delay_s=_START_S)
     packets = stream.code(samples)
@@ -163,7 +163,7 @@ def _silence(controller: Controller, texture: Recording, buffer_s: float, gap_s:
 
 
 def _listen(controller: Controller, seconds: float) -> None:
-    """Say nothing for so long, and take in what the controller sends."""
+    """Send nothing for a time, and receive messages."""
     until_s = controller.clock() + seconds
     while (left_s := until_s - controller.clock()) >= _MIN_WAIT_S:
         controller.poll(min(left_s, _READ_S))

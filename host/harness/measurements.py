@@ -1,4 +1,4 @@
-"""The measurements by name, in the order of a run: each on the bench's first controller, with what the bench has."""
+"""The measurements by name, in the order of a run: on the bench's first controller, with the parts of the bench."""
 
 import platform
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ _FULL_BUFFER_S = 3600.0
 
 @dataclass(frozen=True)
 class Subject:
-    """What a run measures: a session, the first channel's actuator, its sensor if any, and textures.
+    """The parts that a run measures: a session, the first channel's actuator, its sensor if any, and textures.
 
     `actuator`: the model that the controller works with; `skin_model`: the one that the bench has there.
     """

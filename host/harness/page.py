@@ -18,7 +18,7 @@ from vibrocast.host.harness.latency import PARTS
 from vibrocast.host.harness.results import Change
 from vibrocast.host.picture import STYLES
 
-# From dark to light, with hatches: told apart in grey print.
+# From dark to light, with hatches: distinct in grey print.
 _SHADES = ("#20123a", "#2a7fb8", "#7fb8d8", "#f0a030", "#d0d0d0", "#707070", "#f7d9a8", "#ffffff")
 _HATCHES = ("", "//", "", "..", "", "xx", "\\\\", "")
 

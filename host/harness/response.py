@@ -68,7 +68,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Response:
-    """What a sweep has shown. `source`: how the displacement is known. `actuator`: the model with what was fitted."""
+    """The result of a sweep. `source`: how the displacement is known. `actuator`: the model with the fitted values."""
 
     source: str
     curve: Curve
@@ -164,9 +164,9 @@ def play_sweep(
 def fit_actuator(sweep: Sweep) -> Fit:
     """Fit a first-order low-pass and a resonance to a sweep, and return the better one. Raises AlignmentError.
 
-    Output error: the least squared difference between the spectra of the recording and of what the model makes of the
-    input, over the sweep's band; the most likely parameters where the sensor's noise is white (Ljung, System
-    Identification, 2nd ed., section 7.4). The intervals are those of its linearisation there.
+    Output error: the least squared difference between the spectra of the recording and of the model's output, over the
+    sweep's band. If the sensor's noise is white, these are the most likely parameters (Ljung, System Identification,
+    2nd ed., section 7.4). The intervals are those of its linearisation there.
     """
     spectra = _Spectra(sweep)
     fits = [_least_squares(spectra, resonant) for resonant in (False, True)]

@@ -1,4 +1,4 @@
-"""What a run has measured: kept as JSON, and compared with an earlier run."""
+"""The results of a run: kept as JSON, and compared with an earlier run."""
 
 import json
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """By how much a figure may change for the worse: the larger of the two, `relative` to what it was.
+    """By how much a figure may change for the worse: the larger of the two, `relative` to the earlier value.
 
     `worse`: 1 where a higher figure is worse, -1 where a lower one is, 0 where any other is.
     """
@@ -46,7 +46,7 @@ class Tolerance:
     relative: float = 0.0
 
     def allows(self, before: float, now: float) -> bool:
-        """Return whether a figure is within the tolerance of what it was."""
+        """Return whether a figure is within the tolerance of its earlier value."""
         change = abs(now - before) if self.worse == 0 else self.worse * (now - before)
         return change <= max(self.absolute, self.relative * abs(before))
 
@@ -152,7 +152,7 @@ def compare(before: dict[str, Any], now: dict[str, Any]) -> list[Change]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value without what JSON cannot hold: an SNR that is infinite, as of an exact copy, is None."""
+    """Return a value that JSON can hold: an infinite SNR, as of an exact copy, becomes None."""
     if isinstance(value, dict):
         return {key: _plain(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):

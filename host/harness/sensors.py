@@ -32,7 +32,7 @@ def recorder(sensor: Sensor) -> Recorder:
     """Return what records by a sensor's program. Raises SensorError, when it starts and when it gives its recording.
 
     It is started so long before what is played that the beginning is in the recording, as the harness waits for it.
-    What it has started has ended when the block is left, however that is.
+    Its processes have ended when the block is left, in any way.
     """
 
     @contextlib.contextmanager
@@ -41,12 +41,12 @@ def recorder(sensor: Sensor) -> Recorder:
             file, complaints = Path(folder) / f"recording{sensor.suffix}", Path(folder) / "complaints"
             values = {"{file}": str(file), "{seconds}": f"{seconds + _STARTS_WITHIN_S:g}"}
             command = [_filled(part, values) for part in sensor.command]
-            with complaints.open("wb") as stderr:  # a pipe would be held open by what the program has started
+            with complaints.open("wb") as stderr:  # children of the program would hold a pipe open
                 process = _start(sensor, command, stderr)
             try:
                 yield partial(_finish, sensor, process, file, complaints, seconds + _STARTS_WITHIN_S + _ENDS_WITHIN_S)
             finally:
-                # In a session of its own: with a shell goes what it has started.
+                # In a session of its own: the children of a shell end with it.
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
