@@ -99,7 +99,7 @@ class EmulatedCore:
         self.clear()
 
     def clear(self) -> None:
-        """Begin to count anew."""
+        """Start the count again."""
         self.stack_bytes = 0
         self._entered: Counter[tuple[int, int, int]] = Counter()
         self._last = (0, 0)
@@ -184,7 +184,7 @@ def _cycles(before: Any, instruction: Any) -> int:
 
 @dataclass(frozen=True)
 class Run:
-    """What decoding a stream takes: instructions, and cycles of a Cortex-M4, per sample; most bytes of stack."""
+    """The cost of decoding a stream: instructions, and cycles of a Cortex-M4, per sample; most bytes of stack."""
 
     decoded: Decoded
     instructions: float

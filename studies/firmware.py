@@ -1,4 +1,4 @@
-"""What decoding costs a microcontroller, counted in emulation: `python -m studies.firmware --out docs/benchmarks`."""
+"""Counts in emulation the cost of decoding on a microcontroller: `python -m studies.firmware --out docs/benchmarks`."""
 
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -81,7 +81,7 @@ _FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode"
 
 @dataclass(frozen=True)
 class Load:
-    """What decoding one texture takes, per sample. `cycles`: of a Cortex-M4 by the page's model, None for others."""
+    """The cost of decoding one texture, per sample. `cycles`: of a Cortex-M4 by the page's model, None for others."""
 
     decoder: str
     texture: str
@@ -96,10 +96,10 @@ class Load:
 
 @dataclass(frozen=True)
 class Decoding:
-    """What decoding one texture takes a Cortex-M4F with DSP kernels, in instructions per sample.
+    """The cost of decoding one texture on a Cortex-M4F with DSP kernels, in instructions per sample.
 
-    `block`: the codec's `block_parameter`, empty where it has one length only. `bits_per_sample`, `quiet`: what that
-    depends on; the latter as host.planner.costs.quiet_part.
+    `block`: the codec's `block_parameter`, empty where it has one length only. `bits_per_sample`, `quiet`: the
+    variables of the cost; the latter as host.planner.costs.quiet_part.
     """
 
     decoder: str
@@ -112,7 +112,7 @@ class Decoding:
 
 @dataclass(frozen=True)
 class Size:
-    """Bytes of a decoder for a Cortex-M4F: code with its constants, model image, and state for so many channels."""
+    """Bytes of a decoder for a Cortex-M4F: code with its constants, model image, and state for its channels."""
 
     decoder: str
     kernels: str
@@ -135,7 +135,7 @@ class Playing:
 
 @dataclass(frozen=True)
 class ControllerLoad(Playing):
-    """What a whole controller takes.
+    """The cost of a whole controller.
 
     `board`: one of BOARD_CORES. `instructions`, `decoding`: in a second, all, and decoding alone.
     `flash_bytes`, `ram_bytes`: of BOARD's firmware with the buffers of SMALL, but for the code and the state of its

@@ -84,7 +84,7 @@ def compared(model: Model, recordings: Sequence[textures.Recording]) -> Iterator
 
 
 def with_graph(model: Model) -> Model:
-    """Return a model whose image holds the ONNX graph of its synthesis beside the integer network.
+    """Return a model whose image holds the ONNX graph of its synthesis next to the integer network.
 
     Raises OSError where the graph cannot be read.
     """

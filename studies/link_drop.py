@@ -38,7 +38,7 @@ TABLE, CHART = "link_drop.csv", "link_drop.png"
 class Packet:
     """A packet of a live stream: when its last sample was taken, the rate that was asked for it, its SNR, how early.
 
-    `early_ms`: what the controller held when it last told, less what it was playing: how late a packet may still be.
+    `early_ms`: how late a packet may still be, by the controller's last Status: the data that it held and did not play.
     """
 
     recording: str

@@ -44,7 +44,7 @@ HELLO = HelloResponse(
 )
 STATUS_INTERVAL_S = 0.1
 TURN_S = 0.01
-# A busy computer keeps the process waiting, which no controller does: of a longer wait its clock counts so much.
+# A busy computer keeps the process waiting, unlike a controller. Of a longer wait, the clock counts only this much.
 MAX_STEP_S = 0.05
 
 
@@ -134,7 +134,7 @@ class NullController:
 
 
 def serve(count: int) -> None:
-    """Serve so many until standard input ends."""
+    """Serve a number of controllers until standard input ends."""
     with selectors.DefaultSelector() as selector:
         controllers = []
         for _ in range(count):

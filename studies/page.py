@@ -1,4 +1,4 @@
-"""What the scripts share: options, errors in one line, and pages and tables that are written whole."""
+"""Shared by the scripts: options, errors in one line, and pages and tables that are written whole."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager

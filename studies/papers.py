@@ -68,7 +68,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class WaveformSample:
-    """One sample of a recording and of what a codec made of it, in the recording's unit, at one of WAVEFORM_RATIOS."""
+    """One sample of a recording and of its decoded signal, in the recording's unit, at one of WAVEFORM_RATIOS."""
 
     trace: str
     codec: str
@@ -144,7 +144,7 @@ def eva_claims(measurements: Measurements) -> Iterator[Claim]:
 
 
 def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
-    """Yield the claims of the paper on material-like textures, with what texture_paper.csv and the actuator say."""
+    """Yield the claims of the texture paper, with the results of texture_paper.csv and the actuator."""
     ratios = {row.levels: row.paper_percent for row in rows if row.quantiser == "linear" and row.b0_db is None}
     worst = max((abs(ratio - 100 * math.log2(levels) / 16) for levels, ratio in ratios.items()), default=None)
     yield Claim(

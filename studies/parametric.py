@@ -52,7 +52,7 @@ class Row:
 
 
 def curve_name(times: int) -> str:
-    """Return what a waveform at so many times the description's rate is called."""
+    """Return the name of a waveform at a multiple of the description's rate."""
     return f"{WAVEFORM}, {times} times the rate" if times > 1 else f"{WAVEFORM}, the same rate"
 
 

@@ -43,7 +43,7 @@ PAGE, ROWS = "planning_results.md", "planning.csv"
 
 @dataclass(frozen=True)
 class Saving:
-    """One texture, planned with one of WEIGHTS, beside the fixed default. `delay`: FREE or HELD.
+    """One texture, planned with one of WEIGHTS, and the fixed default. `delay`: FREE or HELD.
 
     `snr_db`: of both in the band worth coding, default first. `wire_bps`: frames included. `instructions`: of decoding
     on a Cortex-M4F, in a second. `kilobytes`: flash and RAM of the decoder. `delay_ms`: from a sample at the host to

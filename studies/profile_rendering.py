@@ -30,7 +30,7 @@ _MEMORY, _DECODED, _HEIGHTS = 0x2000_0000, 0x6000_0000, 0x6008_0000
 
 
 def periodic(decoded_um: NDArray[np.float64], samples_per_metre: int) -> NDArray[np.float64]:
-    """Return one period, um, of what a profile repeats: its end crossfaded into its beginning, as profile.h says."""
+    """Return one period, um, of a repeated profile: its end crossfaded into its beginning, as profile.h says."""
     octaves_step = rendering.octaves_step(samples_per_metre, PIEZO_STACK.dac_rate_hz)
     period = (len(decoded_um) - len(decoded_um) // 16) // octaves_step * octaves_step
     faded = len(decoded_um) - period
@@ -61,7 +61,7 @@ def snr_db(rendered_um: NDArray[np.float64], exact_um: NDArray[np.float64]) -> f
 
 
 def cost(decoded: NDArray[np.int16], samples_per_metre: int) -> dict[str, float]:
-    """Return instructions and cycles of a Cortex-M4 for a DAC sample at the dearest speed, for loading, and bytes."""
+    """Return instructions and cycles of a Cortex-M4 for a DAC sample at the costliest speed, for loading, and bytes."""
     functions = [f"vc_profile_{name}" for name in ("init", "load", "position", "render", "size", "begin")]
     with tempfile.TemporaryDirectory() as folder:
         core = EmulatedCore(compile_core(Path(folder) / "profile.elf", CORES["M4F"], functions), CORES["M4F"])

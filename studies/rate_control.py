@@ -171,7 +171,7 @@ def _codecs(held: Sequence[Held]) -> list[str]:
 
 
 def _cell(held: Sequence[Held], name: str, rate_bps: int) -> dict[str, float]:
-    """Return means over the recordings of what a codec does at a rate, and how many recordings it rejects."""
+    """Return means over the recordings of a codec at a rate, and how many recordings it rejects."""
     cell = name, rate_bps, RATE_BUFFERS_S[0]
     rows = [row for row in held if (row.codec, row.bits_per_second, row.rate_buffer_s) == cell]
     done = [row for row in rows if not row.rejected]

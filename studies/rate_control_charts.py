@@ -1,4 +1,4 @@
-"""Charts of studies.rate_control, to be read in grey print: every line and mark named beside it."""
+"""Charts of studies.rate_control, readable in grey print: each line and mark has its name next to it."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Held:
 
 @dataclass(frozen=True)
 class RefreshCost:
-    """Mean SNR over recordings at a rate with a refresh every so many seconds."""
+    """Mean SNR over recordings at a rate with a refresh every `refresh_s` seconds."""
 
     bits_per_second: int
     refresh_s: float
@@ -53,7 +53,7 @@ class RefreshCost:
 
 
 def plot_recordings(path: Path, rows: Sequence[Held]) -> None:
-    """Draw the SNR's mean and range of each recording, a panel for each rate, the deviation beside. Raises OSError."""
+    """Draw the SNR's mean and range of each recording, a panel for each rate, with the deviation. Raises OSError."""
     names = sorted({row.recording for row in rows}, reverse=True)
     rates = sorted({row.bits_per_second for row in rows})
     figure = Figure(figsize=(WIDTH_IN, 0.8 + len(names) * _ROW_IN), dpi=DPI)
@@ -121,7 +121,7 @@ def _plot(
     x_label: str,
     levels: Sequence[float] = (),
 ) -> None:
-    """Draw a panel for each of the values, with a line over what the rows are grouped by. `levels`: of the first."""
+    """Draw a panel for each of the values, with a line over the groups of rows. `levels`: of the first."""
     panels = [
         Panel(
             title,

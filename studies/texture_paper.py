@@ -47,7 +47,7 @@ PANEL_IN = 1.75
 
 @dataclass(frozen=True)
 class Published:
-    """What the source paper says of one of its materials, and at which setting: the coarsest that nobody noticed.
+    """The source paper's figures of one of its materials, at the coarsest setting that nobody noticed.
 
     `huffman_percent`: of 16 bits, tables not counted. `zeros_percent`: by the threshold cut at `b0_db`.
     """
@@ -329,7 +329,7 @@ def _rounded(row: Any) -> Any:
     help="Add measured height profiles, the CSV files of this folder.",
 )
 def main(out: Path, folder: Path | None) -> None:
-    """Write the texture paper's figures beside those of the codec dct, coded as the paper codes."""
+    """Compare the texture paper's figures with those of the codec dct, coded as in the paper."""
     with errors_in_one_line():
         profiles = generated_profiles()
         for path in sorted(folder.glob("*.csv")) if folder else ():
