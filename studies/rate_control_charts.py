@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vibrocast.evaluation.charts import DPI, FONT_POINTS, WIDTH_IN
-from vibrocast.evaluation.stability.pictures import Curve, Panel, curves
+from vibrocast.evaluation.curves import Curve, Panel, curves
 
 _ROW_IN = 0.2
 _LIMIT_PERCENT = 1.0

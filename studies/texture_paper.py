@@ -23,7 +23,7 @@ from vibrocast.codec.huffman import code_lengths
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.evaluation.charts import DPI, FONT_POINTS, WIDTH_IN
-from vibrocast.evaluation.stability.pictures import Curve, Panel, curves
+from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.files import atomic_write
 from vibrocast.textures.generate import rough_profile
 

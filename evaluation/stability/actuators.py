@@ -4,14 +4,12 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import scipy
 
 from vibrocast.device_protocol.coded_stream import StreamHeader
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Scope
+from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, Scope, figure, sound_values
 from vibrocast.evaluation.stability.trials import Measured, Trial, Verdict, graded
 from vibrocast.output.actuator import (
     LRA,
@@ -21,12 +19,15 @@ from vibrocast.output.actuator import (
     Samples,
 )
 from vibrocast.output.rendering import render
+from vibrocast.pages import listed
 
 SHIFTS_PERCENT = (-20, -15, -10, -5, -2, 0, 2, 5, 10, 15, 20)
 QUALITIES = (5.0, 15.0, 30.0)
 BAND_HZ = (40.0, 400.0)
 FELT_DB, FAR_DB = 1.6, 6.0
 """A change of 20 % in amplitude is felt (Weber fraction of the Pacinian channel, 10 to 20 % for fine differences)."""
+
+_LEVEL_LIMITS = f"up to {FELT_DB:g} dB", f"above {FAR_DB:g} dB"
 
 FREQUENCIES_HZ = (20, 50, 100, 150, 200, 250, 300, 350, 400, 600, 800)
 AMPLITUDES_UM = (5, 10, 15, 20, 25, 30, 35, 40)
@@ -102,51 +103,64 @@ def _sine_trials(scope: Scope) -> list[Trial]:
     return [
         Trial(
             VOLTAGE.name,
-            PIEZO_STACK.name + (", compensated" if compensation else ", as it is"),
-            f"{frequency_hz} Hz",
+            PIEZO_STACK.name + (", compensated" if compensation else ", not compensated"),
+            f"{amplitude_um} µm",
             "",
-            float(amplitude_um),
+            float(frequency_hz),
             partial(measure_sine, PIEZO_STACK, frequency_hz, amplitude_um, compensation),
         )
         for compensation in (True, False)
+        for amplitude_um in AMPLITUDES_UM[::-step]
         for frequency_hz in FREQUENCIES_HZ[::step]
-        for amplitude_um in AMPLITUDES_UM[::step]
     ]
 
 
-def _draw_shift(path: Path, cells: Sequence[Verdict]) -> None:
-    curves = pictures.curves_of(cells, "error_db", lambda cell: f"{cell.method}, {cell.case}")
-    title = (
-        f"largest change of the level from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz, dB; felt and failing above the lines"
-    )
-    panel = pictures.Panel(title, "shift of the resonance, %", "", curves, lines=(FELT_DB, FAR_DB))
-    pictures.curves(path, [panel])
+def _shift_message(cells: Sequence[Verdict]) -> str:
+    """Return the actuators that bear each shift, by their Q."""
+    borne: dict[float, list[str]] = {}
+    for case in dict.fromkeys(cell.case for cell in cells):
+        shifts = sound_values([cell for cell in cells if cell.case == case])
+        borne.setdefault(max(map(abs, shifts), default=0.0), []).append(case)
+    parts = [f"{shift:g} % ({', '.join(cases)})" for shift, cases in borne.items()]
+    return f"Compensation bears a resonance that is off by {listed(parts)}"
 
 
-def _draw_sines(path: Path, cells: Sequence[Verdict]) -> None:
-    """Amplitudes downwards, the largest first, with compensation above those without; frequencies across."""
-    methods = list(dict.fromkeys(cell.method for cell in cells))
-    pictures.outcome_map(
-        path,
-        sorted(cells, key=lambda cell: (methods.index(cell.method), -(cell.value or 0.0))),
-        lambda cell: (f"{cell.value:g} um, {cell.method.split(', ')[1]}", cell.case),
-        "a sine of this amplitude (rows) and frequency (columns)",
-    )
+def _sine_message(cells: Sequence[Verdict]) -> str:
+    """Return for each method up to which frequency every amplitude holds."""
+    parts = []
+    for method in dict.fromkeys(cell.method for cell in cells):
+        own = [cell for cell in cells if cell.method == method]
+        unsound_hz = min((cell.value or 0.0 for cell in own if not cell.sound), default=math.inf)
+        held_hz = max((cell.value or 0.0 for cell in own if (cell.value or 0.0) < unsound_hz), default=0.0)
+        parts.append(f"{held_hz:g} Hz {method.partition(', ')[2]}")
+    return f"Every amplitude is reached up to {listed(parts)}"
 
 
 RESONANCE = Map(
-    "resonance",
-    "Shifted resonance",
-    {"band_hz": BAND_HZ, "felt_db": FELT_DB, "far_db": FAR_DB},
-    "{} %",
-    _shift_trials,
-    _draw_shift,
+    name="resonance",
+    group=Group.OUTPUT,
+    title="Shifted resonance",
+    tried=f"The resonance lies elsewhere than the compensation assumes. A change of {FELT_DB:g} dB is felt.",
+    rule=Rule(f"change of level, {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz", *_LEVEL_LIMITS),
+    trials=_shift_trials,
+    message=_shift_message,
+    place=lambda cell: Place(f"{cell.method}, {cell.case}", cell.value or 0.0),
+    caption="shift of the resonance, %; change of the level in dB",
+    label=figure("error_db", ".1f"),
+    value_name="shift_percent",
+    varied="{} %",
 )
 VOLTAGE = Map(
-    "voltage_limit",
-    "Inverse filter against the limits of the amplifier",
-    {"sine_s": SINE_S, "felt_db": FELT_DB, "far_db": FAR_DB},
-    "{} um",
-    _sine_trials,
-    _draw_sines,
+    name="voltage_limit",
+    group=Group.OUTPUT,
+    title="Amplifier limits",
+    tried=f"A sine of {SINE_S:g} s drives the piezo stack, with the inverse filter and without.",
+    rule=Rule("error of amplitude", *_LEVEL_LIMITS),
+    trials=_sine_trials,
+    message=_sine_message,
+    place=lambda cell: Place(cell.case, cell.value or 0.0, cell.method.partition(", ")[2]),
+    caption="frequency, Hz; error in dB",
+    label=figure("error_db"),
+    value_name="frequency_hz",
+    varied="{} Hz",
 )

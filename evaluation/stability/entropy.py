@@ -3,18 +3,27 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from scipy.fft import idct
 
 from vibrocast.codec.interface import Setting
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
+from vibrocast.evaluation.stability.maps import (
+    Group,
+    Map,
+    Place,
+    RatePoint,
+    Rule,
+    Scope,
+    figure,
+    middle_rate_point,
+    with_methods,
+)
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal, decoded
 from vibrocast.evaluation.stability.trials import Measured, Trial, Verdict, graded
 
 DCT = "dct"
+SILENCE = "silence"
 CODERS = ("huffman", "range")
 BLOCK, BLOCKS = 512, 24  # three packets of 4096 samples, none of them padded
 HELD_BITS, FAILED_BITS = 0.2, 1.5
@@ -86,7 +95,7 @@ def _trials(scope: Scope) -> list[Trial]:
     for method in scope.methods:
         rate_point = middle_rate_point(method)
         silence = partial(measure_silence, rate_point)
-        trials.append(Trial(ENTROPY.name, method.name, "silence", f"middle: {rate_point.text}", None, silence))
+        trials.append(Trial(ENTROPY.name, method.name, SILENCE, f"middle: {rate_point.text}", None, silence))
     if scope.has(DCT):
         cases = list(COEFFICIENTS)[:: 3 if scope.quick else 1]
         trials += [
@@ -97,25 +106,20 @@ def _trials(scope: Scope) -> list[Trial]:
     return trials
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    known = [cell for cell in cells if cell.figures]
-    pictures.dots(
-        path,
-        [f"{cell.case}: {cell.method}" for cell in known],
-        {
-            "bits that are spent": [cell.figure("bits_per_sample") for cell in known],
-            "entropy": [cell.figure("entropy_bits") for cell in known],
-        },
-        "bits per sample",
-        None,
-    )
+def _message(cells: Sequence[Verdict]) -> str:
+    silence = [cell for cell in cells if cell.case == SILENCE]
+    return f"Silence costs less than {HELD_BITS:g} bits per sample {with_methods(silence)}"
 
 
 ENTROPY = Map(
-    "entropy_coding",
-    "Entropy coding at extreme skew",
-    {"samples": BLOCKS * BLOCK, "codec": DCT, "held_bits": HELD_BITS, "failed_bits": FAILED_BITS},
-    "",
-    _trials,
-    _draw,
+    name="entropy_coding",
+    group=Group.SETTINGS,
+    title="Entropy coding",
+    tried=f"Every codec codes silence. `{DCT}` also codes coefficients that are all extreme or almost all alike.",
+    rule=Rule("bits per sample above the entropy", f"up to {HELD_BITS:g}", f"more than {FAILED_BITS:g}"),
+    trials=_trials,
+    message=_message,
+    place=lambda cell: Place(cell.method, cell.case),
+    caption="bits per sample above the entropy",
+    label=figure("excess_bits", ".1f"),
 )

@@ -1,16 +1,13 @@
 """Synthesis filters of linear prediction after quantisation: which forms of their coefficients stay stable."""
 
-from collections.abc import Sequence
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 
 from vibrocast.codec import linear_prediction
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, Scope
+from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, Scope, figure, with_methods
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
-from vibrocast.evaluation.stability.trials import Measured, Trial, Verdict, graded
+from vibrocast.evaluation.stability.trials import Measured, Trial, graded
 from vibrocast.textures.generate import grating, stick_slip, wood
 
 CODEC = "slp"
@@ -54,20 +51,17 @@ def _trials(scope: Scope) -> list[Trial]:
     ]
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """Forms and orders downwards, bits across."""
-
-    def place(cell: Verdict) -> tuple[str, str]:
-        return f"{cell.method}, {cell.case}", f"{cell.value:g}"
-
-    pictures.outcome_map(path, cells, place, "columns: bits for each coefficient")
-
-
 FILTERS = Map(
-    "filter_stability",
-    "Synthesis filters of linear prediction",
-    {"window_samples": WINDOW_SAMPLES, "codec": CODEC, "few": 100 * FEW},
-    "{} bits",
-    _trials,
-    _draw,
+    name="filter_stability",
+    group=Group.SETTINGS,
+    title="Quantised filters",
+    tried=f"Predictors of generated textures, fitted as `{CODEC}` does, are quantised in three forms.",
+    rule=Rule("filters with a pole on or outside the unit circle", "none", f"more than {100 * FEW:g} %"),
+    trials=_trials,
+    message=lambda cells: f"Quantised filters stay stable {with_methods(cells, 'form')}",
+    place=lambda cell: Place(f"{cell.method}, {cell.case}", cell.value or 0.0),
+    caption="bits for each coefficient; unstable filters in %",
+    label=figure("unstable_share", factor=100),
+    value_name="bits",
+    varied="{} bits",
 )

@@ -1,10 +1,9 @@
 """The same ONNX graphs run otherwise, as on another machine: how far the results lie apart, and what comes of it."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -14,10 +13,19 @@ from numpy.typing import NDArray
 from vibrocast.codec.eva import HOP
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.graphs import LATENTS, SIGNAL
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
+from vibrocast.evaluation.stability.maps import (
+    Group,
+    Map,
+    Place,
+    RatePoint,
+    Rule,
+    Scope,
+    figure,
+    middle_rate_point,
+    with_methods,
+)
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
 from vibrocast.evaluation.trained import runtimes
 
 Values = NDArray[np.float32]
@@ -136,16 +144,19 @@ def _trials(scope: Scope) -> list[Trial]:
     return trials
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    label = "largest difference, millionths of the peak"
-    pictures.dots_of(path, cells, "difference_millionths", label, 1e6 * HELD)
-
-
 PARITY = Map(
-    "float_parity",
-    "Floating point on other machines",
-    {"held": HELD, "failed": FAILED},
-    "",
-    _trials,
-    _draw,
+    name="float_parity",
+    group=Group.LEARNED,
+    title="Other machines",
+    tried="Other optimisations and threads of ONNX Runtime stand for other machines.",
+    rule=Rule(
+        "largest difference, of the peak", f"up to {1e6 * HELD:g} millionths", f"above {1e6 * FAILED:g} millionths"
+    ),
+    trials=_trials,
+    message=lambda cells: (
+        f"Floating point differs by at most {1e6 * HELD:g} millionths of the peak {with_methods(cells, 'model')}"
+    ),
+    place=lambda cell: Place(cell.case, cell.method),
+    caption="largest difference, millionths of the peak",
+    label=figure("difference_millionths", ".1f"),
 )

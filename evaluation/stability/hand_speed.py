@@ -1,17 +1,24 @@
 """A surface coded at one hand speed and played at others: what is left of the band that is felt and rendered."""
 
 import math
-from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, three_rate_points
+from vibrocast.evaluation.stability.maps import (
+    Group,
+    Map,
+    Place,
+    RatePoint,
+    Rule,
+    Scope,
+    figure,
+    three_rate_points,
+    with_methods,
+)
 from vibrocast.evaluation.stability.signals import ENOUGH_SNR_DB, FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial
 from vibrocast.textures.generate import rough, wood_surface
 
 CODED_MM_S = 50.0
@@ -84,28 +91,21 @@ def _trials(scope: Scope) -> list[Trial]:
     return trials
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    panels = []
-    for figure, title in (("snr_db", "SNR in the band, dB"), ("upper_octave_level_db", "level of 200-400 Hz, dB")):
-        for surface in GENERATED:
-            curves = pictures.curves_of([cell for cell in cells if cell.case == surface], figure)
-            panels.append(
-                pictures.Panel(f"{surface}: {title}", "speed of the hand, mm/s", "", curves, log_x=True, min_span=10)
-            )
-    pictures.curves(path, panels)
-
-
 HAND_SPEED = Map(
-    "hand_speed",
-    "Speed of the hand",
-    {
-        "coded_mm_s": CODED_MM_S,
-        "band_hz": BAND_HZ,
-        "lost_db": LOST_DB,
-        "enough_snr_db": ENOUGH_SNR_DB,
-        "failed_snr_db": FAILED_SNR_DB,
-    },
-    "{} mm/s",
-    _trials,
-    _draw,
+    name="hand_speed",
+    group=Group.OUTPUT,
+    title="Hand speed",
+    tried=f"A surface is coded at each codec's finest setting, at {CODED_MM_S:g} mm/s, and played at other speeds.",
+    rule=Rule(
+        f"SNR from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz; level of the upper octave",
+        f"SNR at most {LOST_DB:g} dB lower, or {ENOUGH_SNR_DB:g} dB; level within {LOST_DB:g} dB",
+        f"SNR below {FAILED_SNR_DB:g} dB; octave 20 dB down",
+    ),
+    trials=_trials,
+    message=lambda cells: f"A surface coded at {CODED_MM_S:g} mm/s suits every other speed {with_methods(cells)}",
+    place=lambda cell: Place(cell.method, cell.value or 0.0, cell.case),
+    caption="speed of the hand, mm/s; SNR in dB",
+    label=figure("snr_db"),
+    value_name="speed_mm_s",
+    varied="{} mm/s",
 )

@@ -4,30 +4,42 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from vibrocast.evaluation.points import read_rows
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
 
 TABLE = Path(__file__).parent / "known_causes.csv"
 
+
+class Explanation(NamedTuple):
+    """A failure in plain words, why it happens, and what to do about it. The page lists failures that have words."""
+
+    failure: str = ""
+    cause: str = ""
+    remedy: str = ""
+
+
+CRASH = Explanation("The program crashes", "a fault in the program", "Report it")
 _UNKNOWN = {
-    Outcome.REJECTED: ("it does not take this", "as the error says"),
-    Outcome.DEGRADED: ("it is made for other conditions than this", "a finer setting, or another method"),
-    Outcome.FAILS: ("it is not made for this", "another method"),
+    Outcome.REJECTED: Explanation("Rejected", "", "Do as the error says"),
+    Outcome.DEGRADED: Explanation("Quality is lost", "", "Use a finer setting or another codec"),
+    Outcome.FAILS: Explanation("Quality is lost", "", "Use a finer setting or another codec"),
 }
 
 
 @dataclass(frozen=True)
-class Cause:
+class KnownCause:
     """Why cells have an outcome, and the remedy.
 
-    `map`, `method`, `case`: patterns, as of file names. `outcomes`: letters of Outcome.
+    `map`, `method`, `case`: patterns, as of file names. `outcomes`: letters of Outcome. Others: as in Explanation.
     """
 
     map: str
     method: str
     case: str
     outcomes: str
+    failure: str
     cause: str
     remedy: str
 
@@ -38,16 +50,18 @@ class Cause:
 
 
 @cache
-def known_causes() -> tuple[Cause, ...]:
-    """Return the rows of the table, in their order."""
-    return tuple(read_rows(TABLE, Cause))
+def known_causes() -> tuple[KnownCause, ...]:
+    """Return the rows of the table, in their order: of several that are about a cell, the first counts."""
+    return tuple(read_rows(TABLE, KnownCause))
 
 
-def explanation(cell: Verdict) -> tuple[str, str]:
-    """Return cause and remedy of a cell that does not hold: the first known one that is about it, or a general one."""
+def explanation(cell: Verdict) -> Explanation:
+    """Return what is known of a cell's outcome, a general explanation otherwise, and an empty one where it holds."""
+    if cell.outcome is Outcome.HOLDS:
+        return Explanation()
     if cell.effect.startswith("CRASH"):
-        return "a fault in the program", "report it"
-    for cause in known_causes():
-        if cause.explains(cell):
-            return cause.cause, cause.remedy
+        return CRASH
+    for known in known_causes():
+        if known.explains(cell):
+            return Explanation(known.failure, known.cause, known.remedy)
     return _UNKNOWN[cell.outcome]

@@ -2,9 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 from scipy.signal import butter, sosfilt
@@ -13,8 +12,23 @@ from vibrocast import codec
 from vibrocast.codec import CODECS, Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.bd_rate import fewest_bits
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods, middle_rate_point, rate_points
+from vibrocast.evaluation.stability import signals
+from vibrocast.evaluation.stability.maps import (
+    Group,
+    Map,
+    Place,
+    RatePoint,
+    Rule,
+    Scope,
+    figure,
+    methods,
+    middle_rate_point,
+    most_hold_up_to,
+    ranges,
+    rate_points,
+    sound_values,
+    with_methods,
+)
 from vibrocast.evaluation.stability.signals import (
     FAILED_SNR_DB,
     FAR_LOUDER_DB,
@@ -214,53 +228,61 @@ def _level_trials(scope: Scope) -> list[Trial]:
     return trials
 
 
-def _draw_kinds(path: Path, cells: Sequence[Verdict]) -> None:
-    pictures.dots_of(path, cells, "ratio", f"bits at {WANTED_SNR_DB:g} dB SNR, relative to {OWN}", 1.0)
+def _quiet_message(cells: Sequence[Verdict]) -> str:
+    limit_db = most_hold_up_to(cells)
+    return f"Half of the codecs hold up to {limit_db:g} dB quieter" if limit_db else "Few codecs hold a quieter passage"
 
 
-def _draw_panels(figures: Mapping[str, str], x_label: str, path: Path, cells: Sequence[Verdict]) -> None:
-    """A panel for each case and figure, by the words that name it; a curve for each method."""
-    panels = []
-    for case in dict.fromkeys(cell.case for cell in cells):
-        for figure, words in figures.items():
-            curves = pictures.curves_of([cell for cell in cells if cell.case == case], figure)
-            if any(math.isfinite(y) for curve in curves for y in curve.y):
-                panels.append(pictures.Panel(f"{case}: {words}", x_label, "", curves, min_span=10.0))
-    pictures.curves(path, panels)
+def _level_message(cells: Sequence[Verdict]) -> str:
+    values_db = sound_values(cells)
+    return f"A level that is off by {ranges(values_db, OFF_LEVEL_DB) or 'no'} dB does no harm with any model"
 
 
 KINDS = Map(
-    "learned_kinds",
-    "Trained models on signals of other kinds",
-    {
-        "seconds": _SECONDS,
-        "rate_hz": RATE_HZ,
-        "target_snr_db": WANTED_SNR_DB,
-        "codec": OWN,
-        "held_ratio": HELD_RATIO,
-        "failed_ratio": FAILED_RATIO,
-    },
-    "",
-    _kind_trials,
-    _draw_kinds,
+    name="learned_kinds",
+    group=Group.LEARNED,
+    title="Other signals",
+    tried=f"Bits are compared with those of `{OWN}`, whose tables adapt to any signal.",
+    rule=Rule(
+        f"bits at {WANTED_SNR_DB:g} dB SNR, relative to `{OWN}`",
+        f"up to {HELD_RATIO:g} times",
+        f"more than {FAILED_RATIO:g} times, or not reached",
+    ),
+    trials=_kind_trials,
+    message=lambda cells: f"Bits stay near those of {OWN} on every signal {with_methods(cells, 'model')}",
+    place=lambda cell: Place(cell.case, cell.method),
+    caption=f"bits relative to {OWN}",
+    label=figure("ratio", ".1f"),
 )
 QUIET = Map(
-    "learned_quiet",
-    "Trained models on a passage quieter than the rest",
-    {"codec": OWN},
-    "{} dB quieter",
-    _quiet_trials,
-    partial(_draw_panels, {"snr_db": "SNR, dB", "bits_per_sample": "bits per sample of all"}, "quieter by, dB"),
+    name="learned_quiet",
+    group=Group.LEARNED,
+    title="A quiet passage",
+    tried=f"The second half of a texture is quieter, and alone counts. `{OWN}` has a fixed step too.",
+    rule=signals.SIGNALS.rule,
+    trials=_quiet_trials,
+    message=_quiet_message,
+    place=lambda cell: Place(cell.method, cell.value or 0.0),
+    caption="quieter by, dB; SNR of the quiet half in dB",
+    label=figure("snr_db"),
+    value_name="quieter_db",
+    varied="{} dB quieter",
 )
 LEVEL = Map(
-    "learned_level",
-    "Trained models told a wrong level",
-    {"lost_db": LOST_DB, "failed_snr_db": FAILED_SNR_DB, "far_louder_db": FAR_LOUDER_DB},
-    "level off by {} dB",
-    _level_trials,
-    partial(
-        _draw_panels,
-        {"snr_db": "SNR, dB", "core_against_this_db": "SNR of the core against it, dB"},
-        "level that is told, relative to its own, dB",
+    name="learned_level",
+    group=Group.LEARNED,
+    title="A wrong level",
+    tried="The encoder states a level other than the signal's. The integer core and ONNX Runtime decode.",
+    rule=Rule(
+        "SNR; level",
+        f"SNR at most {LOST_DB:g} dB below the right level's",
+        f"SNR below {FAILED_SNR_DB:g} dB; more than {FAR_LOUDER_DB:g} dB louder",
     ),
+    trials=_level_trials,
+    message=_level_message,
+    place=lambda cell: Place(cell.method, cell.value or 0.0, cell.case),
+    caption="level relative to the signal's, dB; SNR in dB",
+    label=figure("snr_db"),
+    value_name="level_error_db",
+    varied="{} dB",
 )

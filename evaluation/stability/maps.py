@@ -1,22 +1,25 @@
-"""What a map of trials is made of: its trials, its picture, and the words that explain it."""
+"""What a map consists of: its trials, its rule, its picture's rows and columns, and its words."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from enum import StrEnum
+from typing import NamedTuple
 
-from vibrocast import pages
 from vibrocast.codec import CODECS
 from vibrocast.codec.interface import Setting
 from vibrocast.evaluation import trained
 from vibrocast.evaluation.cells import BenchError, Method, families, setting_text
-from vibrocast.evaluation.stability.trials import Trial, Verdict
+from vibrocast.evaluation.stability.trials import Outcome, Trial, Verdict
 from vibrocast.models import Model
+from vibrocast.pages import listed
 from vibrocast.textures import Recording
+
+_MAX_NAMED = 4
 
 
 @dataclass(frozen=True, eq=False)
 class RatePoint:
-    """A codec at a setting, perhaps with a trained model: alike and hashed by what they are."""
+    """A codec at a setting, perhaps with a trained model; equal where all three are equal."""
 
     codec: str
     setting: Setting
@@ -44,10 +47,7 @@ class RatePoint:
 
 @dataclass(frozen=True)
 class Scope:
-    """How much to try. `methods`: of codecs and families of models; `quick`: a grid of few conditions.
-
-    `recordings`: a person's own, by name.
-    """
+    """How much to try: codecs and families of models, all conditions or a few, and the user's recordings."""
 
     methods: tuple[Method, ...]
     quick: bool
@@ -63,36 +63,78 @@ class Scope:
         return any(method.name == codec for method in self.methods)
 
 
+class Group(StrEnum):
+    """A section of the page."""
+
+    SIGNALS = "Signals"
+    SETTINGS = "Settings"
+    LINK = "The link"
+    OUTPUT = "Hand and actuator"
+    LEARNED = "Learned codecs"
+    OTHERS = "Other codecs"
+
+
+class Rule(NamedTuple):
+    """Which figure decides an outcome, and its limits, in words; what lies between them is degraded."""
+
+    measured: str
+    holds: str
+    fails: str
+
+
+class Place(NamedTuple):
+    """Where a picture shows a cell. `group`: a heading above several columns."""
+
+    row: str
+    column: str | float
+    group: str = ""
+
+
+def letter(cell: Verdict) -> str:
+    """Return the letter of a cell's outcome, nothing where it holds."""
+    return "" if cell.outcome is Outcome.HOLDS else cell.outcome.letter
+
+
+def figure(name: str, form: str = ".0f", factor: float = 1.0) -> Callable[[Verdict], str]:
+    """Return what writes a figure of a cell into a picture, or the outcome's letter where the figure has no value."""
+
+    def text(cell: Verdict) -> str:
+        value = cell.figures.get(name)
+        return letter(cell) if value is None else f"{factor * value:z{form}}"
+
+    return text
+
+
 @dataclass(frozen=True)
 class Map:
-    """One map. `name`: of its files. `varied`: how a cell's value is said, such as "{} dB"; "" without.
+    """One map.
 
-    `rules`: the figures by which an outcome follows, for the words about the map: the template of its name in `folder`.
-    `judged`: what makes of the cells those of the map, where an outcome depends on others. `draw`: writes the picture.
-    `in_summary`: whether the page begins with it.
+    `name`: of its files. `tried`: one or two sentences about the trials. `message`: what the cells show, the picture's
+    title. `caption`: of the columns. `label`: the text within a cell. `value_name`: the CSV column of what is varied,
+    with its unit; `varied`: how a sentence says such a value, as in "{} dB". Both are empty where nothing is varied.
+    `judged`: corrects outcomes that depend on other cells.
     """
 
     name: str
+    group: Group
     title: str
-    rules: Mapping[str, object]
-    varied: str
+    tried: str
+    rule: Rule
     trials: Callable[[Scope], list[Trial]]
-    draw: Callable[[Path, Sequence[Verdict]], None]
+    message: Callable[[Sequence[Verdict]], str]
+    place: Callable[[Verdict], Place]
+    caption: str
+    label: Callable[[Verdict], str] = letter
+    value_name: str = ""
+    varied: str = ""
     judged: Callable[[list[Verdict]], list[Verdict]] = lambda cells: cells
-    in_summary: bool = True
-    folder: Path = Path(__file__).parent / "about"
-
-    @property
-    def about(self) -> str:
-        """What is tried and by which rules an outcome follows."""
-        return pages.render(self.folder / f"{self.name}.md.jinja", **self.rules)
 
 
 def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Method, ...]:
     """Return the codecs of these names, each with its first set of rate points, and the families of models.
 
-    A name is that of a codec, which stands for its families too, or of a family; None = all. Raises BenchError for
-    other names, and where nothing is left to try.
+    A name is that of a family, or of a codec, which includes its families; None means all. Raises BenchError for other
+    names, and where no method is left.
     """
     of_codecs = [
         Method(name, next(iter(codec.rate_point_sets.values())), name)
@@ -127,3 +169,61 @@ def three_rate_points(method: Method) -> dict[str, RatePoint]:
 def middle_rate_point(method: Method) -> RatePoint:
     """Return the middle rate point of a method."""
     return three_rate_points(method)["middle"]
+
+
+def with_methods(cells: Sequence[Verdict], noun: str = "codec") -> str:
+    """Return in words for which methods all cells are sound: "with every codec", "with flac and g726 only"."""
+    methods = list(dict.fromkeys(cell.method for cell in cells))
+    unsound = {cell.method for cell in cells if not cell.sound}
+    sound = [method for method in methods if method not in unsound]
+    if not unsound or not sound:
+        return f"with every {noun}" if sound else f"with no {noun}"
+    if len(sound) > _MAX_NAMED:
+        return f"with {len(sound)} of {len(methods)} {noun}s"
+    return f"with {listed(sound)} only"
+
+
+def hardest(cells: Sequence[Verdict], noun: str = "codecs", most: int = 3) -> str:
+    """Return the cases at which most methods are not sound, with their counts, in words."""
+    methods = {cell.method for cell in cells}
+    unsound: dict[str, set[str]] = {}
+    for cell in cells:
+        if not cell.sound:
+            unsound.setdefault(cell.case, set()).add(cell.method)
+    ranked = sorted(unsound.items(), key=lambda case: -len(case[1]))[:most]
+    if not ranked:
+        return "none of them is hard for any"
+    counts = [
+        f"{case} ({len(some)}{f' of {len(methods)} {noun}' if case == ranked[0][0] else ''})" for case, some in ranked
+    ]
+    return listed(counts)
+
+
+def sound_values(cells: Sequence[Verdict]) -> list[float]:
+    """Return the values at which every cell is sound, rising."""
+    unsound = {cell.value for cell in cells if not cell.sound}
+    return sorted({cell.value for cell in cells if cell.value is not None} - unsound)
+
+
+def most_hold_up_to(cells: Sequence[Verdict]) -> float | None:
+    """Return the greatest value up to which at least half of the methods are sound; None where there is no such."""
+    best = None
+    for value in sorted({cell.value for cell in cells if cell.value is not None}):
+        of_value = [cell for cell in cells if cell.value == value]
+        if 2 * sum(cell.sound for cell in of_value) < len(of_value):
+            break
+        best = value
+    return best
+
+
+def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
+    """Return values as ranges of neighbours among all values: "0.1 to 0.3, 1"."""
+    order = sorted(set(all_values))
+    runs: list[list[float]] = []
+    for value in sorted(set(values)):
+        follows = runs and order.index(value) == order.index(runs[-1][-1]) + 1
+        if follows:
+            runs[-1].append(value)
+        else:
+            runs.append([value])
+    return ", ".join(f"{run[0]:g}" if len(run) == 1 else f"{run[0]:g} to {run[-1]:g}" for run in runs)

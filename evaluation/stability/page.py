@@ -1,29 +1,69 @@
-"""Writes what the trials showed: data and a picture for each map, and the page that names the boundaries."""
+"""Writes what the trials showed: CSV files and a picture for each map, and the page with failures and remedies."""
 
-import csv
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from vibrocast import pages
-from vibrocast.evaluation.stability.known_causes import explanation
-from vibrocast.evaluation.stability.maps import Map
+from vibrocast.evaluation.points import PointsError, read_rows, write_rows
+from vibrocast.evaluation.stability import pictures
+from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
+from vibrocast.evaluation.stability.known_causes import CRASH, explanation, known_causes
+from vibrocast.evaluation.stability.maps import Group, Map, ranges
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
 from vibrocast.files import atomic_write
 
 PAGE, FOLDER = "stability.md", "stability"
-_TITLE = "# Where methods hold and where they fail"
-_MAX_CASES = 6
-"""Cases that a row names; the CSV has all."""
+TITLE = "# Where codecs hold and where they fail"
+_MAX_CASES = 2
+"""Cases that a sentence names; the CSV files have all."""
+_MAX_METHODS = 5
+_FAMILY = 3
+"""So many methods of one prefix are named together."""
 _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
-_MAX_EFFECT = 160
 
 Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
 
 
 class PageError(ValueError):
     """The page cannot be written where it should be; the message says why."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """The command that a page was made by."""
+
+    command: str
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What goes wrong on a map, with which methods, under which conditions, and the remedy: words."""
+
+    map: Map
+    failure: str
+    methods: str
+    boundary: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """Where a method has an outcome for one reason; `conditions` of `all_conditions` of the map."""
+
+    map: str
+    method: str
+    outcome: str
+    conditions: int
+    all_conditions: int
+    where: str
+    worst_effect: str
+    failure: str
+    cause: str
+    remedy: str
 
 
 def folder_in(out: Path) -> Path:
@@ -31,168 +71,197 @@ def folder_in(out: Path) -> Path:
     OSError where the folder cannot be made.
     """
     page = out / PAGE
-    if page.exists() and not page.read_bytes().startswith(_TITLE.encode()):
+    if page.exists() and not page.read_bytes().startswith(TITLE.encode()):
         raise PageError(f"{page}: would be overwritten, but is no page of stability; choose another --out")
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
-def write(out: Path, maps: Sequence[Map], cells: Sequence[Verdict], methods: Sequence[str], command: str) -> None:
-    """Write stability.md into `out` and, into a folder there, each map's CSV and PNG files.
+def write(out: Path, maps: Sequence[Map], cells: Sequence[Verdict], command: str) -> list[Failure]:
+    """Write stability.md into `out` and, into a folder there, each map's CSV file and picture; return the failures.
 
-    `methods`: those that were tried on all maps. `command`: what was run. Raises OSError, and as folder_in.
+    `command`: what was run. Raises OSError, and as folder_in.
     """
     folder = folder_in(out)
-    drawn = [(each, [cell for cell in cells if cell.map == each.name]) for each in maps]
-    drawn = [(each, own) for each, own in drawn if own]
+    drawn = [(each, own) for each in maps if (own := [cell for cell in cells if cell.map == each.name])]
     for each, own in drawn:
-        write_csv(folder / f"{each.name}.csv", own)
-        each.draw(folder / f"{each.name}.png", own)
+        write_cells(folder / f"{each.name}.csv", each, own)
+    names = {each.name: pictures.write(folder, each, own) for each, own in drawn}
+    write_rows(folder / "description.csv", [Description(command)], Description)
+    write_rows(folder / "boundaries.csv", [row for each, own in drawn for row in boundaries(each, own)], Boundary)
     with atomic_write(out / PAGE) as partial:
-        partial.write_text(markdown(drawn, methods, command), "utf-8")
+        partial.write_text(markdown(drawn, names, command), "utf-8")
+    return failures(drawn)
 
 
-def write_csv(path: Path, cells: Sequence[Verdict]) -> None:
-    """Write cells, a row each, their figures in columns of their own. Raises OSError."""
-    names = list(dict.fromkeys(name for cell in cells for name in cell.figures))
-    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["method", "case", "setting", "value", "outcome", *names, "effect"])
-        for cell in cells:
-            figures = ("" if cell.figures.get(name) is None else cell.figures[name] for name in names)
-            value = "" if cell.value is None else cell.value
-            table.writerow([cell.method, cell.case, cell.setting, value, cell.outcome, *figures, cell.effect])
+def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
+    """Write the page and its pictures again from the CSV files of an earlier run; return the failures.
+
+    Raises OSError where one cannot be read or written, CellsError or PointsError where one is no such file, PageError
+    as folder_in.
+    """
+    folder = folder_in(out)
+    described = read_rows(folder / "description.csv", Description)
+    if len(described) != 1:
+        raise PointsError(f"{folder / 'description.csv'}: {len(described)} rows; it must have one")
+    found = [(each, path) for each in maps if (path := folder / f"{each.name}.csv").exists()]
+    cells = [cell for each, path in found for cell in read_cells(path, each)]
+    return write(out, maps, cells, described[0].command)
 
 
-def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], methods: Sequence[str], command: str) -> str:
-    """Return the page."""
-    summed_up = [(each, cells) for each, cells in maps if each.in_summary]
-    # What each method holds for is said of the maps that all of them are on.
-    grouped = [(each, _grouped(cells, lambda cell: cell.method)) for each, cells in summed_up]
-    common = [(each, of_map) for each, of_map in grouped if set(methods) <= set(of_map)]
+def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str], command: str) -> str:
+    """Return the page. `names`: of the pictures' files, by map."""
+    every = [cell for _, cells in maps for cell in cells]
+    in_group: dict[Group, list[tuple[Map, bool]]] = {}
+    for each, cells in maps:
+        in_group.setdefault(each.group, []).append((each, all(cell.sound for cell in cells)))
+    rules: dict[tuple[str, str, str], list[str]] = {}
+    for each, _ in maps:
+        rules.setdefault(each.rule, []).append(each.title)
     return pages.render(
         Path(__file__).with_name("stability.md.jinja"),
-        title=_TITLE,
+        title=TITLE,
         command=command,
         folder=FOLDER,
         link=_link,
-        common=[each for each, _ in common],
-        codecs=[(name, [_held(each, of_map[name]) for each, of_map in common]) for name in methods],
-        worst=[_worst_row(each, cells) for each, cells in summed_up],
-        maps=[{"map": each, "held": _held_everywhere(cells), "rows": _map_rows(each, cells)} for each, cells in maps],
+        conditions=len(every),
+        held=sum(cell.sound for cell in every),
+        shares=_shares(maps),
+        failures=failures(maps),
+        rules=rules,
+        groups=in_group,
+        names=names,
+        messages={each.name: each.message(cells) for each, cells in maps},
     )
 
 
-def _held_everywhere(cells: Sequence[Verdict]) -> list[str]:
-    of_methods = _grouped(cells, lambda cell: cell.method)
-    return [method for method, own in of_methods.items() if all(cell.sound for cell in own)]
+def _shares(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[tuple[str, int]]:
+    """Return the methods on the maps that have most of them, and in how many percent of the conditions each holds."""
+    of_maps = [frozenset(cell.method for cell in cells) for _, cells in maps]
+    methods = max(of_maps, key=lambda own: (of_maps.count(own), len(own)), default=frozenset())
+    common = [cell for (_, cells), own in zip(maps, of_maps, strict=True) if methods <= own for cell in cells]
+    grouped = _grouped([cell for cell in common if cell.method in methods], lambda cell: cell.method)
+    shares = [(method, sum(cell.sound for cell in own) / len(own)) for method, own in grouped.items()]
+    return [(method, math.floor(100 * share)) for method, share in sorted(shares, key=lambda each: -each[1])]
 
 
-def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict], most: int = _MAX_CASES) -> str:
-    """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings.
+def failures(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[Failure]:
+    """Return the failures that have words: crashes, then in the order of known_causes.csv, then those not known."""
+    order = [(known.map, known.failure) for known in known_causes()]
 
-    No more than `most` cases are named, the others counted.
-    """
-    cases = list(_grouped(cells, lambda cell: cell.case).items())
+    def place(row: Failure) -> int:
+        key = row.map.name, row.failure
+        return -1 if row.failure == CRASH.failure else order.index(key) if key in order else len(order)
+
+    found = []
+    for each, cells in maps:
+        unsound = [cell for cell in cells if not cell.sound]
+        for failure, own in _grouped(unsound, lambda cell: explanation(cell).failure).items():
+            if failure:
+                methods, remedy = _named(own, cells), explanation(own[0]).remedy
+                found.append(Failure(each, failure, methods, boundary(each, own, cells), remedy))
+    return sorted(found, key=place)
+
+
+def _named(own: Sequence[Verdict], cells: Sequence[Verdict]) -> str:
+    """Return the methods of some cells in words, against all of the map's."""
+    every = list(dict.fromkeys(cell.method for cell in cells))
+    affected = {cell.method for cell in own}
+    if len(affected) == len(every) > 1:
+        return "all"
+    missing = [method for method in every if method not in affected]
+    if len(missing) < len(affected) and len(missing) <= _MAX_METHODS and len(affected) > _FAMILY:
+        return f"all but {pages.listed(_families(missing, every))}"
+    names = _families([method for method in every if method in affected], every)
+    return pages.listed(names) if len(names) <= _MAX_METHODS else f"{len(affected)} of {len(every)}"
+
+
+def _families(methods: Sequence[str], every: Sequence[str]) -> list[str]:
+    """Return methods, those of one prefix together where all of them are among these."""
+    names: dict[str, None] = {}
+    for method in methods:
+        prefix = method.partition("-")[0] + "-"
+        family = [each for each in every if each.startswith(prefix)]
+        together = len(family) >= _FAMILY and set(family) <= set(methods)
+        names[f"{prefix}*" if together else method] = None
+    return list(names)
+
+
+def boundary(each: Map, own: Sequence[Verdict], cells: Sequence[Verdict]) -> str:
+    """Return in words under which conditions a failure's cells lie, the worst outcome first."""
+    parts, named = [], set()
+    for outcome in _BAD_FIRST:
+        of_outcome = [cell for cell in own if cell.outcome is outcome]
+        keys = dict.fromkeys(cell.value if each.varied else cell.case for cell in of_outcome)
+        new = [key for key in keys if key not in named]
+        named.update(new)
+        if each.varied and new:
+            values = ranges([key for key in new if isinstance(key, float)], _values(cells))
+            parts.append(f"{outcome}: {each.varied.format(values)}")
+        elif new:
+            # "1 more" would take the room of the one.
+            named_cases = new if len(new) <= _MAX_CASES + 1 else [*new[:_MAX_CASES], f"{len(new) - _MAX_CASES} more"]
+            parts.append(f"{outcome}: {', '.join(map(str, named_cases))}")
+    return "; ".join(parts)
+
+
+def boundaries(each: Map, cells: Sequence[Verdict]) -> list[Boundary]:
+    """Return a row for each method, outcome and cause."""
+    rows = []
+    for method, own in _grouped(cells, lambda cell: cell.method).items():
+        kinds = _grouped(own, lambda cell: (list(Outcome).index(cell.outcome), explanation(cell)))
+        for (place, known), some in sorted(kinds.items()):
+            worst = min(some, key=_worst_first)
+            rows.append(
+                Boundary(
+                    each.name,
+                    method,
+                    list(Outcome)[place],
+                    len(some),
+                    len(own),
+                    where(each, some, own),
+                    worst.effect,
+                    *known,
+                )
+            )
+    return rows
+
+
+def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict]) -> str:
+    """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings."""
+    if len(cells) == len(method_cells):
+        return "everywhere"
     named: dict[str, list[str]] = {}
-    for case, own in cases[:most]:
+    for case, own in _grouped(cells, lambda cell: cell.case).items():
         of_case = [cell for cell in method_cells if cell.case == case]
-        if each.varied:
+        if each.varied and any(cell.value is not None for cell in own):
             values = each.varied.format(ranges(_values(own), _values(of_case)))
         else:
             values = "" if len(own) == len(of_case) else ", ".join(cell.setting.partition(":")[0] for cell in own)
         named.setdefault(values, []).append(case)
     if each.varied and len({cell.case for cell in method_cells}) == 1:
         return next(iter(named))
-    parts = [f"{', '.join(some)} ({values})" if values else ", ".join(some) for values, some in sorted(named.items())]
-    return "; ".join(parts + [f"{len(cases) - most} more"] * (len(cases) > most))
+    return "; ".join(f"{', '.join(some)} ({values})" if values else ", ".join(some) for values, some in named.items())
 
 
 def _values(cells: Sequence[Verdict]) -> list[float]:
-    return [cell.value or 0.0 for cell in cells]
+    return [cell.value for cell in cells if cell.value is not None]
 
 
-def _grouped(items: Sequence[Item], key: Callable[[Item], str]) -> dict[str, list[Item]]:
-    groups: dict[str, list[Item]] = {}
+def _grouped(items: Sequence[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    groups: dict[Key, list[Item]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
     return groups
 
 
-def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:
-    """Return values as ranges of neighbours among all values: "0.1 to 0.3, 1"."""
-    order = sorted(all_values)
-    runs: list[list[float]] = []
-    for value in sorted(values):
-        follows = runs and order.index(value) == order.index(runs[-1][-1]) + 1
-        if follows:
-            runs[-1].append(value)
-        else:
-            runs.append([value])
-    return ", ".join(f"{run[0]:g}" if len(run) == 1 else f"{run[0]:g} to {run[-1]:g}" for run in runs)
+def _link(text: str, title: str) -> str:
+    return f"[{text}](#{title.lower().replace(' ', '-')})"
 
 
-def _held(each: Map, cells: Sequence[Verdict]) -> str:
-    """Return in a few words for which of a method's cells it holds: a range, where all cases share it, or a count."""
-    held = [cell for cell in cells if cell.sound]
-    if not held or len(held) == len(cells):
-        return "all" if held else "none"
-    if each.varied and len({cell.case for cell in cells}) == 1:
-        return where(each, held, cells)
-    return f"{len(held)} of {len(cells)}"
-
-
-def _worst_row(each: Map, cells: Sequence[Verdict]) -> list[str]:
-    """Return a map's row: how much of it holds, its worst method and where, what that gives, the remedy."""
-    bad = [cell for cell in cells if not cell.sound]
-    held = f"{len(cells) - len(bad)} of {len(cells)}"
-    if not bad:
-        return [_link(each), held, "none found", "", ""]
-    worst = min(bad, key=_worst_first)
-    alike = [cell for cell in bad if cell.method == worst.method and _kind(cell) == _kind(worst)]
-    alike.sort(key=lambda cell: cell.case != worst.case)
-    own = [cell for cell in cells if cell.method == worst.method]
-    boundary = f"{worst.method} {worst.outcome}: {where(each, alike, own, 1)}"
-    return [_link(each), held, boundary, _short(worst.effect), explanation(worst)[1]]
-
-
-def _kind(cell: Verdict) -> tuple[Outcome, str]:
-    return cell.outcome, explanation(cell)[0]
-
-
-def _link(each: Map) -> str:
-    return f"[{each.title}](#{each.title.lower().replace(' ', '-')})"
-
-
-def _map_rows(each: Map, cells: Sequence[Verdict]) -> list[list[str]]:
-    """Return a row for each cause, outcome and set of methods with the same boundary."""
-    methods = _grouped(cells, lambda cell: cell.method)
-    rows: dict[tuple[Outcome, str, str], list[Verdict]] = {}
-    for own in methods.values():
-        kinds: dict[tuple[Outcome, str], list[Verdict]] = {}
-        for cell in own:
-            if cell.outcome is not Outcome.HOLDS:
-                kinds.setdefault(_kind(cell), []).append(cell)
-        for (outcome, cause), some in sorted(kinds.items(), key=lambda kind: _BAD_FIRST.index(kind[0][0])):
-            rows.setdefault((outcome, where(each, some, own), cause), []).append(min(some, key=_worst_first))
-    table = []
-    for (outcome, boundary, cause), of_methods in rows.items():
-        worst = min(of_methods, key=_worst_first)
-        names = [cell.method for cell in of_methods]
-        together = "all" if len(names) == len(methods) > 1 else ", ".join(names)
-        effect = _short(worst.effect) + (f" ({worst.method})" if len(names) > 1 and not worst.to_be_rejected else "")
-        table.append([together, outcome, boundary, effect, cause, explanation(worst)[1]])
-    return table
-
-
-def _worst_first(cell: Verdict) -> tuple[int, float]:
-    """Return what sorts cells of a map by outcome, then by SNR, or where it has none by the first figure."""
+def _worst_first(cell: Verdict) -> float:
+    """Return what sorts cells of one outcome by SNR, or where they have none by the first figure."""
     first = next(iter(cell.figures), "")
     height = cell.figure("snr_db") if "snr_db" in cell.figures else -cell.figure(first)
-    return _BAD_FIRST.index(cell.outcome), math.inf if math.isnan(height) else height
-
-
-def _short(effect: str) -> str:
-    text = effect.replace("|", "/")
-    return text if len(text) <= _MAX_EFFECT else text[: _MAX_EFFECT - 1] + "…"
+    return math.inf if math.isnan(height) else height

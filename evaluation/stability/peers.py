@@ -3,11 +3,9 @@
 import csv
 import math
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map
+from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, hardest
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, NEARLY_SILENT, SILENT
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Verdict
 
@@ -60,11 +58,11 @@ def _cells(rows: list[dict[str, str]]) -> list[Verdict]:
 
 
 def _measured(row: dict[str, str], coarser_db: float) -> Measured:
-    """Return the outcome of a row by the rules that PEERS.about states. `coarser_db`: SNR at a coarser setting."""
+    """Return the outcome of a row by the rules that PEERS states. `coarser_db`: SNR at a coarser setting."""
     if row["status"] != "ok":
         died = _EXIT_CODE.search(row["status"])
         if died and int(died[1]) < 0:
-            return Measured(Outcome.FAILS, {}, f"CRASH: the program died of signal {-int(died[1])}")
+            return Measured(Outcome.FAILS, {}, f"the program died of signal {-int(died[1])}")
         return Measured(Outcome.REJECTED, {}, " ".join(_PATH.sub("", row["status"]).split()))
     largest = float(row["maxabs_out"] or "nan")
     snr_db = float(row["SNR_dB"] or "nan")
@@ -82,19 +80,18 @@ def _measured(row: dict[str, str], coarser_db: float) -> Measured:
     return Measured(Outcome.HOLDS if snr_db >= HELD_SNR_DB else Outcome.DEGRADED, figures, f"SNR {snr_db:z.1f} dB")
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """Signals downwards, codecs and their settings across."""
-    pictures.outcome_map(
-        path, cells, lambda cell: (cell.case, f"{cell.method} {cell.setting}"), "other codecs, as imported"
-    )
-
-
 PEERS = Map(
-    "peers",
-    "Other codecs, imported",
-    {"held_snr_db": HELD_SNR_DB, "fall_db": FALL_DB, "failed_snr_db": FAILED_SNR_DB},
-    "",
-    lambda scope: [],
-    _draw,
-    in_summary=False,
+    name="peers",
+    group=Group.OTHERS,
+    title="Imported figures",
+    tried="Others measured these figures, which `--peers-edge` imports.",
+    rule=Rule(
+        "SNR",
+        f"from {HELD_SNR_DB:g} dB; at most {FALL_DB:g} dB below a coarser setting's",
+        f"below {FAILED_SNR_DB:g} dB",
+    ),
+    trials=lambda scope: [],
+    message=lambda cells: f"Hardest for other codecs: {hardest(cells)}",
+    place=lambda cell: Place(cell.case, cell.setting, cell.method),
+    caption="settings of each codec, from coarse to fine",
 )

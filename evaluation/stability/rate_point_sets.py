@@ -4,14 +4,24 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from vibrocast import codec
 from vibrocast.codec.interface import Setting
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, rate_points
+from vibrocast.evaluation.stability.maps import (
+    Group,
+    Map,
+    Place,
+    RatePoint,
+    Rule,
+    Scope,
+    figure,
+    ranges,
+    rate_points,
+    sound_values,
+    with_methods,
+)
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.textures import Recording
@@ -120,42 +130,25 @@ def _of_rate_points(
     ]
 
 
-def _curves(cells: Sequence[Verdict], method: str, figure: str) -> list[pictures.Curve]:
-    """Return a curve for each texture; ringed where the SNR falls."""
-    own = [cell for cell in cells if cell.method == method]
-    return pictures.curves_of(own, figure, lambda cell: cell.case, lambda cell: cell.outcome is not Outcome.HOLDS)
+def _snr_rule(holds: str) -> Rule:
+    return Rule("SNR", holds, f"below {FAILED_SNR_DB:g} dB")
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """One panel for each set of rate points, one curve for each texture."""
-    panels = [
-        pictures.Panel(
-            rate_point_set, "rate point, the coarsest first", "SNR, dB", _curves(cells, rate_point_set, "snr_db")
-        )
-        for rate_point_set in dict.fromkeys(cell.method for cell in cells)
-    ]
-    pictures.curves(path, panels, across=3)
-
-
-def _draw_sweep(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> None:
-    """SNR and ST-SIM of each method, side by side."""
-    panels = [
-        pictures.Panel(f"{method}: {title}", x_label, "", _curves(cells, method, figure), log_x)
-        for method in dict.fromkeys(cell.method for cell in cells)
-        for figure, title in (("snr_db", "SNR, dB"), ("st_sim_2800", "ST-SIM (2800 Hz)"))
-    ]
-    pictures.curves(path, panels)
-
-
-_RULES = {"seconds": SECONDS, "hand_speed_mm_s": HAND_SPEED_MM_S, "failed_snr_db": FAILED_SNR_DB}
+_RISING = _snr_rule(f"at most {FALL_DB:g} dB below a coarser setting's")
+_TEXTURES = f"heights of wood, sandpaper and leather at {HAND_SPEED_MM_S:g} mm/s, and an acceleration"
 RATE_POINTS = Map(
-    "ladders",
-    "Settings from coarse to fine",
-    {**_RULES, "fall_db": FALL_DB},
-    "rate point {}",
-    _trials,
-    _draw,
-    falls,
+    name="rate_points",
+    group=Group.SETTINGS,
+    title="Rate points",
+    tried=f"Every rate point codes four textures: {_TEXTURES}. The worst counts.",
+    rule=_RISING,
+    trials=_trials,
+    message=lambda cells: f"Finer settings raise the SNR {with_methods(cells, 'set')}",
+    place=lambda cell: Place(cell.method, cell.value or 0.0),
+    caption="rate point, the coarsest first",
+    value_name="rate_point",
+    varied="rate point {}",
+    judged=falls,
 )
 
 DCT = "dct"
@@ -181,42 +174,82 @@ def _dct_trials(
     ]
 
 
+def _texture_place(cell: Verdict) -> Place:
+    return Place(f"{cell.method}: {cell.case}", cell.value or 0.0)
+
+
+def _smallest_message(cells: Sequence[Verdict]) -> str:
+    """Return for each method the values that suit every texture."""
+    parts = []
+    for method in dict.fromkeys(cell.method for cell in cells):
+        own = [cell for cell in cells if cell.method == method]
+        every = [cell.value for cell in own if cell.value is not None]
+        parts.append(f"{ranges(sound_values(own), every) or 'none'} with {method.partition('log, ')[2]}")
+    return f"S that suits every texture: {'; '.join(parts)}"
+
+
+def _threshold_message(cells: Sequence[Verdict]) -> str:
+    values = sound_values(cells)
+    upper = f"up to b0 = {max(values):g} dB" if values else "at no b0"
+    return f"The threshold cut keeps half the power of every texture {upper}"
+
+
 DCT_LEVELS = Map(
-    "dct_levels",
-    "Levels of the DCT codec",
-    {**_RULES, "fall_db": FALL_DB},
-    "{} levels",
-    partial(
+    name="dct_levels",
+    group=Group.SETTINGS,
+    title="Quantiser levels",
+    tried=f"Both quantisers code {_TEXTURES}.",
+    rule=_RISING,
+    trials=partial(
         _dct_trials,
         "dct_levels",
         {"dct, linear": {"quantiser": "linear"}, "dct, log": {"quantiser": "log"}},
         "levels",
         LEVELS,
     ),
-    partial(_draw_sweep, "levels L", True),
-    falls,
+    message=lambda cells: f"More levels raise the SNR {with_methods(cells, 'quantiser')}",
+    place=_texture_place,
+    caption="levels; SNR in dB",
+    label=figure("snr_db"),
+    value_name="levels",
+    varied="{} levels",
+    judged=falls,
 )
 DCT_THRESHOLD = Map(
-    "dct_threshold",
-    "Threshold cut of the DCT codec",
-    {**_RULES, "half_db": HALF_DB},
-    "b0 of {} dB",
-    partial(_dct_trials, "dct_threshold", {"dct, cut": {"levels": FINEST_LEVELS, "threshold": "on"}}, "b0_db", B0_DB),
-    partial(_draw_sweep, "b0, dB", False),
-    half_left,
+    name="dct_threshold",
+    group=Group.SETTINGS,
+    title="Threshold cut",
+    tried="The cut removes what lies below the detection threshold plus b0, and the rest keeps 16 bits.",
+    rule=_snr_rule(f"from {HALF_DB:g} dB (half of the power is left)"),
+    trials=partial(
+        _dct_trials, "dct_threshold", {"dct, cut": {"levels": FINEST_LEVELS, "threshold": "on"}}, "b0_db", B0_DB
+    ),
+    message=_threshold_message,
+    place=_texture_place,
+    caption="b0, dB; SNR in dB",
+    label=figure("snr_db"),
+    value_name="b0_db",
+    varied="b0 of {} dB",
+    judged=half_left,
 )
 DCT_SMALLEST = Map(
-    "dct_smallest",
-    "Smallest magnitude of the logarithmic quantiser",
-    {**_RULES, "half_db": HALF_DB, "levels": S_LEVELS},
-    "S of {} um or m/s^2",
-    partial(
+    name="dct_smallest",
+    group=Group.SETTINGS,
+    title="Smallest magnitude",
+    tried="S is the least magnitude of the logarithmic quantiser.",
+    rule=_snr_rule(f"at most {HALF_DB:g} dB below the best S's"),
+    trials=partial(
         _dct_trials,
         "dct_smallest",
         {f"dct, log, {levels} levels": {"quantiser": "log", "levels": levels} for levels in S_LEVELS},
         "smallest",
         SMALLEST,
     ),
-    partial(_draw_sweep, "S, um or m/s^2", True),
-    near_best,
+    message=_smallest_message,
+    place=_texture_place,
+    caption="S, µm or m/s²; SNR in dB",
+    label=figure("snr_db"),
+    value_name="smallest_um_or_m_s2",
+    varied="S of {} µm or m/s²",
+    judged=near_best,
 )

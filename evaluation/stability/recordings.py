@@ -2,13 +2,13 @@
 
 from functools import partial
 
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, three_rate_points
+from vibrocast.evaluation.stability.maps import Group, Map, RatePoint, Scope, hardest, three_rate_points
 from vibrocast.evaluation.stability.signals import (
-    ENOUGH_SNR_DB,
-    SNR_MARGIN_DB,
+    SIGNALS,
+    THREE_RATE_POINTS,
     decoded,
-    draw_at_levels,
     judge,
+    place_at_level,
     texture_snr_db,
     with_bits,
 )
@@ -43,10 +43,13 @@ def _trials(scope: Scope) -> list[Trial]:
 
 
 RECORDINGS = Map(
-    "recordings",
-    "Your recordings",
-    {"max_s": MAX_S, "snr_margin_db": SNR_MARGIN_DB, "enough_snr_db": ENOUGH_SNR_DB},
-    "",
-    _trials,
-    draw_at_levels,
+    name="recordings",
+    group=Group.SIGNALS,
+    title="Your recordings",
+    tried=f"The first {MAX_S:g} s of each recording, at its own rate, are coded as a whole stream and decoded.",
+    rule=SIGNALS.rule,
+    trials=_trials,
+    message=lambda cells: f"Hardest to code: {hardest(cells)}",
+    place=place_at_level,
+    caption=THREE_RATE_POINTS,
 )

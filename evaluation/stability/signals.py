@@ -1,10 +1,9 @@
 """Signals that are hard to code: every codec at three of its settings, through whole coded streams and back."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,19 @@ from numpy.typing import NDArray
 from vibrocast import codec
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.evaluation import trained
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point, three_rate_points
+from vibrocast.evaluation.stability.maps import (
+    Group,
+    Map,
+    Place,
+    RatePoint,
+    Rule,
+    Scope,
+    figure,
+    hardest,
+    middle_rate_point,
+    three_rate_points,
+    with_methods,
+)
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.textures import HIGHPASS_HZ, Recording, highpass
 from vibrocast.textures.generate import wood
@@ -200,7 +210,7 @@ def louder_db(reference: Signal, heard: Signal) -> float:
 
 
 def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
-    """Return the outcome for a signal and what was decoded of it, by the rules that SIGNALS.about states."""
+    """Return the outcome for a signal and what was decoded of it, by the rules that SIGNALS states."""
     if not np.isfinite(heard).all():
         return Measured(Outcome.FAILS, {}, "not finite")
     if not reference.any():
@@ -303,7 +313,7 @@ def _onset_trials(scope: Scope) -> list[Trial]:
         Trial(
             ONSETS.name,
             method.name,
-            "onset after silence",
+            f"{level} rate point",
             f"{level}: {rate_point.text}",
             None,
             partial(measure_onset, rate_point),
@@ -313,72 +323,50 @@ def _onset_trials(scope: Scope) -> list[Trial]:
     ]
 
 
-def draw_at_levels(path: Path, cells: Sequence[Verdict]) -> None:
-    """Draw signals downwards, the longest last, and codecs across, each at its three settings. Raises OSError."""
-    methods = list(dict.fromkeys(cell.method for cell in cells))
-    pictures.outcome_map(
-        path,
-        sorted(cells, key=lambda cell: cell.case == LONG_CASE),
-        lambda cell: (cell.case, f"{cell.method} {cell.setting.partition(':')[0]}"),
-        "each codec a quarter and half of the way up its set of rate points of settings, and at its end",
-        columns=[f"{method} {level}" for method in methods for level in ("low", "middle", "high")],
-        groups=methods,
-    )
+def place_at_level(cell: Verdict) -> Place:
+    """Return the place of a cell at one of three rate points: signals downwards, each codec's rate points across."""
+    return Place(cell.case, {"low": 1.0, "middle": 2.0, "high": 3.0}[cell.setting.partition(":")[0]], cell.method)
 
 
-def _draw_onsets(path: Path, cells: Sequence[Verdict]) -> None:
-    bars = [
-        (
-            f"{cell.method}, {cell.setting.partition(':')[0]}",
-            cell.figure("pre_echo_5ms_db"),
-            cell.figure("pre_echo_20ms_db"),
-        )
-        for cell in cells
-        if cell.figures
-    ]
-    pictures.dots(
-        path,
-        [name for name, *_ in bars],
-        {"last 5 ms": [short for _, short, _ in bars], "last 20 ms": [long for *_, long in bars]},
-        "energy before the onset, dB relative to the onset",
-        PRE_ECHO_HELD_DB,
-    )
+THREE_RATE_POINTS = "rate points of each codec: 1 a quarter and 2 half of the way up, 3 the finest"
+
+
+def _before_onset(cell: Verdict) -> str:
+    return "lost" if cell.figure("noise_after_db") > -MIN_SNR_DB else figure("pre_echo_5ms_db")(cell)
 
 
 SIGNALS = Map(
-    "signals",
-    "Signals",
-    {
-        "seconds": SECONDS,
-        "rate_hz": RATE_HZ,
-        "snr_margin_db": SNR_MARGIN_DB,
-        "enough_snr_db": ENOUGH_SNR_DB,
-        "min_snr_db": MIN_SNR_DB,
-        "louder_db": LOUDER_DB,
-        "failed_snr_db": FAILED_SNR_DB,
-        "far_louder_db": FAR_LOUDER_DB,
-        "silent": SILENT,
-        "nearly_silent": NEARLY_SILENT,
-        "gravity_m_s2": GRAVITY_M_S2,
-        "peak": PEAK,
-        "swing_hz": SWING_HZ,
-        "drift_rms": DRIFT_RMS,
-        "highpass_hz": HIGHPASS_HZ,
-    },
-    "",
-    _trials,
-    draw_at_levels,
+    name="signals",
+    group=Group.SIGNALS,
+    title="Hard signals",
+    tried=f"Gravity adds {GRAVITY_M_S2:g} m/s² to a texture with a peak of {PEAK:g} m/s². A ramp and a swing of "
+    f"{SWING_HZ:g} Hz reach {DRIFT_RMS:g} times its RMS value. These three count above {HIGHPASS_HZ:g} Hz. Of an hour, "
+    f"the last minute counts; silence must stay below {SILENT:g} of full scale.",
+    rule=Rule(
+        "SNR; level",
+        f"SNR from {MIN_SNR_DB:g} dB, and at most {SNR_MARGIN_DB:g} dB below an ordinary texture's, or "
+        f"{ENOUGH_SNR_DB:g} dB; at most {LOUDER_DB:g} dB louder",
+        f"SNR below {FAILED_SNR_DB:g} dB; more than {FAR_LOUDER_DB:g} dB louder",
+    ),
+    trials=_trials,
+    message=lambda cells: f"Hardest to code: {hardest(cells)}",
+    place=place_at_level,
+    caption=THREE_RATE_POINTS,
 )
 ONSETS = Map(
-    "pre_echo",
-    "Onset after silence",
-    {
-        "onset_hz": _ONSET_HZ,
-        "shifts": _ONSET_SHIFTS,
-        "held_db": PRE_ECHO_HELD_DB,
-        "failed_db": PRE_ECHO_FAILED_DB,
-    },
-    "",
-    _onset_trials,
-    _draw_onsets,
+    name="pre_echo",
+    group=Group.SIGNALS,
+    title="Onset after silence",
+    tried=f"A sine of {_ONSET_HZ:g} Hz begins abruptly, at {len(_ONSET_SHIFTS)} places in a block. The worst counts, "
+    "relative to the first 20 ms of the sine.",
+    rule=Rule(
+        "power in the 5 ms before the onset",
+        f"up to {PRE_ECHO_HELD_DB:g} dB",
+        f"above {PRE_ECHO_FAILED_DB:g} dB",
+    ),
+    trials=_onset_trials,
+    message=lambda cells: f"Silence before an onset stays silent at every rate point {with_methods(cells)}",
+    place=lambda cell: Place(cell.method, cell.case.partition(" ")[0]),
+    caption="rate point; dB before the onset (lost: no onset is left)",
+    label=_before_onset,
 )

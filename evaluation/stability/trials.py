@@ -29,10 +29,9 @@ CLEAR_ERRORS = (
 
 
 class Outcome(StrEnum):
-    """What came of a trial, the best first; "not tried" is a place on a map that has none."""
+    """What came of a trial, the best first."""
 
     HOLDS = "holds"
-    NOT_TRIED = "not tried"
     REJECTED = "rejected"
     DEGRADED = "degraded"
     FAILS = "fails"
@@ -40,7 +39,7 @@ class Outcome(StrEnum):
     @property
     def letter(self) -> str:
         """The letter of the maps."""
-        return "-" if self is Outcome.NOT_TRIED else self.value[0].upper()
+        return self.value[0].upper()
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The outcome of a trial; fields as in Trial and Measured."""
+    """The outcome of a trial, and the one that is right; other fields as in Trial and Measured."""
 
     map: str
     method: str
@@ -88,12 +87,12 @@ class Verdict:
     outcome: Outcome
     figures: Mapping[str, float | None]
     effect: str
-    to_be_rejected: bool = False
+    required: Outcome = Outcome.HOLDS
 
     @property
     def sound(self) -> bool:
-        """Whether it is as it should be: it holds, or is rejected where it must be."""
-        return self.outcome is (Outcome.REJECTED if self.to_be_rejected else Outcome.HOLDS)
+        """Whether the outcome is right: it holds, or is rejected where it must be."""
+        return self.outcome is self.required
 
     def figure(self, name: str) -> float:
         """Return a figure, NaN where it has no value."""
@@ -161,5 +160,5 @@ def _cell(trial: Trial, measured: Measured) -> Verdict:
         measured.outcome,
         figures,
         measured.effect,
-        trial.to_be_rejected,
+        Outcome.REJECTED if trial.to_be_rejected else Outcome.HOLDS,
     )

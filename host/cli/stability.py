@@ -21,6 +21,9 @@ from vibrocast.models import ModelError
 from vibrocast.textures import Recording, TextureError, dataset
 from vibrocast.textures.dataset import DatasetError
 
+MAX_FAILURES = 5
+"""That the command prints; the page has all."""
+
 
 @click.command()
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the page.")
@@ -67,10 +70,17 @@ def stability(
     except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
     with progress.bar("testing") as update:
-        cells = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
-    outcomes = Counter(cell.outcome for cell in cells)
-    counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
-    click.echo(f"{out / page.PAGE}: {len(cells)} trials, {counts}")
+        cells, failures = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
+    outcomes = Counter("as required" if cell.sound else str(cell.outcome) for cell in cells)
+    counts = ", ".join(
+        f"{outcomes[name]} {name}" for name in ("as required", "degraded", "fails", "rejected") if outcomes[name]
+    )
+    for each in failures[:MAX_FAILURES]:
+        click.echo(f"{each.failure}: {each.methods} ({each.boundary})\n  remedy: {each.remedy}")
+    if len(failures) > MAX_FAILURES:
+        click.echo(f"{len(failures) - MAX_FAILURES} more failures are on the page")
+    click.echo(f"{len(cells)} conditions: {counts}")
+    click.echo(f"page: {out / page.PAGE}")
 
 
 def load_all(recordings: Path, options: RecordingOptions) -> tuple[Recording, ...]:

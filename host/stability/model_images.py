@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 
@@ -13,8 +12,7 @@ from vibrocast.codec import Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation.cells import Method
-from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
+from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.evaluation.trained import runtimes
@@ -25,6 +23,7 @@ from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.faulty_link import MemoryLink
 
 PLACES_PERCENT = tuple(5.0 * place for place in range(21))
+CHANGED, CUT = "byte changed, CRC and hash fit", "cut, CRC and hash fit"
 CUTS_PERCENT = (0.0, 1.0, 10.0, 50.0, 90.0, 99.0)
 
 
@@ -111,21 +110,20 @@ def _image_trials(scope: Scope) -> list[Trial]:
         assert rate_point.model is not None, "a learned method has models"
         another = next(model.image for model in models.shipped() if model.image != rate_point.image)
         rejected: dict[str, Callable[[RatePoint], Measured]] = {
-            "a byte changed": measure_crc,
-            "a byte changed, CRC right, for the stream of the right one": measure_hash,
-            "no image here": measure_missing,
+            "byte changed, CRC wrong": measure_crc,
+            "byte changed, hash wrong": measure_hash,
+            "no image for the decoder": measure_missing,
             "no image on the controller": partial(measure_on_controller, image=None),
-            "another image on the controller": partial(measure_on_controller, image=another),
+            "other image on the controller": partial(measure_on_controller, image=another),
         }
         trials += [_trial(method, case, None, partial(measure, rate_point), True) for case, measure in rejected.items()]
         trials += [
-            _trial(method, "cut, CRC and hash right", percent, partial(measure_cut, rate_point, percent), True)
-            for percent in CUTS_PERCENT
+            _trial(method, CUT, percent, partial(measure_cut, rate_point, percent), True) for percent in CUTS_PERCENT
         ]
         trials += [
             _trial(
                 method,
-                ", ".join(filter(None, ("a byte changed, CRC and hash right", runtime))),
+                ", ".join(filter(None, (CHANGED, runtime))),
                 percent,
                 partial(measure_changed, rate_point, runtime, percent),
                 False,
@@ -142,24 +140,34 @@ def _trial(method: Method, case: str, percent: float | None, measure: Callable[[
     )
 
 
-def _draw(path: Path, cells: Sequence[Verdict]) -> None:
-    """Cases of each method downwards, places across; what has no place stands in the first column."""
-    percents = sorted({cell.value for cell in cells if cell.value is not None})
-    pictures.outcome_map(
-        path,
-        cells,
-        lambda cell: (f"{cell.method}: {cell.case}", "" if cell.value is None else f"{cell.value:g} %"),
-        "where the byte is, or how much is left",
-        columns=["", *(f"{percent:g} %" for percent in percents)],
-    )
+def _place(cell: Verdict) -> Place:
+    """Return the place of a cell: models and what decodes them downwards, what is wrong across."""
+    if cell.value is None:
+        return Place(cell.method, cell.case)
+    if cell.case == CUT:
+        return Place(cell.method, cell.value, "cut, % left")
+    return Place(cell.method + cell.case.removeprefix(CHANGED), cell.value, "byte changed at, %")
+
+
+def _message(cells: Sequence[Verdict]) -> str:
+    wrong = [cell for cell in cells if cell.required is Outcome.REJECTED]
+    accepted = sum(not cell.sound for cell in wrong)
+    if accepted:
+        return f"{accepted} of {len(wrong)} wrong images are accepted"
+    return "Every wrong image is rejected; a changed byte passes where CRC and hash were made to fit"
 
 
 IMAGES = Map(
-    "model_images",
-    "Wrong and damaged model images",
-    {},
-    "at {} %",
-    _image_trials,
-    _draw,
-    folder=Path(__file__).parent / "about",
+    name="model_images",
+    group=Group.LEARNED,
+    title="Wrong model images",
+    tried="A stream gets an image that it was not coded for. CRC, hash or controller must reject it. Then one byte "
+    "changes, and CRC and hash are made to fit.",
+    rule=Rule("decoded samples", "the same, or rejected as required", "crash (other samples: degraded)"),
+    trials=_image_trials,
+    message=_message,
+    place=_place,
+    caption="",
+    value_name="place_percent",
+    varied="{} % of the image",
 )

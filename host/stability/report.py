@@ -17,7 +17,7 @@ from vibrocast.evaluation.stability.recordings import RECORDINGS
 from vibrocast.evaluation.stability.signals import ONSETS, SIGNALS
 from vibrocast.evaluation.stability.trials import Verdict, run
 from vibrocast.host.stability.model_images import IMAGES
-from vibrocast.host.stability.transport import DRIFT, FLIPS, JITTER, LOSS
+from vibrocast.host.stability.transport import DRIFT, FLIPS, LOSS, STALLS
 
 MAPS = (
     RECORDINGS,
@@ -32,7 +32,7 @@ MAPS = (
     LOSS,
     FLIPS,
     DRIFT,
-    JITTER,
+    STALLS,
     HAND_SPEED,
     RESONANCE,
     VOLTAGE,
@@ -51,16 +51,15 @@ def make_maps(
     imported: Sequence[Verdict] = (),
     progress: Callable[[float, str], None] = lambda part, details: None,
     chosen: Collection[str] = (),
-) -> list[Verdict]:
-    """Measure every map, write them and the page into the folder `out`, return the verdicts. Raises OSError.
+) -> tuple[list[Verdict], list[page.Failure]]:
+    """Measure every map, write them and the page into the folder `out`; return cells and failures. Raises OSError.
 
     `command`: what was run, for the page. `imported`: cells that were measured elsewhere, which join the page.
     `progress` is called with the part that is done, from 0 to 1, and the last trial. `chosen`: names of maps, all
     if none.
     """
     maps = [each for each in MAPS if not chosen or each.name in chosen]
-    cells = run([trial for each in maps for trial in each.trials(scope)], progress=progress)
-    judged = [cell for each in maps for cell in each.judged([cell for cell in cells if cell.map == each.name])]
-    names = [method.name for method in scope.methods]
-    page.write(out, [*maps, PEERS], [*judged, *imported], names, command)
-    return judged
+    tried = run([trial for each in maps for trial in each.trials(scope)], progress=progress)
+    judged = [cell for each in maps for cell in each.judged([cell for cell in tried if cell.map == each.name])]
+    cells = [*judged, *imported]
+    return cells, page.write(out, [*maps, PEERS], cells, command)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -12,8 +11,21 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Configure, Start, Status, StreamData
-from vibrocast.evaluation.stability import pictures, trials
-from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, middle_rate_point
+from vibrocast.evaluation.stability import trials
+from vibrocast.evaluation.stability.maps import (
+    Group,
+    Map,
+    Place,
+    RatePoint,
+    Rule,
+    Scope,
+    figure,
+    middle_rate_point,
+    most_hold_up_to,
+    ranges,
+    sound_values,
+    with_methods,
+)
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.host import uploader
@@ -43,6 +55,12 @@ PACED_DRIFTS_PPM = (-10_000, -1000, 1000, 2000, 5000, 10_000)
 PACED_S, PACED_AHEAD_S = 60.0, 0.1
 STALLS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 BUFFERS_S = (BUFFER_S, 0.1, 1.0)
+USUAL_BUFFER = f"buffer of {BUFFER_S:g} s"
+_RULE = Rule(
+    f"samples that differ by more than {100 * OFF_PART:g} % of the peak",
+    f"up to {100 * HELD_SHARE:g} %",
+    f"more than {100 * FAILED_SHARE:g} %; a step over {MAX_STEP_RATIO:g} times the largest",
+)
 
 
 @dataclass(frozen=True)
@@ -213,62 +231,67 @@ def _drift_trials(scope: Scope) -> list[Trial]:
     ]
 
 
-def _draw(x_label: str, log_x: bool, path: Path, cells: Sequence[Verdict]) -> None:
-    """Three panels over what is varied: the share that is off, the SNR, the largest step; a curve for each codec."""
-    panels = []
-    for figure, title, min_span in (
-        ("off_share", "share of the signal that is off", 0.1),
-        ("snr_db", "SNR of what is played, dB", 10.0),
-        ("max_step_ratio", "largest step, relative to the signal's", 1.0),
-    ):
-        curves = pictures.curves_of(cells, figure)
-        if any(math.isfinite(y) for curve in curves for y in curve.y):
-            panels.append(pictures.Panel(title, x_label, "", curves, log_x, min_span=min_span))
-    pictures.curves(path, panels)
+def _up_to(what: str, cells: Sequence[Verdict]) -> str:
+    """Return the message of a map that most codecs bear up to a limit, with the usual buffer."""
+    usual = [cell for cell in cells if cell.case == USUAL_BUFFER]
+    limit = most_hold_up_to(usual)
+    return f"Most codecs bear {what.format(f'up to {limit:g}' if limit else 'no')}"
 
 
-_ABOUT = Path(__file__).parent / "about"
-_RULES = {
-    "seconds": SECONDS,
-    "loops": LOOPS,
-    "off_part": OFF_PART,
-    "held_share": HELD_SHARE,
-    "failed_share": FAILED_SHARE,
-    "max_step_ratio": MAX_STEP_RATIO,
-}
-LOSS = Map(
-    "loss",
-    "Lost frames",
-    _RULES,
-    "{} %",
-    partial(_trials, "loss", LOSSES_PERCENT, lambda percent: LinkFaults(lost=percent / 100), (BUFFER_S,)),
-    partial(_draw, "frames that are lost, %", True),
-    folder=_ABOUT,
+def _drift_message(cells: Sequence[Verdict]) -> str:
+    paced = [cell for cell in cells if cell.case == USUAL_BUFFER]
+    own = [cell for cell in cells if cell.case != USUAL_BUFFER]
+    values = ranges(sound_values(own), [cell.value for cell in own if cell.value is not None]) or "no"
+    return f"Credit makes drift harmless {with_methods(paced)}; a source with its own pace holds at {values} ppm only"
+
+
+_playbacks = partial(
+    Map,
+    group=Group.LINK,
+    rule=_RULE,
+    place=lambda cell: Place(cell.method, cell.value or 0.0),
+    label=figure("off_share", factor=100),
 )
-FLIPS = Map(
-    "bit_flips",
-    "Damaged frames",
-    _RULES,
-    "{} %",
-    partial(_trials, "bit_flips", DAMAGES_PERCENT, lambda percent: LinkFaults(flipped=percent / 100), (BUFFER_S,)),
-    partial(_draw, "frames that are damaged, %", True),
-    folder=_ABOUT,
+LOSS = _playbacks(
+    name="loss",
+    title="Lost frames",
+    tried=f"The player streams a texture for {LOOPS * SECONDS:g} s. Frames are lost by chance, in both directions.",
+    trials=partial(_trials, "loss", LOSSES_PERCENT, lambda percent: LinkFaults(lost=percent / 100), (BUFFER_S,)),
+    message=partial(_up_to, "{} % of lost frames"),
+    caption="frames lost, %; samples that differ, %",
+    value_name="lost_percent",
+    varied="{} %",
 )
-DRIFT = Map(
-    "drift",
-    "Clock drift",
-    {**_RULES, "paced_s": PACED_S},
-    "{} ppm",
-    _drift_trials,
-    partial(_draw, "drift of the controller's clock, ppm", False),
-    folder=_ABOUT,
+FLIPS = _playbacks(
+    name="bit_flips",
+    title="Damaged frames",
+    tried="One byte of a frame changes by chance. The frame fails its CRC and is dropped.",
+    trials=partial(
+        _trials, "bit_flips", DAMAGES_PERCENT, lambda percent: LinkFaults(flipped=percent / 100), (BUFFER_S,)
+    ),
+    message=partial(_up_to, "{} % of damaged frames"),
+    caption="frames damaged, %; samples that differ, %",
+    value_name="damaged_percent",
+    varied="{} %",
 )
-JITTER = Map(
-    "buffer",
-    "Buffer against stalls",
-    {**_RULES, "stalls_every_s": STALLS_EVERY_S},
-    "{} s",
-    partial(_trials, "buffer", STALLS_S, lambda stall_s: LinkFaults(stall_s=stall_s), BUFFERS_S),
-    partial(_draw, "length of a stall, s", True),
-    folder=_ABOUT,
+DRIFT = _playbacks(
+    name="drift",
+    title="Clock drift",
+    tried="The controller's clock is faster or slower than the host's. A source with its own pace sends for "
+    f"{PACED_S:g} s, whatever the controller's credit.",
+    trials=_drift_trials,
+    message=_drift_message,
+    caption="drift of the controller's clock, ppm; samples that differ, %",
+    value_name="drift_ppm",
+    varied="{} ppm",
+)
+STALLS = _playbacks(
+    name="stalls",
+    title="Stalls",
+    tried=f"About every {STALLS_EVERY_S:g} s nothing passes for a while. The first codec shows other buffers too.",
+    trials=partial(_trials, "stalls", STALLS_S, lambda stall_s: LinkFaults(stall_s=stall_s), BUFFERS_S),
+    message=partial(_up_to, f"stalls of {{}} s with a {USUAL_BUFFER}"),
+    caption="length of a stall, s; samples that differ, %",
+    value_name="stall_s",
+    varied="{} s",
 )

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib.colors import to_rgb
 
 from tests.codec.eva_models import tiny_model
 from vibrocast import codec
 from vibrocast.codec.interface import Codec, Decoded
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.evaluation.stability import (
     actuators,
     entropy,
@@ -23,6 +25,7 @@ from vibrocast.evaluation.stability import (
     float_parity,
     hand_speed,
     learned_signals,
+    maps,
     page,
     peers,
     pictures,
@@ -30,9 +33,11 @@ from vibrocast.evaluation.stability import (
     recordings,
     signals,
 )
+from vibrocast.evaluation.stability.cell_files import CellsError, read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import explanation, known_causes
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
+from vibrocast.host.cli import stability_page
 from vibrocast.host.cli.stability import stability
 from vibrocast.host.stability import MAPS, model_images, report, transport
 from vibrocast.host.stability.transport import CLEAR_ERRORS
@@ -83,7 +88,7 @@ def test_what_happens_in_a_trial_is_its_outcome() -> None:
     assert (rejected.outcome, rejected.effect, rejected.sound) == (Outcome.REJECTED, "too loud; turn it down", False)
     crashed = attempt(trial(stumble))
     assert (crashed.outcome, crashed.effect) == (Outcome.FAILS, "CRASH: ZeroDivisionError: oh")
-    assert explanation(crashed)[1] == "report it"
+    assert explanation(crashed).remedy == "Report it"
 
 
 def test_what_must_be_rejected_is_sound_only_then() -> None:
@@ -417,31 +422,94 @@ def test_other_files_are_no_peers(text: str, tmp_path: Path) -> None:
 
 
 def test_ranges_join_neighbours_only() -> None:
-    assert page.ranges([0.1, 0.2, 1.0], [0.0, 0.1, 0.2, 0.5, 1.0]) == "0.1 to 0.2, 1"
+    assert maps.ranges([0.1, 0.2, 1.0], [0.0, 0.1, 0.2, 0.5, 1.0]) == "0.1 to 0.2, 1"
 
 
 def test_no_more_than_some_cases_are_named_and_the_others_counted() -> None:
     cells = [cell(Outcome.FAILS, f"case {number}") for number in range(4)]
-    assert page.where(signals.SIGNALS, cells, cells, 3) == "case 0, case 1, case 2; 1 more"
-    assert page.where(signals.SIGNALS, cells, cells, 4) == "case 0, case 1, case 2, case 3"
+    assert page.boundary(signals.SIGNALS, cells, cells) == "fails: case 0, case 1, 2 more"
+    assert page.boundary(signals.SIGNALS, cells[:3], cells) == "fails: case 0, case 1, case 2"
 
 
-def test_the_page_begins_with_what_each_codec_holds_for_and_the_worst_of_each_map() -> None:
-    loss = dataclasses.replace(transport.LOSS, title="Lost frames")
-    outcomes = {"mdct": "HHD", "dct": "HHH", "mdct, buffer of 1 s": "DDF"}
-    letters = {outcome.letter: outcome for outcome in Outcome}
-    cells = [
-        dataclasses.replace(cell(letters[letter], value=value, method=method), map="loss")
+LETTERS = {outcome.letter: outcome for outcome in Outcome}
+
+
+def losses(outcomes: dict[str, str]) -> list[Verdict]:
+    """Return cells of the map of lost frames: letters of the outcomes at 1, 3 and 10 %, by method."""
+    return [
+        dataclasses.replace(
+            cell(LETTERS[letter], transport.USUAL_BUFFER, value, method), map="loss", figures={"off_share": 0.25}
+        )
         for method, row in outcomes.items()
         for letter, value in zip(row, (1.0, 3.0, 10.0), strict=True)
     ]
-    lines = page.markdown([(loss, cells)], ["mdct", "dct"], "vibrocast stability --quick").splitlines()
-    assert any("`vibrocast stability --quick`" in line for line in lines)
-    assert "| codec | [Lost frames](#lost-frames) |" in lines
-    assert "| mdct | 1 to 3 % |" in lines
-    assert "| dct | all |" in lines
-    worst = "| [Lost frames](#lost-frames) | 5 of 9 | mdct, buffer of 1 s fails: 10 % | an effect | "
-    assert any(line.startswith(worst) for line in lines)
+
+
+def test_the_page_begins_with_the_failures_their_limits_and_remedies(tmp_path: Path) -> None:
+    cells = losses({"mdct": "HHD", "dct": "HHH", "slp": "HDF", "opus": "HHD"})
+    (failure,) = page.write(tmp_path, [transport.LOSS], cells, "vibrocast stability --quick")
+    assert (failure.methods, failure.boundary) == ("mdct, slp and opus", "fails: 10 %; degraded: 3 %")
+    text = (tmp_path / "stability.md").read_text()
+    row = (
+        "| Lost frames silence the texture | mdct, slp and opus | fails: 10 %; degraded: 3 % | "
+        f"{explanation(cells[2]).remedy} | [map](#lost-frames), [CSV](stability/loss.csv) |"
+    )
+    assert row in text.splitlines()
+    assert "8 of 12 conditions end as required" in text
+    assert "`vibrocast stability --quick`" in text
+    assert "![Most codecs bear up to 3 % of lost frames](stability/loss.svg)" in text
+    with (tmp_path / "stability" / "boundaries.csv").open(newline="") as file:
+        rows = {(row["method"], row["outcome"]): row for row in csv.DictReader(file)}
+    assert rows["slp", "fails"]["where"] == "10 %"
+    assert (rows["mdct", "holds"]["conditions"], rows["mdct", "holds"]["all_conditions"]) == ("2", "3")
+
+
+@pytest.mark.parametrize(
+    ("bad", "good", "words"),
+    [
+        (["mdct", "slp"], [], "all"),
+        (["mdct", "dct", "slp", "opus"], ["flac"], "all but flac"),
+        (["eva-1", "eva-2", "eva-3"], ["mdct", "dct"], "eva-*"),
+        (["eva-1", "eva-2"], ["eva-3", "mdct"], "eva-1 and eva-2"),
+        ([*"abcdef"], [*"ghijkl"], "6 of 12"),
+    ],
+)
+def test_methods_are_named_briefly(bad: list[str], good: list[str], words: str) -> None:
+    cells = losses({**dict.fromkeys(bad, "HHD"), **dict.fromkeys(good, "HHH")})
+    (failure,) = page.failures([(transport.LOSS, cells)])
+    assert failure.methods == words
+
+
+def test_a_crash_comes_first() -> None:
+    crashed = dataclasses.replace(losses({"flac": "HHF"})[2], effect="CRASH: KeyError: 1")
+    first, second = page.failures([(transport.LOSS, [*losses({"slp": "HHF"}), crashed])])
+    assert (first.methods, first.remedy, second.methods) == ("flac", "Report it", "slp")
+
+
+def test_cells_are_read_again_as_they_were_written(tmp_path: Path) -> None:
+    cells = losses({"mdct": "HHD"})
+    rejected = dataclasses.replace(cells[0], outcome=Outcome.REJECTED, required=Outcome.REJECTED, figures={})
+    write_cells(tmp_path / "loss.csv", transport.LOSS, [*cells, rejected])
+    again = read_cells(tmp_path / "loss.csv", transport.LOSS)
+    assert again == [*cells, dataclasses.replace(rejected, figures={"off_share": None})]
+    with pytest.raises(CellsError, match=r"run `vibrocast stability` again"):
+        read_cells(tmp_path / "loss.csv", transport.STALLS)
+
+
+def test_what_cells_show_is_said_in_words() -> None:
+    cells = losses({"mdct": "HHD", "dct": "HHH", "slp": "HDF"})
+    assert maps.with_methods(cells) == "with dct only"
+    assert maps.with_methods(cells[3:6]) == "with every codec"
+    assert maps.with_methods(cells[6:]) == "with no codec"
+    assert maps.sound_values(cells) == [1.0]
+    assert maps.most_hold_up_to(cells) == 3.0
+    assert maps.most_hold_up_to(losses({"mdct": "DHH"})) is None
+    hard = [
+        cell(Outcome.FAILS, "a click"),
+        cell(Outcome.FAILS, "a click", method="b"),
+        cell(Outcome.DEGRADED, "a ramp"),
+    ]
+    assert maps.hardest(hard) == "a click (2 of 2 codecs) and a ramp (1)"
 
 
 def test_figures_have_no_negative_zero() -> None:
@@ -459,25 +527,27 @@ def test_a_page_of_other_origin_is_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("each", [*report.MAPS, peers.PEERS], ids=lambda each: str(each.name))
 def test_every_map_has_its_words(each: Map) -> None:
-    assert len(each.about) > 100 and "{" not in each.about and "\n" not in each.about.rstrip("\n")
+    assert len(each.tried) > 40 and all(each.rule)
+    assert bool(each.value_name) == bool(each.varied) == ("{}" in each.varied)
 
 
-def test_the_page_names_boundary_effect_cause_and_remedy() -> None:
-    swept = dataclasses.replace(transport.LOSS, varied="{} % of loss", title="A title")
-    values = ((0.0, Outcome.HOLDS), (0.1, Outcome.DEGRADED), (0.2, Outcome.DEGRADED))
-    cells = [dataclasses.replace(cell(outcome, value=value), map="loss") for value, outcome in values]
-    text = page.markdown([(swept, cells)], ["fake"], "vibrocast stability")
-    assert "| [A title](#a-title) | 1 of 3 | fake degraded: 0.1 to 0.2 % of loss | an effect |" in text
-    cause, remedy = explanation(cells[1])
-    assert f"| fake | degraded | 0.1 to 0.2 % of loss | an effect | {cause} | {remedy} |" in text
-    assert "](stability/loss.png)" in text
-    assert "Frames are lost by chance, in both directions. A texture of 5 s" in text
+def test_titles_are_links() -> None:
+    titles = [each.title for each in (*report.MAPS, peers.PEERS)]
+    assert len({*titles, *maps.Group}) == len(titles) + len(maps.Group)
+    assert all(title.replace(" ", "").isalpha() for title in titles)
 
 
 def test_causes_are_about_maps_that_there_are() -> None:
     names = {each.name for each in MAPS} | {peers.PEERS.name}
     assert {cause.map for cause in known_causes()} <= names
-    assert all(len(explanation(cell(outcome))) == 2 for outcome in (Outcome.REJECTED, Outcome.DEGRADED, Outcome.FAILS))
+    for outcome in (Outcome.REJECTED, Outcome.DEGRADED, Outcome.FAILS):
+        assert explanation(cell(outcome)).remedy
+    assert explanation(cell(Outcome.HOLDS)) == ("", "", "")
+
+
+def test_a_failure_has_one_remedy() -> None:
+    remedies = {(cause.map, cause.failure, cause.remedy) for cause in known_causes() if cause.failure}
+    assert len(remedies) == len({(name, failure) for name, failure, _ in remedies})
 
 
 @pytest.mark.slow
@@ -488,19 +558,36 @@ def test_every_map_on_a_tiny_grid(tmp_path: Path) -> None:
         assert trials and all(made.map == each.name for made in trials)
         cells = [attempt(made) for made in trials[:1]]
         assert not any(made.effect.startswith("CRASH") for made in cells)
-        each.draw(tmp_path / f"{each.name}.png", cells)
-        assert (tmp_path / f"{each.name}.png").read_bytes().startswith(b"\x89PNG")
+        assert pictures.write(tmp_path, each, cells) == f"{each.name}.svg"
+        assert "<svg" in (tmp_path / f"{each.name}.svg").read_text()
+
+
+def test_a_picture_that_would_be_large_is_no_vector_graphic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cells = losses({"mdct": "HHD"})
+    pictures.write(tmp_path, transport.LOSS, cells)
+    monkeypatch.setattr(pictures, "MAX_SVG_BYTES", 1000)
+    assert pictures.write(tmp_path, transport.LOSS, cells) == "loss.png"
+    assert [path.name for path in tmp_path.iterdir()] == ["loss.png"]
+
+
+def test_colours_differ_in_grey() -> None:
+    def lightness(colour: str) -> float:
+        return float(np.dot(to_rgb(colour), (0.299, 0.587, 0.114)))
+
+    greys = sorted(lightness(shade) for shade, _ in pictures.COLOURS.values())
+    assert min(np.diff(greys)) > 0.08
+    assert all(abs(lightness(shade) - lightness(ink)) > 0.4 for shade, ink in pictures.COLOURS.values())
 
 
 def test_names_of_curves_do_not_collide(tmp_path: Path) -> None:
-    same = [pictures.Curve(f"curve {number}", [1, 2], [5, 5], [False, True]) for number in range(12)]
-    pictures.curves(tmp_path / "same.png", [pictures.Panel("", "", "", same, lines=(5,))])
+    same = [Curve(f"curve {number}", [1, 2], [5, 5], [False, True]) for number in range(12)]
+    curves(tmp_path / "same.png", [Panel("", "", "", same, lines=(5,))])
     assert (tmp_path / "same.png").stat().st_size > 1000
 
 
 def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    maps = (signals.SIGNALS, actuators.RESONANCE)
-    monkeypatch.setattr(report, "MAPS", maps)
+    drawn = (signals.SIGNALS, actuators.RESONANCE)
+    monkeypatch.setattr(report, "MAPS", drawn)
     monkeypatch.setattr(report, "run", lambda trials, progress: [attempt(made) for made in trials])
     peers_file = tmp_path / "edge.csv"
     peers_file.write_text(PEERS_CSV)
@@ -508,11 +595,26 @@ def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     result = CliRunner().invoke(stability, arguments)
     assert result.exit_code == 0, result.output
     text = (tmp_path / "docs" / "stability.md").read_text()
+    assert result.stdout.splitlines()[-1] == f"page: {tmp_path / 'docs' / 'stability.md'}"
+    assert "  remedy: " in result.stdout
     for name in ("signals", "resonance", "peers"):
-        assert f"](stability/{name}.png)" in text
+        assert f"](stability/{name}.svg)" in text
         with (tmp_path / "docs" / "stability" / f"{name}.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         assert rows and {row["outcome"] for row in rows} <= {str(outcome) for outcome in Outcome}
+    written = {path.name: path.read_bytes() for path in (tmp_path / "docs" / "stability").iterdir()}
+    for path in (tmp_path / "docs" / "stability").glob("*.svg"):
+        path.unlink()
+    monkeypatch.setattr(stability_page, "MAPS", drawn)
+    assert CliRunner().invoke(stability_page.main, [str(tmp_path / "docs")]).exit_code == 0
+    assert (tmp_path / "docs" / "stability.md").read_text() == text
+    assert {path.name: path.read_bytes() for path in (tmp_path / "docs" / "stability").iterdir()} == written
+
+
+def test_only_what_was_measured_is_drawn_again(tmp_path: Path) -> None:
+    result = CliRunner().invoke(stability_page.main, [str(tmp_path)])
+    assert result.exit_code == 1
+    assert "description.csv: No such file or directory; give the --out of a stability run" in result.output
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,130 @@
+"""Curves that can be read in grey: dashed lines, named at their ends."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from vibrocast.evaluation.labels import spread
+from vibrocast.evaluation.pictures import figure_file
+
+DASHES: tuple[tuple[str, str], ...] = (
+    ("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"), ("-", "v"),
+    ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
+)  # fmt: skip
+_WIDTH_IN, _PANEL_IN = 7.2, 2.6
+_LABEL_DISTANCE = 0.07  # of an axis' height, for each line
+_LABEL_CHARACTERS = {1: 40, 2: 20, 3: 13}
+"""By how many panels are beside each other."""
+_SAME_HEIGHT = 0.004
+_MIN_TICK_DISTANCE = 0.13  # of its width
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A named curve; NaN where it has no value. `marked`: the points at which quality falls, or that fail."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    marked: Sequence[bool] = ()
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes with curves. `lines`: levels drawn across. `min_span`: of the vertical axis."""
+
+    title: str
+    x_label: str
+    y_label: str
+    curves: Sequence[Curve]
+    log_x: bool = False
+    lines: Sequence[float] = ()
+    min_span: float = 0.0
+
+
+def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
+    """Draw panels of curves, `across` beside each other; marked points are ringed. Raises OSError."""
+    across = min(across, len(panels))
+    down = -(-len(panels) // across)
+    with figure_file(path, _WIDTH_IN, _PANEL_IN * down) as figure:
+        places = figure.subplots(down, across, squeeze=False).ravel()
+        for panel, axes in zip(panels, places, strict=False):
+            _draw_panel(axes, panel, _LABEL_CHARACTERS[across])
+        for axes in places[len(panels) :]:
+            axes.set_visible(False)
+
+
+def _draw_panel(axes: Axes, panel: Panel, label_characters: int) -> None:
+    if panel.log_x:
+        axes.set_xscale("log")
+    ends: list[tuple[float, float, str]] = []
+    for index, curve in enumerate(panel.curves):
+        style, marker = DASHES[index % len(DASHES)]
+        shade = ("black", "0.45")[index % 2]
+        axes.plot(curve.x, curve.y, linestyle=style, marker=marker, markersize=3, color=shade, linewidth=1.1)
+        points = [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if math.isfinite(y)]
+        if points:
+            ends.append((*max(points), curve.name))
+        ringed = [
+            (x, y) for x, y, mark in zip(curve.x, curve.y, curve.marked, strict=False) if mark and math.isfinite(y)
+        ]
+        if ringed:
+            axes.plot(*zip(*ringed, strict=True), "o", markersize=8, markerfacecolor="none", color="black", linewidth=0)
+    for level in panel.lines:
+        axes.axhline(level, color="0.4", linestyle=(0, (1, 2)), linewidth=1)
+    axes.set_title(panel.title, loc="left")
+    axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
+    axes.grid(color="0.92")
+    low, high = axes.get_ylim()
+    missing = max(0.0, panel.min_span - (high - low))
+    never_negative = all(not y < 0 for curve in panel.curves for y in curve.y)
+    low = max(low - missing / 2, -0.04 * panel.min_span) if never_negative else low - missing / 2
+    axes.set_ylim(low, high + missing / 2)
+    if panel.log_x:
+        ticks = _apart(sorted({x for curve in panel.curves for x in curve.x}))
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+    elif all(float(x).is_integer() for curve in panel.curves for x in curve.x):
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    _name_ends(axes, ends, label_characters)
+
+
+def _apart(ticks: Sequence[float]) -> list[float]:
+    """Return those of rising positive numbers that have room for their names on a logarithmic axis."""
+    chosen: list[float] = []
+    for tick in ticks:
+        if not chosen or math.log(tick / chosen[-1]) >= _MIN_TICK_DISTANCE * math.log(ticks[-1] / ticks[0]):
+            chosen.append(tick)
+    return chosen
+
+
+def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]], label_characters: int) -> None:
+    """Name curves right of the axes, at the heights of their last points, moved apart where they would collide.
+
+    Curves that end in the same point share a label.
+    """
+    low, high = axes.get_ylim()
+    together: dict[tuple[int, float], list[tuple[float, str]]] = {}
+    for x, y, name in ends:
+        together.setdefault((round((y - low) / (high - low) / _SAME_HEIGHT), x), []).append((y, name))
+    labels = [
+        (x, some[0][0], textwrap.fill(", ".join(name for _, name in some), label_characters, break_on_hyphens=False))
+        for (_, x), some in sorted(together.items())
+    ]
+    rooms = [_LABEL_DISTANCE * (label.count("\n") + 1) for _, _, label in labels]
+    placed = spread([(y - low) / (high - low) for _, y, _ in labels], rooms)
+    for (x, y, label), height in zip(labels, placed, strict=True):
+        axes.annotate(
+            label,
+            (x, y),
+            (1.03, height),
+            textcoords="axes fraction",
+            va="center",
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": "0.75", "linewidth": 0.6, "relpos": (0, 0.5)},
+        )
