@@ -18,7 +18,7 @@ DASHES: tuple[tuple[str, str], ...] = (
 )  # fmt: skip
 _WIDTH_IN, _PANEL_IN = 7.2, 2.6
 _LABEL_DISTANCE = 0.07  # of an axis' height, for each line
-_LABEL_CHARACTERS = {1: 40, 2: 20, 3: 13}
+_LABEL_CHARACTERS = {1: 40, 2: 20}
 """By how many panels are beside each other."""
 _SAME_HEIGHT = 0.004
 _MIN_TICK_DISTANCE = 0.13  # of its width
@@ -36,7 +36,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes with curves. `lines`: levels drawn across. `min_span`: of the vertical axis."""
+    """Axes with curves. `lines`: levels drawn across."""
 
     title: str
     x_label: str
@@ -44,7 +44,6 @@ class Panel:
     curves: Sequence[Curve]
     log_x: bool = False
     lines: Sequence[float] = ()
-    min_span: float = 0.0
 
 
 def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
@@ -80,11 +79,8 @@ def _draw_panel(axes: Axes, panel: Panel, label_characters: int) -> None:
     axes.set_title(panel.title, loc="left")
     axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
     axes.grid(color="0.92")
-    low, high = axes.get_ylim()
-    missing = max(0.0, panel.min_span - (high - low))
-    never_negative = all(not y < 0 for curve in panel.curves for y in curve.y)
-    low = max(low - missing / 2, -0.04 * panel.min_span) if never_negative else low - missing / 2
-    axes.set_ylim(low, high + missing / 2)
+    if not any(y < 0 for curve in panel.curves for y in curve.y):
+        axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))
     if panel.log_x:
         ticks = _apart(sorted({x for curve in panel.curves for x in curve.x}))
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

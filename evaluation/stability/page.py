@@ -169,7 +169,7 @@ def _named(own: Sequence[Verdict], cells: Sequence[Verdict]) -> str:
     every = list(dict.fromkeys(cell.method for cell in cells))
     affected = {cell.method for cell in own}
     if len(affected) == len(every) > 1:
-        return "all"
+        return f"all {len(every)}"
     missing = [method for method in every if method not in affected]
     if len(missing) < len(affected) and len(missing) <= _MAX_METHODS and len(affected) > _FAMILY:
         return f"all but {pages.listed(_families(missing, every))}"
