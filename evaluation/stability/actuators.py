@@ -1,4 +1,4 @@
-"""Actuators that differ from what their compensation assumes, and compensation that asks for more than there is."""
+"""Actuators whose resonance lies off the compensated one, and compensation beyond the amplifier's limits."""
 
 import dataclasses
 import math
@@ -32,11 +32,11 @@ _LEVEL_LIMITS = f"up to {FELT_DB:g} dB", f"above {FAR_DB:g} dB"
 FREQUENCIES_HZ = (20, 50, 100, 150, 200, 250, 300, 350, 400, 600, 800)
 AMPLITUDES_UM = (5, 10, 15, 20, 25, 30, 35, 40)
 SINE_S = 0.5
-_RATE_HZ = 3000  # the piezo's own: nothing is resampled
+_RATE_HZ = 3000  # the piezo's own, so that nothing is resampled
 
 
 def gain_db(actuator: Actuator, compensated_as: Actuator, frequencies_hz: Samples) -> Samples:
-    """Return the gain, in dB, from wanted to real displacement, at the DAC's rate."""
+    """Return the gain in dB from target to real displacement, at the DAC's rate: one for each frequency."""
     gains = [
         np.abs(scipy.signal.freqz(b, a, worN=frequencies_hz, fs=actuator.dac_rate_hz)[1])
         for b, a in (actuator.response(actuator.dac_rate_hz), compensated_as.inverse())
@@ -45,7 +45,7 @@ def gain_db(actuator: Actuator, compensated_as: Actuator, frequencies_hz: Sample
 
 
 def measure_shift(actuator: Actuator, shift_percent: float) -> Measured:
-    """Shift a resonance; judge by how much the compensated gain changes where it changes most in BAND_HZ."""
+    """Shift a resonance and grade the largest change of the compensated gain within BAND_HZ."""
     frequencies_hz = np.geomspace(*BAND_HZ, 400)
     shifted = dataclasses.replace(actuator, corner_hz=actuator.corner_hz * (1 + shift_percent / 100))
     change_db = gain_db(shifted, actuator, frequencies_hz) - gain_db(actuator, actuator, frequencies_hz)
@@ -57,7 +57,7 @@ def measure_shift(actuator: Actuator, shift_percent: float) -> Measured:
 
 
 def measure_sine(actuator: Actuator, frequency_hz: float, amplitude_um: float, compensation: bool) -> Measured:
-    """Ask for a sine of displacement; judge by the fundamental that comes out and by what the limits held back."""
+    """Play a sine of displacement and grade the amplitude of the fundamental; count the samples that were limited."""
     time_s = np.arange(round(SINE_S * _RATE_HZ)) / _RATE_HZ
     wanted = amplitude_um / actuator.excursion_um * np.sin(2 * np.pi * frequency_hz * time_s)
     decoded = np.rint(32767 * wanted).astype(np.int16).reshape(-1, 1)

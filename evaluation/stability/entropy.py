@@ -1,4 +1,4 @@
-"""Entropy coding at extreme skew: bits spent on a coefficient against those that it needs."""
+"""Entropy coding of extreme coefficients and of silence: bits spent on a sample, and its entropy."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -55,7 +55,7 @@ COEFFICIENTS: dict[str, tuple[Callable[[], Signal], int]] = {
 
 
 def needed_bits(coefficients: Signal, levels: int) -> float:
-    """Return the bits a value of order 0: the entropy of two values, or of all levels, equally likely."""
+    """Return the entropy of order 0 in bits a value: of two values, or of all levels, equally likely."""
     if levels > 4:
         return math.log2(levels)
     _, counts = np.unique(coefficients, return_counts=True)
@@ -64,7 +64,7 @@ def needed_bits(coefficients: Signal, levels: int) -> float:
 
 
 def measure(coder: str, case: str) -> Measured:
-    """Code a signal that has these DCT coefficients; judge by the bits of the whole stream beyond the entropy.
+    """Code a signal that has these DCT coefficients and grade the bits of the whole stream above the entropy.
 
     Raises CodecError.
     """
@@ -77,7 +77,7 @@ def measure(coder: str, case: str) -> Measured:
 
 
 def measure_silence(rate_point: RatePoint) -> Measured:
-    """Code silence, which needs nothing."""
+    """Code silence, whose entropy is 0."""
     samples = np.zeros((BLOCKS * BLOCK, 1))
     _, stream = decoded(samples, RATE_HZ, rate_point)
     return judge(8 * stream.size_bytes / samples.size, 0.0)

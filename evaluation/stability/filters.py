@@ -1,4 +1,4 @@
-"""Synthesis filters of linear prediction after quantisation: which forms of their coefficients stay stable."""
+"""Synthesis filters of linear prediction after quantisation, in three forms of their coefficients."""
 
 from functools import lru_cache, partial
 
@@ -31,7 +31,7 @@ def predictors(order: int) -> Signal:
 
 
 def measure(form: str, order: int, bits: int) -> Measured:
-    """Quantise every predictor; judge by the share whose synthesis filter has a pole on or outside the unit circle."""
+    """Quantise every predictor and grade the share of filters with a pole on or outside the unit circle."""
     radii = linear_prediction.quantised_pole_radii(predictors(order), form, bits)
     share, max_radius = float(np.mean(radii > 1 - 1e-9)), float(np.max(radii))
     figures = {"unstable_share": share, "max_pole_radius": max_radius, "predictors": len(radii)}

@@ -1,4 +1,4 @@
-"""The same ONNX graphs run otherwise, as on another machine: how far the results lie apart, and what comes of it."""
+"""The same ONNX graphs under other options, as on another machine, and how far the results lie apart."""
 
 import sys
 from collections.abc import Callable
@@ -31,7 +31,7 @@ from vibrocast.evaluation.trained import runtimes
 Values = NDArray[np.float32]
 
 HELD, FAILED = 1e-5, 1e-3
-"""Largest difference of two runs, relative to the peak: as ONNX graphs are held against torch, and 60 dB below."""
+"""Largest difference of two runs, relative to the peak: the limit for ONNX graphs against torch, and -60 dB."""
 PIECE_COLUMNS, MARGIN_COLUMNS = 16, 4
 _WAYS: dict[str, tuple[str, int, bool]] = {
     "no optimisation": ("ORT_DISABLE_ALL", 1, False),
@@ -46,7 +46,7 @@ _WAYS: dict[str, tuple[str, int, bool]] = {
 def run(
     graph: bytes, source: str, result: str, values: Values, level: str = "ORT_ENABLE_ALL", threads: int = 1
 ) -> Values:
-    """Return what a graph makes of values (1, channels, time) by ONNX Runtime with these options."""
+    """Return a graph's result for values (1, channels, time), by ONNX Runtime with these options."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -57,7 +57,7 @@ def run(
 
 
 def _in_pieces(transform: Callable[[Values], Values], values: Values, hop_in: int, hop_out: int) -> Values:
-    """Return what a transform makes of pieces of PIECE_COLUMNS columns, with others around them that are left out."""
+    """Return the transforms of pieces of PIECE_COLUMNS columns, each computed with MARGIN_COLUMNS around it."""
     columns = values.shape[2] // hop_in
     parts = []
     for start in range(0, columns, PIECE_COLUMNS):
@@ -78,7 +78,7 @@ def _latents(rate_point: RatePoint) -> tuple[Values, Values]:
 
 
 def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
-    """Run the analysis otherwise; count the latents that are rounded to other integers."""
+    """Run the analysis in another way; count the latents that are rounded to other integers."""
     signal, latents = _latents(rate_point)
     assert rate_point.model is not None, "a learned method has models"
     level, threads, pieces = _WAYS[way]
@@ -89,7 +89,7 @@ def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
 
 
 def measure_synthesis(rate_point: RatePoint, way: str) -> Measured:
-    """Run the synthesis otherwise on the same integers."""
+    """Run the synthesis in another way on the same integers."""
     _, latents = _latents(rate_point)
     assert rate_point.model is not None, "a learned method has models"
     graph = EvaImage.unpack(rate_point.model.tables).graph
@@ -109,7 +109,7 @@ def _judged(values: Values, other: Values, figures: dict[str, float | None]) -> 
 
 
 def measure_core(rate_point: RatePoint) -> Measured:
-    """Decode by the integer core where ONNX Runtime cannot even be imported; the samples must not differ.
+    """Decode with the integer core while ONNX Runtime cannot be imported; the samples must not differ.
 
     Raises CodecError.
     """

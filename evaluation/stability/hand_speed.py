@@ -1,4 +1,4 @@
-"""A surface coded at one hand speed and played at others: what is left of the band that is felt and rendered."""
+"""A surface coded at one hand speed and played at others: the quality of the band that is felt and rendered."""
 
 import math
 from functools import partial
@@ -24,7 +24,7 @@ from vibrocast.textures.generate import rough, wood_surface
 CODED_MM_S = 50.0
 SPEEDS_MM_S = (25.0, 30.0, 40.0, 50.0, 65.0, 80.0, 100.0, 140.0, 200.0)
 BAND_HZ = (10.0, 400.0)
-"""What the DCT paper codes and its actuator follows; textures are felt in it."""
+"""The band that the DCT paper codes and its actuator follows."""
 SECONDS = 4.0
 LOST_DB = 3.0
 GENERATED = {"wood": wood_surface, "sandpaper": rough}
@@ -36,7 +36,7 @@ def band(spatial: Signal, speed_mm_s: float) -> NDArray[np.bool_]:
 
 
 def measure(rate_point: RatePoint, surface: str, speed_mm_s: float) -> Measured:
-    """Code a surface as swept over at CODED_MM_S, play it faster or slower; judge the band at that speed.
+    """Code a surface at CODED_MM_S, play it faster or slower, and grade BAND_HZ at that speed.
 
     A height z(x) at the place x is played at the time x / speed: its spatial frequency k becomes speed * k. So SNR
     within the band at any speed is a sum over a part of the same spectra. Raises CodecError.

@@ -1,4 +1,4 @@
-"""Signals that trained models may not know: of other kinds, quieter in parts, far from the level that they are told."""
+"""Signals that trained models may not know: of other kinds, quieter in parts, far from the stated level."""
 
 import dataclasses
 import math
@@ -47,7 +47,7 @@ from vibrocast.evaluation.trained import runtimes
 from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
 
 OWN = "mdct"
-"""The codec without a learned transform, that others are held against: its tables adapt to any signal."""
+"""The codec for comparison: it has no learned transform, and its tables adapt to any signal."""
 WANTED_SNR_DB = 10.0
 HELD_RATIO, FAILED_RATIO = 1.25, 2.0
 QUIETER_DB = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
@@ -140,7 +140,7 @@ def measure_kind(rate_point_set: Sequence[RatePoint], name: str) -> Measured:
 
 
 def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
-    """Code a texture whose second half is quieter; judge that half as a signal. Raises CodecError."""
+    """Code a texture whose second half is quieter, and grade that half as a signal. Raises CodecError."""
     samples = texture(seconds=2 * _SECONDS)
     second = slice(len(samples) // 2, len(samples))
     samples[second] *= 10 ** (-quieter_db / 20)
@@ -149,7 +149,7 @@ def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
 
 
 def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:
-    """Code a texture at a level that is not its own; judge by what it is worth at its own. Raises CodecError."""
+    """Code a texture at a wrong level, and grade it by the SNR at the right one. Raises CodecError."""
     samples = _clicks(texture()) if name == "texture with clicks" else texture()
     stream = encoded(samples, RATE_HZ, rate_point)
     heard = {each: _by_runtime(stream, each) for each in {runtime, "core"}}

@@ -1,4 +1,4 @@
-"""Imports what other codecs do with hard signals, as others measured it."""
+"""Imports figures that others measured of other codecs on hard signals."""
 
 import csv
 import math

@@ -1,4 +1,4 @@
-"""Settings from coarse to fine: does the quality rise on the way up every set of rate points?"""
+"""Settings from coarse to fine: whether the quality rises along every set of rate points."""
 
 import dataclasses
 import math
@@ -38,7 +38,7 @@ TEXTURES = (*SURFACES, "acceleration")
 
 
 def texture_of(name: str) -> tuple[Signal, str]:
-    """Return a texture by its name, with its unit: heights without their mean, or what a stylus on wood feels."""
+    """Return a texture by its name, with its unit: heights without their mean, or the acceleration of a stylus."""
     if name == "acceleration":
         return wood(0, SECONDS, HAND_SPEED_MM_S, RATE_HZ).samples, "m/s^2"
     samples = SURFACES[name](0, SECONDS, HAND_SPEED_MM_S, RATE_HZ).samples
@@ -162,7 +162,7 @@ FINEST_LEVELS = 65_535
 def _dct_trials(
     name: str, methods: Mapping[str, Setting], parameter: str, values: Sequence[float], scope: Scope
 ) -> list[Trial]:
-    """Return the trials of one parameter of the codec that these maps are about, beside fixed ones of each method."""
+    """Return the trials of one parameter of DCT; each method fixes the other parameters."""
     if not scope.has(DCT):
         return []
     return [

@@ -1,4 +1,4 @@
-"""Recordings of a person's own: every codec at three of its settings, judged as the hard signals are."""
+"""The user's recordings: every codec at three of its settings, graded as the hard signals are."""
 
 from functools import partial
 
@@ -19,7 +19,7 @@ MAX_S = 60.0
 
 
 def measure(rate_point: RatePoint, recording: Recording) -> Measured:
-    """Code a recording, at most its first MAX_S, and judge what comes back. Raises CodecError."""
+    """Code a recording, at most its first MAX_S, and grade the decoded samples. Raises CodecError."""
     rate_hz = round(recording.rate_hz)
     samples = recording.samples[: round(MAX_S * rate_hz)]
     heard, stream = decoded(samples, rate_hz, rate_point, recording.unit)

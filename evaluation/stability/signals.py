@@ -36,7 +36,7 @@ PEAK = 0.8
 
 SNR_MARGIN_DB = 6.0
 FAILED_SNR_DB, MIN_SNR_DB, ENOUGH_SNR_DB = -0.5, 1.0, 40.0
-"""SNR below which silence would be clearly nearer, nothing of a signal is left, and above which it is always enough."""
+"""SNR below which silence is clearly nearer, below which the signal is lost, and above which quality always holds."""
 LOUDER_DB, FAR_LOUDER_DB = 3.0, 6.0
 SILENT, NEARLY_SILENT = 1e-4, 1e-2  # of full scale: -80 and -40 dB
 PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB = -30.0, -6.0
@@ -126,7 +126,7 @@ def _on_a_swing() -> Signal:
 
 
 def tactile_part(samples: Signal, rate_hz: int = RATE_HZ) -> Signal:
-    """Return what lies above HIGHPASS_HZ of samples (n, channels), without delay."""
+    """Return the part of samples (n, channels) above HIGHPASS_HZ, without delay."""
     return highpass(Recording(samples, float(rate_hz), "m/s^2", "signal")).recording.samples
 
 
@@ -179,7 +179,7 @@ QUICK_CONDITIONS = ("texture", "silence", "one impulse", "1 sample", "a NaN")
 
 
 def decoded(samples: Signal, rate_hz: int, rate_point: RatePoint, unit: str = "full scale") -> tuple[Signal, Stream]:
-    """Code a signal into a whole stream; return what that decodes to and the stream. Raises as codec.encode."""
+    """Code a signal into a whole stream; return the decoded samples and the stream. Raises as codec.encode."""
     stream = encoded(samples, rate_hz, rate_point, unit)
     return stream.decode(), stream
 
@@ -197,7 +197,7 @@ def encoded(
 
 @lru_cache
 def texture_snr_db(rate_point: RatePoint) -> float:
-    """Return the SNR of the texture at a setting: what other signals are measured by."""
+    """Return the SNR of the texture at a setting, with which other signals are compared."""
     samples = texture()
     return codec.snr_db(samples, decoded(samples, RATE_HZ, rate_point)[0]) or 0.0
 
@@ -210,7 +210,7 @@ def louder_db(reference: Signal, heard: Signal) -> float:
 
 
 def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
-    """Return the outcome for a signal and what was decoded of it, by the rules that SIGNALS states."""
+    """Return the outcome for a signal and its decoded samples, by the rule of SIGNALS."""
     if not np.isfinite(heard).all():
         return Measured(Outcome.FAILS, {}, "not finite")
     if not reference.any():
@@ -234,13 +234,13 @@ def judge(reference: Signal, heard: Signal, texture_snr_db: float) -> Measured:
 
 
 def with_bits(measured: Measured, stream: Stream, heard: Signal) -> Measured:
-    """Return what was measured of a stream that decodes to `heard`, with its bits per sample among the figures."""
+    """Return a measurement of a stream that decodes to `heard`, with its bits per sample among the figures."""
     bits = 8 * stream.size_bytes / heard.size
     return replace(measured, figures={**measured.figures, "bits_per_sample": bits})
 
 
 def measure(rate_point: RatePoint, name: str) -> Measured:
-    """Code one of CONDITIONS and judge what comes back. Raises CodecError for what the codec rejects."""
+    """Code one of CONDITIONS and grade the decoded samples. Raises CodecError where the codec rejects it."""
     condition = CONDITIONS[name]
     samples = condition.make()
     heard, stream = decoded(samples, condition.rate_hz, rate_point, condition.unit)
@@ -252,7 +252,7 @@ def measure(rate_point: RatePoint, name: str) -> Measured:
 
 
 def measure_hour(rate_point: RatePoint) -> Measured:
-    """Code and decode an hour; judge its last minute. Raises CodecError."""
+    """Code and decode an hour, and grade its last minute. Raises CodecError."""
     minute = texture(seconds=60)
     heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, rate_point)
     measured = judge(minute, heard[-len(minute) :], texture_snr_db(rate_point))
@@ -260,7 +260,7 @@ def measure_hour(rate_point: RatePoint) -> Measured:
 
 
 def measure_onset(rate_point: RatePoint) -> Measured:
-    """Code a sine that sets in after silence; judge by the worst of several places within a block."""
+    """Code a sine that begins after silence, and grade the worst of several places within a block."""
     figures: dict[str, float] = {}
     for shift in _ONSET_SHIFTS:
         onset = RATE_HZ // 2 + shift

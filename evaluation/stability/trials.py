@@ -1,4 +1,4 @@
-"""Trials of a method in one hard condition each, run on all cores: whatever happens in one is its outcome."""
+"""Trials of a method under one hard condition each, run on all cores; a crash is an outcome too."""
 
 import math
 import signal
@@ -29,7 +29,7 @@ CLEAR_ERRORS = (
 
 
 class Outcome(StrEnum):
-    """What came of a trial, the best first."""
+    """Outcomes of a trial, the best first."""
 
     HOLDS = "holds"
     REJECTED = "rejected"
@@ -44,7 +44,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Measured:
-    """What a trial measured: its outcome, named figures (None: no value), and in words what a person gets."""
+    """The outcome of a trial, its figures by name (None: no value), and the effect on the user in words."""
 
     outcome: Outcome
     figures: Mapping[str, float | None]
@@ -59,7 +59,7 @@ def graded(value: float, held: float, failed: float, figures: Mapping[str, float
 
 @dataclass(frozen=True)
 class Trial:
-    """One condition to try: of which map, method and case, at which value of what the map varies, and the measurement.
+    """One condition: its map, method and case, the value that the map varies, and the measurement.
 
     `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_rejected`:
     that it must end with an error that a person can act on, one of `clear_errors`.

@@ -23,6 +23,7 @@ from vibrocast.textures.dataset import DatasetError
 
 MAX_FAILURES = 5
 """That the command prints; the page has all."""
+OUTCOMES = {"rejected": "rejected", "degraded": "degraded", "fails": "failed", "holds": "wrongly accepted"}
 
 
 @click.command()
@@ -71,10 +72,8 @@ def stability(
         raise BadInput(str(error)) from error
     with progress.bar("testing") as update:
         cells, failures = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
-    outcomes = Counter("as required" if cell.sound else str(cell.outcome) for cell in cells)
-    counts = ", ".join(
-        f"{outcomes[name]} {name}" for name in ("as required", "degraded", "fails", "rejected") if outcomes[name]
-    )
+    outcomes = Counter("as required" if cell.sound else OUTCOMES[cell.outcome] for cell in cells)
+    counts = ", ".join(f"{outcomes[name]} {name}" for name in ("as required", *OUTCOMES.values()) if outcomes[name])
     for each in failures[:MAX_FAILURES]:
         click.echo(f"{each.failure}: {each.methods} ({each.boundary})\n  remedy: {each.remedy}")
     if len(failures) > MAX_FAILURES:

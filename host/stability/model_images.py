@@ -46,7 +46,7 @@ def _changed(rate_point: RatePoint, place_percent: float) -> bytes:
 
 
 def measure_changed(rate_point: RatePoint, runtime: str, place_percent: float) -> Measured:
-    """Decode with a changed payload that nothing vouches against; rate what comes out. Raises CodecError."""
+    """Decode with a changed payload that no CRC or hash reveals, and compare the samples. Raises CodecError."""
     stream = _stream(rate_point)
     payloads = ModelImage.unpack(rate_point.image or b"").payload, _changed(rate_point, place_percent)
     expected, came = (_decoded(stream, payload, runtime) for payload in payloads)
@@ -58,7 +58,7 @@ def measure_changed(rate_point: RatePoint, runtime: str, place_percent: float) -
 
 
 def _decoded(stream: Stream, payload: bytes, runtime: str) -> Signal:
-    """Return what a stream's packets decode to with a payload, whatever image the stream names."""
+    """Return the samples of a stream's packets, decoded with a payload, whatever image the stream names."""
     header = stream.header
     decoder = codec.decoder(header.codec_identifier, header.configuration, header.channels, payload, runtime or None)
     return np.concatenate([decoder.decode(packet) for packet in stream.packets]).astype(np.float64)

@@ -65,7 +65,7 @@ _RULE = Rule(
 
 @dataclass(frozen=True)
 class LinkFaults:
-    """What is wrong between host and controller. `lost`, `flipped`: chance of each frame, in both directions.
+    """Faults between host and controller. `lost`, `flipped`: the probability of each frame, in both directions.
 
     `stall_s`: how long nothing goes through, about every STALLS_EVERY_S. `drift_ppm`: of the controller's clock.
     """
@@ -113,7 +113,7 @@ def flash_with(image: bytes | None) -> FlashMemory:
 
 
 def measure(rate_point: RatePoint, faults: LinkFaults, buffer_s: float = BUFFER_S) -> Measured:
-    """Play the texture LOOPS times over a faulty link; rate what came to the DAC. Raises as `player.play`."""
+    """Play the texture LOOPS times over a faulty link, and compare the DAC's codes. Raises as `player.play`."""
     stream, expected = _stream(rate_point)
     played: list[NDArray[np.int16]] = []
     controller = Controller(Settings(drift_ppm=faults.drift_ppm), flash_with(rate_point.image), on_dac=played.append)
@@ -132,7 +132,7 @@ def measure(rate_point: RatePoint, faults: LinkFaults, buffer_s: float = BUFFER_
 def rate_codes(
     expected: NDArray[np.float64], codes: NDArray[np.float64], underruns: int, lost_packets: int, reconnects: int
 ) -> Measured:
-    """Return the outcome of a playback from the codes (n, 1) that the DAC should have had and those that it had."""
+    """Return the outcome of a playback from the expected and the real codes (n, 1) of the DAC."""
     length = max(len(expected), len(codes))
     error = np.zeros((length, 1))
     error[: len(expected)] = expected
@@ -157,7 +157,7 @@ def rate_codes(
 
 
 def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
-    """Play from a source that sends each packet when its own clock says so; rate it by the packets that came too late.
+    """Play from a source that sends packets by its own clock, and grade the share that came too late.
 
     Raises ControllerError and the like.
     """
