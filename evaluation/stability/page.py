@@ -169,7 +169,7 @@ def _named(own: Sequence[Verdict], cells: Sequence[Verdict]) -> str:
     every = list(dict.fromkeys(cell.method for cell in cells))
     affected = {cell.method for cell in own}
     if len(affected) == len(every) > 1:
-        return f"all {len(every)}"
+        return "both" if len(every) == 2 else f"all {len(every)}"
     missing = [method for method in every if method not in affected]
     if len(missing) < len(affected) and len(missing) <= _MAX_METHODS and len(affected) > _FAMILY:
         return f"all but {pages.listed(_families(missing, every))}"
@@ -190,7 +190,7 @@ def _families(methods: Sequence[str], every: Sequence[str]) -> list[str]:
 
 def boundary(each: Map, own: Sequence[Verdict], cells: Sequence[Verdict]) -> str:
     """Return in words under which conditions a failure's cells lie, the worst outcome first."""
-    parts, named = [], set()
+    parts, named, cases = [], set(), len({cell.case for cell in cells})
     for outcome in _BAD_FIRST:
         of_outcome = [cell for cell in own if cell.outcome is outcome]
         keys = dict.fromkeys(cell.value if each.varied else cell.case for cell in of_outcome)
@@ -199,6 +199,8 @@ def boundary(each: Map, own: Sequence[Verdict], cells: Sequence[Verdict]) -> str
         if each.varied and new:
             values = ranges([key for key in new if isinstance(key, float)], _values(cells))
             parts.append(f"{outcome}: {each.varied.format(values)}")
+        elif len(new) > max(_MAX_CASES + 1, cases / 2):
+            parts.append(f"{outcome}: {len(new)} of {cases} cases")
         elif new:
             # "1 more" would take the room of the one.
             named_cases = new if len(new) <= _MAX_CASES + 1 else [*new[:_MAX_CASES], f"{len(new) - _MAX_CASES} more"]

@@ -23,7 +23,7 @@ from vibrocast.textures.dataset import DatasetError
 
 MAX_FAILURES = 5
 """That the command prints; the page has all."""
-OUTCOMES = {"rejected": "rejected", "degraded": "degraded", "fails": "failed", "holds": "wrongly accepted"}
+OUTCOMES = {"rejected": "rejected", "degraded": "degraded", "fails": "failed"}
 
 
 @click.command()

@@ -426,9 +426,10 @@ def test_ranges_join_neighbours_only() -> None:
 
 
 def test_no_more_than_some_cases_are_named_and_the_others_counted() -> None:
-    cells = [cell(Outcome.FAILS, f"case {number}") for number in range(4)]
-    assert page.boundary(signals.SIGNALS, cells, cells) == "fails: case 0, case 1, 2 more"
+    cells = [cell(Outcome.FAILS, f"case {number}") for number in range(9)]
     assert page.boundary(signals.SIGNALS, cells[:3], cells) == "fails: case 0, case 1, case 2"
+    assert page.boundary(signals.SIGNALS, cells[:4], cells) == "fails: case 0, case 1, 2 more"
+    assert page.boundary(signals.SIGNALS, cells[:5], cells) == "fails: 5 of 9 cases"
 
 
 LETTERS = {outcome.letter: outcome for outcome in Outcome}
@@ -467,7 +468,8 @@ def test_the_page_begins_with_the_failures_their_limits_and_remedies(tmp_path: P
 @pytest.mark.parametrize(
     ("bad", "good", "words"),
     [
-        (["mdct", "slp"], [], "all 2"),
+        (["mdct", "slp"], [], "both"),
+        (["mdct", "slp", "dct"], [], "all 3"),
         (["mdct", "dct", "slp", "opus"], ["flac"], "all but flac"),
         (["eva-1", "eva-2", "eva-3"], ["mdct", "dct"], "eva-*"),
         (["eva-1", "eva-2"], ["eva-3", "mdct"], "eva-1 and eva-2"),
