@@ -1,10 +1,11 @@
-"""The subcommand `plan`: chooses how each texture of a scene is coded, writes the plan, and says why."""
+"""The subcommand `plan`: chooses how each texture of a scene is coded, and says why."""
 
 import json
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import click
-from msgspec import structs
 
 from vibrocast import extras, progress
 from vibrocast.host.cli.options import INPUT
@@ -17,15 +18,16 @@ FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
 @click.command()
 @click.argument("scene_path", metavar="SCENE.toml", type=INPUT)
 @click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for what is written."
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Write plan, picture and tables into a folder."
 )
-@click.option("--play", "plays", is_flag=True, help="Play the plan, and compare measurement and forecast.")
-@click.option("--json", "as_json", is_flag=True, help="Print the forecasts as JSON.")
-def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
-    """Choose how each texture of a scene is coded, with no more than it needs.
+@click.option("--play", "plays", is_flag=True, help="Play the plan, and compare measurement with forecast.")
+@click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")
+def plan(scene_path: Path, out: Path | None, plays: bool, as_json: bool) -> None:
+    """Choose the cheapest codec settings that meet your requirements.
 
-    Writes plan.toml, a picture of all that was measured (plan.png), and its tables (candidates.csv, bands.csv); with
-    --play also forecast.csv and forecast.json. What is then measured more than 10 % off its forecast fails.
+    Prints the choice for each texture with its reason, and the three nearest alternatives. With --out, writes the plan
+    (plan.toml), all candidates (candidates.csv, plan.png) and the bands (bands.csv); with --play also forecast.csv and
+    forecast.json. A figure that differs from its forecast by more than 10 % then fails the command.
     """
     extras.require("bench")
     from vibrocast.host import planner
@@ -34,18 +36,25 @@ def plan(scene_path: Path, out: Path, plays: bool, as_json: bool) -> None:
     scene = planner.read_scene(scene_path)
     with progress.bar("planning") as update:
         planned, choices = planner.plan(scene, update)
-    out.mkdir(parents=True, exist_ok=True)
-    planner.write_plan(out / page.PLAN, planned)
-    page.write_tables(out, choices)
-    page.draw(out / page.PICTURE, scene, choices)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        planner.write_plan(out / page.PLAN, planned)
+        page.write_tables(out, choices)
+        page.draw(out / page.PICTURE, scene, choices)
+    answers = list(zip(choices, planned.textures, strict=True))
     if as_json and not plays:
-        click.echo(json.dumps({each.name: structs.asdict(each.forecast) for each in planned.textures}, indent=2))
+        click.echo(json.dumps({texture.name: page.document(choice, texture) for choice, texture in answers}, indent=2))
     if not as_json:
-        for choice, texture in zip(choices, planned.textures, strict=True):
+        for choice, texture in answers:
             for line in page.summary(choice, texture).splitlines():
                 click.echo(plain(line))
-        click.echo(str(out / page.PLAN))
+        if out is not None:
+            click.echo(f"{out / page.PLAN}: the plan; all {sum(len(each.candidates) for each in choices)} candidates")
+            click.echo(f"are in {page.CANDIDATES} and {page.PICTURE} next to it")
     if plays:
-        # From the file, which says it all.
-        written = planner.read_plan(out / page.PLAN)
-        play_plan(written, (), out / FORECAST_JSON, out / FORECAST_CSV, as_json)
+        with ExitStack() as stack:
+            folder = out or Path(stack.enter_context(TemporaryDirectory()))
+            # From the file, which holds all that the plan says.
+            planner.write_plan(folder / page.PLAN, planned)
+            written = planner.read_plan(folder / page.PLAN)
+            play_plan(written, (), folder / FORECAST_JSON, folder / FORECAST_CSV, as_json)

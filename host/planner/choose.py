@@ -1,4 +1,4 @@
-"""Chooses how each texture of a scene is coded: the least weighted cost that meets what is asked, and says why."""
+"""Chooses how each texture of a scene is coded: the least weighted cost that meets the targets; and says why."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -13,9 +13,17 @@ from vibrocast.host.planner.scene import Asked, Scene
 
 Progress = Callable[[float, str], None]
 FIRST_PACKET_BLOCKS = 4
-"""The search for a setting of an option begins with packets of so many blocks."""
+"""Length of packets with which the search for a setting of an option begins."""
 _FINER, _FINER_ON_THE_WHOLE = 3, 16
-"""Settings that are tried beyond the one found, in other packets, and on the whole of a long texture."""
+"""Finer settings that the search tries after the one found, in other packets, and on the whole of a long texture."""
+NEAREST = 3
+"""Alternatives that a person sees; the file of candidates has all."""
+QUALITIES = {
+    "snr_db": ("SNR", " dB"),
+    "spqi": ("SPQI", ""),
+    "third_octave_distance_db": ("third-octave distance", " dB"),
+}
+"""Name and unit of each measure for a person."""
 _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
 """Keys of the limits that a capped rate may keep where no setting does."""
 
@@ -26,7 +34,7 @@ class PlanningError(InputFileError):
 
 @dataclass(frozen=True)
 class Reason:
-    """Why an option was not chosen. `best`: the nearest that it came; None where it has no setting at all."""
+    """Why an option was not chosen. `best`: its candidate nearest to the targets; None where it has no setting."""
 
     option: CodingOption
     best: Candidate | None
@@ -35,10 +43,11 @@ class Reason:
 
 @dataclass(frozen=True)
 class TextureChoice:
-    """The choice for a texture, the candidates, and why the others were not chosen."""
+    """The choice for a texture, `why` it was chosen, all candidates, and why each other option was not chosen."""
 
     evaluator: Evaluator
     chosen: Candidate
+    why: str
     candidates: tuple[Candidate, ...]
     reasons: tuple[Reason, ...]
 
@@ -46,6 +55,15 @@ class TextureChoice:
     def name(self) -> str:
         """Name of the texture."""
         return self.evaluator.texture.name
+
+    @property
+    def alternatives(self) -> tuple[Reason, ...]:
+        """The NEAREST other options: first those that meet the targets, then those that miss, each by their cost."""
+
+        def distance(reason: Reason) -> tuple[bool, float]:
+            return not reason.best.meets, abs(reason.best.cost - self.chosen.cost)  # type: ignore[union-attr]
+
+        return tuple(sorted((each for each in self.reasons if each.best is not None), key=distance)[:NEAREST])
 
 
 def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[TextureChoice, ...]]:
@@ -76,30 +94,29 @@ def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part,
     chosen = search.cheapest(options) or search.cheapest(search.capped(options))
     if chosen is None:
         raise search.error()
-    reasons = (
+    reasons = tuple(
         Reason(option, best, search.why_not(option, best, chosen))
         for option, best in search.bests.items()
         if option != chosen.measured.option
     )
-    return TextureChoice(evaluator, chosen, search.candidates(), (search.why_not_coarser(chosen), *reasons))
+    return TextureChoice(evaluator, chosen, search.why(chosen), search.candidates(), reasons)
 
 
 class _Search:
-    """The search for the cheapest candidate of one texture. `bests`: the nearest that each option came."""
+    """The search for the cheapest candidate of one texture. `bests`: the best candidate of each option."""
 
     def __init__(self, evaluator: Evaluator, scene: Scene, progress: Progress) -> None:
         self.bests: dict[CodingOption, Candidate | None] = {}
         self._evaluator, self._scene, self._progress = evaluator, scene, progress
 
     def candidates(self) -> tuple[Candidate, ...]:
-        """Return all that has been measured, as the scene sees it."""
+        """Return all measured codings, as the scene sees them."""
         return tuple(self._evaluator.assessed(measured, self._scene) for measured in self._evaluator.measured)
 
     def cheapest(self, options: list[CodingOption]) -> Candidate | None:
-        """Return the cheapest candidate of these options that meets all, if there is one.
+        """Return the cheapest candidate of these options that meets the targets, if there is one.
 
-        An option is given up where it already costs more than the best one does without having the quality: finer
-        costs more.
+        The search leaves an option that misses the quality and already costs more than the best: finer costs more.
         """
         meeting: list[tuple[Candidate, CodingOption, int, int]] = []
         for place, option in enumerate(options):
@@ -130,31 +147,40 @@ class _Search:
     def why_not(self, option: CodingOption, best: Candidate | None, chosen: Candidate) -> str:
         """Return in a line why an option was not chosen."""
         if best is None and option.rate_limit_bps is not None:
-            return "cannot be held to this rate"
+            return "it cannot hold this rate"
         if best is None:
-            return "cannot code this signal at this rate"
-        costs = f"not needed: costs {best.cost:.3g} instead of {chosen.cost:.3g}"
-        if best.meets:
-            return f"{costs} ({_differences(best, chosen, self._scene)})"
-        if best.cost >= chosen.cost:
-            return f"{costs}, and is not enough: {self._missing(best)}"
-        return f"cheaper, but not enough: {self._missing(best)}"
+            return "it cannot code this signal at this rate"
+        cost = self._compared_cost(chosen)
+        costs = f"{'higher' if best.cost >= cost else 'lower'} cost ({best.cost:.3g} vs {cost:.3g}"
+        if not best.meets:
+            return f"{costs}) and misses the target: {self._missing(best)}"
+        if best.cost >= cost:
+            return f"{costs}; {_differences(best, chosen, self._scene)})"
+        return f"{costs}), but misses the target on the whole texture"
 
-    def why_not_coarser(self, chosen: Candidate) -> Reason:
-        """Return why no coarser setting of the chosen option was taken."""
-        option = chosen.measured.option
-        nearest = min(
-            (
-                each
-                for each in self.candidates()
-                if each.measured.option == option and each.shortfall > 0 and each.cost < chosen.cost
-            ),
-            key=lambda each: each.shortfall,
-            default=None,
+    def _compared_cost(self, chosen: Candidate) -> float:
+        """Return the choice's cost where options were compared: on the loudest part of a long texture."""
+        own = [each.cost for each in self.candidates() if each.measured.option == chosen.measured.option and each.meets]
+        return min(own)
+
+    def why(self, chosen: Candidate) -> str:
+        """Return in a sentence why a candidate was chosen, and why not a coarser setting of it."""
+        meeting = sum(best is not None and best.meets for best in self.bests.values())
+        asked = self._scene.asked
+        first = (
+            f"cheapest of the {meeting} options that meet {target(asked)} within all limits"
+            if meeting > 1
+            else f"the only option that meets {target(asked)} within all limits"
         )
-        if nearest is None:
-            return Reason(option, None, "it has no coarser setting")
-        return Reason(option, nearest, f"coarser: cheaper, but not enough: {reached(nearest, self._scene.asked)}")
+        coarser = [
+            each
+            for each in self.candidates()
+            if each.measured.option == chosen.measured.option and each.shortfall > 0 and each.cost < chosen.cost
+        ]
+        if not coarser:
+            return f"{first}; it has no coarser setting"
+        nearest = min(coarser, key=lambda each: each.shortfall)
+        return f"{first}; a coarser setting has {reached(nearest, asked)}"
 
     def error(self) -> PlanningError:
         """Return the error that names the limits which the nearest candidate exceeds, or the best quality."""
@@ -166,7 +192,7 @@ class _Search:
             )
         enough = [candidate for candidate in candidates if candidate.shortfall <= 0 and candidate.broken]
         if enough:
-            nearest, action = min(enough, key=_octaves_over), "raise that, or require less"
+            nearest, action = min(enough, key=_octaves_over), "raise this limit, or require less"
         else:
             nearest, action = min(candidates, key=lambda candidate: candidate.shortfall), "require less"
         return PlanningError(
@@ -177,7 +203,8 @@ class _Search:
     def _missing(self, candidate: Candidate) -> str:
         """Return the quality where a candidate falls short of it, and the limits that it exceeds."""
         controller = self._evaluator.texture.controller
-        quality = [reached(candidate, self._scene.asked)] * (candidate.shortfall > 0)
+        asked = self._scene.asked
+        quality = [f"{reached(candidate, asked)}, required {target(asked)}"] * (candidate.shortfall > 0)
         limits = [
             f"needs {limit.place(controller)} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
             for limit in candidate.broken
@@ -187,7 +214,7 @@ class _Search:
     def _of_option(self, option: CodingOption, bound: float) -> Iterator[tuple[Candidate, int, int]]:
         """Yield candidates of an option, each with the place of its setting and the blocks in its packets.
 
-        First the coarsest setting with the asked quality is found, by halving; then packets of other lengths are tried.
+        Bisection finds the coarsest setting with the required quality. Then packets of other lengths follow.
         """
         lengths = self._evaluator.packet_blocks(option)
         if option.rate_limit_bps is not None:
@@ -219,9 +246,9 @@ class _Search:
                         break
 
     def _other_lengths(self, lengths: list[int], found: Candidate, blocks: int) -> list[int]:
-        """Return the packet lengths left to try, in blocks, where `found` has so many.
+        """Return the other packet lengths, in blocks, for an option whose candidate `found` has `blocks`.
 
-        The usual ones, and the longest for which the asked delay leaves time, which have the fewest frames.
+        The usual ones, and the longest within the delay limit, which have the fewest frames.
         """
         usual, limit_ms = set(lengths), self._scene.asked.delay_limit_ms
         if limit_ms is not None and not self._evaluator.over_position:
@@ -234,7 +261,7 @@ class _Search:
         return sorted(usual - {blocks})
 
     def _on_the_whole(self, option: CodingOption, index: int, blocks: int) -> Candidate | None:
-        """Return the candidate measured on all of the texture, finer where that is needed; None where it fails."""
+        """Return the candidate measured on the whole texture, finer where needed; None where it fails."""
         for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(self._evaluator.qualities(option)))):
             candidate = self._candidate(option, finer, blocks, whole=True)
             if candidate is not None and candidate.shortfall <= 0:
@@ -275,13 +302,21 @@ def _differences(best: Candidate, chosen: Candidate, scene: Scene) -> str:
 
 
 def reached(candidate: Candidate, asked: Asked) -> str:
-    """Return the quality of a candidate beside the asked one."""
+    """Return the quality of a candidate in words."""
     if candidate.quality is None:
-        return "silent"
+        return "silence"
     if asked.measure == "imperceptible":
-        return f"its error is {candidate.quality:+.1f} dB re the detection threshold, {MARGIN_DB:g} are asked"
-    wanted = getattr(asked, asked.measure)
-    return f"{asked.measure} {candidate.quality:.3g}, {wanted:.3g} is asked"
+        return f"an error of {candidate.quality:+.1f} dB re the detection threshold"
+    name, unit = QUALITIES[asked.measure]
+    return f"{name} {candidate.quality:.3g}{unit}"
+
+
+def target(asked: Asked) -> str:
+    """Return the required quality in words."""
+    if asked.measure == "imperceptible":
+        return f"an error of {MARGIN_DB:g} dB re the detection threshold"
+    name, unit = QUALITIES[asked.measure]
+    return f"{name} {getattr(asked, asked.measure):.3g}{unit}"
 
 
 def _planned(choice: TextureChoice) -> PlannedTexture:

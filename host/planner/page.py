@@ -1,9 +1,10 @@
-"""What `vibrocast plan` shows besides the plan: the picture of all candidates, their tables, and lines for a person."""
+"""Shows a plan: the answer in lines or as JSON, the picture of the candidates, and their tables."""
 
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
@@ -12,13 +13,20 @@ from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.evaluation.points import write_rows
 from vibrocast.files import atomic_write
 from vibrocast.host.planner.band import MARGIN_DB
+from vibrocast.host.planner.candidates import Candidate
 from vibrocast.host.planner.choose import TextureChoice
 from vibrocast.host.planner.plan_file import PlannedTexture
 from vibrocast.host.planner.scene import Scene
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "plan.toml"
 MAX_PANELS = 6
-FAR_DB = 30.0
+FAR_DB = 6.0
+"""Decibels of quality around the target that the picture shows."""
+FAR_COST = 2.0
+"""Multiple of the choice's cost up to which the picture shows candidates."""
 LABELS = {
     "snr_db": "SNR, dB",
     "spqi": "SPQI",
@@ -26,12 +34,13 @@ LABELS = {
     "imperceptible": "error re detection threshold, dB (less is better)",
 }
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p", "h")
-_GREYS = ("0.0", "0.45", "0.7")
+# Dark to light, so that grey print keeps them apart; markers differ as well.
+_COLOURS = ("#20123a", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#e69f00")
 
 
 @dataclass(frozen=True)
 class CandidateRow:
-    """A line of candidates.csv; costs and qualities as in plan_file.Forecast. `short_of`: what is not enough.
+    """A line of candidates.csv; costs and qualities as in plan_file.Forecast. `short_of`: the targets that it misses.
 
     `packet_snr_db`, `capped_rate_bps`: of a capped rate, as in plan_file.PlannedTexture.
     """
@@ -113,98 +122,116 @@ def _candidate_rows(choice: TextureChoice) -> Iterator[CandidateRow]:
 
 
 def draw(path: Path, scene: Scene, choices: Sequence[TextureChoice]) -> None:
-    """Draw cost against quality of all candidates, a panel for each texture, the choice marked. Raises OSError."""
+    """Draw cost against quality, a panel for each texture, with the choice and its alternatives. Raises OSError.
+
+    A panel leaves out candidates that would squeeze the others: far from the target, or many times as costly.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     shown = choices[:MAX_PANELS]
     columns = 1 if len(shown) == 1 else 2
     rows = -(-len(shown) // columns)
-    figure = Figure(figsize=(6.6 * columns, 4.2 * rows + 0.8), dpi=110, layout="constrained")
+    figure = Figure(figsize=(6.6 * columns, 4.4 * rows + 0.6), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     left = "" if len(shown) == len(choices) else f" (the first {len(shown)} of {len(choices)} textures)"
-    figure.suptitle(
-        f"{scene.path.name}: cost against quality of all candidates{left}", fontweight="bold", parse_math=False
-    )
+    figure.suptitle(f"{scene.path.name}: the choice and its alternatives{left}", fontweight="bold", parse_math=False)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    codecs = list(dict.fromkeys(each.measured.option.codec for choice in shown for each in choice.candidates))
-    asked = scene.asked
+    codecs = list(dict.fromkeys(each.measured.option.codec for choice in choices for each in choice.candidates))
     for axes, choice in zip(panels, shown, strict=False):
-        points = [each for each in choice.candidates if each.quality is not None]
-        low, high = _shown(scene, [each.quality for each in points if each.quality is not None])
-        for place, name in enumerate(codecs):
-            of_codec = [each for each in points if each.measured.option.codec == name]
-            grey = _GREYS[place % len(_GREYS)]
-            axes.scatter(
-                [min(max(each.quality or 0.0, low), high) for each in of_codec],
-                [each.cost for each in of_codec],
-                marker=_MARKERS[place % len(_MARKERS)],
-                s=20,
-                facecolors=[grey if each.meets else "none" for each in of_codec],
-                edgecolors=grey,
-                linewidths=0.8,
-                label=name,
-            )
-        chosen = choice.chosen
-        if chosen.quality is not None:
-            place_of_chosen = min(max(chosen.quality, low), high), chosen.cost
-            axes.scatter(*place_of_chosen, marker="o", s=190, facecolors="none", edgecolors="black", linewidths=2)
-            axes.annotate(
-                f"{chosen.measured.option.name}\n"
-                f"{chosen.forecast.wire_bps / 1e3:.2f} kbit/s, {chosen.forecast.delay_ms:.0f} ms",
-                place_of_chosen,
-                textcoords="offset points",
-                xytext=(10, -24),
-                fontsize="small",
-                fontweight="bold",
-                parse_math=False,
-            )
-        axes.axvline(wanted(scene), color="0.5", linestyle=(0, (5, 2)), linewidth=1)
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}")
-        axes.set_xlabel(f"{LABELS[asked.measure]}; dashed: what is asked; on the edge: beyond it")
-        margin = 0.03 * (high - low)
-        axes.set_xlim(low - margin, high + margin)
-        axes.set_ylabel("weighted cost")
-        axes.set_title(choice.name, loc="left", fontsize="medium", parse_math=False)
-        axes.grid(alpha=0.3)
+        _draw_panel(axes, scene, choice, codecs)
     for axes in panels[len(shown) :]:
         axes.set_visible(False)
-    panels[0].legend(
-        fontsize="x-small", ncols=2, title="filled: meets all that is asked; ringed: chosen", title_fontsize="x-small"
-    )
     with atomic_write(path) as partial:
         figure.savefig(partial)
 
 
-def _shown(scene: Scene, qualities: Sequence[float]) -> tuple[float, float]:
-    """Return the range of qualities that a panel shows: all, but of decibels none farther than FAR_DB from the asked.
+def _draw_panel(axes: "Axes", scene: Scene, choice: TextureChoice, codecs: Sequence[str]) -> None:
+    near = [each for each in choice.candidates if _is_near(scene, choice.chosen, each)]
+    for place, name in enumerate(codecs):
+        own = [each for each in near if each.measured.option.codec == name]
+        colour = _COLOURS[place % len(_COLOURS)]
+        axes.scatter(
+            [each.quality or 0.0 for each in own],
+            [each.cost for each in own],
+            marker=_MARKERS[place % len(_MARKERS)],
+            s=22,
+            facecolors=[colour if each.meets else "none" for each in own],
+            edgecolors=colour,
+            linewidths=0.8,
+            label=name if own else "_",
+        )
+    marked = [choice.chosen, *(each.best for each in choice.alternatives if each.best in near)]
+    for rank, candidate in enumerate(marked):
+        if candidate is None or candidate.quality is None:
+            continue
+        text = candidate.measured.option.name
+        if rank == 0:
+            forecast = candidate.forecast
+            text = f"{text}\n{forecast.wire_bps / 1e3:.2f} kbit/s, {forecast.delay_ms:.0f} ms"
+            axes.scatter(candidate.quality, candidate.cost, s=190, facecolors="none", edgecolors="black", linewidths=2)
+        axes.annotate(
+            text,
+            (candidate.quality, candidate.cost),
+            textcoords="offset points",
+            # The choice below its mark, the alternatives above theirs and apart.
+            xytext=(12, -26) if rank == 0 else (14, 8 + 14 * rank),
+            fontsize="small" if rank == 0 else "x-small",
+            fontweight="bold" if rank == 0 else "normal",
+            arrowprops=None if rank == 0 else {"arrowstyle": "-", "linewidth": 0.5, "color": "0.4"},
+            parse_math=False,
+        )
+    axes.axvline(wanted(scene), color="0.5", linestyle=(0, (5, 2)), linewidth=1)
+    axes.margins(x=0.12, y=0.18)
+    axes.set_xlabel(f"{LABELS[scene.asked.measure]}; dashed: the target")
+    axes.set_ylabel("weighted cost")
+    outside = len(choice.candidates) - len(near)
+    note = f"; {outside} more outside, see {CANDIDATES}" if outside else ""
+    axes.set_title(f"{choice.name}{note}", loc="left", fontsize="medium", parse_math=False)
+    axes.grid(alpha=0.3)
+    axes.legend(
+        fontsize="x-small", ncols=2, title="filled: meets all targets", title_fontsize="x-small", loc="upper left"
+    )
 
-    One codec far off, such as a lossless one that overloads, would squeeze the others.
-    """
-    asked = wanted(scene)
-    low, high = min([asked, *qualities]), max([asked, *qualities])
-    if scene.asked.measure.endswith("_db") or scene.asked.measure == "imperceptible":
-        low, high = max(low, asked - FAR_DB), min(high, asked + FAR_DB)
-    return (low, high) if low < high else (low - 1, high + 1)
+
+def _is_near(scene: Scene, chosen: Candidate, candidate: Candidate) -> bool:
+    """Return whether the picture shows a candidate: near the target, and at most FAR_COST times the choice's cost."""
+    if candidate.quality is None or candidate.cost > FAR_COST * chosen.cost:
+        return candidate == chosen
+    in_decibels = scene.asked.measure.endswith("_db") or scene.asked.measure == "imperceptible"
+    is_near = not in_decibels or abs(candidate.quality - wanted(scene)) <= FAR_DB
+    return is_near or candidate == chosen
 
 
 def wanted(scene: Scene) -> float:
-    """Return the asked quality in its measure."""
+    """Return the target quality in its measure."""
     asked = scene.asked
     return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
 
 
 def summary(choice: TextureChoice, planned: PlannedTexture) -> str:
-    """Return, in lines for a person, what was chosen for one texture, what it costs, and why."""
+    """Return the answer for one texture: the choice, its reason and forecast, and the nearest alternatives."""
     left_out_db = [min(each.level_db, each.reach_db) for each in choice.evaluator.band.levels if not each.worth]
     return pages.render(
         Path(__file__).with_name("plan.txt.jinja"),
         texture=planned,
         chosen=choice.chosen.measured.option.name,
+        why=choice.why,
         unit="/m" if planned.over_position else " Hz",
-        quality=choice.chosen.forecast,
         left_out_db=max(left_out_db) if left_out_db and not planned.over_position else None,
-        reasons=choice.reasons,
+        alternatives=choice.alternatives,
     )
+
+
+def document(choice: TextureChoice, planned: PlannedTexture) -> dict[str, object]:
+    """Return the answer for one texture as JSON holds it."""
+    return {
+        "choice": choice.chosen.measured.option.name,
+        "why": choice.why,
+        "forecast": structs.asdict(planned.forecast),
+        "alternatives": [
+            {"option": each.option.name, "why": each.why, "cost": each.best.cost, "meets": each.best.meets}
+            for each in choice.alternatives
+            if each.best is not None
+        ],
+    }

@@ -32,17 +32,30 @@ def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
     with (tmp_path / "planned" / "candidates.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert sum(row["chosen"] == "True" for row in rows) == 1
-    assert re.search(r"^wood: parametric", done.output, re.MULTILINE) and "not needed: costs" in done.output
-    left_out = re.search(r"left out, .* at most (-[\d.]+) dB re detection threshold", done.output)
+    assert re.search(r"^wood: parametric", done.output, re.MULTILINE) and "higher cost (" in done.output
+    assert len(re.findall(r"^  not ", done.output, re.MULTILINE)) == 3
+    left_out = re.search(r"outside it at most (-[\d.]+) dB re the threshold", done.output)
     assert left_out is not None and float(left_out[1]) < -8
-    assert "quality: SNR -" in done.output or "quality: SNR 0" in done.output
+    assert re.search(r"quality +SNR [-0]", done.output)
+
+
+def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = written(tmp_path)
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    done = run(scene)
+    assert done.exit_code == 0, done.output
+    assert re.search(r"^  because +cheapest of ", done.output, re.MULTILINE)
+    assert not list((tmp_path / "empty").iterdir())
 
 
 def test_a_waveform_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
     scene = written(tmp_path, asked="[asked]\nthird_octave_distance_db = 4.5\nwaveform = true\n")
     done = run(scene, "--out", tmp_path / "planned", "--json")
     assert done.exit_code == 0, done.output
-    forecast = json.loads(done.stdout)["wood"]
+    answer = json.loads(done.stdout)["wood"]
+    assert answer["why"].startswith("cheapest of ") and len(answer["alternatives"]) == 3
+    forecast = answer["forecast"]
     assert forecast["wire_bps"] > forecast["payload_bps"] > 0 and "parametric" not in done.output
     assert 'codec = "parametric"' not in (tmp_path / "planned" / "plan.toml").read_text()
 

@@ -29,14 +29,22 @@ def test_the_choice_is_the_cheapest_that_meets_what_is_asked(choice: TextureChoi
     assert len({each.measured.option.codec for each in choice.candidates}) >= 4
 
 
-def test_every_other_way_has_a_reason_that_fits_its_cost(choice: TextureChoice) -> None:
-    coarser, *others = choice.reasons
-    assert coarser.option == choice.chosen.measured.option and "coarser" in coarser.why
-    assert len(others) == len(choice.evaluator.options("M4F")) - 1
-    for reason in others:
+def test_the_choice_and_every_other_option_have_a_reason_that_fits_their_cost(choice: TextureChoice) -> None:
+    assert re.fullmatch(
+        r"cheapest of the \d+ options that meet SNR 10 dB within all limits; a coarser setting has SNR [\d.]+ dB", choice.why
+    )
+    assert len(choice.reasons) == len(choice.evaluator.options("M4F")) - 1
+    for reason in choice.reasons:
         if reason.best is not None:
-            dearer = reason.best.cost >= choice.chosen.cost
-            assert reason.why.startswith("not needed" if dearer else "cheaper, but not enough")
+            higher = reason.best.cost >= choice.chosen.cost
+            assert reason.why.startswith("higher cost (" if higher else "lower cost (")
+            assert ("misses the target" in reason.why) == (not reason.best.meets)
+
+
+def test_the_alternatives_are_the_nearest_that_meet_the_targets(choice: TextureChoice) -> None:
+    meeting = sorted(each.best.cost for each in choice.reasons if each.best is not None and each.best.meets)
+    assert len(choice.alternatives) == 3
+    assert [each.best.cost for each in choice.alternatives if each.best is not None] == meeting[:3]
 
 
 @pytest.mark.slow
@@ -98,7 +106,7 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"asked": "[asked]\nsnr_db = 89\n"}, r"comes nearest: snr_db [\d.]+, 89 is asked; require less"),
+        ({"asked": "[asked]\nsnr_db = 89\n"}, r"comes nearest: SNR [\d.]+ dB, required SNR 89 dB; require less"),
         (
             {"controller": CONTROLLER + "flash_bytes = 20_000\n", "asked": ASKED + "rate_limit_bps = 100\n"},
             r"needs \[asked\] rate_limit_bps = .*; needs \[\[controllers\]\] one: flash_bytes = .*; raise",

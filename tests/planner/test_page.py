@@ -1,25 +1,37 @@
-"""Tests of the picture of a plan: what range of qualities it shows."""
+"""Tests of the picture of a plan: which candidates it shows."""
 
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from vibrocast.host.planner.page import FAR_DB, _shown
+from vibrocast.host.planner.page import FAR_COST, FAR_DB, _is_near
+
+
+def candidate(quality: float | None, cost: float) -> Any:
+    return SimpleNamespace(quality=quality, cost=cost)
 
 
 @pytest.mark.parametrize(
-    ("measure", "qualities", "shown"),
+    ("measure", "quality", "cost", "is_near"),
     [
-        ("snr_db", [8.0, 12.0, 20.0], (8.0, 20.0)),
-        ("snr_db", [-577.0, 12.0, 96.0], (10.0 - FAR_DB, 10.0 + FAR_DB)),
-        ("snr_db", [], (9.0, 11.0)),
-        ("spqi", [0.2, 0.9], (0.2, 10.0)),
+        ("snr_db", 12.0, 1.5, True),
+        ("snr_db", 10 + FAR_DB, 1.5, True),
+        ("snr_db", 10.1 + FAR_DB, 1.5, False),
+        ("snr_db", -577.0, 1.0, False),
+        ("snr_db", None, 1.0, False),
+        ("snr_db", 12.0, 1.1 * FAR_COST, False),
+        ("spqi", 0.2, 1.0, True),
     ],
 )
-def test_one_candidate_far_off_does_not_squeeze_the_others(
-    measure: str, qualities: list[float], shown: tuple[float, float]
+def test_candidates_far_off_do_not_squeeze_the_others(
+    measure: str, quality: float | None, cost: float, is_near: bool
 ) -> None:
-    asked = SimpleNamespace(measure=measure, **{measure: 10.0})
-    scene: Any = SimpleNamespace(asked=asked)
-    assert _shown(scene, qualities) == shown
+    scene: Any = SimpleNamespace(asked=SimpleNamespace(measure=measure, **{measure: 10.0}))
+    assert _is_near(scene, candidate(10.0, 1.0), candidate(quality, cost)) == is_near
+
+
+def test_the_choice_is_always_shown() -> None:
+    scene: Any = SimpleNamespace(asked=SimpleNamespace(measure="snr_db", snr_db=10.0))
+    silent = candidate(None, 1.0)
+    assert _is_near(scene, silent, silent)
