@@ -42,8 +42,9 @@ lint: .venv/installed-for-tests
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
 
-# The documentation site, in site/.
+# The documentation site, in site/; a broken link or a missing docstring fails.
 docs: .venv/installed-for-docs
+	$(BIN)/ruff check --quiet --select D100,D101,D102,D103,D104
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 .venv/installed-for-docs: $(SOURCES)

@@ -50,7 +50,11 @@ class Parameter:
     per_channel: bool = False
 
     def checked(self, name: str, value: Value) -> Value:
-        """Return the value, numbers in text read. Raises CodecError where it is none that the parameter may take."""
+        """Return the given part of a setting, with numbers in text read.
+
+        Raises:
+            CodecError: There is no such parameter, or it cannot have that value.
+        """
         if isinstance(value, tuple):
             if not self.per_channel:
                 raise CodecError(f"{name} is {value}; give one value, the same for every channel")
@@ -186,11 +190,16 @@ class Trial(Protocol):
     """
 
     @property
-    def samples(self) -> Signal: ...
+    def samples(self) -> Signal:
+        """The samples of the packet, float64 (packet_samples, channels)."""
+
     @property
-    def quantiser_offsets(self) -> range: ...
+    def quantiser_offsets(self) -> range:
+        """The offsets to choose from, the finest first."""
+
     @property
-    def previous(self) -> int: ...
+    def previous(self) -> int:
+        """The offset of the packet before."""
 
     def packet(self, quantiser_offset: int) -> bytes:
         """Return the packet at one of the quantiser offsets, each time from the same state. Raises CodecError."""
@@ -269,33 +278,43 @@ class LearnedTransform:
 
 @dataclass(frozen=True)
 class Codec:
-    """A codec by its name and by its number in stream headers; each codec's module defines its own.
+    """A codec: its name, its parameters, and how to make encoders and decoders.
 
-    Everything that other modules know of a codec is here: no other module names it.
+    Other modules know nothing else of a codec, and none of them names one.
 
-    `rate_point_sets`: named curves of settings ("rate points"), the coarsest first, for benchmarks; what a rate point
-    leaves out has its default. A search for an SNR or a rate tries rate points of the first, and between them where
-    what varies is a fraction. `physical_rate_point_sets`: those that need a signal in a physical unit.
-    `make_encoder(setting, format, framing, model, rate_control)`: the setting complete and checked; `rate_control`
-    chooses the quality of each packet, None = all are of the setting's; a codec without `controls_rate` rejects it.
-    `make_decoder(configuration, channels, tables)`. `tables`: payload of a model image. None = built in.
-    `resolve(samples, format, model)`: what a parameter at AUTO is for a file, whose whole signal is known, in its
-    physical unit; None where no signal decides on it.
-    `keeps_waveform`: decoded samples come near the input's, so that an SNR can be asked for; False for one that keeps
-    what a texture is like, and none of its samples.
-    `step_parameter`: what the quantiser's steps of a channel are proportional to, relative to its RMS value; None where
-    they do not differ by channel. `step_range(format)`: the smallest and the largest that a search tries, where nothing
-    of the setting is given; it also tries the parameter `rd_weight`, if there is one. None = rate points are tried.
-    `block_parameter`: the length of a block in samples; None where the codec has one length only.
-    `live_setting(rate_hz)`: what a live stream has in place of defaults, for the least delay. `planned_setting`: what
-    the planner does not try, as its best value is known.
-    `check_tables` raises CodecError for the payload of a model image that decoders do not take; None where no model
-    brings tables. `needs_model`: no tables are built in. `built_in_tables`: returns those that are, where a model may
-    take their place. `with_runtime(tables, runtime)` returns the payload changed so that it is decoded by one of
-    RUNTIMES, and `runtime_of(tables)` which of them it is; both raise CodecError, None where there is no choice.
-    `learned_transform(tables)` describes that of a model; None where there is none.
-    `library`: how the name of the file in PyAV's wheel begins that holds the decoder, "" where the file holds many
-    codecs; None for a decoder that is not from there.
+    Attributes:
+        name: The name, as in `--codec`.
+        identifier: The number in stream headers.
+        summary: One line for `vibrocast codecs`.
+        parameters: The parameters of a setting by name.
+        rate_point_sets: Named curves of settings ("rate points"), the coarsest first; defaults fill a rate point. A
+            search for an SNR or a rate uses the first curve, and goes between its points where a fraction varies.
+        make_encoder: Called with the complete setting, the format, the framing, the model and the rate control. The
+            rate control chooses the quality of each packet; None: all packets have that of the setting.
+        make_decoder: Called with the configuration, the number of channels and the tables; None: built-in tables.
+        resolve: Called with the samples of a file in their unit, the format and the model. Returns the parameters
+            that are "auto"; None where no signal decides on them.
+        check_tables: Raises CodecError for the payload of a model image that decoders reject; None where no model
+            brings tables.
+        built_in_tables: Returns the built-in tables, where a model may replace them.
+        with_runtime: Returns a payload that one of RUNTIMES decodes. Raises CodecError; None where there is no
+            choice.
+        runtime_of: Returns which of RUNTIMES decodes a payload. Raises CodecError; None where there is no choice.
+        learned_transform: Describes the transform of a model; None where there is none.
+        physical_rate_point_sets: The curves that need a signal in a physical unit.
+        needs_model: Whether there are no built-in tables.
+        controls_rate: Whether encoders take a rate control.
+        keeps_waveform: Whether decoded samples come near the input, so that an SNR can be a target.
+        step_parameter: The parameter to which the quantiser's steps of a channel are proportional, relative to its
+            RMS value; None where steps do not differ by channel.
+        step_range: Returns the smallest and the largest step of a search for a format. The search then varies
+            `rd_weight` too, if there is one. None: the search uses rate points.
+        block_parameter: The parameter that is the length of a block in samples; None where there is one length only.
+        live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
+            delay.
+        planned_setting: Parameters whose best value is known, so that the planner does not vary them.
+        library: How the name of the file in PyAV's wheel begins that holds the decoder; "" where that file holds many
+            codecs, None for a decoder from elsewhere.
     """
 
     name: str
@@ -324,22 +343,22 @@ class Codec:
 
     @property
     def takes_model(self) -> bool:
-        """Whether a model may bring its tables."""
+        """Whether a model may bring the tables."""
         return self.check_tables is not None
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The values of `block_parameter` but AUTO and WHOLE, empty where there is none."""
+        """The values of `block_parameter` except "auto" and "whole"; empty without such a parameter."""
         choices = self.parameters[self.block_parameter].choices if self.block_parameter else ()
         return tuple(choice for choice in choices if choice not in (AUTO, WHOLE))
 
     @property
     def one_rate_a_model(self) -> bool:
-        """Whether its rate points are its models: one setting in the first set of rate points, and a model needed."""
+        """Whether each model is one rate point: a model is needed, and there is one setting."""
         return self.needs_model and len(next(iter(self.rate_point_sets.values()))) == 1
 
     def block_setting(self, block: str | None) -> Setting:
-        """Return the part of a setting that chooses one of `blocks`; None leaves it open."""
+        """Return the part of a setting that chooses one of `blocks`; None leaves the choice open."""
         return {} if self.block_parameter is None or block is None else {self.block_parameter: block}
 
     def checked(self, setting: Setting) -> Setting:
@@ -349,12 +368,16 @@ class Codec:
         return {name: self.parameters[name].checked(name, value) for name, value in setting.items()}
 
     def leaves_open(self, setting: Setting) -> bool:
-        """Return whether a setting leaves something to search: a parameter that the first set of rate points varies."""
+        """Return whether a setting leaves out a parameter that the first curve of rate points varies."""
         rate_point_set = next(iter(self.rate_point_sets.values()))
         return any(name not in setting for rate_point in rate_point_set for name in rate_point)
 
     def complete(self, setting: Setting) -> Setting:
-        """Return the setting, checked, with the defaults of what it leaves out. Raises CodecError as `checked`."""
+        """Return a setting, checked, with the defaults of the parameters that it leaves out.
+
+        Raises:
+            CodecError: There is no such parameter, or it cannot have that value.
+        """
         defaults = {name: parameter.default for name, parameter in self.parameters.items()}
         return {**defaults, **self.checked(setting)}
 

@@ -36,28 +36,54 @@ _FADE_SAMPLES = 32
 
 @runtime_checkable
 class BlockCodec(Protocol):
-    """A codec whose packets stand alone. Register the class, or an object of it, in the group `vibrocast.codecs`.
-
-    `name`: as in `--codec`. `summary`: one line for `vibrocast codecs`. `block_samples`: packets cover a multiple of
-    it. `qualities`: values of the codec's one parameter, `quality`, from the fewest bits to the best; a search for an
-    SNR or a rate tries them and values between.
-    """
+    """A codec of your own: its packets stand alone. Register the class or an object of it."""
 
     # Properties, so that a type checker takes attributes of narrower types, such as a range.
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """The name of the codec, as in `--codec`."""
+
     @property
-    def summary(self) -> str: ...
+    def summary(self) -> str:
+        """One line for `vibrocast codecs`."""
+
     @property
-    def block_samples(self) -> int: ...
+    def block_samples(self) -> int:
+        """The samples of a block. A packet holds whole blocks."""
+
     @property
-    def qualities(self) -> Sequence[float]: ...
+    def qualities(self) -> Sequence[float]:
+        """Values of the parameter `quality`, from the fewest bits to the best.
+
+        A search for an SNR or a rate tries them and values between.
+        """
 
     def encode(self, samples: Signal, quality: float) -> bytes:
-        """Return the bytes of one packet. `samples`: float64 (n, channels) within -1 to 1; never modify it."""
+        """Encode one packet.
+
+        Args:
+            samples: float64 (n, channels) within -1 to 1. Never modify it.
+            quality: One of `qualities`, or a value between two.
+
+        Returns:
+            The bytes of the packet.
+        """
 
     def decode(self, data: bytes, samples: int, channels: int, quality: float) -> Signal:
-        """Return what `encode` made the bytes of: float (samples, channels). Raise ValueError on damaged bytes."""
+        """Decode one packet.
+
+        Args:
+            data: What `encode` returned.
+            samples: The samples per channel.
+            channels: The number of channels.
+            quality: As for `encode`.
+
+        Returns:
+            float64 (samples, channels).
+
+        Raises:
+            ValueError: The bytes are damaged.
+        """
 
 
 def registered() -> EntryPoints:

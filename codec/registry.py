@@ -64,6 +64,7 @@ class Codecs(Mapping[str, Codec]):
 
     @property
     def failures(self) -> dict[str, str]:
+        """Why codecs of packages cannot be used, by entry point."""
         return self._loaded[1]
 
     def __getitem__(self, name: str) -> Codec:
@@ -213,6 +214,7 @@ def parts(samples: int) -> Iterator[slice]:
 
 
 def peak_of(channel: Signal) -> float:
+    """Return the largest magnitude of a channel (n,); 0 for no samples."""
     return max(float(np.max(channel, initial=0.0)), -float(np.min(channel, initial=0.0)))
 
 

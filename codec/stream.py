@@ -26,12 +26,15 @@ MAX_GAIN_DB = 400
 
 @dataclass(frozen=True, kw_only=True)
 class CodingQuality:
-    """How near a stream comes to what was coded, and to what was asked.
+    """How near a stream comes to the recording and to the target.
 
-    `snr_db`, as `codec.snr_db`, over all channels and of each: None for silence, or where nothing was lost.
-    `tactile_snr_db`: as `codec.tactile_snr_db`. `removed_energy`: part of the given energy that lay below
-    `highpass_hz` and was not coded; `highpass_hz`: None = the whole band was coded. `note`: why the asked rate or SNR
-    was not met, None when it was.
+    Attributes:
+        snr_db: Mean SNR of the channels in dB; None for silence, and where nothing was lost.
+        snr_db_per_channel: The same of each channel.
+        tactile_snr_db: SNR within 40 to 800 Hz in dB.
+        note: Why the target was missed; None where it was met.
+        highpass_hz: Corner of the high-pass before coding in Hz; None where the whole band was coded.
+        removed_energy: Part of the recording's energy below `highpass_hz`, 0 to 1.
     """
 
     snr_db: float | None
@@ -44,11 +47,18 @@ class CodingQuality:
 
 @dataclass(frozen=True)
 class Stream:
-    """A whole coded stream in memory: what a .vct file holds, and the packed model image that it needs, if any.
+    """A coded stream in memory: the content of a .vct file, with the model image that it needs.
 
-    `runtime`: one of codec.RUNTIMES, by which it is decoded where the model leaves the choice; None = as the image
-    says. `quality`: that of a stream just encoded, which no file stores. Raises CodecError for another image or codec,
-    StreamError unless the packets hold just the samples of the header.
+    Attributes:
+        header: Codec, rate in Hz, unit, gains and length.
+        packets: The bytes of each packet.
+        image: The packed model image; None without one.
+        runtime: "core" or "onnx": the decoder, where the model leaves the choice. None: as the image says.
+        quality: The quality of a stream just encoded; a file does not store it.
+
+    Raises:
+        CodecError: The codec is unknown, or the image is another.
+        StreamError: The packets do not hold the samples of the header.
     """
 
     header: StreamHeader
@@ -77,9 +87,15 @@ class Stream:
 
     @classmethod
     def from_bytes(cls, data: bytes, image: bytes | None = None) -> Self:
-        """Read the bytes of a .vct file. `image`: the packed model image it was coded for; None = of one that ships.
+        """Read the bytes of a .vct file.
 
-        Raises StreamError when they are damaged, CodecError for another image or codec.
+        Args:
+            data: The bytes.
+            image: The packed model image that the stream was coded for. None: a model that ships.
+
+        Raises:
+            StreamError: The bytes are damaged.
+            CodecError: The codec is unknown, or the image is another.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
             raise StreamError(f"`data` is of type {type(data).__name__}; pass the bytes of a .vct file")
@@ -89,18 +105,22 @@ class Stream:
         return cls(header, tuple(packets), image)
 
     def save(self, path: str | Path) -> None:
-        """Write a .vct file, whole or not at all. Raises OSError."""
+        """Write a .vct file, whole or not at all.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
         with atomic_write(arguments.file_path("path", path)) as partial:
             partial.write_bytes(bytes(self))
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of the whole .vct file."""
+        """The size of the whole .vct file in bytes."""
         return len(bytes(self))
 
     @property
     def samples(self) -> int:
-        """Samples per channel; where the header leaves the length open, those of all packets. Raises CodecError."""
+        """The samples per channel; those of all packets where the header leaves the length open."""
         if self.header.samples is not None:
             return self.header.samples
         decoder = self.decoder()
@@ -108,27 +128,31 @@ class Stream:
 
     @property
     def seconds(self) -> float:
-        """Duration of the signal; of a profile, its length in metres. Raises CodecError."""
+        """The duration in s; of a height profile, its length in metres."""
         return self.samples / self.header.rate_hz
 
     @property
     def bits_per_second(self) -> float:
-        """Bits of the whole .vct file over `seconds`. Raises CodecError."""
+        """The bits of the whole .vct file over `seconds`."""
         return 8 * self.size_bytes / self.seconds
 
     @property
     def codec_name(self) -> str:
-        """Name of the codec. Raises CodecError when there is none of that number."""
+        """The name of the codec."""
         return codec.codec_by_identifier(self.header.codec_identifier, self.header.configuration).name
 
     @property
     def model_name(self) -> str | None:
-        """Name of the model image, None where there is none or it is not here."""
+        """The name of the model image; None where there is none, or it is not here."""
         return None if self.image is None else ModelImage.unpack(self.image).name
 
     @property
     def tables(self) -> bytes | None:
-        """The codec's tables, None = built in. Raises CodecError when they are in a model image that is not here."""
+        """The tables of the model that the codec decodes with; None for built-in ones.
+
+        Raises:
+            CodecError: They are in a model image that is not here.
+        """
         if self.image is not None:
             return ModelImage.unpack(self.image).payload
         if self.header.image_hash:
@@ -139,18 +163,29 @@ class Stream:
         return None
 
     def decoder(self) -> codec.Decoder:
-        """Return a decoder, for what it says of the packets. Raises CodecError.
+        """Return a decoder, which states the length of packets and the delay.
 
-        Where the codec has built-in tables it has those, so that a stream whose image is not here can be looked at.
+        Where the codec has built-in tables, it has those. So you can look at a stream whose image is not here.
+
+        Raises:
+            CodecError: The codec is unknown, or it needs an image that is not here.
         """
         identifier, configuration = self.header.codec_identifier, self.header.configuration
         tables = self.tables if codec.codec_by_identifier(identifier, configuration).needs_model else None
         return codec.decoder(identifier, configuration, self.header.channels, tables, self.runtime)
 
     def decode_integers(self, progress: Callable[[float], None] | None = None) -> NDArray[np.int16]:
-        """Return what a controller decodes: int16 (packets * packet_samples, channels).
+        """Decode to the integers that a controller computes.
 
-        `progress` is called with the part done, from 0 to 1. Raises CodecError, and StreamError where memory lacks.
+        Args:
+            progress: Function to call with the part that is done, from 0 to 1.
+
+        Returns:
+            int16 (packets * packet_samples, channels), with the codec's delay.
+
+        Raises:
+            CodecError: The codec is unknown, or it needs an image that is not here.
+            StreamError: There is not enough memory.
         """
         header = self.header
         # As integers and, when all are there, as float64 in the header's unit.
@@ -167,30 +202,52 @@ class Stream:
         return decoded.reshape(-1, decoder.channels)
 
     def decode(self, progress: Callable[[float], None] | None = None) -> NDArray[np.float64]:
-        """Return float64 (samples, channels) in the header's unit, the codec's delay removed.
+        """Decode to samples, with the codec's delay removed.
 
-        `progress` as in `decode_integers`. Raises as that.
+        Args:
+            progress: Function to call with the part that is done, from 0 to 1.
+
+        Returns:
+            float64 (samples, channels) in the header's unit.
+
+        Raises:
+            CodecError: The codec is unknown, or it needs an image that is not here.
+            StreamError: There is not enough memory.
         """
         start = self.decoder().delay_samples
         integers = self.decode_integers(progress)[start : start + self.samples]
         return integers * (np.array(self.header.gains) / 32768)
 
     def recording(self, name: str = "decoded", progress: Callable[[float], None] | None = None) -> textures.Recording:
-        """Decode to a recording. `progress` as in `decode_integers`. Raises StreamError for a profile, CodecError."""
+        """Decode to a Recording.
+
+        Raises:
+            StreamError: The stream is a height profile.
+            CodecError: The codec is unknown, or it needs an image that is not here.
+        """
         if self.header.spatial:
             raise StreamError("a height profile has no time; decode it with `Stream.profile`, or into a CSV file")
         return textures.Recording(self.decode(progress), self.header.rate_hz, self.header.unit, name)
 
     def profile(self, name: str = "decoded", progress: Callable[[float], None] | None = None) -> textures.Profile:
-        """Decode a spatial stream to a profile. Raises StreamError for any other or several channels, CodecError."""
+        """Decode a spatial stream to a Profile.
+
+        Raises:
+            StreamError: The stream is no height profile, or has several channels.
+            CodecError: The codec is unknown, or it needs an image that is not here.
+        """
         if not self.header.spatial or self.header.channels != 1:
             raise StreamError("no height profile of one channel; decode it with `Stream.recording`, or into a WAV file")
         return textures.Profile(self.decode(progress)[:, 0], 1e6 / self.header.rate_hz, name)
 
     def with_gain(self, gain_db: float) -> "Stream":
-        """Return the stream at another level, to 0.03 dB: its full scales have 8 significant bits.
+        """Return the stream at another level, exact to 0.03 dB, because full scales have 8 significant bits.
 
-        Raises CodecError for a level that a stream cannot have.
+        Args:
+            gain_db: Change of level in dB, -400 to 400.
+
+        Raises:
+            CodecError: No stream has that level.
         """
         if gain_db == 0:
             return self
@@ -205,7 +262,11 @@ class Stream:
         return replace(self, header=replace(self.header, gains=gains))
 
     def facts(self) -> dict[str, Any]:
-        """Return what a person or a program wants to know of the stream, ready for JSON. Raises CodecError."""
+        """Return properties of the stream as a dictionary, ready for JSON: codec, sizes, rates, packets, model.
+
+        Raises:
+            CodecError: The codec is unknown.
+        """
         decoder = self.decoder()
         refreshes = sum(refresh for _, refresh in map(coded_stream.packet_sequence, self.packets))
         facts = {

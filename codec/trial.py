@@ -99,6 +99,7 @@ class Attempts:
 
 
 def within(quantiser_offsets: range, quantiser_offset: int) -> int:
+    """Return the offset of the range that is nearest to a quantiser offset."""
     return min(max(quantiser_offset, quantiser_offsets[0]), quantiser_offsets[-1])
 
 

@@ -51,6 +51,7 @@ class Described(IntEnum):
     description: str
 
     def __new__(cls, number: int, description: str = "") -> Self:
+        """Return the member of a number."""
         member = int.__new__(cls, number)
         member._value_ = number
         member.description = description

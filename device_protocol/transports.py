@@ -114,6 +114,7 @@ class SerialTransport(Closing):
         )
 
     def write(self, data: bytes) -> None:
+        """Send all of `data`; up to 8 KiB may be left to later calls."""
         try:
             if self.file is None:
                 self._serial.write(data)
@@ -143,6 +144,7 @@ class SerialTransport(Closing):
             raise self._takes_nothing()
 
     def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that have come, and send what an earlier `write` left."""
         try:
             if self.file is None:
                 return self._read_with_pyserial(timeout_s)
@@ -182,10 +184,12 @@ class SerialTransport(Closing):
         return first + rest
 
     def reopen(self) -> None:
+        """Close, and open the same port again."""
         self.close()
         self._open()
 
     def close(self) -> None:
+        """Release the port."""
         self._serial.close()
 
 
@@ -254,11 +258,13 @@ class ThreadedTransport(Closing):
             self._signal.send(b"\0")
 
     def write(self, data: bytes) -> None:
+        """Hand the bytes to the writing thread."""
         if self._error is not None:
             raise self._error
         self._sent.put(data)
 
     def read(self, timeout_s: float) -> bytes:
+        """Return the bytes that the reading thread has received."""
         if self._threads:
             select.select([self.file], [], [], timeout_s)
             with contextlib.suppress(BlockingIOError):
@@ -271,6 +277,7 @@ class ThreadedTransport(Closing):
         return b"".join(pieces)
 
     def reopen(self) -> None:
+        """End the threads, open the same port again and start new ones."""
         self._end()
         try:
             self._transport.reopen()
@@ -280,6 +287,7 @@ class ThreadedTransport(Closing):
         self._start()
 
     def close(self) -> None:
+        """End the threads and release the port."""
         self._end()
         self._transport.close()
 
@@ -326,6 +334,7 @@ class UsbTransport(Closing):
         return TransportError(f"{self._name} broke off ({error}). Check the cable and the controller.")
 
     def write(self, data: bytes) -> None:
+        """Send all of `data` to the bulk OUT endpoint."""
         deadline = time.monotonic() + _WRITE_TIMEOUT_S
         while data:
             try:
@@ -336,6 +345,7 @@ class UsbTransport(Closing):
                 raise TransportError(f"{self._name} took no data for {_WRITE_TIMEOUT_S:g} s. Reset the controller.")
 
     def read(self, timeout_s: float) -> bytes:
+        """Return the bytes of one transfer from the bulk IN endpoint."""
         try:
             # libusb takes 0 as "for ever".
             return bytes(self._in.read(_USB_READ_BYTES, max(1, round(timeout_s * 1000))))
@@ -354,10 +364,12 @@ class UsbTransport(Closing):
             raise self._broken(failure) from failure
 
     def reopen(self) -> None:
+        """Close, and open the same device again."""
         self.close()
         self._open()
 
     def close(self) -> None:
+        """Release the device."""
         usb.util.dispose_resources(self._device)
 
 

@@ -28,13 +28,16 @@ MAX_MAGNITUDE, MIN_PEAK = 2.0**127, 2.0**-120
 
 @dataclass(frozen=True)
 class Quality:
-    """How near a decoded signal is to its reference; None where a measure has no value.
+    """How near a decoded signal is to its reference. None where a measure has no value.
 
-    `snr_db`: of codec.snr_db, 10 log10(sum x^2 / sum (x - y)^2), infinity for an exact copy.
-    `psnr_db`: 10 log10(peak^2 / mean (x - y)^2); the peak is the largest magnitude of the reference channel.
-    `st_sim_2800`, `st_sim_8000`: ST-SIM with its thresholds on an axis of 2800 Hz and of 8000 Hz, 1 for an exact copy.
-    `spqi`: SPQI, 0 to 1, 1 for an exact copy. `log_spectral_distance_db`: in the tactile band, 0 for an exact copy.
-    `third_octave_distance_db`: likewise, of levels in third octaves that can be felt.
+    Attributes:
+        snr_db: 10 log10(sum x^2 / sum (x - y)^2) in dB; infinite for an exact copy.
+        psnr_db: 10 log10(peak^2 / mean (x - y)^2) in dB. The peak is the largest magnitude of the reference channel.
+        st_sim_2800: ST-SIM with its thresholds on an axis of 2800 Hz; 1 for an exact copy.
+        st_sim_8000: The same on an axis of 8000 Hz.
+        spqi: SPQI, 0 to 1; 1 for an exact copy.
+        log_spectral_distance_db: Distance of spectra in the tactile band in dB; 0 for an exact copy.
+        third_octave_distance_db: Distance of the third octaves that can be felt, in dB; 0 for an exact copy.
     """
 
     snr_db: float | None

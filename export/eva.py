@@ -49,6 +49,7 @@ class Gdn(nn.Module):
         return torch.clamp(self.root_gamma**2 - _PEDESTAL, min=0.0)
 
     def forward(self, x: Tensor) -> Tensor:
+        """Return the normalised signal; x and the result are (batch, channels, n)."""
         norm = torch.sqrt(nn.functional.conv1d(x * x, self.gamma[:, :, None], self.beta))
         return x * norm if self.inverse else x / norm
 

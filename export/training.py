@@ -43,7 +43,8 @@ class TrainingError(RuntimeError):
 class Tell(Protocol):
     """Takes the part of the training that is done, from 0 to 1, and how it goes."""
 
-    def __call__(self, part: float, details: str = "", /) -> None: ...
+    def __call__(self, part: float, details: str = "", /) -> None:
+        """Report the part of the training that is done, and details such as the loss."""
 
 
 @dataclass(frozen=True)

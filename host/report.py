@@ -87,14 +87,18 @@ class Report:
 
     @property
     def differs(self) -> bool:
-        """Whether the controller decoded other samples, or gave its DAC other codes, than computed here."""
+        """Whether a decoded sample or a DAC code differs from the one computed here."""
         return False in (self.decoded_equals_offline, self.dac_equals_offline)
 
     def as_json(self) -> str:
-        """Return the report as a JSON object, two spaces deep."""
+        """Return the report as a JSON object, indented by two spaces."""
         return json.dumps(asdict(self), indent=2, allow_nan=False) + "\n"
 
     def write(self, path: Path) -> None:
-        """Write the report as JSON. Raises OSError."""
+        """Write the report as JSON.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
         with atomic_write(path) as partial:
             partial.write_text(self.as_json(), encoding="utf-8")

@@ -17,14 +17,21 @@ COMPENSATED_HZ = 800.0
 
 @dataclass(frozen=True)
 class Actuator:
-    """An actuator with its amplifier and DAC; linear, at rest in the middle of its range at DAC code 0.
+    """A linear actuator with its amplifier and DAC. It rests in the middle of its range at DAC code 0.
 
-    `stroke_um`: displacement from end to end, peak to peak; a resonant actuator reaches it at `corner_hz`. `volts`: the
-    voltage range that full DAC scale covers, peak to peak; a unipolar actuator rests on a bias of half of it.
-    `corner_hz`: without `quality` the -3 dB frequency of a first-order low-pass, with it the resonance of a
-    second-order one, of which `quality` is the Q. `slew_volts_per_second`, `volts_limit` (from rest) and `power_limit`
-    (mean of the squared drive over any second, full scale = 1) are what the amplifier and the actuator bear.
-    `maximum_boost`: factor by which the compensation of a resonance may raise the drive.
+    Attributes:
+        name: A name for people.
+        stroke_um: Displacement from end to end in um. A resonant actuator reaches it at `corner_hz`.
+        volts: Voltage range of the full DAC scale, peak to peak. A unipolar actuator rests on a bias of half of it.
+        corner_hz: Without `quality`, the -3 dB frequency of a first-order low-pass. With it, the resonance of a
+            second-order one. In Hz.
+        quality: Q of the resonance; None for a first-order low-pass.
+        slew_volts_per_second: Highest slew of the drive voltage.
+        volts_limit: Highest drive voltage from rest.
+        power_limit: Highest mean of the squared drive over any second, where full scale is 1.
+        dac_bits: Bits of the DAC.
+        dac_rate_hz: Sample rate of the DAC in Hz.
+        maximum_boost: Highest factor by which the compensation of a resonance raises the drive.
     """
 
     name: str
@@ -41,12 +48,12 @@ class Actuator:
 
     @property
     def excursion_um(self) -> float:
-        """Displacement from rest at full drive."""
+        """The displacement from rest at full drive, in um."""
         return self.stroke_um / 2
 
     @property
     def full_scale(self) -> int:
-        """DAC codes from rest to full drive."""
+        """The DAC codes from rest to full drive."""
         return 1 << (self.dac_bits - 1)
 
     @property
@@ -56,13 +63,13 @@ class Actuator:
 
     @property
     def code_step_limit(self) -> int:
-        """The largest difference of two DAC codes in sequence that the slew limit allows."""
+        """The largest step between two DAC codes in sequence that the slew limit allows."""
         step = math.floor(self.slew_volts_per_second / self.dac_rate_hz / (self.volts / 2) * self.full_scale)
         return max(1, step)
 
     @property
     def band_hz(self) -> tuple[float, float]:
-        """The lower and upper -3 dB frequencies; lower 0 = down to rest. Of a resonance, its half-power band."""
+        """The lower and upper -3 dB frequencies in Hz; the lower one is 0 without a resonance."""
         if self.quality is None:
             return 0.0, self.corner_hz
         half_width = 1 / (2 * self.quality)

@@ -32,15 +32,27 @@ def load(
     key: str | None = None,
     hand_speed_mm_s: float | None = None,
 ) -> Recording:
-    """Load a recording from a WAV, CSV, TXT, NPY, NPZ, MAT or HDF5 file, or an IEEE P1918.1.1 trace from its folder.
+    """Load a recording from a WAV, CSV, TXT, NPY, NPZ, MAT or HDF5 file, or from an IEEE P1918.1.1 folder.
 
-    What the file does not state must be given; what it states cannot be given otherwise. `unit`: one of INPUT_UNITS,
-    turned into one of UNITS. `full_scale`: the value, in `unit`, of 1.0 in the file, or of the largest number of its
-    type in an array of integers; a file in "full scale", as every plain WAV is, needs it with any other `unit` than
-    "drive". `axis`: one of AXES, in any case, takes one channel of three. `reduce`: one of REDUCTIONS, makes one of
-    three or keeps them; without it only a P1918.1.1 folder is reduced, by DFT321. `key`: which array of an NPZ, MAT or
-    HDF5 file. `hand_speed_mm_s`: of the sweep over a height profile. Raises TextureError, which says what to do, for
-    all that fails.
+    Give only what the file does not state.
+
+    Args:
+        path: The file, or the folder of an IEEE P1918.1.1 trace.
+        rate_hz: Sample rate in Hz.
+        unit: Unit of the values, one of INPUT_UNITS, such as "m/s^2" or "um".
+        full_scale: Value, in `unit`, of 1.0 in the file, or of the largest number of its type in an array of integers.
+            A plain WAV file needs it with every `unit` but "drive".
+        axis: Take one of three channels: "X", "Y" or "Z".
+        reduce: Make one signal of three channels: "dft321" or "norm"; "none" keeps them. Default: "dft321" for a
+            P1918.1.1 folder only.
+        key: Name of the array in an NPZ, MAT or HDF5 file.
+        hand_speed_mm_s: Speed of the hand over a height profile, in mm/s.
+
+    Returns:
+        The recording, in one of UNITS.
+
+    Raises:
+        TextureError: The file cannot be read or used; the message says what to do.
     """
     path = arguments.file_path("path", path)
     rate_hz = arguments.optional_number("rate_hz", rate_hz)
@@ -116,7 +128,11 @@ def from_array(
 
 
 def load_profile(path: str | Path) -> Profile:
-    """Load a height profile: CSV or TXT with columns such as position_um and height_um. Raises TextureError."""
+    """Load a height profile from a CSV or TXT file with columns such as position_um and height_um.
+
+    Raises:
+        TextureError: The file cannot be read or used; the message says what to do.
+    """
     path = arguments.file_path("path", path)
     if path.suffix.lower() not in TEXT_SUFFIXES:
         raise TextureError(f"{path}: a height profile is one of {', '.join(TEXT_SUFFIXES)}")

@@ -15,8 +15,13 @@ MIN_HEIGHTS = 8
 class Profile:
     """Surface height over position.
 
-    `heights_um`: float64 (n,), n >= MIN_HEIGHTS, finite; `spacing_um`: distance between neighbours. Raises
-    TextureError on anything else.
+    Attributes:
+        heights_um: float64 (n,) in um, finite, n >= 8.
+        spacing_um: Distance between neighbours in um.
+        name: A name for people.
+
+    Raises:
+        TextureError: An attribute is none of these.
     """
 
     heights_um: Signal
@@ -33,23 +38,31 @@ class Profile:
 
     @property
     def length_mm(self) -> float:
-        """Distance from the first height to the last."""
+        """The distance from the first height to the last, in mm."""
         return (len(self.heights_um) - 1) * self.spacing_um / 1000
 
     def without_form(self) -> Signal:
-        """Return the heights, in um, less the least-squares parabola: less mean, tilt and curvature of the part.
+        """Return the heights (n,) in um without mean, tilt and curvature.
 
-        This is the F-operation of ISO 25178-2 with a polynomial of degree FORM_DEGREE.
+        These are the residuals of a least-squares parabola: the F-operation of ISO 25178-2, of degree 2.
         """
         position = np.linspace(-1.0, 1.0, len(self.heights_um))
         form = Polynomial.fit(position, self.heights_um, FORM_DEGREE)
         return self.heights_um - form(position)
 
     def recording(self, hand_speed_mm_s: float) -> Recording:
-        """Return the height under a probe that sweeps once along the profile at one speed, form removed, in um.
+        """Return the displacement of a probe that sweeps once along the profile at constant speed.
 
-        The rate is speed / spacing, so no height is left out or made up; `resample` limits the band. Raises
-        TextureError on a speed that is not positive.
+        The rate is speed / spacing, so every height is one sample. The form is removed.
+
+        Args:
+            hand_speed_mm_s: Speed of the hand in mm/s.
+
+        Returns:
+            A Recording in um, one channel.
+
+        Raises:
+            TextureError: The speed is not positive.
         """
         if not np.isfinite(hand_speed_mm_s) or hand_speed_mm_s <= 0:
             raise TextureError(f"`hand_speed_mm_s` is {hand_speed_mm_s}; it must be positive")

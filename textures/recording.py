@@ -48,11 +48,15 @@ class Contents:
 class Recording:
     """A recorded or generated texture.
 
-    `samples`: float64 (n, channels), n >= 1, up to MAX_MAGNITUDE; one channel is one actuator. `rate_hz`: samples a
-    second, MIN_RATE_HZ to MAX_RATE_HZ. `unit`: "m/s^2" acceleration, "um" displacement, or "full scale", where 1.0 is
-    the full stroke of whatever plays it. `name`: what a person calls it. `axes`: the axis of each channel, where the
-    channels are the axes of one texture; empty where each channel is a texture of its own. Raises TextureError on
-    anything else.
+    Attributes:
+        samples: float64 (n, channels) with n >= 1. Each channel drives one actuator.
+        rate_hz: Sample rate in Hz.
+        unit: "m/s^2" (acceleration), "um" (displacement) or "full scale", where 1.0 is the full stroke of the actuator.
+        name: A name for people.
+        axes: The axis of each channel, where the channels are the axes of one texture; empty otherwise.
+
+    Raises:
+        TextureError: An attribute is none of these.
     """
 
     samples: Signal
@@ -87,12 +91,12 @@ class Recording:
 
     @property
     def channels(self) -> int:
-        """Channels, one for each actuator."""
+        """The number of channels."""
         return int(self.samples.shape[1])
 
     @property
     def seconds(self) -> float:
-        """Duration."""
+        """The duration in s."""
         return len(self.samples) / self.rate_hz
 
 

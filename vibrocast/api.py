@@ -57,16 +57,35 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     live: bool = False,
     progress: Progress | None = None,
 ) -> Stream:
-    """Encode a Recording, or samples (n,) or (n, channels) of any real dtype, at an SNR of 15 dB or as you ask.
+    """Encode a recording, or an array of samples, into a coded stream.
 
-    `rate_hz`: sample rate of the samples. `unit`: one of textures.INPUT_UNITS, such as "m/s^2", "g", "um" or "drive"
-    (the actuator's drive signal, 1.0 = full scale); None = "full scale", whose size nobody knows. A Recording has
-    both. `codec`: a name in `codecs()`; None = that of the model, or "mdct". `rate_bps`: bits per second of
-    the whole stream; or `snr_db`: SNR of every channel in dB. `setting`: parameters of the codec, as `codecs()`
-    describes them. `model`: name, folder or image of a trained model. `stream_rate_hz`: the samples are resampled to
-    it. `highpass_hz`: acceleration below it is removed before coding, as is that of samples in "full scale"; None
-    keeps the whole band. `live`: packets as for a link that may lose some. Read `Stream.quality` for the SNR reached
-    and the energy removed. Raises TextureError, CodecError, StreamError or ModelError, all of them ValueError.
+    Without `rate_bps` and `snr_db`, the target is an SNR of 15 dB, unless `setting` or `model` fixes the quality or the
+    codec keeps no waveform.
+
+    Args:
+        samples: A Recording, or an array (n,) or (n, channels) of any real dtype.
+        rate_hz: Sample rate of an array in Hz. A Recording states its own.
+        unit: Unit of an array: "m/s^2", "g", "nm", "um", "mm" or "drive", the drive signal of an actuator, where 1.0 is
+            full scale. None means "full scale" of unknown size. A Recording states its own.
+        codec: A name in `codecs()`. None: the codec of `model`, or "mdct".
+        rate_bps: Target size of the whole stream, in bits per second of signal.
+        snr_db: Target SNR of every channel in dB. Give this or `rate_bps`, not both.
+        model: Name, folder or image of a trained model. None: the built-in tables, or a model that ships.
+        setting: Parameters of the codec by name, as `codecs()` describes them.
+        stream_rate_hz: Sample rate of the stream in Hz, 2800 by default. The samples are resampled to it.
+        highpass_hz: Corner of the high-pass before coding, 20 Hz by default. It applies to acceleration and to "full
+            scale". None keeps the whole band.
+        live: Add random-access packets, for a link that loses packets.
+        progress: Function to call with the part of the search that is done, from 0 to 1.
+
+    Returns:
+        The stream. Its `quality` states the SNR reached and the energy removed.
+
+    Raises:
+        TextureError: The samples, rate or unit cannot be used.
+        CodecError: The codec, setting or target cannot be used; TargetUnreachable is one of these.
+        StreamError: A stream cannot hold so many samples.
+        ModelError: There is no such model.
     """
     arguments.of_type("codec", codec, str, "a name in `codecs()`")
     arguments.of_type("setting", setting, Mapping, "a mapping of parameters to values")
@@ -92,10 +111,20 @@ def decode(
     model: str | Path | models.Model | None = None,
     progress: Progress | None = None,
 ) -> Recording:
-    """Decode a stream, its bytes or a .vct file: float64 samples (n, channels) in the stream's unit, without delay.
+    """Decode a stream to samples, with the codec's delay removed.
 
-    `model`: of a stream coded for a model that does not ship. Raises StreamError or CodecError (ValueError) on damaged
-    data, on a height profile (call `Stream.profile`), and OSError where the file cannot be read.
+    Args:
+        data: A Stream, its bytes, or the path of a .vct file.
+        model: The model of a stream that was coded for one that does not ship.
+        progress: Function to call with the part that is done, from 0 to 1.
+
+    Returns:
+        A Recording: float64 samples (n, channels) in the stream's unit.
+
+    Raises:
+        StreamError: The data is damaged, or a height profile; call `Stream.profile` for that.
+        CodecError: The codec is unknown, or the model is another.
+        OSError: The file cannot be read.
     """
     _check_callable(progress)
     name = Path(data).stem if isinstance(data, str | os.PathLike) else "decoded"
@@ -110,10 +139,23 @@ def measure(
     *,
     highpass_hz: float | None = HIGHPASS_HZ,
 ) -> "Quality":
-    """Compare arrays (n,) or (n, channels) of equal shape and rate: SNR and PSNR in dB, ST-SIM, SPQI and distances.
+    """Compare decoded samples with their reference.
 
-    Both are compared from `highpass_hz` on, as they are coded; None = in their whole band. Raises ValueError on
-    unequal shapes, NaN or infinity. Without the extra [bench], ST-SIM and SPQI are None, and a warning says so.
+    Both are compared after the same high-pass as before coding. Without the extra [bench], ST-SIM and SPQI are None,
+    and a warning says so.
+
+    Args:
+        reference: Array (n,) or (n, channels).
+        decoded: Array of the same shape.
+        rate_hz: Sample rate of both in Hz.
+        unit: Unit of both, as in `encode`.
+        highpass_hz: Corner of the high-pass, 20 Hz by default. None compares the whole band.
+
+    Returns:
+        SNR and PSNR in dB, ST-SIM, SPQI and two spectral distances.
+
+    Raises:
+        ValueError: The shapes differ, or a value is NaN or infinite.
     """
     from vibrocast.evaluation import metrics
 
@@ -140,18 +182,34 @@ def render(
     gain_db: float = 0.0,
     unit: str | None = None,
 ) -> Recording:
-    """Return the displacement at the skin in um, (n, channels) at 4 times the DAC's rate, aligned to the recording.
+    """Compute the displacement at the skin that a stream causes.
 
-    The integer output stage of a controller computes the DAC codes, limits and compensation included; the model of the
-    actuator makes them displacement. `actuator`: a name, an Actuator or a TOML file (docs/how-to/measure_a_bench.md).
-    `unit`: "drive" for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError or
-    ActuatorFileError (ValueError).
+    The integer output stage of a controller computes the DAC codes, with compensation and limits. The model of the
+    actuator turns them into displacement.
+
+    Args:
+        stream: A Stream, its bytes, or the path of a .vct file.
+        actuator: A name such as "piezo-stack", "lra" or "voice-coil", an Actuator, or a TOML file that describes one.
+        gain_db: Change of level in dB.
+        unit: "drive" for a stream in "full scale" that is the drive signal of an actuator.
+
+    Returns:
+        A Recording in um: float64 (n, channels) at 4 times the DAC's rate, aligned with the recording.
+
+    Raises:
+        StreamError: The stream is damaged.
+        CodecError: The unit or the level cannot be played.
+        ActuatorFileError: There is no such actuator, or its file is wrong.
     """
     return end_to_end.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
 
 
 class Connection:
-    """A session with a controller. `controller`: the wire protocol's requests."""
+    """An open session with a controller. `connect` opens and closes it.
+
+    Attributes:
+        controller: The requests of the wire protocol, for programs that need more than the methods here.
+    """
 
     def __init__(self, controller: Controller, address: str, actuator: Actuator | None) -> None:
         self.controller = controller
@@ -166,10 +224,25 @@ class Connection:
         loops: int = 1,
         progress: Callable[[player.Progress], None] | None = None,
     ) -> Report:
-        """Play a stream to its end; compare what the controller decoded and gave its DAC with the same computed here.
+        """Play a stream to its end.
 
-        `unit`: "drive" for a stream in "full scale" that is the drive signal. Raises CodecError, StreamError for what
-        the controller cannot play, ControllerError or TransportError where the device fails.
+        The host reads back the decoded samples and the DAC codes, and compares both with its own.
+
+        Args:
+            stream: A Stream, its bytes, or the path of a .vct file.
+            gain_db: Change of level in dB.
+            unit: "drive" for a stream in "full scale" that is the drive signal of an actuator.
+            loops: How often to play it.
+            progress: Function to call with a player.Progress from time to time.
+
+        Returns:
+            The figures of the playback.
+
+        Raises:
+            CodecError: The unit or the level cannot be played.
+            StreamError: The stream is damaged, or the controller cannot play it.
+            ControllerError: The controller rejected a request.
+            TransportError: The connection failed.
         """
         chosen = _playable(stream, unit, gain_db)
         _check_callable(progress)
@@ -188,18 +261,32 @@ class Connection:
         return outcome.report
 
     def status(self) -> dict[str, Any]:
-        """Return what the controller is and does, ready for JSON."""
+        """Return the properties and the state of the controller as a dictionary, ready for JSON.
+
+        Raises:
+            ControllerError: The controller rejected the request.
+            TransportError: The connection failed.
+        """
         return devices.facts(self.controller)
 
     def upload(self, model: str | Path | models.Model) -> None:
-        """Upload a trained model into the controller's flash memory, verify it and start it."""
+        """Upload a trained model to the controller, verify it, start it and confirm it.
+
+        Args:
+            model: Name, folder or image of a model.
+
+        Raises:
+            ModelError: There is no such model.
+            ControllerError: The controller rejected the model.
+            TransportError: The connection failed.
+        """
         chosen = _model(model)
         if chosen is None:
             raise models.ModelError("`model` is None; pass the name, the folder or the image of a model")
         uploader.flash(self.controller, chosen.image)
 
     def stop(self) -> None:
-        """Bring the output to rest."""
+        """Stop the playback and bring the output to rest."""
         self.controller.stop()
 
 
@@ -207,11 +294,20 @@ class Connection:
 def connect(
     address: str = "sim", *, actuator: str | Path | Actuator | None = None, runtime: str | None = None
 ) -> Iterator[Connection]:
-    """Connect to a controller: "sim", another name of `vibrocast devices`, "serial:PORT" or "usb:VID:PID".
+    """Open a session with a controller, and close it at the end of the `with` block.
 
-    `actuator`: a name, an Actuator or a TOML file: that of a simulated controller, or the model of the one behind a
-    real controller; None = as the controller says. `runtime`: "core" or "onnx", by which a simulated controller
-    decodes. Raises TransportError or ControllerError.
+    Args:
+        address: "sim", another name that `vibrocast devices` lists, "serial:PORT" or "usb:VID:PID".
+        actuator: A name, an Actuator or a TOML file. A simulated controller drives it; for a real one it is the model
+            of the actuator. None: as the controller says.
+        runtime: "core" or "onnx": the decoder that a simulated controller uses. None: as the model says.
+
+    Yields:
+        The session.
+
+    Raises:
+        TransportError: The port or the device cannot be opened.
+        ControllerError: No controller answers, or it speaks another version of the protocol.
     """
     if not isinstance(address, str):
         raise TextureError(f'`address` is of type {type(address).__name__}; pass text such as "sim"')
@@ -223,16 +319,24 @@ def connect(
 
 
 def codecs() -> Mapping[str, Codec]:
-    """Return the codecs by name: vibrocast's own, those of other packages, and those that you registered."""
+    """Return the codecs by name: built-in ones, those of other packages, and those that you registered."""
     return CODECS
 
 
 def register(codec: BlockCodec | type[BlockCodec] | Codec) -> Codec:
-    """Add a codec to `codecs()` in this process, or replace one that you registered; return it as listed there.
+    """Add a codec to `codecs()` in this process, or replace one that you registered.
 
-    `codec`: an object or a class as docs/how-to/add_a_codec.md describes. Other processes, such as the workers of
-    `vibrocast bench`, do not know it; for these, install a package with an entry point in the group
-    `vibrocast.codecs`. Raises CodecError (ValueError) where something of it is missing or its name is taken.
+    Other processes, such as the workers of `vibrocast bench`, do not know it. For these, install a package with an
+    entry point in the group `vibrocast.codecs`.
+
+    Args:
+        codec: An object or a class with the attributes and methods of BlockCodec, or a Codec.
+
+    Returns:
+        The codec as `codecs()` lists it.
+
+    Raises:
+        CodecError: An attribute or method is missing, or the name is taken.
     """
     try:
         registered = as_codec(codec)

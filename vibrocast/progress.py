@@ -12,7 +12,8 @@ LINE_INTERVAL_S = 1.0
 class Update(Protocol):
     """Takes the part of the work that is done, from 0 to 1, and what else there is to say."""
 
-    def __call__(self, part: float, details: str = "", /) -> None: ...
+    def __call__(self, part: float, details: str = "", /) -> None:
+        """Report the part of the work that is done, and details such as a rate."""
 
 
 @contextmanager

@@ -63,7 +63,7 @@ def _read(config: pytest.Config) -> Bench | None:
 
 @pytest.fixture(scope="session")
 def vibrocast_bench(pytestconfig: pytest.Config) -> Bench:
-    """The bench of --vibrocast-bench or --vibrocast-plan; without them, the controller of --vibrocast-device alone."""
+    """The bench of --vibrocast-bench or --vibrocast-plan; without them, the controller of --vibrocast-device."""
     from vibrocast.host.bench_file import BenchFileError, choose_controller
 
     try:
@@ -74,7 +74,7 @@ def vibrocast_bench(pytestconfig: pytest.Config) -> Bench:
 
 @pytest.fixture
 def vibrocast_device(vibrocast_bench: Bench) -> Iterator[Controller]:
-    """A session with the controller under test; its output is brought to rest after the test."""
+    """A session with the controller under test. Its output is brought to rest after the test."""
     from vibrocast.host.bench_file import connect
 
     with connect(vibrocast_bench, vibrocast_bench.first) as session:
@@ -84,7 +84,7 @@ def vibrocast_device(vibrocast_bench: Bench) -> Iterator[Controller]:
 
 @pytest.fixture
 def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> Actuator:
-    """The model of the actuator on the controller's first channel: of the bench file, or as the controller says."""
+    """The model of the actuator on the controller's first channel: from the bench file, or from the controller."""
     from vibrocast.host.bench_file import actuator_of
 
     return actuator_of(vibrocast_bench, vibrocast_bench.first, vibrocast_device.description.actuator)
@@ -94,7 +94,11 @@ def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> 
 def vibrocast_play(
     vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
 ) -> Callable[..., Outcome]:
-    """A function that codes a texture, plays it and compares: options of `host.coding.encode`, returns an Outcome."""
+    """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, **options)`.
+
+    The options are those of `vibrocast.codec.encoding.encode_recording`. It returns an Outcome, whose `report` is a
+    Report.
+    """
     from vibrocast.codec.encoding import encode_recording
     from vibrocast.host import end_to_end
     from vibrocast.host.bench_file import driven_actuator
@@ -119,5 +123,5 @@ def vibrocast_play(
 
 @pytest.fixture(scope="session")
 def vibrocast_scene(vibrocast_bench: Bench) -> tuple[Recording, ...]:
-    """The textures to play: those of the bench file, or a generated one."""
+    """The textures of the bench file; a generated one without a bench file."""
     return vibrocast_bench.scene()
