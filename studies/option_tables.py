@@ -4,7 +4,7 @@ mkdocs-click has no groups, and prints the internal values of defaults and range
 """
 
 import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -27,7 +27,7 @@ class Recorder(click.HelpFormatter):
         yield
         self._heading = outer
 
-    def write_dl(self, rows: Sequence[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
+    def write_dl(self, rows: Iterable[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
         """Keep rows."""
         self.sections.setdefault(self._heading, []).extend(rows)
 

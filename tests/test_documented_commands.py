@@ -27,7 +27,6 @@ UNFINISHED = {
     "docs/how-to/train.md",
     "docs/reference/codecs.md",
     "docs/reference/conformance.md",
-    "docs/reference/textures.md",
     "docs/reference/third_party_licences.md",
     "examples/README.md",
     "firmware/README.md",
