@@ -160,7 +160,7 @@ def run(page: Path, folder: Path) -> None:
 
 
 class Session:
-    """The folder, the background commands and the interpreter of a page. `errors`: a file for what they report."""
+    """The folder, the background commands and the interpreter of a page. `errors`: a file for their errors."""
 
     def __init__(self, page: str, folder: Path, errors: TextIO) -> None:
         self._page, self._folder = page, folder
@@ -326,7 +326,7 @@ def end(process: subprocess.Popen[str]) -> None:
 
 
 def differs(shown: Sequence[str], printed: str, tolerance: float | None) -> str:
-    """Return how printed text differs from what a page shows; "" if not. `tolerance`: of numbers; None = any number."""
+    """Return how printed text differs from a page, "" if not. `tolerance`: of numbers; None = any number."""
     pattern, expected = "", []
     for line in filter(str.strip, shown):
         if line.strip() == "...":

@@ -84,7 +84,7 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     Raises:
         TextureError: The samples, rate or unit cannot be used.
         CodecError: The codec, setting or target cannot be used; TargetUnreachable is one of these.
-        StreamError: A stream cannot hold so many samples.
+        StreamError: The samples are too many for one stream.
         ModelError: There is no such model.
     """
     arguments.of_type("codec", codec, str, "a name in `codecs()`")
