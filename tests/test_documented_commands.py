@@ -29,7 +29,6 @@ UNFINISHED = {
     "docs/benchmarks/firmware.md",
     "docs/benchmarks/results.md",
     "docs/how-to/plan.md",
-    "docs/how-to/train.md",
     "docs/reference/conformance.md",
     "docs/reference/third_party_licences.md",
     "firmware/README.md",

@@ -17,7 +17,6 @@ UNFINISHED: frozenset[str] = frozenset(
         "docs/benchmarks/planning_results.md",
         "docs/benchmarks/results.md",
         "docs/how-to/plan.md",
-        "docs/how-to/train.md",
         "docs/reference/bitstream.md",
         "docs/reference/conformance.md",
         "docs/reference/protocol.md",
