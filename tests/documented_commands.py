@@ -52,6 +52,8 @@ NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 ON_STDERR = ("error:", "warning:", "note:")
 ACCEPTED = re.compile(r"(cd|git clone|source|python3? -m venv)\b")
 PIP = re.compile(r"(\S*\bpython3? -m )?\S*\b(pip|pipx) install\b")
+PYTEST = re.compile(r"(\S*\bpython3? -m )?(\S*/)?pytest\b")
+MAX_SHOWN = 3000  # characters of the output of a command that fails
 END_OF_BLOCK = "--- end of block ---"
 # Runs blocks of Python, one a line of JSON, in one namespace.
 INTERPRETER = f"""
@@ -212,7 +214,7 @@ class Session:
                 self._run(Command(command.line, f"python -m pip install --quiet {local}", []))
         elif words[0] == "sudo":
             raise PageError(f"line {command.line}: the test runs nothing as root; mark the block")
-        elif words[0] == "pytest" or words[:3] == ["python", "-m", "pytest"]:
+        elif PYTEST.match(text):
             self._run(Command(command.line, shlex.join([*words, "--collect-only", "-q"]), []), allowed=(0, 5))
         elif not ACCEPTED.match(text):
             self._run(command)
@@ -246,7 +248,7 @@ class Session:
             raise PageError(f"{where}: took more than {TIMEOUT_S} s")
         must_fail = any(line.startswith("error:") for line in command.output)
         if must_fail != (process.returncode not in allowed):
-            raise PageError(f"{where}: exit code {process.returncode}\n{printed}{errors}")
+            raise PageError(f"{where}: exit code {process.returncode}\n{(printed + errors)[-MAX_SHOWN:]}")
         shown = [line for line in command.output if line.strip()]
         for line in shown:
             if line.startswith(ON_STDERR) and line not in errors.splitlines():
