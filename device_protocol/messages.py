@@ -1,4 +1,4 @@
-"""Messages between host and controller, as dataclasses. Bytes, C sources and docs/reference/protocol.md follow."""
+"""Messages between host and controller, as dataclasses, from which C sources and docs/reference/protocol.md follow."""
 
 import struct
 from dataclasses import dataclass, field
@@ -61,48 +61,44 @@ class Described(IntEnum):
 class ErrorCode(Described):
     """Why a controller rejected a request."""
 
-    UNKNOWN_MESSAGE = 1, "a message type that this version does not have"
-    MALFORMED = 2, "lengths or values that cannot be read"
-    UNSUPPORTED_VERSION = 3, "the other side's major version; the text names both"
-    HELLO_FIRST = 4, "no session yet, or the controller has restarted"
-    WRONG_STATE = 5, "not in this state, such as Start without Configure"
-    BAD_VALUE = (
-        6,
-        "a value that can be read and makes no sense, such as a tap that is not there, an unknown flag, "
-        "or a gain that is negative or not finite",
-    )
-    UNKNOWN_CODEC = 7, "the stream's codec, or its configuration, is not supported"
-    UNKNOWN_IMAGE = 8, "the stream names a model image that is not running here; the text names it"
-    BEYOND_LIMITS = 9, "rate, channels, packet or image size are more than the limits in hello"
-    NO_SUCH_SLOT = 10, "a slot number that is not there"
+    UNKNOWN_MESSAGE = 1, "this version does not have the message type"
+    MALFORMED = 2, "lengths or values are unreadable, or a tag is missing"
+    UNSUPPORTED_VERSION = 3, "the controller speaks another major version; the text names both"
+    HELLO_FIRST = 4, "no session is open, or the controller has restarted"
+    WRONG_STATE = 5, "the state does not allow the request, such as Start without Configure"
+    BAD_VALUE = 6, "a readable value makes no sense, such as an absent tap, an unknown flag or a negative gain"
+    UNKNOWN_CODEC = 7, "the controller does not support the stream's codec or its configuration"
+    UNKNOWN_IMAGE = 8, "the stream names a model image that does not run; the text names it"
+    BEYOND_LIMITS = 9, "a rate, a size or a number of channels exceeds the controller's limits"
+    NO_SUCH_SLOT = 10, "the slot does not exist"
     WRONG_HARDWARE = 11, "the image is for other hardware"
-    IMAGE_REJECTED = 12, "hash, CRC or contents of the image are wrong"
-    FLASH_FAILED = 13, "the flash did not take the data"
+    IMAGE_REJECTED = 12, "the image's hash, CRC or contents are wrong"
+    FLASH_FAILED = 13, "the flash memory did not take the data"
 
 
 class State(Described):
     """What the controller is doing with its stream."""
 
-    IDLE = 0, "nothing configured"
-    BUFFERING = 1, "configured; takes data, waits for Start"
-    ARMED = 2, "started; waits for the device time and for the prebuffer"
-    PLAYING = 3, "time runs, whether there is data or not"
-    PAUSED = 4, "faded out, position held"
-    FINISHED = 5, "the end was played and the output is at rest"
-    STOPPED = 6, "by Stop"
+    IDLE = 0, "nothing is configured"
+    BUFFERING = 1, "configured; takes data and waits for Start"
+    ARMED = 2, "started; waits for the start time and the prebuffer"
+    PLAYING = 3, "time runs, with or without data"
+    PAUSED = 4, "faded out; the position stays"
+    FINISHED = 5, "played to the end; the output is at rest"
+    STOPPED = 6, "stopped by the host"
     WATCHDOG = 7, "ramped down because the host was silent"
-    FAULT = 8, "ramped down because of the hardware"
+    FAULT = 8, "ramped down because the hardware failed"
 
 
 class Tap(IntEnum):
-    """Where a capture is taken: samples as decoded (stream rate), or codes as given to the DAC (DAC rate)."""
+    """What a capture holds: decoded samples at the stream's rate, or DAC codes at the DAC's rate."""
 
     DECODED = 0
     DAC = 1
 
 
 class SlotState(IntEnum):
-    """What a slot for model images holds."""
+    """The state of a slot for model images."""
 
     EMPTY = 0
     WRITING = 1
@@ -158,7 +154,7 @@ def _message_error(kind: type[Message], error: LayoutError, sequence: int = NOTI
 
 @dataclass
 class Hello(Message):
-    """Opens a session; the protocol version that the host speaks. Its layout is the same in every version."""
+    """Opens a session, with the host's protocol version. The layout is the same in every version."""
 
     TYPE = 0x01
     ANSWER = "HelloResponse"
@@ -169,25 +165,25 @@ class Hello(Message):
 
 @dataclass
 class StatusRequest(Message):
-    """Asks for a Status; also keeps the watchdog content."""
+    """Asks for a Status; also counts for the watchdog."""
 
     TYPE = 0x02
 
 
 @dataclass
 class Configure(Message):
-    """Sets up a stream; whatever played before is stopped first.
+    """Stops the present stream and sets up another.
 
-    `stream`: 0-255, chosen by the host, marks this stream's data. `packets`: packets in one iteration, 0 = unknown
-    (live). `first_packet`: the random-access packet that playing begins with. `loops`: iterations, 0 = until stopped.
-    `gain`: factor on the signal. `header`: the bytes of `coded_stream.StreamHeader`.
+    `stream`: the host's number for it, 0-255. `packets`: in one iteration, 0 = unknown (live). `first_packet`: the
+    refresh at which playing begins. `loops`: iterations, 0 = until stopped. `gain`: factor on the signal. `header`:
+    the bytes of `coded_stream.StreamHeader`.
     """
 
     TYPE = 0x03
 
     stream: U8
     compensation: FLAG = field(default=True, kw_only=True)
-    header: Annotated[bytes, Tag(0x01, "stream header, as at the head of a `.vct` file")]
+    header: Annotated[bytes, Tag(0x01, "stream header, as in a `.vct` file")]
     prebuffer_samples: U32
     packets: U32 = 0
     first_packet: U32 = 0
@@ -197,7 +193,7 @@ class Configure(Message):
 
 @dataclass
 class Start(Message):
-    """Starts the configured stream at a device time; 0 or a time gone by = as soon as the prebuffer is there."""
+    """Starts the configured stream at a device time; 0 or a past time: as soon as the prebuffer is there."""
 
     TYPE = 0x04
 
@@ -213,21 +209,21 @@ class Pause(Message):
 
 @dataclass
 class Resume(Message):
-    """Fades in where Pause held."""
+    """Fades in at the position that Pause held."""
 
     TYPE = 0x06
 
 
 @dataclass
 class Stop(Message):
-    """Ramps down at once and drops the stream; valid in every state, before a hello as well."""
+    """Ramps down at once and drops the stream. Valid in every state, also before Hello."""
 
     TYPE = 0x07
 
 
 @dataclass
 class Loop(Message):
-    """Sets the iterations of the stream, those already played counted; 0 = until stopped."""
+    """Sets the iterations of the stream, including those already played; 0 = until stopped."""
 
     TYPE = 0x08
 
@@ -245,7 +241,7 @@ class Gain(Message):
 
 @dataclass
 class EndStream(Message):
-    """States where a live stream ends: the number of its packets. Tells the end from an underrun."""
+    """Sets the number of packets of a live stream, so that its end is no underrun."""
 
     TYPE = 0x0A
 
@@ -267,7 +263,7 @@ class CaptureRead(Message):
 
 @dataclass
 class FlashBegin(Message):
-    """Announces a model image for a slot; the same image as before goes on where it was cut."""
+    """Announces a model image for a slot. The same image as before goes on where it was cut."""
 
     TYPE = 0x10
     ANSWER = "FlashStatus"
@@ -280,7 +276,7 @@ class FlashBegin(Message):
 
 @dataclass
 class FlashData(Message):
-    """A piece of the image; data is the rest of the message."""
+    """Carries a piece of the image."""
 
     TYPE = 0x11
     ANSWER = "FlashStatus"
@@ -292,7 +288,7 @@ class FlashData(Message):
 
 @dataclass
 class FlashVerify(Message):
-    """Asks the controller to read the slot back, hash it and compare."""
+    """Asks the controller to read the slot back and check it."""
 
     TYPE = 0x12
     ANSWER = "FlashStatus"
@@ -302,7 +298,7 @@ class FlashVerify(Message):
 
 @dataclass
 class FlashActivate(Message):
-    """Restarts the controller to test a verified slot: unless it is confirmed, the next restart reverts it."""
+    """Restarts the controller to test a verified slot. Unless confirmed, the next restart reverts it."""
 
     TYPE = 0x13
     ANSWER = "FlashStatus, then a restart"
@@ -312,7 +308,7 @@ class FlashActivate(Message):
 
 @dataclass
 class FlashConfirm(Message):
-    """Keeps the slot that is being tested."""
+    """Keeps the slot under test."""
 
     TYPE = 0x14
     ANSWER = "FlashStatus"
@@ -337,7 +333,7 @@ class StreamData(Message):
 
 @dataclass
 class Position(Message):
-    """Where the hand or tool was at a device time (0 = when the message comes), from any origin; for all channels."""
+    """Where the hand was at a device time (0 = on arrival), from any origin, for all channels."""
 
     TYPE = 0x41
     ANSWER = "none"
@@ -351,9 +347,9 @@ class Position(Message):
 
 @dataclass(frozen=True)
 class Limits:
-    """What the controller can take. `watchdog_ms`: longest silence of the host while armed, playing or paused.
+    """The controller's limits. `watchdog_ms`: longest silence of the host while armed, playing or paused.
 
-    `profile_samples`: of a height profile, of all channels together; 0, or left out by protocol 1.0: none.
+    `profile_samples`: of a height profile, all channels together; 0, or absent in protocol 1.0: no profiles.
     """
 
     max_payload_bytes: U16
@@ -374,10 +370,10 @@ class Limits:
 
 @dataclass(frozen=True)
 class ActuatorDescription:
-    """What the controller drives.
+    """The actuator with its amplifier and DAC.
 
-    `stroke_um`: full displacement at `volts`. `lower_hz`, `upper_hz`: -3 dB, lower 0 = down to rest.
-    `slew_volts_per_second`: 0 = not limited.
+    `stroke_um`: displacement at `volts`. `lower_hz`, `upper_hz`: -3 dB; a lower one of 0: down to rest.
+    `slew_volts_per_second`: 0 = no limit.
     """
 
     name: Annotated[str, rest_text("name")]
@@ -420,17 +416,17 @@ class HelloResponse(Message):
     hardware: Annotated[str, Tag(0x02, "hardware id (text)")]
     limits: Annotated[Limits, Tag(0x03, "limits")]
     actuator: Annotated[ActuatorDescription, Tag(0x04, "actuator")]
-    codecs: Annotated[tuple[CodecDescription, ...], Tag(0x05, "codec, one each")]
+    codecs: Annotated[tuple[CodecDescription, ...], Tag(0x05, "codec, one for each")]
     images: Annotated[tuple[ImageDescription, ...], Tag(0x06, "model image, one for each slot")] = ()
 
 
 @dataclass
 class Status(Message):
-    """What the controller is doing: the response to most requests, and the notification that grants credit.
+    """State, position, credit and counts: the answer to most requests, and the notification that grants credit.
 
-    Positions and credit count samples of the stream, per channel, over all iterations. `credit_until`: data that ends
-    at or before this position may be sent. `buffered_samples`: received and not yet played. The last five are counts
-    since Configure, `bad_frames` since the controller started.
+    Positions and credit count samples per channel, over all iterations. `credit_until`: the controller takes packets
+    that end at or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the
+    controller started, the fields after it since Configure.
     """
 
     TYPE = 0x81
@@ -452,10 +448,10 @@ class Status(Message):
 
 @dataclass
 class CaptureData(Message):
-    """Captured samples, int16 little-endian, channels interleaved, as the rest of the message.
+    """Captured samples, int16 little-endian, channels interleaved.
 
-    `offset` is the first sample's (later than requested if the controller no longer has that one), `end` the number
-    captured since the stream started.
+    `offset`: of the first sample, later than requested if the controller no longer has that one. `end`: samples per
+    channel captured so far.
     """
 
     TYPE = 0x82
@@ -474,8 +470,7 @@ class CaptureData(Message):
 
 @dataclass
 class FlashStatus(Message):
-    """Answers every flash request: what the slot holds, the offset that data must go on from, and, once it has been
-    read back, the SHA-256 of it (zeros before)."""
+    """Answers every flash request. `next_offset`: where data must go on. `sha256`: zeros until verified."""
 
     TYPE = 0x83
 
@@ -487,7 +482,7 @@ class FlashStatus(Message):
 
 @dataclass
 class Error(Message):
-    """A rejection: an ErrorCode (or a later one) and text for a person. Its layout is the same in every version."""
+    """A rejection: an ErrorCode (or a later one) and a text. The layout is the same in every version."""
 
     TYPE = 0xFF
 

@@ -1,5 +1,5 @@
-/* Two slots for model images in flash, and the record of their states: whenever the power goes, an image that runs is
- * left. docs/reference/protocol.md, "Flashing".
+/* Two slots for model images in flash, and the record of their states. A power failure at any time leaves an image that
+ * runs. docs/reference/protocol.md, "Model upload".
  */
 #ifndef VIBROCAST_IMAGE_STORE_H
 #define VIBROCAST_IMAGE_STORE_H

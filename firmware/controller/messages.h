@@ -11,16 +11,15 @@
 #include "rejection.h"
 
 /* cffi: begin */
-/* Opens a session; the protocol version that the host speaks. Its layout is the same in every version. */
+/* Opens a session, with the host's protocol version. The layout is the same in every version. */
 typedef struct {
     uint8_t major;
     uint8_t minor;
 } vc_hello;
 
-/* Sets up a stream; whatever played before is stopped first. `stream`: 0-255, chosen by the host, marks this stream's
- * data. `packets`: packets in one iteration, 0 = unknown (live). `first_packet`: the random-access packet that playing
- * begins with. `loops`: iterations, 0 = until stopped. `gain`: factor on the signal. `header`: the bytes of
- * `coded_stream.StreamHeader`. */
+/* Stops the present stream and sets up another. `stream`: the host's number for it, 0-255. `packets`: in one iteration,
+ * 0 = unknown (live). `first_packet`: the refresh at which playing begins. `loops`: iterations, 0 = until stopped.
+ * `gain`: factor on the signal. `header`: the bytes of `coded_stream.StreamHeader`. */
 typedef struct {
     uint8_t stream;
     uint8_t compensation;
@@ -32,12 +31,12 @@ typedef struct {
     vc_piece header;
 } vc_configure;
 
-/* Starts the configured stream at a device time; 0 or a time gone by = as soon as the prebuffer is there. */
+/* Starts the configured stream at a device time; 0 or a past time: as soon as the prebuffer is there. */
 typedef struct {
     uint64_t device_time_us;
 } vc_start;
 
-/* Sets the iterations of the stream, those already played counted; 0 = until stopped. */
+/* Sets the iterations of the stream, including those already played; 0 = until stopped. */
 typedef struct {
     uint16_t loops;
 } vc_loop;
@@ -47,7 +46,7 @@ typedef struct {
     uint32_t gain_float_bits;
 } vc_gain;
 
-/* States where a live stream ends: the number of its packets. Tells the end from an underrun. */
+/* Sets the number of packets of a live stream, so that its end is no underrun. */
 typedef struct {
     uint8_t stream;
     uint32_t packets;
@@ -60,7 +59,7 @@ typedef struct {
     uint16_t count;
 } vc_capture_read;
 
-/* Announces a model image for a slot; the same image as before goes on where it was cut. */
+/* Announces a model image for a slot. The same image as before goes on where it was cut. */
 typedef struct {
     uint8_t slot;
     uint32_t size_bytes;
@@ -68,24 +67,24 @@ typedef struct {
     vc_piece hardware;
 } vc_flash_begin;
 
-/* A piece of the image; data is the rest of the message. */
+/* Carries a piece of the image. */
 typedef struct {
     uint8_t slot;
     uint32_t offset;
     vc_piece data;
 } vc_flash_data;
 
-/* Asks the controller to read the slot back, hash it and compare. */
+/* Asks the controller to read the slot back and check it. */
 typedef struct {
     uint8_t slot;
 } vc_flash_verify;
 
-/* Restarts the controller to test a verified slot: unless it is confirmed, the next restart reverts it. */
+/* Restarts the controller to test a verified slot. Unless confirmed, the next restart reverts it. */
 typedef struct {
     uint8_t slot;
 } vc_flash_activate;
 
-/* Keeps the slot that is being tested. */
+/* Keeps the slot under test. */
 typedef struct {
     uint8_t slot;
 } vc_flash_confirm;
@@ -97,14 +96,14 @@ typedef struct {
     vc_piece packets;
 } vc_stream_data;
 
-/* Where the hand or tool was at a device time (0 = when the message comes), from any origin; for all channels. */
+/* Where the hand was at a device time (0 = on arrival), from any origin, for all channels. */
 typedef struct {
     uint64_t device_time_us;
     int64_t position_nm;
 } vc_position;
 
-/* What the controller can take. `watchdog_ms`: longest silence of the host while armed, playing or paused.
- * `profile_samples`: of a height profile, of all channels together; 0, or left out by protocol 1.0: none. */
+/* The controller's limits. `watchdog_ms`: longest silence of the host while armed, playing or paused.
+ * `profile_samples`: of a height profile, all channels together; 0, or absent in protocol 1.0: no profiles. */
 typedef struct {
     uint16_t max_payload_bytes;
     uint16_t max_packet_bytes;
@@ -117,8 +116,8 @@ typedef struct {
     uint32_t profile_samples;
 } vc_controller_limits;
 
-/* What the controller drives. `stroke_um`: full displacement at `volts`. `lower_hz`, `upper_hz`: -3 dB, lower 0 = down
- * to rest. `slew_volts_per_second`: 0 = not limited. */
+/* The actuator with its amplifier and DAC. `stroke_um`: displacement at `volts`. `lower_hz`, `upper_hz`: -3 dB; a lower
+ * one of 0: down to rest. `slew_volts_per_second`: 0 = no limit. */
 typedef struct {
     uint32_t stroke_um_float_bits;
     uint32_t volts_float_bits;
@@ -159,10 +158,10 @@ typedef struct {
     unsigned image_count;
 } vc_hello_response;
 
-/* What the controller is doing: the response to most requests, and the notification that grants credit. Positions and
- * credit count samples of the stream, per channel, over all iterations. `credit_until`: data that ends at or before
- * this position may be sent. `buffered_samples`: received and not yet played. The last five are counts since Configure,
- * `bad_frames` since the controller started. */
+/* State, position, credit and counts: the answer to most requests, and the notification that grants credit. Positions
+ * and credit count samples per channel, over all iterations. `credit_until`: the controller takes packets that end at
+ * or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the controller
+ * started, the fields after it since Configure. */
 typedef struct {
     uint8_t state;
     uint8_t stream;
@@ -179,9 +178,8 @@ typedef struct {
     uint32_t power_limited;
 } vc_status_report;
 
-/* Captured samples, int16 little-endian, channels interleaved, as the rest of the message. `offset` is the first
- * sample's (later than requested if the controller no longer has that one), `end` the number captured since the stream
- * started. */
+/* Captured samples, int16 little-endian, channels interleaved. `offset`: of the first sample, later than requested if
+ * the controller no longer has that one. `end`: samples per channel captured so far. */
 typedef struct {
     uint8_t tap;
     uint8_t channels;
@@ -189,8 +187,7 @@ typedef struct {
     uint64_t end;
 } vc_capture_data;
 
-/* Answers every flash request: what the slot holds, the offset that data must go on from, and, once it has been read
- * back, the SHA-256 of it (zeros before). */
+/* Answers every flash request. `next_offset`: where data must go on. `sha256`: zeros until verified. */
 typedef struct {
     uint8_t slot;
     uint8_t state;
@@ -198,7 +195,7 @@ typedef struct {
     const uint8_t *sha256;
 } vc_flash_status;
 
-/* A rejection: an ErrorCode (or a later one) and text for a person. Its layout is the same in every version. */
+/* A rejection: an ErrorCode (or a later one) and a text. The layout is the same in every version. */
 typedef struct {
     uint16_t code;
     vc_piece text;

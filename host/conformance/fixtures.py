@@ -1,4 +1,4 @@
-"""What the modules of the suite share: the session with the controller, and the mark with the place in the protocol.
+"""Shared by the modules of the suite: the session with the controller, and the mark with the place in the protocol.
 
 Whoever runs them gives the fixture `link`, a TappedLink to the controller under test.
 """
@@ -29,21 +29,30 @@ SECTIONS = (
     "Session: Version",
     "Session: Sequence numbers",
     "Session: Watchdog",
-    "Playing",
+    "Playing: States",
+    "Playing: Requests by state",
     "Playing: Configure",
     "Playing: Positions",
     "Playing: Credit",
     "Playing: Stream data",
     "Playing: Start",
-    "Playing: EndStream",
     "Playing: Profiles",
+    "Playing: Position",
+    "Playing: Rendering",
+    "Playing: EndStream",
     "Playing: Stop",
-    "Playing: Limits",
+    "Playing: Pause, Resume, Loop and Gain",
+    "Playing: Limits of the output",
     "Playing: Capture",
-    "Flashing",
-    "Flashing: Model image",
+    "Model upload",
+    "Model upload: FlashBegin",
+    "Model upload: FlashData",
+    "Model upload: FlashVerify",
+    "Model upload: FlashActivate",
+    "Model upload: Restarts and power failures",
+    "Model upload: Model image",
 )
-"""Where requirements stand in docs/reference/protocol.md, in its order: a heading, alone or with a subheading."""
+"""Headings of docs/reference/protocol.md that hold requirements, in its order: a section, or section: subsection."""
 
 section = pytest.mark.section
 """Marks a test with one of SECTIONS."""

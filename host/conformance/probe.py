@@ -42,7 +42,7 @@ from vibrocast.host.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import MIN_PAYLOAD_LIMIT_BYTES
 from vibrocast.host.stream_session import next_number
 
-# docs/reference/protocol.md, "Sequence numbers" and "Flashing": the longest answer, and the longest restart.
+# docs/reference/protocol.md, "Sequence numbers" and "FlashActivate": the longest answers, and the longest restart.
 ANSWER_S = 2.0
 SLOT_S = 10.0
 RESTART_S = 10.0

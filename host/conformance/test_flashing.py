@@ -107,7 +107,7 @@ def test_slots_that_are_not_there(probe: Probe) -> None:
             probe.expect_rejection(request, ErrorCode.NO_SUCH_SLOT)
 
 
-@section("Flashing")
+@section("Model upload: FlashBegin")
 def test_image_for_other_hardware_is_rejected(probe: Probe, slot: int) -> None:
     """FlashBegin for other hardware is answered WRONG_HARDWARE; for this one, and for any, it is carried out."""
     hardware = probe.description.hardware
@@ -127,7 +127,7 @@ def test_image_larger_than_a_slot_is_rejected(probe: Probe, slot: int) -> None:
     probe.expect_rejection(FlashBegin(slot, 0xFFFFFFFF, bytes(32), ""), ErrorCode.BEYOND_LIMITS)
 
 
-@section("Flashing")
+@section("Model upload: FlashData")
 def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
     """FlashData at any other offset than next_offset writes nothing; the answer says where to go on."""
     data = bytes(range(200))
@@ -138,7 +138,7 @@ def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
         assert status.next_offset == 50, f"data at {offset}: expected next_offset 50, came {describe(status)}"
 
 
-@section("Flashing")
+@section("Model upload: FlashData")
 def test_data_beyond_the_image_is_rejected(probe: Probe, slot: int) -> None:
     """FlashData beyond the size that FlashBegin named is answered BAD_VALUE and not written."""
     data = bytes(range(100))
@@ -148,7 +148,7 @@ def test_data_beyond_the_image_is_rejected(probe: Probe, slot: int) -> None:
     write(probe, slot, data, first=90)
 
 
-@section("Flashing")
+@section("Model upload")
 def test_slot_in_the_wrong_state(probe: Probe, slot: int, image: ModelImage) -> None:
     """Data for, and verification of, a slot that takes no image, and the start of one not verified, are WRONG_STATE."""
     begin(probe, slot, b"some image")
@@ -160,7 +160,7 @@ def test_slot_in_the_wrong_state(probe: Probe, slot: int, image: ModelImage) -> 
     probe.expect_rejection(FlashConfirm(slot), ErrorCode.WRONG_STATE)
 
 
-@section("Flashing")
+@section("Model upload: FlashBegin")
 def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> None:
     """After a new connection, FlashBegin of the same image says where to go on; that of another starts at byte 0."""
     data = new_image(probe, image)
@@ -179,7 +179,7 @@ def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> N
     assert (status.state, status.next_offset) == (SlotState.WRITING, 0), f"expected to begin, came {describe(status)}"
 
 
-@section("Flashing")
+@section("Model upload: FlashVerify")
 @pytest.mark.parametrize(
     "fault",
     [
@@ -217,7 +217,7 @@ def test_faulty_image_is_rejected(probe: Probe, slot: int, image: ModelImage, fa
     assert found.state == SlotState.EMPTY, f"expected an EMPTY slot, came {found}"
 
 
-@section("Flashing")
+@section("Model upload: FlashData")
 def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> None:
     """FlashData and FlashVerify are carried out while a stream plays, which they do not disturb."""
     need_capture(probe.description)
@@ -236,7 +236,7 @@ def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> N
     same_samples(came, decoded(stream)[first:], "a stream during a transfer")
 
 
-@section("Flashing")
+@section("Model upload: FlashActivate")
 def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> None:
     """FlashActivate restarts into the verified slot: no session, no stream, state TESTING; FlashConfirm keeps it."""
     data = new_image(probe, image)
@@ -265,7 +265,7 @@ def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> 
     probe.expect_rejection(FlashBegin(slot, len(data), sha256(data), ""), ErrorCode.WRONG_STATE)
 
 
-@section("Flashing: Model image")
+@section("Model upload: Model image")
 def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, image: ModelImage) -> None:
     """A stream that names a model image is answered UNKNOWN_IMAGE until that image runs, and then plays."""
     known = codec.codec_by_identifier(image.codec_identifier)
@@ -290,7 +290,7 @@ def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, imag
     same_samples(came, decoded(stream)[first:], "a stream with its image")
 
 
-@section("Flashing")
+@section("Model upload: Restarts and power failures")
 def test_image_that_is_not_confirmed_is_reverted_by_a_restart(probe: Probe, slot: int, image: ModelImage) -> None:
     """A restart without FlashConfirm falls back to the CONFIRMED slot, and the tested slot is VERIFIED again."""
     if probe.link.restart is None:

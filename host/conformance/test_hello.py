@@ -85,7 +85,7 @@ def test_codecs_are_named(hello: HelloResponse) -> None:
     assert all(1 <= number <= 15 and text for number, text in hello.codecs), f"expected names, came {hello.codecs}"
 
 
-@section("Flashing")
+@section("Model upload")
 def test_slots_are_listed(hello: HelloResponse) -> None:
     """Hello lists at least two slots, each once; at most one is CONFIRMED and at most one TESTING."""
     states = [image.state for image in hello.images]

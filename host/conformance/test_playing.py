@@ -311,7 +311,7 @@ def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
     decoded_as(probe, decoded(stream, missing=range(packets)), "without data in time")
 
 
-@section("Playing")
+@section("Playing: Pause, Resume, Loop and Gain")
 def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
     """Pause holds the position with the output at rest; Resume goes on, and nothing is left out."""
     number = probe.configure(longer).stream
@@ -331,7 +331,7 @@ def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
     decoded_as(probe, decoded(longer), "with a pause")
 
 
-@section("Playing")
+@section("Playing: Pause, Resume, Loop and Gain")
 def test_gain_may_change_while_playing(probe: Probe, longer: Stream) -> None:
     """A gain that is changed while playing does not change what is decoded, and the output ends at rest."""
     number = probe.configure(longer).stream
@@ -345,7 +345,7 @@ def test_gain_may_change_while_playing(probe: Probe, longer: Stream) -> None:
     ends_at_rest(probe, longer)
 
 
-@section("Playing")
+@section("Playing: Pause, Resume, Loop and Gain")
 def test_loop_sets_the_iterations(probe: Probe) -> None:
     """Loop sets all iterations, also of a stream that was to play until stopped."""
     stream = lasting_stream(probe, 2)
@@ -358,7 +358,7 @@ def test_loop_sets_the_iterations(probe: Probe) -> None:
     decoded_as(probe, np.tile(decoded(stream), (2, 1)), "two iterations")
 
 
-@section("Playing")
+@section("Playing: Pause, Resume, Loop and Gain")
 def test_loop_ends_what_would_go_on(probe: Probe, longer: Stream) -> None:
     """Loop with a number already reached ends the stream after the present iteration."""
     number = probe.configure(longer, loops=0).stream
@@ -421,7 +421,7 @@ def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
     assert probe.stop().position == status.position, "expected the position to stay"
 
 
-@section("Playing")
+@section("Playing: Start")
 def test_output_never_jumps(probe: Probe) -> None:
     """The output fades in at a start and a resume, and out at a pause and a stop, over more than one DAC code."""
     need_capture(probe.description)

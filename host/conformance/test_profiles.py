@@ -79,7 +79,7 @@ def test_profile_waits_for_all_of_it(probe: Probe, profile: Stream) -> None:
     probe.stop()
 
 
-@section("Playing: Profiles")
+@section("Playing: Rendering")
 def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, profile: Stream) -> None:
     """Under a hand at rest the DAC holds the code of the height there, computed here, bit for bit."""
     need_capture(hello)
@@ -98,7 +98,7 @@ def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, profi
     same_samples(came, np.broadcast_to(codes[-1], came.shape), "DAC codes under a hand at rest")
 
 
-@section("Playing: Profiles")
+@section("Playing: Position")
 def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, profile: Stream) -> None:
     """Positions at any time and place are not answered, and moved back the hand finds the same height."""
     need_capture(hello)
@@ -114,7 +114,7 @@ def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, profile: Strea
     assert codes[0] == codes[1], f"expected the code {codes[0].hex()} again, came {codes[1].hex()}"
 
 
-@section("Playing: Profiles")
+@section("Playing: Position")
 def test_late_positions_are_counted(probe: Probe, profile: Stream) -> None:
     """A position of a hand that moved on while the output held still counts as an underrun; one at rest does not."""
     played_at(probe, profile, 1_000_000)

@@ -58,7 +58,7 @@ def bring_to(probe: Probe, state: State, live: bool = False) -> Status:
     return in_state(probe.status(), state, "Start")
 
 
-@section("Playing")
+@section("Playing: Requests by state")
 @pytest.mark.parametrize("state", _STATES)
 def test_requests_in_the_wrong_state_are_rejected(probe: Probe, state: State) -> None:
     """In {state}, each request that the table does not allow there is answered WRONG_STATE and changes nothing."""
@@ -77,7 +77,7 @@ def test_requests_in_the_wrong_state_are_rejected(probe: Probe, state: State) ->
     in_state(probe.status(), state, "after requests in the wrong state")
 
 
-@section("Playing")
+@section("Playing: Requests by state")
 @pytest.mark.parametrize("state", [pytest.param(state, id=state.name) for state in _TAKES_DATA])
 def test_requests_in_the_right_state_are_carried_out(probe: Probe, state: State) -> None:
     """In {state}, Loop, Gain and EndStream are carried out."""
@@ -88,7 +88,7 @@ def test_requests_in_the_right_state_are_carried_out(probe: Probe, state: State)
     in_state(probe.expect(EndStream(number, _ENDLESS_PACKETS), Status), state, "EndStream")
 
 
-@section("Playing")
+@section("Playing: Stop")
 @pytest.mark.parametrize("state", _STATES)
 def test_stop_works_in_every_state(probe: Probe, state: State) -> None:
     """In {state}, Stop is carried out: the state is STOPPED and nothing is buffered."""
@@ -98,7 +98,7 @@ def test_stop_works_in_every_state(probe: Probe, state: State) -> None:
         assert status.buffered_samples == 0, f"expected nothing buffered, came {describe(status)}"
 
 
-@section("Playing")
+@section("Playing: Configure")
 @pytest.mark.parametrize("state", _STATES)
 def test_configure_works_in_every_state(probe: Probe, state: State) -> None:
     """In {state}, Configure is carried out, and the new stream plays to its end."""
@@ -107,7 +107,7 @@ def test_configure_works_in_every_state(probe: Probe, state: State) -> None:
     assert (status.underruns, status.lost_packets) == (0, 0), f"expected no loss, came {describe(status)}"
 
 
-@section("Playing")
+@section("Playing: States")
 @pytest.mark.parametrize("state", [pytest.param(state, id=state.name) for state in _OVER])
 def test_what_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
     """In {state}, Status keeps the stream's number, position and counts, and stream data is dropped."""
@@ -118,7 +118,7 @@ def test_what_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
     assert kept == before, f"expected {describe(before)}, came {describe(after)}"
 
 
-@section("Flashing")
+@section("Model upload: FlashBegin")
 @pytest.mark.parametrize("state", [pytest.param(state, id=state.name) for state in _ACTIVE])
 def test_flashing_needs_an_idle_output(probe: Probe, slot: int, state: State) -> None:
     """In {state}, FlashBegin and FlashActivate are answered WRONG_STATE."""

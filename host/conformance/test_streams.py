@@ -104,7 +104,7 @@ def test_dac_codes_of_loops(probe: Probe) -> None:
     )
 
 
-@section("Playing: Limits")
+@section("Playing: Limits of the output")
 @pytest.mark.parametrize("compensation", [True, False], ids=["on", "off"])
 def test_limits_act_and_are_counted(probe: Probe, compensation: bool) -> None:
     """Far too loud, with compensation {compensation}, DAC codes and counts of the limits are those computed here."""
@@ -125,7 +125,7 @@ def test_gain_of_zero_keeps_the_output_at_rest(probe: Probe) -> None:
     assert not codes.any(), f"expected nothing but 0, came codes up to {np.abs(codes).max()}"
 
 
-@section("Playing: Limits")
+@section("Playing: Limits of the output")
 def test_dac_codes_stay_within_the_dac(probe: Probe) -> None:
     """However loud a stream is, its DAC codes are among those that the DAC has."""
     stream = stream_for(probe.description, unit="full scale")
@@ -138,7 +138,7 @@ def test_dac_codes_stay_within_the_dac(probe: Probe) -> None:
     )
 
 
-@section("Playing: Limits")
+@section("Playing: Limits of the output")
 def test_streams_begin_alike(probe: Probe) -> None:
     """A stream gives the same DAC codes when it comes right behind one that is far too loud."""
     stream = stream_for(probe.description, unit="full scale", seconds=1.2)
