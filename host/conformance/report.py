@@ -23,7 +23,7 @@ JSON = "conformance.json"
 
 
 class Outcome(Enum):
-    """What was found of a requirement."""
+    """The outcome of a requirement."""
 
     PASSED = "pass"
     FAILED = "fail"
@@ -42,7 +42,7 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of a requirement. `reason`: of anything but a pass. `measured`: what else the test saw, if any."""
+    """The finding on a requirement. `reason`: why it did not pass. `measured`: a further measurement, if any."""
 
     requirement: Requirement
     outcome: Outcome
@@ -52,7 +52,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """What was found of a controller. `left_out`: what was not to be tested. `date`: None = not said."""
+    """The findings on a controller. `left_out`: tests that the user left out. `date`: None = none in the report."""
 
     hello: HelloResponse
     findings: tuple[Finding, ...]
@@ -66,7 +66,7 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """What the findings come to."""
+        """The verdict in words."""
         if not self.conforming:
             return "not conforming"
         return "conforming, as far as it was tested," if self.left_out else "conforming"
@@ -116,7 +116,7 @@ class Report:
         )
 
     def write(self, folder: Path) -> None:
-        """Write page and JSON into a folder, which is made where it is not there. Raises OSError."""
+        """Write page and JSON into a folder, and make it if absent. Raises OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in ((PAGE, self.page()), (JSON, json.dumps(self.facts(), indent=2) + "\n")):
             with atomic_write(folder / name) as partial:

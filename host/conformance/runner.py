@@ -17,7 +17,7 @@ from vibrocast.host.controller import ControllerError
 from vibrocast.host.printable import plain
 
 _FOLDER = Path(__file__).parent
-# Nothing of the user's or of the environment's pytest takes part.
+# The user's pytest configuration takes no part.
 _OPTIONS = (
     *("-c", os.devnull),
     *("--rootdir", str(_FOLDER)),
@@ -28,7 +28,7 @@ _ENVIRONMENT = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": "", "PY
 
 
 class NotTestable(Exception):
-    """The controller does not answer Hello as one does: nothing else can be tested."""
+    """The controller does not answer Hello correctly, so nothing else can be tested."""
 
 
 def run_suite(
@@ -37,11 +37,11 @@ def run_suite(
     progress: Callable[[float, str], None] | None = None,
     date: str | None = None,
 ) -> Report:
-    """Run the suite on the controller behind a link; return what it says of itself, and the findings in suite order.
+    """Run the suite on the controller behind a link; return its description, and the findings in suite order.
 
-    `quick`: leave out what takes more than a second. `progress` is called with the part that is done and the section
-    that comes next. `date`: for the report. The output is at rest afterwards, also after an exception. Raises
-    NotTestable, KeyboardInterrupt.
+    `quick`: leave out tests longer than a second. `progress` is called with the part that is done and the next section.
+    `date`: for the report. The output is at rest afterwards, also after an exception. Raises NotTestable,
+    KeyboardInterrupt.
     """
     probe = Probe(link)
     try:
@@ -52,22 +52,28 @@ def run_suite(
         ) from reason
     suite_run = _SuiteRun(link, progress)
     _run(suite_run, "-m", "not long" if quick else "")
-    left_out = ["what takes more than a second"] * quick
-    left_out += ["what writes a slot for model images"] * (not link.may_flash)
+    left_out = ["tests longer than a second"] * quick
+    left_out += ["tests that write model images"] * (not link.may_flash)
     return Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out), date)
 
 
 def requirements() -> list[Requirement]:
     """Return all requirements, in the order of the suite."""
+    return list(map(_requirement, collected()))
+
+
+def collected() -> list[pytest.Function]:
+    """Return the tests of the suite, one for each requirement, in their order."""
     suite_run = _SuiteRun(None, None)
     _run(suite_run, "--collect-only")
-    return list(suite_run.requirements.values())
+    return suite_run.tests
 
 
 class _SuiteRun:
-    """A pytest plugin that lends the suite its link, and notes what comes out."""
+    """A pytest plugin that gives the suite its link, and collects the findings."""
 
     def __init__(self, link: TappedLink | None, progress: Callable[[float, str], None] | None) -> None:
+        self.tests: list[pytest.Function] = []
         self.requirements: dict[str, Requirement] = {}
         self.findings: dict[str, Finding] = {}
         self.interrupted = False
@@ -86,6 +92,7 @@ class _SuiteRun:
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         for item in session.items:
             assert isinstance(item, pytest.Function)
+            self.tests.append(item)
             self.requirements[item.nodeid] = _requirement(item)
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
@@ -105,7 +112,7 @@ class _SuiteRun:
             outcome, reason = _outcome(call.excinfo)
             self.findings[item.nodeid] = Finding(self.requirements[item.nodeid], outcome, reason, str(measured))
             if outcome == Outcome.FAILED and item.get_closest_marker("prerequisite") is not None:
-                self._not_tested = f"what must be right first is not: {self.requirements[item.nodeid].text}"
+                self._not_tested = f"a prerequisite is not met: {self.requirements[item.nodeid].text}"
                 item.session.shouldstop = self._not_tested
         return report
 
@@ -133,24 +140,38 @@ def _run(suite_run: _SuiteRun, *options: str) -> None:
         raise RuntimeError(f"the suite could not be run (pytest ended with {code!r})")
 
 
-def _requirement(item: pytest.Function) -> Requirement:
-    """Return what a test asks, its parameters filled in."""
-    section = item.get_closest_marker("section")
-    assert section is not None and item.function.__doc__, f"{item.name} says what it asks, and where that stands"
-    parameters = item.callspec.params if hasattr(item, "callspec") else {}
-    text = item.function.__doc__.format(**{name: _word(value) for name, value in parameters.items()})
-    return Requirement(section.args[0], text.strip(), item.name)
+def section_of(test: pytest.Function) -> str:
+    """Return the section of docs/reference/protocol.md that a test belongs to."""
+    section = test.get_closest_marker("section")
+    assert section is not None, f"{test.name} names the section of its requirement"
+    return str(section.args[0])
+
+
+def text_of(test: pytest.Function) -> str:
+    """Return a test's requirement, with its parameters in braces."""
+    assert test.function.__doc__, f"{test.name} states its requirement"
+    return str(test.function.__doc__).strip()
+
+
+def cases_of(test: pytest.Function) -> dict[str, str]:
+    """Return the parameters of a test as a reader knows them."""
+    parameters = test.callspec.params if hasattr(test, "callspec") else {}
+    return {name: _word(value) for name, value in parameters.items()}
+
+
+def _requirement(test: pytest.Function) -> Requirement:
+    return Requirement(section_of(test), text_of(test).format(**cases_of(test)), test.name)
 
 
 def _word(value: object) -> str:
-    """Return a parameter as a reader knows it."""
+    """Return a parameter's value as text."""
     if isinstance(value, Enum):
         return value.name
     return value.__name__ if isinstance(value, type) else str(value)
 
 
 def _outcome(failure: pytest.ExceptionInfo[BaseException] | None) -> tuple[Outcome, str]:
-    """Return what the end of a test says of the controller, and why."""
+    """Return the outcome of a test, and the reason."""
     if failure is None:
         return Outcome.PASSED, ""
     text = plain(" ".join(str(failure.value).split()))

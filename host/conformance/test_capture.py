@@ -1,4 +1,4 @@
-"""Capture: what CaptureRead gives of what was decoded and of what went to the DAC."""
+"""Capture: what CaptureRead returns of decoded samples and of DAC codes."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def stream(hello: HelloResponse) -> Stream:
 
 @section("Playing: Capture")
 def test_capture_is_read_from_anywhere(probe: Probe, stream: Stream) -> None:
-    """CaptureRead gives the samples from the offset asked for, at most as many as asked for and as the frame holds."""
+    """The controller returns captured samples from the requested offset, no more than count or a frame allows."""
     expected = decoded(stream)
     probe.play(stream)
     end = len(expected)
@@ -36,7 +36,7 @@ def test_capture_is_read_from_anywhere(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Capture")
 def test_capture_beyond_its_end_is_empty(probe: Probe, stream: Stream) -> None:
-    """CaptureRead beyond the end, or of no samples, is empty; beyond the end its offset is the end."""
+    """The controller returns an empty capture for a count of 0, and beyond the end, where the offset is the end."""
     probe.play(stream)
     for tap in Tap:
         end = probe.read_capture(tap, 0, 0, 1).end
@@ -50,8 +50,8 @@ def test_capture_beyond_its_end_is_empty(probe: Probe, stream: Stream) -> None:
 
 
 @section("Playing: Capture")
-def test_capture_begins_anew_with_each_stream(probe: Probe, stream: Stream) -> None:
-    """A Configure empties both taps."""
+def test_configure_empties_the_capture(probe: Probe, stream: Stream) -> None:
+    """The controller empties both taps at Configure."""
     probe.play(stream)
     probe.configure(stream)
     for tap in Tap:
@@ -61,7 +61,7 @@ def test_capture_begins_anew_with_each_stream(probe: Probe, stream: Stream) -> N
 
 @section("Playing: Capture")
 def test_capture_keeps_the_last_samples(probe: Probe, stream: Stream) -> None:
-    """Each tap keeps as many samples as the limit says; of earlier ones, the first that is left is given instead."""
+    """The controller keeps the last capture_samples of each tap. An earlier offset gives the oldest of them."""
     limit = probe.description.limits.capture_samples
     status = probe.play(stream)
     assert status.state == State.FINISHED, f"expected the end, came {describe(status)}"
@@ -73,7 +73,7 @@ def test_capture_keeps_the_last_samples(probe: Probe, stream: Stream) -> None:
 
 @section("Messages: Error codes")
 def test_tap_that_is_not_there(probe: Probe, stream: Stream) -> None:
-    """CaptureRead of a tap that is not there is answered BAD_VALUE."""
+    """The controller answers BAD_VALUE to a CaptureRead of an absent tap."""
     probe.configure(stream)
     for tap in (2, 0xFF):
         body = bytes([tap]) + CaptureRead(Tap.DECODED, 0, 1).body()[1:]

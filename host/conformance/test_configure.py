@@ -1,4 +1,4 @@
-"""Configure: what it rejects, by which code, and the credit that it grants."""
+"""Configure: its rejections and their codes, and the first credit."""
 
 import struct
 from dataclasses import replace
@@ -27,7 +27,7 @@ def configure_rejected(probe: Probe, stream: Stream, header: bytes, code: ErrorC
 @section("Playing: Configure")
 @pytest.mark.parametrize("fault", ["empty", "cut", "magic", "version", "surplus"])
 def test_stream_header_that_cannot_be_read(probe: Probe, stream: Stream, fault: str) -> None:
-    """A stream header that cannot be read ({fault}) is answered BAD_VALUE."""
+    """The controller answers BAD_VALUE to an unreadable stream header ({fault})."""
     header = stream.header.pack()
     faulty = {
         "empty": b"",
@@ -41,7 +41,7 @@ def test_stream_header_that_cannot_be_read(probe: Probe, stream: Stream, fault: 
 
 @section("Messages: Error codes")
 def test_codec_that_is_not_there(probe: Probe, stream: Stream) -> None:
-    """A stream of a codec that hello does not name is answered UNKNOWN_CODEC."""
+    """The controller answers UNKNOWN_CODEC to a stream of a codec that HelloResponse does not name."""
     announced = {number for number, _ in probe.description.codecs}
     for number in set(range(1, 16)) - announced:
         configure_rejected(
@@ -51,7 +51,7 @@ def test_codec_that_is_not_there(probe: Probe, stream: Stream) -> None:
 
 @section("Messages: Error codes")
 def test_configuration_that_the_codec_does_not_take(probe: Probe, stream: Stream) -> None:
-    """A configuration that the stream's codec cannot read is answered UNKNOWN_CODEC."""
+    """The controller answers UNKNOWN_CODEC to a configuration that the stream's codec cannot read."""
     configuration = stream.header.configuration
     for faulty in (b"", configuration + bytes(200), b"\xff" * max(1, len(configuration))):
         configure_rejected(probe, stream, replace(stream.header, configuration=faulty).pack(), ErrorCode.UNKNOWN_CODEC)
@@ -59,7 +59,7 @@ def test_configuration_that_the_codec_does_not_take(probe: Probe, stream: Stream
 
 @section("Messages: Error codes")
 def test_image_that_does_not_run(probe: Probe, stream: Stream) -> None:
-    """A stream that names a model image that does not run is answered UNKNOWN_IMAGE; the text names the image."""
+    """The controller answers UNKNOWN_IMAGE to a stream whose model image does not run, and names the image."""
     unknown = b"\xab\xcd\xef\x01"
     assert len(unknown) == IMAGE_HASH_BYTES, "an image is named by four bytes"
     text = configure_rejected(probe, stream, replace(stream.header, image_hash=unknown).pack(), ErrorCode.UNKNOWN_IMAGE)
@@ -68,7 +68,7 @@ def test_image_that_does_not_run(probe: Probe, stream: Stream) -> None:
 
 @section("Messages: Error codes")
 def test_more_channels_than_there_are(probe: Probe, stream: Stream) -> None:
-    """A stream of more channels than the limit is answered BEYOND_LIMITS."""
+    """The controller answers BEYOND_LIMITS to a stream with more channels than its limit."""
     channels = probe.description.limits.channels
     if channels == MAX_CHANNELS:
         pytest.skip("the controller has as many channels as a stream can have")
@@ -79,7 +79,7 @@ def test_more_channels_than_there_are(probe: Probe, stream: Stream) -> None:
 
 @section("Messages: Error codes")
 def test_rates_beyond_the_limits(probe: Probe, stream: Stream) -> None:
-    """A stream of a rate outside the limits is answered BEYOND_LIMITS."""
+    """The controller answers BEYOND_LIMITS to a stream whose rate is outside its limits."""
     limits = probe.description.limits
     rates = [rate for rate in (limits.min_rate_hz - 1, limits.max_rate_hz + 1) if 1 <= rate <= MAX_RATE_HZ]
     if not rates:
@@ -90,7 +90,7 @@ def test_rates_beyond_the_limits(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Configure")
 def test_first_packet_is_one_of_the_iteration(probe: Probe, stream: Stream) -> None:
-    """A first packet that the iteration does not have is answered BAD_VALUE."""
+    """The controller answers BAD_VALUE to a first packet beyond the iteration."""
     packets = len(stream.packets)
     for first_packet in (packets, packets + 1, 0xFFFFFFFF):
         configure_rejected(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, first_packet=first_packet)
@@ -98,7 +98,7 @@ def test_first_packet_is_one_of_the_iteration(probe: Probe, stream: Stream) -> N
 
 @section("Playing: Configure")
 def test_live_stream_has_one_iteration(probe: Probe, stream: Stream) -> None:
-    """A live stream with any other number of loops than 1 is answered BAD_VALUE, by Configure and by Loop."""
+    """The controller answers BAD_VALUE to a live stream with any number of loops but 1, in Configure and Loop."""
     for loops in (0, 2, 0xFFFF):
         configure_rejected(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=0, loops=loops)
     probe.configure(stream, packets=0)
@@ -107,14 +107,14 @@ def test_live_stream_has_one_iteration(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Configure")
 def test_more_packets_than_samples(probe: Probe, stream: Stream) -> None:
-    """More packets than the samples in the stream header can fill are answered BAD_VALUE."""
+    """The controller answers BAD_VALUE to more packets than the samples in the stream header can fill."""
     for packets in (len(stream.packets) + 2, 0xFFFFFFFF):
         configure_rejected(probe, stream, stream.header.pack(), ErrorCode.BAD_VALUE, packets=packets)
 
 
 @section("Playing: Configure")
 def test_iteration_too_short_to_be_repeated(probe: Probe, stream: Stream) -> None:
-    """To repeat an iteration of less than 3 ms is answered BAD_VALUE, by Configure and by Loop."""
+    """The controller answers BAD_VALUE to the repetition of an iteration under 3 ms, in Configure and Loop."""
     header = replace(stream.header, samples=max(1, stream.header.rate_hz * 2 // 1000)).pack()
     for loops in (0, 2):
         configure_rejected(probe, stream, header, ErrorCode.BAD_VALUE, packets=1, loops=loops)
@@ -129,7 +129,7 @@ def test_iteration_too_short_to_be_repeated(probe: Probe, stream: Stream) -> Non
 
 @section("Playing: Configure")
 def test_unknown_flags_are_rejected(probe: Probe, stream: Stream) -> None:
-    """A flag other than 0x01 is answered BAD_VALUE."""
+    """The controller answers BAD_VALUE to a flag other than 0x01."""
     body = bytearray(probe.configuration(stream).body())
     for flag in (0x02, 0x80):
         body[1] = flag
@@ -139,7 +139,7 @@ def test_unknown_flags_are_rejected(probe: Probe, stream: Stream) -> None:
 @section("Playing: Configure")
 @pytest.mark.parametrize("gain", [-1.0, float("nan"), float("inf")], ids=["negative", "nan", "infinity"])
 def test_gain_is_a_finite_factor(probe: Probe, stream: Stream, gain: float) -> None:
-    """A gain of {gain} is answered BAD_VALUE, by Configure and by Gain."""
+    """The controller answers BAD_VALUE to a gain of {gain}, in Configure and Gain."""
     body = probe.configuration(stream).body()
     packed = struct.pack("<f", gain)
     end = Configure.FIXED.size
@@ -151,7 +151,7 @@ def test_gain_is_a_finite_factor(probe: Probe, stream: Stream, gain: float) -> N
 
 @section("Playing: Configure")
 def test_rejected_configure_changes_nothing(probe: Probe, stream: Stream) -> None:
-    """A Configure that is rejected leaves the stream of before as it was."""
+    """The controller keeps its stream unchanged when it rejects a Configure."""
     before = probe.configure(stream)
     probe.feed(before.stream, stream)
     before = probe.status()
@@ -164,7 +164,7 @@ def test_rejected_configure_changes_nothing(probe: Probe, stream: Stream) -> Non
 
 @section("Playing: Credit")
 def test_first_credit(probe: Probe, stream: Stream) -> None:
-    """The answer to Configure grants some whole packets, no more than the buffer's samples and no more than 1024."""
+    """The controller grants whole packets in its answer to Configure: at most its buffer, and at most 1024."""
     packet_samples = stream.decoder().packet_samples
     status = probe.configure(stream)
     max_samples = held_samples(probe.description, stream)
@@ -179,7 +179,7 @@ def test_first_credit(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Credit")
 def test_prebuffer_longer_than_the_buffer(probe: Probe, stream: Stream) -> None:
-    """A prebuffer longer than the buffer is answered BEYOND_LIMITS; one as long is taken."""
+    """The controller answers BEYOND_LIMITS to a prebuffer longer than its buffer, and accepts one as long."""
     max_samples = held_samples(probe.description, stream)
     probe.configure(stream, prebuffer_samples=max_samples)
     for prebuffer_samples in (max_samples + 1, 0xFFFFFFFF):

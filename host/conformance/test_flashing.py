@@ -1,4 +1,4 @@
-"""Flashing: transfer, checks, test, confirmation; a cut session is resumed, what must not be written is rejected."""
+"""Model upload: transfer, resumption, checks, test, confirmation, and rejections."""
 
 import zlib
 from dataclasses import replace
@@ -93,7 +93,7 @@ def new_image(probe: Probe, image: ModelImage) -> bytes:
 
 @section("Messages: Error codes")
 def test_slots_that_are_not_there(probe: Probe) -> None:
-    """Every request for a slot that is not there is answered NO_SUCH_SLOT."""
+    """The controller answers NO_SUCH_SLOT to every request for an absent slot."""
     there = {image.slot for image in probe.description.images}
     for slot in set(_NO_SLOTS) - there:
         requests: tuple[Message, ...] = (
@@ -109,7 +109,7 @@ def test_slots_that_are_not_there(probe: Probe) -> None:
 
 @section("Model upload: FlashBegin")
 def test_image_for_other_hardware_is_rejected(probe: Probe, slot: int) -> None:
-    """FlashBegin for other hardware is answered WRONG_HARDWARE; for this one, and for any, it is carried out."""
+    """The controller answers WRONG_HARDWARE to a FlashBegin for other hardware. It accepts its own id and none."""
     hardware = probe.description.hardware
     for other in (f"not {hardware}", hardware + "x", hardware[:-1]):
         if other:
@@ -123,13 +123,13 @@ def test_image_for_other_hardware_is_rejected(probe: Probe, slot: int) -> None:
 
 @section("Messages: Error codes")
 def test_image_larger_than_a_slot_is_rejected(probe: Probe, slot: int) -> None:
-    """FlashBegin with a size that no slot has is answered BEYOND_LIMITS."""
+    """The controller answers BEYOND_LIMITS to a FlashBegin with a size beyond every slot."""
     probe.expect_rejection(FlashBegin(slot, 0xFFFFFFFF, bytes(32), ""), ErrorCode.BEYOND_LIMITS)
 
 
 @section("Model upload: FlashData")
 def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
-    """FlashData at any other offset than next_offset writes nothing; the answer says where to go on."""
+    """The controller writes no FlashData at an offset other than next_offset, and answers with next_offset."""
     data = bytes(range(200))
     begin(probe, slot, data)
     write(probe, slot, data, last=50)
@@ -140,7 +140,7 @@ def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
 
 @section("Model upload: FlashData")
 def test_data_beyond_the_image_is_rejected(probe: Probe, slot: int) -> None:
-    """FlashData beyond the size that FlashBegin named is answered BAD_VALUE and not written."""
+    """The controller answers BAD_VALUE to FlashData beyond the announced size, and does not write them."""
     data = bytes(range(100))
     begin(probe, slot, data)
     write(probe, slot, data, last=90)
@@ -150,7 +150,7 @@ def test_data_beyond_the_image_is_rejected(probe: Probe, slot: int) -> None:
 
 @section("Model upload")
 def test_slot_in_the_wrong_state(probe: Probe, slot: int, image: ModelImage) -> None:
-    """Data for, and verification of, a slot that takes no image, and the start of one not verified, are WRONG_STATE."""
+    """The controller answers WRONG_STATE to a request that the slot's state excludes."""
     begin(probe, slot, b"some image")
     probe.expect_rejection(FlashActivate(slot), ErrorCode.WRONG_STATE)
     probe.expect_rejection(FlashConfirm(slot), ErrorCode.WRONG_STATE)
@@ -162,7 +162,7 @@ def test_slot_in_the_wrong_state(probe: Probe, slot: int, image: ModelImage) -> 
 
 @section("Model upload: FlashBegin")
 def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> None:
-    """After a new connection, FlashBegin of the same image says where to go on; that of another starts at byte 0."""
+    """The controller resumes a cut transfer of the same image at next_offset, and begins another image at byte 0."""
     data = new_image(probe, image)
     half = len(data) // 2
     begin(probe, slot, data)
@@ -196,7 +196,7 @@ def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> N
     ],
 )
 def test_faulty_image_is_rejected(probe: Probe, slot: int, image: ModelImage, fault: str) -> None:
-    """FlashVerify of an image with {fault} is answered IMAGE_REJECTED, and the slot is EMPTY."""
+    """The controller answers IMAGE_REJECTED to an image with {fault}, and empties the slot."""
     data = image.pack()
     faulty, digest = {
         "another hash than announced": (data, bytes(32)),
@@ -219,7 +219,7 @@ def test_faulty_image_is_rejected(probe: Probe, slot: int, image: ModelImage, fa
 
 @section("Model upload: FlashData")
 def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> None:
-    """FlashData and FlashVerify are carried out while a stream plays, which they do not disturb."""
+    """The controller carries out FlashData and FlashVerify while a stream plays, and does not disturb it."""
     need_capture(probe.description)
     data = new_image(probe, image)
     stream = stream_for(probe.description, seconds=1.0)
@@ -237,8 +237,8 @@ def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> N
 
 
 @section("Model upload: FlashActivate")
-def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> None:
-    """FlashActivate restarts into the verified slot: no session, no stream, state TESTING; FlashConfirm keeps it."""
+def test_image_is_tested_and_kept(probe: Probe, slot: int, image: ModelImage) -> None:
+    """The controller restarts into the slot of FlashActivate (TESTING, no session), and keeps it at FlashConfirm."""
     data = new_image(probe, image)
     before = {found.slot: found for found in probe.description.images}
     probe.play(stream_for(probe.description))
@@ -267,7 +267,7 @@ def test_image_is_tried_and_kept(probe: Probe, slot: int, image: ModelImage) -> 
 
 @section("Model upload: Model image")
 def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, image: ModelImage) -> None:
-    """A stream that names a model image is answered UNKNOWN_IMAGE until that image runs, and then plays."""
+    """The controller answers UNKNOWN_IMAGE to a stream until its model image runs, and then plays it."""
     known = codec.codec_by_identifier(image.codec_identifier)
     if known.built_in_tables is None:
         pytest.skip("the controller's codec has no built-in tables to compare with")
@@ -292,7 +292,7 @@ def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, imag
 
 @section("Model upload: Restarts and power failures")
 def test_image_that_is_not_confirmed_is_reverted_by_a_restart(probe: Probe, slot: int, image: ModelImage) -> None:
-    """A restart without FlashConfirm falls back to the CONFIRMED slot, and the tested slot is VERIFIED again."""
+    """After a restart without FlashConfirm, the controller runs the CONFIRMED slot; the tested one is VERIFIED."""
     if probe.link.restart is None:
         pytest.skip("this controller cannot be restarted from here")
     kept = [found for found in probe.description.images if found.state == SlotState.CONFIRMED]

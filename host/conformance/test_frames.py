@@ -1,4 +1,4 @@
-"""Frames: found in any noise and however they are cut; damaged ones are dropped, counted and never acted on."""
+"""Frames: found in any noise and in any pieces; damaged ones are dropped, counted and never acted on."""
 
 import random
 
@@ -43,7 +43,7 @@ def dropped(probe: Probe, data: bytes, bad_frames: int, what: str) -> None:
 
 @section("Frames")
 def test_published_example_is_read(probe: Probe) -> None:
-    """The frame that the protocol's page gives as an example for Hello is answered."""
+    """The controller answers the example frame of Hello on the protocol's page."""
     while probe.opened_by == _EXAMPLE_NUMBER:
         probe.open()
     probe.link.write(_EXAMPLE)
@@ -53,7 +53,7 @@ def test_published_example_is_read(probe: Probe) -> None:
 
 @section("Frames")
 def test_frame_is_found_after_noise(probe: Probe) -> None:
-    """Whatever noise comes before a zero byte, the frame behind it is read."""
+    """The controller reads a frame behind any noise that ends with a zero byte."""
     noise = random.Random(1)
     for length in (1, 2, 7, 100, 5000):
         probe.link.write(noise.randbytes(length) + DELIMITER)
@@ -62,13 +62,13 @@ def test_frame_is_found_after_noise(probe: Probe) -> None:
 
 @section("Frames")
 def test_zeros_alone_are_no_fault(probe: Probe) -> None:
-    """Zero bytes with nothing between them are no frame and no fault."""
+    """The controller counts no bad frame for consecutive zero bytes."""
     dropped(probe, bytes(20), 0, "20 zero bytes")
 
 
 @section("Frames")
 def test_frame_with_a_wrong_crc_is_dropped(probe: Probe) -> None:
-    """A frame whose CRC differs in any bit is dropped and counted, and not acted on."""
+    """The controller drops and counts a frame with one wrong bit in the CRC, and does not act on it."""
     probe.configure(stream_for(probe.description))
     payload = next_stop(probe)
     damaged = b"".join(frame(payload, crc16(payload) ^ 1 << bit) for bit in range(16))
@@ -77,7 +77,7 @@ def test_frame_with_a_wrong_crc_is_dropped(probe: Probe) -> None:
 
 @section("Frames")
 def test_frame_with_a_damaged_byte_is_dropped(probe: Probe) -> None:
-    """A frame of which any one byte is damaged is not acted on, and the next one is read."""
+    """The controller does not act on a frame with one damaged byte, and reads the next frame."""
     probe.configure(stream_for(probe.description))
     intact = write_frame(next_stop(probe))
     for position in range(len(intact) - 1):
@@ -89,7 +89,7 @@ def test_frame_with_a_damaged_byte_is_dropped(probe: Probe) -> None:
 
 @section("Frames")
 @pytest.mark.parametrize(
-    ("kind", "data"),
+    ("fault", "data"),
     [
         ("without any content", b"\x01\x00"),
         ("with nothing but a CRC", frame(b"")),
@@ -98,14 +98,14 @@ def test_frame_with_a_damaged_byte_is_dropped(probe: Probe) -> None:
     ],
     ids=["empty", "crc", "byte", "cobs"],
 )
-def test_frame_without_a_payload_is_dropped(probe: Probe, kind: str, data: bytes) -> None:
-    """A frame {kind} is dropped and counted."""
-    dropped(probe, data, 1, f"a frame {kind}")
+def test_frame_without_a_payload_is_dropped(probe: Probe, fault: str, data: bytes) -> None:
+    """The controller drops and counts a frame {fault}."""
+    dropped(probe, data, 1, f"a frame {fault}")
 
 
 @section("Frames")
 def test_frame_of_the_largest_size_is_read(probe: Probe) -> None:
-    """A payload as long as the limit in hello is read, whatever bytes it holds."""
+    """The controller reads a payload of max_payload_bytes, whatever its bytes."""
     limit = probe.description.limits.max_payload_bytes
     room = limit - len(pack(StatusRequest(), 1)) - _TLV_BYTES
     for filler in (bytes(room), b"\xff" * room, random.Random(2).randbytes(room)):
@@ -116,7 +116,7 @@ def test_frame_of_the_largest_size_is_read(probe: Probe) -> None:
 @section("Frames")
 @pytest.mark.parametrize("surplus", [1, 2, 1000, 20_000])
 def test_frame_that_is_too_long_is_dropped(probe: Probe, surplus: int) -> None:
-    """A frame whose payload is {surplus} bytes longer than the limit in hello is dropped and counted once."""
+    """The controller drops a frame whose payload exceeds the limit, and counts it once (bytes too many: {surplus})."""
     limit = probe.description.limits.max_payload_bytes
     payload = next_stop(probe).ljust(limit + surplus, b"\x55")
     dropped(probe, frame(payload), 1, f"a payload of {len(payload)} bytes")
@@ -124,7 +124,7 @@ def test_frame_that_is_too_long_is_dropped(probe: Probe, surplus: int) -> None:
 
 @section("Frames")
 def test_frame_may_come_in_pieces(probe: Probe) -> None:
-    """A frame cut in two at any place, or byte by byte, is read as one."""
+    """The controller reads a frame that arrives byte by byte, or cut in two at any place."""
     length = len(write_frame(pack(StatusRequest(), MAX_PAYLOAD_BYTES)))
     for cuts in [[cut] for cut in range(1, length)] + [list(range(1, length))]:
         number = probe.sequence % 0xFFFF + 1
@@ -138,7 +138,7 @@ def test_frame_may_come_in_pieces(probe: Probe) -> None:
 
 @section("Frames")
 def test_frames_may_come_back_to_back(probe: Probe) -> None:
-    """Many frames in one piece are read one by one, in their order."""
+    """The controller reads frames that arrive together one by one, in their order."""
     stream = stream_for(probe.description)
     number = probe.configure(stream).stream
     packets = stream.packets[: probe.status().credit_until // stream.decoder().packet_samples]
@@ -151,7 +151,7 @@ def test_frames_may_come_back_to_back(probe: Probe) -> None:
 
 @section("Frames")
 def test_answers_keep_to_the_limit(probe: Probe) -> None:
-    """The controller's own payloads are no longer than its limit, and its answer to Hello no longer than it."""
+    """The controller sends no payload longer than its limit, HelloResponse included."""
     probe.open()
     limit = probe.description.limits.max_payload_bytes
     assert len(probe.last_answer) <= limit, f"expected at most {limit} bytes, came {len(probe.last_answer)}"

@@ -1,4 +1,4 @@
-"""Hello: what a controller says of itself, and which versions it speaks with."""
+"""Hello: the controller's description, and the versions that work together."""
 
 import math
 
@@ -22,14 +22,14 @@ from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, des
 from vibrocast.host.conformance.streams import stream_for
 from vibrocast.host.controller import MAX_DAC_RATE_HZ, MIN_PAYLOAD_LIMIT_BYTES, MIN_WATCHDOG_MS
 
-# A metre: a number beyond it was never set.
+# A metre: a larger number was never set.
 _LARGEST_STROKE_UM = 1e6
 
 
 @prerequisite
 @section("Session: Version")
 def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
-    """Hello is answered with the version, a build and a hardware id."""
+    """The controller answers Hello with its version, a build and a hardware id."""
     assert hello.major == PROTOCOL_MAJOR, f"expected major version {PROTOCOL_MAJOR}, came {hello.major}"
     assert hello.build, "expected a build, came an empty text"
     assert hello.hardware, "expected a hardware id, came an empty text"
@@ -38,7 +38,7 @@ def test_hello_names_version_build_and_hardware(hello: HelloResponse) -> None:
 @prerequisite
 @section("Messages: From the controller")
 def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
-    """The limits leave room to play: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
+    """The controller announces usable limits: payloads of 256 to 4096 bytes, a channel, rates, a buffer, a watchdog."""
     limits = hello.limits
     assert MIN_PAYLOAD_LIMIT_BYTES <= limits.max_payload_bytes <= MAX_PAYLOAD_BYTES, (
         f"expected payloads of {MIN_PAYLOAD_LIMIT_BYTES} to {MAX_PAYLOAD_BYTES} bytes, came {limits}"
@@ -53,7 +53,7 @@ def test_limits_can_be_kept_to(hello: HelloResponse) -> None:
 @prerequisite
 @section("Messages: From the controller")
 def test_actuator_is_described(hello: HelloResponse) -> None:
-    """The actuator is described: a name, and numbers that can be its stroke, voltage, band, slew and DAC."""
+    """The controller describes its actuator: a name, and plausible values of stroke, voltage, band, slew and DAC."""
     actuator = hello.actuator
     values = (actuator.stroke_um, actuator.volts, actuator.lower_hz, actuator.upper_hz, actuator.slew_volts_per_second)
     assert actuator.name, "expected a name, came an empty text"
@@ -69,7 +69,7 @@ def test_actuator_is_described(hello: HelloResponse) -> None:
 @prerequisite
 @section("Messages: From the controller")
 def test_stream_can_be_played(hello: HelloResponse) -> None:
-    """The controller has mdct, dct or slp, and frames and buffer have room for its packets."""
+    """The controller has a waveform codec without a model, and room for its packets in frames and buffer."""
     try:
         stream_for(hello)
     except pytest.skip.Exception as reason:
@@ -78,7 +78,7 @@ def test_stream_can_be_played(hello: HelloResponse) -> None:
 
 @section("Messages: From the controller")
 def test_codecs_are_named(hello: HelloResponse) -> None:
-    """Hello names each codec once, by a number from 1 to 15."""
+    """The controller names each codec once, by a number from 1 to 15."""
     numbers = [number for number, _ in hello.codecs]
     assert numbers, "expected a codec, came none"
     assert len(set(numbers)) == len(numbers), f"expected each codec once, came {hello.codecs}"
@@ -87,7 +87,7 @@ def test_codecs_are_named(hello: HelloResponse) -> None:
 
 @section("Model upload")
 def test_slots_are_listed(hello: HelloResponse) -> None:
-    """Hello lists at least two slots, each once; at most one is CONFIRMED and at most one TESTING."""
+    """The controller lists at least two slots, each once: at most one CONFIRMED and at most one TESTING."""
     states = [image.state for image in hello.images]
     assert len({image.slot for image in hello.images}) == len(states) >= 2, f"expected two slots, came {hello.images}"
     assert states.count(SlotState.CONFIRMED) <= 1, f"expected at most one CONFIRMED, came {hello.images}"
@@ -96,7 +96,7 @@ def test_slots_are_listed(hello: HelloResponse) -> None:
 
 @section("Session: Version")
 def test_other_major_version_is_rejected(probe: Probe) -> None:
-    """Another major version is answered UNSUPPORTED_VERSION, with both versions in the text, and opens no session."""
+    """The controller answers UNSUPPORTED_VERSION to another major version, names both, and opens no session."""
     last = probe.sequence
     sequence = (last + 1000) % MAX_SEQUENCE + 1
     answer = probe.ask_body(Hello.TYPE, bytes((PROTOCOL_MAJOR + 1, 3)), sequence)
@@ -110,6 +110,6 @@ def test_other_major_version_is_rejected(probe: Probe) -> None:
 @section("Session: Version")
 @pytest.mark.parametrize("minor", [PROTOCOL_MINOR + 1, 255])
 def test_other_minor_versions_work(probe: Probe, minor: int) -> None:
-    """A host of minor version {minor} is answered like any other."""
+    """The controller answers a host of minor version {minor} like any other."""
     answer = probe.ask(Hello(minor=minor))
     assert isinstance(answer, HelloResponse), f"expected HelloResponse, came {describe(answer)}"

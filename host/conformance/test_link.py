@@ -24,7 +24,7 @@ _CHANCES = {
     "damaged": {"flipped": 0.1},
     "doubled": {"doubled": 0.3},
     "reordered": {"swapped": 0.3},
-    "lost, damaged, doubled and reordered": {"lost": 0.05, "flipped": 0.05, "doubled": 0.1, "swapped": 0.1},
+    "lost and damaged and doubled and reordered": {"lost": 0.05, "flipped": 0.05, "doubled": 0.1, "swapped": 0.1},
 }
 _DRIFT_SECONDS = 3.0
 _PPM = 1e6
@@ -57,8 +57,8 @@ def answered_s(probe: Probe) -> float:
 
 @section("Playing: Stream data")
 @pytest.mark.parametrize("fault", _CHANCES)
-def test_faults_on_the_line(probe: Probe, fault: str, record_property: Callable[[str, object], None]) -> None:
-    """On a link with frames {fault} in both directions, what arrives is played, and only what does not is concealed."""
+def test_faults_on_the_link(probe: Probe, fault: str, record_property: Callable[[str, object], None]) -> None:
+    """The controller plays all packets that arrive over a link with frames {fault}, and conceals only the others."""
     need_capture(probe.description)
     stream = stream_for(probe.description, seconds=_FAULTY_SECONDS, buffered=False)
     for seed in _SEEDS:
@@ -91,7 +91,7 @@ def play_with_faults(
 
 @section("Session: Sequence numbers")
 def test_connection_that_breaks(probe: Probe) -> None:
-    """A connection that breaks while playing, and is opened again with a Hello, leaves the stream whole."""
+    """The controller keeps its stream whole when the connection breaks and the host says Hello again."""
     need_capture(probe.description)
     stream = stream_for(probe.description, seconds=1.0)
     cuts: list[float] = []
@@ -120,7 +120,7 @@ def test_connection_that_breaks(probe: Probe) -> None:
 @long
 @section("Playing: Positions")
 def test_clocks(probe: Probe, record_property: Callable[[str, object], None]) -> None:
-    """The device's clock runs forward, its samples with it, and a stream paced by it plays without an underrun."""
+    """The controller's clock and position never go back and keep together. A stream that they pace has no underrun."""
     stream = stream_for(probe.description, seconds=_DRIFT_SECONDS, buffered=False)
     seen: list[tuple[float, Status]] = []
 

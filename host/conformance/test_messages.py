@@ -1,4 +1,4 @@
-"""Messages: what cannot be read is answered by an Error, what a later version may add is skipped."""
+"""Messages: unreadable ones get an Error; the controller skips additions of later versions."""
 
 import pytest
 
@@ -47,7 +47,7 @@ _NO_SLOT = 0xFF
 
 @section("Messages")
 def test_unknown_requests_are_answered_so(probe: Probe) -> None:
-    """Every request type that this version does not have is answered UNKNOWN_MESSAGE, with the request's number."""
+    """The controller answers UNKNOWN_MESSAGE to every unknown request type, with the request's number."""
     for message_type in _REQUEST_TYPES:
         if message_type not in _KNOWN:
             for body in (b"", b"\x01\x02\x03"):
@@ -57,7 +57,7 @@ def test_unknown_requests_are_answered_so(probe: Probe) -> None:
 
 @section("Messages")
 def test_unknown_stream_data_is_answered_without_a_number(probe: Probe) -> None:
-    """Every type of stream data that this version does not have is answered UNKNOWN_MESSAGE, with the number 0."""
+    """The controller answers UNKNOWN_MESSAGE to every unknown type of stream data, with the number 0."""
     for message_type in _STREAM_TYPES:
         if message_type not in (StreamData.TYPE, Position.TYPE):
             what = f"stream data of type 0x{message_type:02x}"
@@ -66,7 +66,7 @@ def test_unknown_stream_data_is_answered_without_a_number(probe: Probe) -> None:
 
 @section("Messages")
 def test_messages_of_controllers_are_ignored(probe: Probe) -> None:
-    """Every type from 0x80 on is ignored, so that an echo sets nothing off."""
+    """The controller ignores every type from 0x80 on."""
     for message_type in _CONTROLLER_TYPES:
         probe.unanswered(bytes([message_type, 1, 0, 2, 3]), f"a message of type 0x{message_type:02x}")
 
@@ -76,7 +76,7 @@ def test_messages_of_controllers_are_ignored(probe: Probe) -> None:
     "request_type", [request for request in REQUESTS if request.FIXED.size], ids=lambda request: request.__name__
 )
 def test_cut_requests_are_malformed(probe: Probe, request_type: type[Message]) -> None:
-    """{request_type} whose fixed part is cut, at any length, is answered MALFORMED and not carried out."""
+    """The controller answers MALFORMED to {request_type} with a cut fixed part, and does not carry it out."""
     name = request_type.__name__
     for length in range(request_type.FIXED.size):
         an_error(probe.ask_body(request_type.TYPE, bytes(length)), ErrorCode.MALFORMED, f"{name} of {length} bytes")
@@ -85,7 +85,7 @@ def test_cut_requests_are_malformed(probe: Probe, request_type: type[Message]) -
 
 @section("Messages")
 def test_payload_without_room_for_a_number_is_malformed(probe: Probe) -> None:
-    """A request that ends before its number does is answered MALFORMED, with the number 0."""
+    """The controller answers MALFORMED, with the number 0, to a request that ends before its number does."""
     for payload in (b"\x07", b"\x07\x01", b"\x3f"):
         probe.complaint(payload, ErrorCode.MALFORMED, f"the payload {payload.hex(' ')}")
 
@@ -95,7 +95,7 @@ def test_payload_without_room_for_a_number_is_malformed(probe: Probe) -> None:
     "request_type", [request for request in REQUESTS if request is not FlashData], ids=lambda request: request.__name__
 )
 def test_lengths_of_tlvs_are_checked(probe: Probe, request_type: type[Message]) -> None:
-    """{request_type} with a TLV that is cut, or longer than the message, is answered MALFORMED and not carried out."""
+    """The controller answers MALFORMED to {request_type} with a cut or overlong TLV, and does not carry it out."""
     before = probe.configure(stream_for(probe.description)).state
     body = request_for(request_type, probe).body()
     for tlv in (b"\xee", b"\xee\x00", b"\xee\x01\x00", b"\xee\xff\xff\x00", _UNKNOWN_TLV[:-1]):
@@ -111,7 +111,7 @@ def test_lengths_of_tlvs_are_checked(probe: Probe, request_type: type[Message]) 
     ids=lambda request: request.__name__,
 )
 def test_unknown_tags_are_skipped(probe: Probe, request_type: type[Message]) -> None:
-    """{request_type} with a tag that this version does not have is carried out as without it."""
+    """The controller skips an unknown tag in {request_type}, and carries it out."""
     stream = lasting_stream(probe, 3 if request_type in (Pause, Resume) else 0)
     number = probe.configure(stream, **({"packets": 0} if request_type is EndStream else {})).stream
     if request_type in (Pause, Resume):
@@ -127,7 +127,7 @@ def test_unknown_tags_are_skipped(probe: Probe, request_type: type[Message]) -> 
 
 @section("Messages")
 def test_unknown_tags_may_come_before_known_ones(probe: Probe) -> None:
-    """A tag that this version does not have may stand before those that it has."""
+    """The controller accepts an unknown tag before the known ones."""
     fixed, tlvs = split(probe.configuration(stream_for(probe.description)))
     answer = probe.ask_body(Configure.TYPE, fixed + _UNKNOWN_TLV + tlvs)
     assert isinstance(answer, Status), f"Configure with an unknown tag first: expected Status, came {describe(answer)}"
@@ -135,7 +135,7 @@ def test_unknown_tags_may_come_before_known_ones(probe: Probe) -> None:
 
 @section("Messages")
 def test_configure_needs_its_stream_header(probe: Probe) -> None:
-    """Configure without a stream header is answered MALFORMED."""
+    """The controller answers MALFORMED to a Configure without a stream header."""
     fixed, _ = split(probe.configuration(stream_for(probe.description)))
     for tlvs in (b"", _UNKNOWN_TLV):
         an_error(probe.ask_body(Configure.TYPE, fixed + tlvs), ErrorCode.MALFORMED, "Configure without a stream header")
@@ -143,7 +143,7 @@ def test_configure_needs_its_stream_header(probe: Probe) -> None:
 
 @section("Messages")
 def test_flash_begin_needs_its_hardware_id(probe: Probe) -> None:
-    """FlashBegin without a hardware id, or with one that is not UTF-8, is answered MALFORMED."""
+    """The controller answers MALFORMED to a FlashBegin whose hardware id is absent or not UTF-8."""
     fixed, _ = split(FlashBegin(_NO_SLOT, 100, bytes(32), ""))
     for what, tlvs in (("without a hardware id", b""), ("with a hardware id of bytes ff fe", b"\x01\x02\x00\xff\xfe")):
         an_error(probe.ask_body(FlashBegin.TYPE, fixed + tlvs), ErrorCode.MALFORMED, f"FlashBegin {what}")
@@ -151,7 +151,7 @@ def test_flash_begin_needs_its_hardware_id(probe: Probe) -> None:
 
 @section("Messages: From the host")
 @pytest.mark.parametrize(
-    ("what", "body"),
+    ("fault", "body"),
     [
         ("without a body", b""),
         ("without an iteration", b"\x01"),
@@ -163,14 +163,14 @@ def test_flash_begin_needs_its_hardware_id(probe: Probe) -> None:
     ],
     ids=["body", "iteration", "cut-iteration", "long-iteration", "packet", "cut-length", "long-length"],
 )
-def test_malformed_stream_data(probe: Probe, what: str, body: bytes) -> None:
-    """StreamData {what} is answered by one Error MALFORMED with the number 0."""
-    probe.complaint(bytes([StreamData.TYPE]) + body, ErrorCode.MALFORMED, f"StreamData {what}")
+def test_malformed_stream_data(probe: Probe, fault: str, body: bytes) -> None:
+    """The controller answers one Error MALFORMED, with the number 0, to StreamData {fault}."""
+    probe.complaint(bytes([StreamData.TYPE]) + body, ErrorCode.MALFORMED, f"StreamData {fault}")
 
 
 @section("Messages: From the host")
 def test_stream_data_that_can_be_read_is_not_answered(probe: Probe) -> None:
-    """StreamData that can be read is never answered, also where nothing is configured or it holds no packet."""
+    """The controller never answers readable StreamData, also without a stream or without a packet."""
     for packets in ((), (b"\x01",), (b"", b"\xff" * 12)):
         probe.notified.clear()
         probe.unanswered(pack(StreamData(9, 0, packets)), "StreamData")

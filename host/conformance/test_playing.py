@@ -1,4 +1,4 @@
-"""Playing: start, data and credit, what is lost, pause, loops, live streams, stop."""
+"""Playing: start, data, credit, losses, pause, loops, live streams, stop."""
 
 import random
 from dataclasses import replace
@@ -35,7 +35,7 @@ from vibrocast.host.conformance.streams import (
 )
 from vibrocast.host.stream_session import next_number
 
-# Later than requests take to come, besides what the controller takes to answer them.
+# Longer than requests take to arrive, in addition to the time for their answers.
 _SOON_US = 400_000
 _MAX_WAIT_S = 1.0
 # Behind a Start, of a test in which something happens in the middle.
@@ -76,7 +76,7 @@ def without_loss(status: Status) -> None:
 
 @section("Playing: Start")
 def test_start_waits_for_the_device_time(probe: Probe, stream: Stream) -> None:
-    """Start at a device time to come waits in ARMED until then, and plays at it."""
+    """The controller waits in ARMED until a future start time, and then plays."""
     number = probe.configure(stream).stream
     probe.feed(number, stream)
     start_us = soon_us(probe)
@@ -92,8 +92,8 @@ def test_start_waits_for_the_device_time(probe: Probe, stream: Stream) -> None:
 
 
 @section("Playing: Start")
-def test_start_at_a_time_gone_by_plays_at_once(probe: Probe, stream: Stream) -> None:
-    """Start at 0, or at a device time gone by, plays as soon as the prebuffer is there."""
+def test_start_at_a_past_time_plays_at_once(probe: Probe, stream: Stream) -> None:
+    """The controller plays as soon as the prebuffer is there when the start time is 0 or past."""
     for gone_by_us in (None, 1, 1_000_000):
         number = probe.configure(stream).stream
         probe.feed(number, stream)
@@ -104,11 +104,11 @@ def test_start_at_a_time_gone_by_plays_at_once(probe: Probe, stream: Stream) -> 
 
 @section("Playing: Start")
 def test_start_waits_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
-    """Start waits in ARMED until the prebuffer is there."""
+    """After Start, the controller waits in ARMED until the prebuffer is there."""
     packet_samples = stream.decoder().packet_samples
     status = probe.configure(stream, prebuffer_samples=2 * packet_samples)
     granted = status.credit_until // packet_samples
-    # Without a request between them: behind a second without data what is there would be played.
+    # Without a request between them: after a second without data, the controller would play what it has.
     if probe.answer_s > _MAX_WAIT_S / 2:
         pytest.skip("the controller answers too late to see it wait for no longer than a second")
     probe.send_packets(status.stream, stream.packets[:1])
@@ -125,7 +125,7 @@ def test_start_waits_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Start")
 def test_all_data_is_enough_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
-    """A stream that is shorter than the prebuffer plays when all of it is there."""
+    """The controller plays a stream shorter than the prebuffer when all of it is there."""
     number = probe.configure(stream, prebuffer_samples=held_samples(probe.description, stream)).stream
     probe.feed(number, stream)
     probe.expect(Start(), Status)
@@ -135,7 +135,7 @@ def test_all_data_is_enough_for_the_prebuffer(probe: Probe, stream: Stream) -> N
 @long
 @section("Playing: Start")
 def test_start_does_not_wait_for_ever(probe: Probe, stream: Stream) -> None:
-    """When no data has come for a second, what is there is played."""
+    """The controller plays the packets that it has when no data have arrived for a second."""
     packet_samples = stream.decoder().packet_samples
     number = probe.configure(stream, prebuffer_samples=2 * packet_samples).stream
     probe.feed(number, stream, stream.packets[:1])
@@ -145,7 +145,7 @@ def test_start_does_not_wait_for_ever(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Stream data")
 def test_packets_are_sorted(probe: Probe, stream: Stream) -> None:
-    """Packets that come in any order, and twice, are played in their own order, once."""
+    """The controller plays packets in their own order and once, however they arrive."""
     packet_samples = stream.decoder().packet_samples
     status = probe.configure(stream)
     granted = stream.packets[: status.credit_until // packet_samples]
@@ -163,7 +163,7 @@ def test_packets_are_sorted(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Configure")
 def test_data_of_another_stream_is_dropped(probe: Probe, stream: Stream) -> None:
-    """Data of another stream or of an iteration that there is not, and packets that cannot be read, are dropped."""
+    """The controller drops data of another stream or of an absent iteration, and packets with an unreadable number."""
     number = probe.configure(stream).stream
     probe.send_packets(next_number(number), stream.packets)
     probe.send_packets(number, stream.packets, iteration=1)
@@ -175,7 +175,7 @@ def test_data_of_another_stream_is_dropped(probe: Probe, stream: Stream) -> None
 
 @section("Playing: Credit")
 def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None:
-    """A packet that ends beyond the credit is dropped, one that ends at it is taken."""
+    """The controller drops a packet that ends beyond the credit, and takes one that ends at it."""
     packet_samples = stream.decoder().packet_samples
     endless = replace(
         probe.configuration(stream, packets=_ENDLESS_PACKETS), header=replace(stream.header, samples=None).pack()
@@ -186,7 +186,7 @@ def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None
     for what, buffered_packets in (("beyond", 0), ("last", 1), ("beyond", 1), ("end", 1), ("first", 2)):
         beyond = probe.status().credit_until // packet_samples
         sequence = {"beyond": beyond, "last": last, "end": _ENDLESS_PACKETS, "first": 0}[what]
-        # Twice the number: no refresh packet.
+        # Twice the number: no refresh.
         probe.send_packets(status.stream, [pack_varint(2 * sequence) + b"\x00"])
         came, expected = probe.status().buffered_samples, buffered_packets * packet_samples
         assert came == expected, f"after packet {sequence}: expected {expected} samples buffered, came {came}"
@@ -194,7 +194,7 @@ def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None
 
 @section("Playing: Credit")
 def test_credit_grows_as_data_is_played(probe: Probe, stream: Stream) -> None:
-    """Credit grows with the position, never falls, and comes in notifications."""
+    """The controller raises credit as the position advances, never lowers it, and reports it in notifications."""
     packet_samples = stream.decoder().packet_samples
     first = probe.configure(stream)
     probe.feed(first.stream, stream)
@@ -210,7 +210,7 @@ def test_credit_grows_as_data_is_played(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Credit")
 def test_notifications_while_armed_and_playing(probe: Probe, stream: Stream) -> None:
-    """Status comes unasked: when the state changes, and at least every 100 ms while armed or playing."""
+    """The controller sends Status when the state changes, and at least every 100 ms while armed or playing."""
     number = probe.configure(stream).stream
     probe.feed(number, stream)
     start_us = soon_us(probe)
@@ -228,7 +228,7 @@ def test_notifications_while_armed_and_playing(probe: Probe, stream: Stream) -> 
 
 @section("Playing: Positions")
 def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> None:
-    """Playing begins at the refresh packet that Configure names: position, capture and decoding."""
+    """The controller begins position, decoding and capture at the refresh that Configure names."""
     refreshes = [number for number, packet in enumerate(stream.packets) if number and packet_sequence(packet)[1]]
     if not refreshes:
         pytest.skip("the longest stream that the buffer holds has one refresh packet")
@@ -250,7 +250,7 @@ def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> Non
 @section("Playing: Stream data")
 @pytest.mark.parametrize("gap", [1, 2], ids=["one", "two"])
 def test_lost_packets_are_concealed(probe: Probe, stream: Stream, gap: int) -> None:
-    """{gap} missing packet(s) are concealed as the codec says, counted, and left behind at the next refresh packet."""
+    """The controller conceals and counts missing packets until the next refresh (missing in a row: {gap})."""
     missing = range(2, 2 + gap)
     if len(stream.packets) < missing.stop + 2:
         pytest.skip("the longest stream that the buffer holds has too few packets")
@@ -265,7 +265,7 @@ def test_lost_packets_are_concealed(probe: Probe, stream: Stream, gap: int) -> N
 
 @section("Playing: Stream data")
 def test_packet_that_cannot_be_decoded_is_concealed(probe: Probe) -> None:
-    """A packet that the codec cannot decode counts as missing, and is concealed."""
+    """The controller conceals and counts a packet that the codec cannot decode."""
     stream = stream_for(probe.description, codec.dct.NAME, seconds=1.0)  # it finds a packet without any content damaged
     broken = 1
     packets = list(stream.packets)
@@ -280,7 +280,7 @@ def test_packet_that_cannot_be_decoded_is_concealed(probe: Probe) -> None:
 
 @section("Playing: Stream data")
 def test_underrun_is_counted_once_and_time_goes_on(probe: Probe, stream: Stream) -> None:
-    """When nothing is buffered before the end, one underrun is counted and reported at once, and time goes on."""
+    """The controller counts and reports one underrun when nothing is buffered, and time goes on."""
     packets = len(stream.packets)
     half = packets // 2
     packet_samples = stream.decoder().packet_samples
@@ -300,7 +300,7 @@ def test_underrun_is_counted_once_and_time_goes_on(probe: Probe, stream: Stream)
 @long
 @section("Playing: Stream data")
 def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
-    """Packets whose time has begun are dropped: what is old is never played."""
+    """The controller drops packets whose time has begun."""
     packets = len(stream.packets)
     number = probe.configure(stream).stream
     probe.expect(Start(), Status)
@@ -313,7 +313,7 @@ def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
 
 @section("Playing: Pause, Resume, Loop and Gain")
 def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
-    """Pause holds the position with the output at rest; Resume goes on, and nothing is left out."""
+    """The controller holds the position with the output at rest at Pause, and loses nothing at Resume."""
     number = probe.configure(longer).stream
     probe.feed(number, longer)
     probe.expect(Start(), Status)
@@ -333,7 +333,7 @@ def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
 
 @section("Playing: Pause, Resume, Loop and Gain")
 def test_gain_may_change_while_playing(probe: Probe, longer: Stream) -> None:
-    """A gain that is changed while playing does not change what is decoded, and the output ends at rest."""
+    """The controller decodes the same samples when the gain changes, and ends at rest."""
     number = probe.configure(longer).stream
     probe.feed(number, longer)
     probe.expect(Start(), Status)
@@ -347,7 +347,7 @@ def test_gain_may_change_while_playing(probe: Probe, longer: Stream) -> None:
 
 @section("Playing: Pause, Resume, Loop and Gain")
 def test_loop_sets_the_iterations(probe: Probe) -> None:
-    """Loop sets all iterations, also of a stream that was to play until stopped."""
+    """The controller plays the number of iterations that Loop sets, also of an endless stream."""
     stream = lasting_stream(probe, 2)
     number = probe.configure(stream, loops=0).stream
     probe.expect(Loop(2), Status)
@@ -359,8 +359,8 @@ def test_loop_sets_the_iterations(probe: Probe) -> None:
 
 
 @section("Playing: Pause, Resume, Loop and Gain")
-def test_loop_ends_what_would_go_on(probe: Probe, longer: Stream) -> None:
-    """Loop with a number already reached ends the stream after the present iteration."""
+def test_loop_ends_an_endless_stream(probe: Probe, longer: Stream) -> None:
+    """The controller ends after the present iteration when Loop sets a number already reached."""
     number = probe.configure(longer, loops=0).stream
     probe.feed(number, longer)
     probe.expect(Start(), Status)
@@ -372,7 +372,7 @@ def test_loop_ends_what_would_go_on(probe: Probe, longer: Stream) -> None:
 
 @section("Playing: EndStream")
 def test_live_stream_ends_where_end_stream_says(probe: Probe) -> None:
-    """A live stream plays until the packet that EndStream names; a second EndStream replaces the first."""
+    """The controller ends a live stream at the number of packets in the last EndStream."""
     stream = lasting_stream(probe, 2)
     live = replace(probe.configuration(stream, packets=0), header=replace(stream.header, samples=None).pack())
     number = in_state(probe.expect(live, Status), State.BUFFERING, "Configure").stream
@@ -386,7 +386,7 @@ def test_live_stream_ends_where_end_stream_says(probe: Probe) -> None:
 
 @section("Playing: EndStream")
 def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
-    """EndStream with fewer packets than have been decoded ends the stream with those."""
+    """The controller ends a live stream with the decoded packets when EndStream names fewer."""
     live = replace(probe.configuration(longer, packets=0), header=replace(longer.header, samples=None).pack())
     number = in_state(probe.expect(live, Status), State.BUFFERING, "Configure").stream
     probe.feed(number, longer)
@@ -400,14 +400,14 @@ def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
 
 @section("Playing: EndStream")
 def test_end_stream_is_for_live_streams(probe: Probe, stream: Stream) -> None:
-    """EndStream for a stream that is not live is answered BAD_VALUE."""
+    """The controller answers BAD_VALUE to an EndStream for a stream that is not live."""
     number = probe.configure(stream).stream
     probe.expect_rejection(EndStream(number, 1), ErrorCode.BAD_VALUE)
 
 
 @section("Playing: Stop")
 def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
-    """Stop while playing brings the output to rest within 50 ms and drops the stream; the capture stays."""
+    """The controller brings the output to rest at Stop, drops the stream and keeps the capture."""
     number = probe.configure(longer).stream
     probe.feed(number, longer)
     probe.expect(Start(), Status)
@@ -423,7 +423,7 @@ def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
 
 @section("Playing: Start")
 def test_output_never_jumps(probe: Probe) -> None:
-    """The output fades in at a start and a resume, and out at a pause and a stop, over more than one DAC code."""
+    """The controller fades in at Start and Resume, and out at Pause and Stop, over more than one DAC code."""
     need_capture(probe.description)
     stream = lasting_stream(probe, _REQUESTS, 1.0, "full scale", constant)
     number = probe.configure(stream, compensation=False).stream

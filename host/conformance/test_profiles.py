@@ -1,4 +1,4 @@
-"""Profiles: loaded without a gap, played by the position of the hand until stopped, and what is rejected."""
+"""Profiles: loading without a gap, playing by the position of the hand, and rejections."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def rest_at(probe: Probe, position_nm: int) -> None:
 
 @section("Playing: Profiles")
 def test_profile_is_loaded_without_gaps(probe: Probe, profile: Stream) -> None:
-    """Status.position tells what is loaded of a profile without a gap, whatever the order of its packets."""
+    """The controller reports in Status.position how much of a profile is loaded without a gap, for any packet order."""
     if len(profile.packets) < 3:
         pytest.skip("the profile has too few packets to leave one out")
     packet_samples = profile.decoder().packet_samples
@@ -66,7 +66,7 @@ def test_profile_is_loaded_without_gaps(probe: Probe, profile: Stream) -> None:
 @long
 @section("Playing: Profiles")
 def test_profile_waits_for_all_of_it(probe: Probe, profile: Stream) -> None:
-    """A profile that was started is ARMED until all of it has come, then PLAYING until it is stopped."""
+    """After Start, the controller is ARMED until the profile is complete, then PLAYING until it is stopped."""
     number = probe.configure(profile).stream
     probe.feed(number, profile, profile.packets[1:])
     probe.expect(Start(), Status)
@@ -81,7 +81,7 @@ def test_profile_waits_for_all_of_it(probe: Probe, profile: Stream) -> None:
 
 @section("Playing: Rendering")
 def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, profile: Stream) -> None:
-    """Under a hand at rest the DAC holds the code of the height there, computed here, bit for bit."""
+    """Under a hand at rest, the controller holds exactly the expected DAC code of the height there."""
     need_capture(hello)
     actuator = known_actuator(hello.actuator)
     position_nm = 3_333_333
@@ -100,7 +100,7 @@ def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, profi
 
 @section("Playing: Position")
 def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, profile: Stream) -> None:
-    """Positions at any time and place are not answered, and moved back the hand finds the same height."""
+    """The controller answers no Position, and gives the same height again when the hand returns."""
     need_capture(hello)
     played_at(probe, profile, 5_000_000)
     codes = []
@@ -116,7 +116,7 @@ def test_positions_do_no_harm(probe: Probe, hello: HelloResponse, profile: Strea
 
 @section("Playing: Position")
 def test_late_positions_are_counted(probe: Probe, profile: Stream) -> None:
-    """A position of a hand that moved on while the output held still counts as an underrun; one at rest does not."""
+    """The controller counts an underrun when a late Position shows that the hand has moved, and none at rest."""
     played_at(probe, profile, 1_000_000)
     for position_nm, underruns in ((1_000_000, 0), (2_000_000, 1), (2_000_000, 1)):
         rest_at(probe, position_nm)
@@ -126,7 +126,7 @@ def test_late_positions_are_counted(probe: Probe, profile: Stream) -> None:
 
 @section("Playing: Profiles")
 def test_profiles_that_are_rejected(probe: Probe, profile: Stream) -> None:
-    """A profile that is live, cut or looped is answered BAD_VALUE; one that is too long or too short BEYOND_LIMITS."""
+    """The controller answers BAD_VALUE to a live, cut or looped profile, and BEYOND_LIMITS to one too long or short."""
     packets, header = len(profile.packets), profile.header
     min_samples = rendering.min_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)
     too_short = replace(header, rate_hz=_FINEST_PER_METRE, samples=min_samples - 1)

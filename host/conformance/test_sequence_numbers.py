@@ -1,4 +1,4 @@
-"""Sequence numbers: each request is carried out once, however often and however late its frame comes."""
+"""Sequence numbers: a request is carried out once, however often or late its frame arrives."""
 
 from vibrocast.device_protocol.messages import (
     MAX_SEQUENCE,
@@ -43,7 +43,7 @@ def repeat(probe: Probe, message: Message) -> None:
 
 @section("Session: Sequence numbers")
 def test_copy_of_a_request_is_answered_alike_and_not_carried_out_again(probe: Probe) -> None:
-    """A copy of the last request gets the same answer, byte for byte, and is not carried out again."""
+    """The controller answers a copy of the last request with the same bytes, and does not carry it out again."""
     probe.configure(stream_for(probe.description))
     start = Start(probe.status().device_time_us + 3_600_000_000)
     probe.expect(start, Status)  # a second Start would be rejected
@@ -54,7 +54,7 @@ def test_copy_of_a_request_is_answered_alike_and_not_carried_out_again(probe: Pr
 
 @section("Session: Sequence numbers")
 def test_copy_of_a_rejected_request_is_rejected_alike(probe: Probe) -> None:
-    """A copy of a request that was rejected, or could not be read, gets the same Error, byte for byte."""
+    """The controller answers a copy of a rejected or unreadable request with the same Error, byte for byte."""
     probe.expect_rejection(Pause(), ErrorCode.WRONG_STATE)
     repeat(probe, Pause())
     for message_type, code in ((0x3F, ErrorCode.UNKNOWN_MESSAGE), (Start.TYPE, ErrorCode.MALFORMED)):
@@ -66,7 +66,7 @@ def test_copy_of_a_rejected_request_is_rejected_alike(probe: Probe) -> None:
 
 @section("Session: Sequence numbers")
 def test_late_copies_are_ignored(probe: Probe) -> None:
-    """A request whose number is up to 32768 behind the last one is a late copy: neither answered nor carried out."""
+    """The controller ignores a request whose number is up to 32768 behind the last one."""
     probe.configure(stream_for(probe.description))
     for behind in (1, 2, 1000, _HALF - 2, _HALF):
         late = (probe.sequence - behind) % _NUMBERS
@@ -77,7 +77,7 @@ def test_late_copies_are_ignored(probe: Probe) -> None:
 
 @section("Session: Sequence numbers")
 def test_numbers_may_leave_some_out(probe: Probe) -> None:
-    """A request whose number is up to 32767 ahead of the last one is carried out."""
+    """The controller carries out a request whose number is up to 32767 ahead of the last one."""
     open_as(probe, 1)
     for ahead in (1, 2, 1000, _HALF - 1):
         answer = probe.ask_body(StatusRequest.TYPE, b"", (probe.sequence + ahead) % _NUMBERS)
@@ -88,7 +88,7 @@ def test_numbers_may_leave_some_out(probe: Probe) -> None:
 
 @section("Session: Sequence numbers")
 def test_one_follows_the_highest_number(probe: Probe) -> None:
-    """1 follows 65535."""
+    """The controller takes 1 as the number after 65535."""
     open_as(probe, MAX_SEQUENCE - 1)
     for number in (MAX_SEQUENCE, 1, 2):
         answer = probe.ask_body(StatusRequest.TYPE, b"", number)
@@ -98,7 +98,7 @@ def test_one_follows_the_highest_number(probe: Probe) -> None:
 
 @section("Session: Sequence numbers")
 def test_copy_of_the_hello_that_opened_the_session(probe: Probe) -> None:
-    """A copy of the Hello that opened the session is answered alike; once another request has come, it is ignored."""
+    """The controller answers a copy of the opening Hello alike, and ignores it after another request."""
     probe.open()
     repeat(probe, Hello())
     probe.status()
@@ -107,7 +107,7 @@ def test_copy_of_the_hello_that_opened_the_session(probe: Probe) -> None:
 
 @section("Session: Sequence numbers")
 def test_hello_opens_a_new_session_under_any_other_number(probe: Probe) -> None:
-    """A Hello with another number than the one before opens a new session, also with that of the last request."""
+    """The controller opens a new session for a Hello with any other number, even that of the last request."""
     probe.status()
     last = probe.sequence
     open_as(probe, last)
@@ -119,7 +119,7 @@ def test_hello_opens_a_new_session_under_any_other_number(probe: Probe) -> None:
 
 @section("Session: Sequence numbers")
 def test_hello_leaves_the_stream_alone(probe: Probe) -> None:
-    """A new session leaves the stream as it is."""
+    """The controller keeps its stream in a new session."""
     before = probe.configure(stream_for(probe.description))
     probe.open()
     after = in_state(probe.status(), State.BUFFERING, "after a new Hello")
@@ -128,7 +128,7 @@ def test_hello_leaves_the_stream_alone(probe: Probe) -> None:
 
 @section("Messages")
 def test_request_without_a_number_is_malformed(probe: Probe) -> None:
-    """A request whose sequence is 0 is answered by one Error MALFORMED with the number 0, and not carried out."""
+    """The controller answers MALFORMED, with the number 0, to a request with the number 0, and does not act on it."""
     probe.configure(stream_for(probe.description))
     probe.complaint(pack(Stop(), 0), ErrorCode.MALFORMED, "Stop with the number 0")
     in_state(probe.status(), State.BUFFERING, "after Stop with the number 0")

@@ -1,4 +1,4 @@
-"""States: which request is carried out in which state, and how each state is reached and left."""
+"""States: the requests that each state allows, and the ways into and out of it."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def bring_to(probe: Probe, state: State, live: bool = False) -> Status:
 @section("Playing: Requests by state")
 @pytest.mark.parametrize("state", _STATES)
 def test_requests_in_the_wrong_state_are_rejected(probe: Probe, state: State) -> None:
-    """In {state}, each request that the table does not allow there is answered WRONG_STATE and changes nothing."""
+    """In {state}, the controller answers WRONG_STATE to each request that the table excludes, and changes nothing."""
     before = bring_to(probe, state)
     allowed: tuple[tuple[Message, tuple[State, ...]], ...] = (
         (Start(), (State.BUFFERING,)),
@@ -80,7 +80,7 @@ def test_requests_in_the_wrong_state_are_rejected(probe: Probe, state: State) ->
 @section("Playing: Requests by state")
 @pytest.mark.parametrize("state", [pytest.param(state, id=state.name) for state in _TAKES_DATA])
 def test_requests_in_the_right_state_are_carried_out(probe: Probe, state: State) -> None:
-    """In {state}, Loop, Gain and EndStream are carried out."""
+    """In {state}, the controller carries out Loop, Gain and EndStream."""
     bring_to(probe, state)
     for request in (Loop(0), Loop(3), Gain(0.0), Gain(1.0)):
         in_state(probe.expect(request, Status), state, type(request).__name__)
@@ -91,7 +91,7 @@ def test_requests_in_the_right_state_are_carried_out(probe: Probe, state: State)
 @section("Playing: Stop")
 @pytest.mark.parametrize("state", _STATES)
 def test_stop_works_in_every_state(probe: Probe, state: State) -> None:
-    """In {state}, Stop is carried out: the state is STOPPED and nothing is buffered."""
+    """In {state}, the controller carries out Stop: the state is STOPPED and nothing is buffered."""
     bring_to(probe, state)
     for _ in range(2):
         status = probe.stop()
@@ -101,7 +101,7 @@ def test_stop_works_in_every_state(probe: Probe, state: State) -> None:
 @section("Playing: Configure")
 @pytest.mark.parametrize("state", _STATES)
 def test_configure_works_in_every_state(probe: Probe, state: State) -> None:
-    """In {state}, Configure is carried out, and the new stream plays to its end."""
+    """In {state}, the controller carries out Configure and plays the new stream to its end."""
     bring_to(probe, state)
     status = probe.play(stream_for(probe.description))
     assert (status.underruns, status.lost_packets) == (0, 0), f"expected no loss, came {describe(status)}"
@@ -109,8 +109,8 @@ def test_configure_works_in_every_state(probe: Probe, state: State) -> None:
 
 @section("Playing: States")
 @pytest.mark.parametrize("state", [pytest.param(state, id=state.name) for state in _OVER])
-def test_what_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
-    """In {state}, Status keeps the stream's number, position and counts, and stream data is dropped."""
+def test_stream_that_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
+    """In {state}, the controller keeps the stream's number, position and counts, and drops stream data."""
     before = bring_to(probe, state)
     probe.send_packets(before.stream, stream_for(probe.description).packets)
     after = probe.status()
@@ -121,7 +121,7 @@ def test_what_is_over_keeps_its_counts(probe: Probe, state: State) -> None:
 @section("Model upload: FlashBegin")
 @pytest.mark.parametrize("state", [pytest.param(state, id=state.name) for state in _ACTIVE])
 def test_flashing_needs_an_idle_output(probe: Probe, slot: int, state: State) -> None:
-    """In {state}, FlashBegin and FlashActivate are answered WRONG_STATE."""
+    """In {state}, the controller answers WRONG_STATE to FlashBegin and FlashActivate."""
     bring_to(probe, state)
     probe.expect_rejection(FlashBegin(slot, 100, bytes(32), ""), ErrorCode.WRONG_STATE)
     probe.expect_rejection(FlashActivate(slot), ErrorCode.WRONG_STATE)

@@ -1,4 +1,4 @@
-"""Streams: what every codec decodes, and what goes to the DAC, is to the last bit what is computed here."""
+"""Streams: decoded samples and DAC codes equal the computed ones, bit for bit."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def all_channels(hello: HelloResponse) -> int:
 def test_codec_is_decoded_as_offline(
     probe: Probe, codec_name: str, channels: str, request: pytest.FixtureRequest
 ) -> None:
-    """A stream of {codec_name} in {channels} is decoded bit for bit as offline."""
+    """The controller decodes {codec_name} in {channels} to the same samples as the offline decoder."""
     hello = probe.description
     stream = stream_for(hello, codec_name, 1 if channels == "one channel" else all_channels(hello))
     if stream.image is not None:
@@ -70,7 +70,7 @@ def test_codec_is_decoded_as_offline(
 
 @section("Playing: Positions")
 def test_loops_are_decoded_one_after_the_other(probe: Probe) -> None:
-    """Of a stream that is played three times, each iteration is decoded from a fresh state."""
+    """The controller decodes each of three iterations from a fresh state."""
     stream = stream_for(probe.description)
     result = played(probe, stream, loops=3)
     same_samples(read_back(result.decoded), np.tile(decoded(stream), (3, 1)), "three iterations")
@@ -79,7 +79,7 @@ def test_loops_are_decoded_one_after_the_other(probe: Probe) -> None:
 @section("Playing: Capture")
 @pytest.mark.parametrize("unit", UNITS)
 def test_dac_codes_of_each_unit(probe: Probe, unit: str) -> None:
-    """The DAC codes of a stream in the unit {unit}, with compensation, are those computed here, bit for bit."""
+    """The controller gives exactly the expected DAC codes for a stream in {unit}, with compensation."""
     stream = stream_for(probe.description, unit=unit)
     expected, _ = computed(probe, stream)
     same_samples(read_back(played(probe, stream).dac_codes), expected, f"DAC codes of a stream in {unit}")
@@ -87,7 +87,7 @@ def test_dac_codes_of_each_unit(probe: Probe, unit: str) -> None:
 
 @section("Playing: Capture")
 def test_dac_codes_of_all_channels(probe: Probe) -> None:
-    """The DAC codes of a stream of as many channels as there are, without compensation, are those computed here."""
+    """The controller gives exactly the expected DAC codes in all its channels, without compensation."""
     stream = stream_for(probe.description, channels=all_channels(probe.description))
     expected, _ = computed(probe, stream, compensation=False)
     result = played(probe, stream, compensation=False)
@@ -96,7 +96,7 @@ def test_dac_codes_of_all_channels(probe: Probe) -> None:
 
 @section("Playing: Positions")
 def test_dac_codes_of_loops(probe: Probe) -> None:
-    """The DAC codes of a stream that is played three times, with a gain of a half, are those computed here."""
+    """The controller gives exactly the expected DAC codes over three iterations with a gain of 0.5."""
     stream = stream_for(probe.description)
     expected, _ = computed(probe, stream, loops=3, gain=0.5)
     same_samples(
@@ -107,7 +107,7 @@ def test_dac_codes_of_loops(probe: Probe) -> None:
 @section("Playing: Limits of the output")
 @pytest.mark.parametrize("compensation", [True, False], ids=["on", "off"])
 def test_limits_act_and_are_counted(probe: Probe, compensation: bool) -> None:
-    """Far too loud, with compensation {compensation}, DAC codes and counts of the limits are those computed here."""
+    """The controller limits a far too loud stream exactly as expected, and counts it (compensation: {compensation})."""
     stream = stream_for(probe.description, unit="full scale", seconds=1.2)
     expected, counts = computed(probe, stream, gain=_TOO_LOUD, compensation=compensation)
     result = played(probe, stream, gain=_TOO_LOUD, compensation=compensation)
@@ -119,7 +119,7 @@ def test_limits_act_and_are_counted(probe: Probe, compensation: bool) -> None:
 
 @section("Playing: Configure")
 def test_gain_of_zero_keeps_the_output_at_rest(probe: Probe) -> None:
-    """With a gain of 0 every DAC code is 0, for as long as the stream lasts."""
+    """The controller gives the DAC code 0 throughout at a gain of 0."""
     codes = read_back(played(probe, stream_for(probe.description), gain=0.0).dac_codes)
     assert len(codes), "expected DAC codes, came none"
     assert not codes.any(), f"expected nothing but 0, came codes up to {np.abs(codes).max()}"
@@ -127,7 +127,7 @@ def test_gain_of_zero_keeps_the_output_at_rest(probe: Probe) -> None:
 
 @section("Playing: Limits of the output")
 def test_dac_codes_stay_within_the_dac(probe: Probe) -> None:
-    """However loud a stream is, its DAC codes are among those that the DAC has."""
+    """The controller keeps the DAC codes of any stream within the DAC's range."""
     stream = stream_for(probe.description, unit="full scale")
     codes = read_back(played(probe, stream, gain=_TOO_LOUD).dac_codes)
     beyond = 1 << probe.description.actuator.dac_bits - 1
@@ -140,7 +140,7 @@ def test_dac_codes_stay_within_the_dac(probe: Probe) -> None:
 
 @section("Playing: Limits of the output")
 def test_streams_begin_alike(probe: Probe) -> None:
-    """A stream gives the same DAC codes when it comes right behind one that is far too loud."""
+    """The controller gives a stream the same DAC codes after one that is far too loud."""
     stream = stream_for(probe.description, unit="full scale", seconds=1.2)
     first = read_back(played(probe, stream).dac_codes)
     played(probe, stream, gain=_TOO_LOUD)

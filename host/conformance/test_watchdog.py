@@ -1,4 +1,4 @@
-"""Watchdog: a host that is silent is noticed, one that sends anything undamaged is not given up."""
+"""Watchdog: the controller notices a silent host; any undamaged frame is a sign of life."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def armed(probe: Probe) -> Status:
 @section("Session: Watchdog")
 @pytest.mark.parametrize("state", [State.ARMED, State.PAUSED], ids=lambda state: state.name)
 def test_silence_is_noticed(probe: Probe, state: State) -> None:
-    """In {state}, a host that is silent for longer than watchdog_ms is given up: WATCHDOG, the stream dropped."""
+    """In {state}, the controller enters WATCHDOG and drops the stream when the host is silent beyond watchdog_ms."""
     if state == State.ARMED:
         armed(probe)
     else:
@@ -42,9 +42,9 @@ def test_silence_is_noticed(probe: Probe, state: State) -> None:
 
 @long
 @section("Session: Watchdog")
-@pytest.mark.parametrize("kind", ["stream data", "stream data that cannot be read"], ids=["data", "malformed"])
+@pytest.mark.parametrize("kind", ["stream data", "unreadable stream data"], ids=["data", "malformed"])
 def test_any_frame_is_a_sign_of_life(probe: Probe, kind: str) -> None:
-    """A host that sends nothing but {kind} is not given up."""
+    """The controller takes {kind} as a sign of life."""
     payload = pack(StreamData(0, 0, ())) if kind == "stream data" else bytes([StreamData.TYPE])
     watchdog_s = probe.description.limits.watchdog_ms / 1000
     armed(probe)
@@ -57,7 +57,7 @@ def test_any_frame_is_a_sign_of_life(probe: Probe, kind: str) -> None:
 @long
 @section("Session: Watchdog")
 def test_silence_does_not_matter_before_start(probe: Probe) -> None:
-    """In BUFFERING, a host may be silent for as long as it likes."""
+    """In BUFFERING, the controller allows the host any silence."""
     probe.configure(stream_for(probe.description))
     probe.link.sleep(1.5 * probe.description.limits.watchdog_ms / 1000)
     in_state(probe.status(), State.BUFFERING, "after silence of the host")

@@ -1,4 +1,4 @@
-"""The controllers under test: those of this project, or the one that --device names."""
+"""The controllers under test: those of this project, or the one that --vibrocast-device names."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -79,10 +79,10 @@ QUICK_MODULES = {
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run each test of the suite on the devices to which it is worth it, or on the one that --device names."""
+    """Run each test on the devices that it can tell apart, or on the one that --vibrocast-device names."""
     if "link" not in metafunc.fixturenames:
         return
-    device = metafunc.config.getoption("device", default=None)
+    device = metafunc.config.getoption("vibrocast_device")
     long = any(metafunc.definition.iter_markers("long"))
     module = metafunc.function.__module__.rpartition(".")[2]
     names = [name for name in DEVICES if name not in MODULES or (module in MODULES[name] and not long)]

@@ -366,11 +366,11 @@ def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path:
     assert ran.exit_code == 0, ran.output
     report = json.loads((tmp_path / "out" / "conformance.json").read_text())
     assert report["conforming"] is True
-    assert report["left_out"] == ["what takes more than a second", "what writes a slot for model images"]
+    assert report["left_out"] == ["tests longer than a second", "tests that write model images"]
     assert report["controller"]["limits"]["channels"] == Settings().channels
     assert "date" not in report
     outcomes = {entry["test"]: entry["outcome"] for entry in report["requirements"]}
-    assert outcomes["test_image_is_tried_and_kept"] == "not applicable"
+    assert outcomes["test_image_is_tested_and_kept"] == "not applicable"
     text = (tmp_path / "out" / "conformance.md").read_text()
     assert "board &lt;b&gt;\\|&lt;/b&gt; |" in text
     assert "conforming" in ran.output.splitlines()[-2]
@@ -382,7 +382,7 @@ def test_command_tells_what_failed(reached: list[Device]) -> None:
     reached.append(Faulty())
     ran = CliRunner().invoke(main, ["conformance", "--quick", "--no-flash"])
     assert ran.exit_code == 1
-    assert "FAIL  A frame whose CRC differs" in ran.output
+    assert "FAIL  The controller drops and counts a frame with one wrong bit" in ran.output
     assert "not conforming" in ran.output.splitlines()[-1]
 
 
