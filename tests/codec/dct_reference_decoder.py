@@ -59,7 +59,7 @@ def huffman_values(bits: Bits) -> Callable[[], int]:
 
 
 class RangeValues:
-    """Section "Range coding"."""
+    """Sections "`dct`: range coding" to "`dct`: rank"."""
 
     def __init__(self, coder: RangeDecoder, first_pair: int, zeros: int) -> None:
         self.coder, self.first_pair, self.zeros = coder, first_pair, zeros
@@ -133,7 +133,7 @@ class ReferenceDecoder:
         self.levels = self.own_levels
 
     def level(self, value: int, zeros: int, ranges: tuple[float, float], smallest: float) -> float:
-        """Section "Levels"."""
+        """Sections on the levels of `dct`."""
         if value < zeros:
             return 0.0
         below, above = ranges

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.codec.reference_decoder import Coarseness, RangeDecoder, bounded, suffix
+from tests.codec.reference_decoder import QuantiserOffset, RangeDecoder, bounded, suffix
 from vibrocast.codec.eva_image import Convolution, EvaImage, IntegerNetwork, Normalisation
 
 Columns = NDArray[np.int64]
@@ -89,7 +89,7 @@ class EvaReferenceDecoder:
         if packet[0] & 1:
             self.probabilities = [self.image.probabilities.astype(int).tolist() for _ in self.levels]
             self.coded = [0 for _ in self.levels]
-            self.quantiser_offset = Coarseness()
+            self.quantiser_offset = QuantiserOffset()
         coder = RangeDecoder(packet[start:])
         if self.rate_controlled:
             self.quantiser_offset.decode(coder)

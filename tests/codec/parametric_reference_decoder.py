@@ -11,7 +11,7 @@ from vibrocast.codec import Signal
 
 @dataclass
 class Channel:
-    """What one channel carries from frame to frame."""
+    """The state of a channel."""
 
     silent: bool = False
     last: list[int] | None = None
@@ -24,7 +24,7 @@ class Channel:
 
 
 class Numbers:
-    """Section "Numbers" and "Probabilities"."""
+    """Sections "`parametric`: numbers" and "`parametric`: probabilities"."""
 
     def __init__(self, coder: RangeDecoder, model: dict[tuple[object, ...], int]) -> None:
         self.coder, self.model, self.context = coder, model, 0

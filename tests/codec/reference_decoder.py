@@ -68,7 +68,7 @@ class RangeDecoder:
 
 
 class Network:
-    """Section "Network"."""
+    """Section "`mdct`: network"."""
 
     def __init__(self, payload: bytes) -> None:
         self.layers, position = [], 0
@@ -88,7 +88,7 @@ class Network:
 
 
 class Model:
-    """Section "Adaptive model"."""
+    """Section "`mdct`: adaptive model"."""
 
     def __init__(self, payload: bytes) -> None:
         tables, network = payload[:12784], payload[12784:]
@@ -127,8 +127,8 @@ class Model:
 
 
 @dataclass
-class Coarseness:
-    """Section "payload": what moves the quality of a rate-controlled stream's packet."""
+class QuantiserOffset:
+    """Section "Quantiser offset"."""
 
     value: int = 0
     same: int = 32768
@@ -144,7 +144,7 @@ class Coarseness:
 
 @dataclass
 class Channel:
-    """Section "Contexts": what one channel remembers."""
+    """Section "`mdct`: contexts": the state of a channel."""
 
     hop: int
     state: int = 0
@@ -198,7 +198,7 @@ class Channel:
 
 
 def decode_block(coder: RangeDecoder, model: Model, channel: Channel, row: NDArray[np.int64]) -> None:
-    """Section "payload": one block of a channel."""
+    """Section "`mdct`: payload": one block of a channel."""
     loudness = sum(channel.block_sum > limit for limit in (0, 8, 32))
     context = channel.silent_history * 4 + loudness
     silent = coder.decode(bounded(model.silence[context]))
@@ -269,7 +269,7 @@ class ReferenceDecoder:
         if packet[0] & 1:
             self.model = Model(self.tables)
             self.channels = [Channel(self.hop) for _ in self.channels]
-            self.quantiser_offset = Coarseness()
+            self.quantiser_offset = QuantiserOffset()
         coder = RangeDecoder(packet[position:])
         if self.rate_controlled:
             self.quantiser_offset.decode(coder)
@@ -287,7 +287,7 @@ class ReferenceDecoder:
         return [(64 + code % 64) * 2.0 ** (code // 64) / 256 for code in codes]
 
     def fill(self, levels: NDArray[np.int64], spectra: NDArray[np.float64], steps: list[float], random: int) -> None:
-        """Section "Fill": puts a magnitude of random sign in place of zeros, silent blocks apart."""
+        """Section "`mdct`: noise filling": puts a magnitude of random sign in place of zeros."""
         fills = [int(256 * step * fill / 128) / 256 for step, fill in zip(steps, self.fills, strict=True)]
         for block, channel in np.ndindex(levels.shape[:2]):
             magnitude = 0.0 if self.silent[block, channel] else fills[channel]

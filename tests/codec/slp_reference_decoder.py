@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.codec.reference_decoder import Coarseness, RangeDecoder, adapted, bounded, divide, fine_class
+from tests.codec.reference_decoder import QuantiserOffset, RangeDecoder, adapted, bounded, divide, fine_class
 from vibrocast.codec import Signal
 
 THRESHOLD = [
@@ -19,7 +19,7 @@ THRESHOLD = [
 
 
 def lg(x: int) -> int:
-    """Section "Steps": logarithm by straight lines."""
+    """Section "`slp`: steps": logarithm by straight lines."""
     if x == 0:
         return 0
     exponent = x.bit_length() - 1
@@ -33,7 +33,7 @@ def ex(y: int) -> int:
 
 @dataclass
 class Channel:
-    """What one channel carries from frame to frame."""
+    """The state of a channel."""
 
     frame: int
     order: int
@@ -50,7 +50,7 @@ class Channel:
 
 
 class Model:
-    """Section "Probabilities"."""
+    """Section "`slp`: probabilities"."""
 
     def __init__(self) -> None:
         starts = [x for x in range(20_000) if x == 0 or fine_class(x) != fine_class(x - 1)]
@@ -70,7 +70,7 @@ class SlpReferenceDecoder:
         self.shaping, self.rate_code = configuration[3], configuration[4]
         self.step_codes = list(configuration[5 : 5 + channels])
         self.rate_controlled = configuration[5 + channels :] == b"\x01"
-        self.quantiser_offset = Coarseness()
+        self.quantiser_offset = QuantiserOffset()
         self.model = Model()
         self.channels: list[Channel] = []
 
@@ -79,7 +79,7 @@ class SlpReferenceDecoder:
         head = next(i for i, byte in enumerate(packet) if byte < 128) + 1
         if packet[0] & 1:
             self.model = Model()
-            self.quantiser_offset = Coarseness()
+            self.quantiser_offset = QuantiserOffset()
             self.channels = [Channel(self.frame, self.order) for _ in self.step_codes]
         coder = RangeDecoder(packet[head:])
         if self.rate_controlled:
