@@ -20,7 +20,7 @@ from vibrocast.codec.encoding import middle
 from vibrocast.codec.live_format import live_format
 from vibrocast.codec.stream import as_stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
-from vibrocast.evaluation import trained
+from vibrocast.evaluation import points, trained
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import live
 from vibrocast.host.device_clock import DeviceClock
@@ -372,20 +372,50 @@ def write_page(
 def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> str:
     cores = [name for name in CORES if name != "M4F"]
     decoders = list(dict.fromkeys(load.decoder for load in loads))
+    on_m4 = [_on_m4(loads, decoder) for decoder in decoders]
+    by_load = sorted(on_m4, key=lambda row: row["dsp"]["cycles_percent"])
     return page.render(
         "firmware",
         textures=list(dict.fromkeys(load.texture for load in loads)),
         rate_hz=RATE_HZ,
         target_db=TARGET_DB,
-        decoders=[_on_m4(loads, decoder) for decoder in decoders],
-        cores=[{"name": name, "clock_mhz": CORES[name].clock_hz / 1e6} for name in cores],
+        clock_mhz=CORES["M4F"].clock_hz / 1e6,
+        decoders=on_m4,
+        fitting=[row for row in on_m4 if row["dsp"]["cycles_percent"] < 100],
+        lightest=by_load[0],
+        heaviest=by_load[-1],
+        portable_over=[row["decoder"] for row in on_m4 if row["portable"]["cycles_percent"] > 100],
+        cores=[{"name": name, "title": CORES[name].title, "clock_mhz": CORES[name].clock_hz / 1e6} for name in cores],
         by_core={decoder: [_load(loads, decoder, *cell) for cell in product(cores, _KERNELS)] for decoder in decoders},
         memory={size.decoder: _memory(loads, sizes, size.decoder) for size in sizes},
         profile_speed_mm_s=PROFILE_SPEED_MM_S,
         board=BOARD,
         profile_unit=PROFILE_UNIT,
         controllers=[(load, CORES[BOARD_CORES[load.board]].clock_hz) for load in controller],
+        channel_counts=CHANNELS,
+        summary_unit=PLAYED[0].unit,
+        summary_packet_samples=PLAYED[0].packet_samples,
+        summary={board: _summary(controller, board) for board in dict.fromkeys(load.board for load in controller)},
     )
+
+
+def _summary(controller: Sequence[ControllerLoad], board: str) -> list[float | None]:
+    """Return loads of a controller in percent: of the first kind of stream by CHANNELS, and of a profile.
+
+    None where there is no such row.
+    """
+    shown = [(PLAYED[0].unit, RATE_HZ, channels, PLAYED[0].packet_samples) for channels in CHANNELS]
+    shown += [
+        (played.unit, played.rate_hz, 1, played.packet_samples) for played in PLAYED if played.unit == PROFILE_UNIT
+    ]
+    percent = {
+        (load.unit, load.rate_hz, load.channels, load.packet_samples): 100
+        * load.instructions
+        / CORES[BOARD_CORES[board]].clock_hz
+        for load in controller
+        if load.board == board
+    }
+    return list(map(percent.get, shown))
 
 
 def _load(loads: Sequence[Load], decoder: str, core: str, kernels: str) -> dict[str, float]:
@@ -419,11 +449,25 @@ def _memory(loads: Sequence[Load], sizes: Sequence[Size], decoder: str) -> list[
     return [portable.code_bytes, dsp.code_bytes, dsp.image_bytes, *states, *stacks]
 
 
+def rendered(tables: Path = TABLES) -> str:
+    """Return the page from the figures in `tables`. Raises OSError, PointsError."""
+    return _page(
+        points.read_rows(tables / "firmware_loads.csv", Load),
+        points.read_rows(tables / "firmware_sizes.csv", Size),
+        points.read_rows(tables / "firmware_controller.csv", ControllerLoad),
+    )
+
+
 @click.command()
 @page.OUT
-def main(out: Path) -> None:
+@click.option("--from-tables", is_flag=True, help="Render the page from its CSV files, without measurements.")
+def main(out: Path, from_tables: bool) -> None:
     """Count what decoding costs a Cortex-M and write the page OUT/firmware.md."""
     with page.errors_in_one_line():
+        if from_tables:
+            out.mkdir(parents=True, exist_ok=True)
+            page.write(out / "firmware.md", rendered())
+            return
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             loads = list(measure_loads(folder, DECODERS, list(GENERATORS), SECONDS))

@@ -26,6 +26,7 @@ pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compile
 
 STREAMS = Path(__file__).parents[1] / "codec"
 SHIPPED = firmware.TABLES / "firmware_loads.csv"
+PAGE = Path(__file__).parents[2] / "docs" / "benchmarks" / "firmware.md"
 M4F = CORES["M4F"]
 BUILDS = [
     ("M4F", 0),
@@ -244,6 +245,12 @@ def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     assert all(load.cycles is None or load.cycles > load.instructions for load in loads)
     assert sizes[0].state_1_bytes < sizes[0].state_2_bytes < sizes[0].state_4_bytes
     assert (tmp_path / "firmware_loads.csv").read_text().count("\n") == 1 + len(loads)
+
+
+def test_the_shipped_page_is_rendered_from_the_shipped_tables(tmp_path: Path) -> None:
+    done = CliRunner().invoke(firmware.main, ["--out", str(tmp_path), "--from-tables"])
+    assert done.exit_code == 0, done.output
+    assert PAGE.read_text() == (tmp_path / "firmware.md").read_text(), "run `python -m studies.firmware --from-tables`"
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
