@@ -52,7 +52,7 @@ class Reader:
         return self.position == len(self._data)
 
     def take(self, count: int) -> bytes:
-        """Take so many bytes."""
+        """Take `count` bytes."""
         end = self.position + count
         if end > len(self._data):
             raise self._error(f"{len(self._data)} bytes, {end} are needed")
@@ -61,7 +61,7 @@ class Reader:
         return taken
 
     def varint(self, bits: int) -> int:
-        """Take a LEB128 number of at most so many bits."""
+        """Take a LEB128 number of at most `bits` bits."""
         try:
             value, self.position = unpack_varint(self._data, self.position, bits)
         except ValueError as error:

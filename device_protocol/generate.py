@@ -34,7 +34,7 @@ def generated_files() -> dict[Path, str]:
 
 
 def _in_c_file(name: str) -> str:
-    """Return a file of firmware/controller, from the template of its name beside this module."""
+    """Return a file of firmware/controller, from the template of its name next to this module."""
     return pages.render(
         Path(__file__).with_name(f"{name}.jinja"),
         coded_stream=coded_stream,

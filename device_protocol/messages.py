@@ -77,7 +77,7 @@ class ErrorCode(Described):
 
 
 class State(Described):
-    """What the controller is doing with its stream."""
+    """The state of the controller's stream."""
 
     IDLE = 0, "nothing is configured"
     BUFFERING = 1, "configured; takes data and waits for Start"
@@ -91,7 +91,7 @@ class State(Described):
 
 
 class Tap(IntEnum):
-    """What a capture holds: decoded samples at the stream's rate, or DAC codes at the DAC's rate."""
+    """The content of a capture: decoded samples at the stream's rate, or DAC codes at the DAC's rate."""
 
     DECODED = 0
     DAC = 1

@@ -49,7 +49,7 @@ class Transport(Protocol):
         """Return the bytes that are there, as soon as there are any; none after `timeout_s`. Raises TransportError."""
 
     def reopen(self) -> None:
-        """Close, and open the same port or device anew. Raises TransportError while it is not there."""
+        """Close the port or device, and open it again. Raises TransportError while it is not there."""
 
     def close(self) -> None:
         """Release the port; may be called again."""

@@ -1,1 +1,1 @@
-"""The controller in C99, and what builds it (firmware/README.md)."""
+"""The controller in C99, and its build (firmware/README.md)."""

@@ -38,21 +38,21 @@ CORTEX_M_FLAGS = (
     *("-fomit-frame-pointer", "-g0", "-Wl,--gc-sections", "-Wvla", "-Wframe-larger-than=2560"),
 )
 M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
-"""What the compiler calls processors with an FPU and DSP instructions."""
+"""The compiler's names of processors with an FPU and DSP instructions."""
 _IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
 class BuildError(Exception):
-    """What could not be built, why, and what to do."""
+    """A failed build; the message says why, and what to do."""
 
 
 @dataclass(frozen=True)
 class Target:
     """One build of the firmware.
 
-    `folders`: of its port, below firmware/, whose C sources are compiled beside the shared ones. `defines`: sizes of
-    controller/sizes.h, and what its port asks for.
+    `folders`: of its port, below firmware/, whose C sources are compiled with the shared ones. `defines`: sizes of
+    controller/sizes.h, and settings of its port.
     """
 
     summary: str
@@ -147,9 +147,9 @@ TARGETS: Mapping[str, Target] = {
 def build(name: str, sizes: Mapping[str, int] | None = None) -> Path:
     """Build a target of TARGETS, unless it is there already, and return its file.
 
-    `sizes`: of controller/sizes.h, in place of the target's. A library's declarations for cffi lie beside it, with the
-    suffix ".cdef". What is built is kept in firmware/build, or in the user's cache where that cannot be written, by a
-    hash of all that it is made from. Raises BuildError and MissingExtraError.
+    `sizes`: of controller/sizes.h, in place of the target's. A library's declarations for cffi lie next to it, with the
+    suffix ".cdef". Builds are kept in firmware/build, or in the user's cache where that cannot be written, by a hash
+    of all that they are made from. Raises BuildError and MissingExtraError.
     """
     target = TARGETS[name]
     target = replace(target, defines={**target.defines, **(sizes or {})})
@@ -174,7 +174,7 @@ def build(name: str, sizes: Mapping[str, int] | None = None) -> Path:
 
 
 def _build_folder() -> Path:
-    """Return the folder for what is built: beside the sources, or in the user's cache."""
+    """Return the folder for builds: next to the sources, or in the user's cache."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vibrocast"
     for folder in (ROOT / "build", cache):
         try:
@@ -205,7 +205,7 @@ def _compile(target: Target, output: Path) -> None:
 
 @dataclass(frozen=True)
 class Size:
-    """Bytes of an image: `flash` of code and constants, `ram` of all that it sets aside, `stack` being a part of it."""
+    """Bytes of an image: `flash` of code and constants, `ram` that it reserves, and the `stack`, a part of it."""
 
     flash: int
     ram: int

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def cffi_declarations(folder: Path) -> str:
-    """Return what stands between `/* cffi: begin */` and `/* cffi: end */` in a folder's headers.
+    """Return the parts between `/* cffi: begin */` and `/* cffi: end */` of a folder's headers.
 
     A header's part comes after those of the headers that it includes.
     """

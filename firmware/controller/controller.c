@@ -8,7 +8,7 @@
 #define TEXT_OF(number) #number
 #define VERSION_OF(major, minor) TEXT_OF(major) "." TEXT_OF(minor)
 #define VERSION_TEXT VERSION_OF(VC_PROTOCOL_MAJOR, VC_PROTOCOL_MINOR)
-/* What a host that does not read gets of notifications; answers have the rest. */
+/* Bytes of notifications that a host may leave unread; answers have the rest. */
 #define UNREAD_NOTIFICATIONS_BYTES (VC_OUTGOING_BYTES / 2)
 
 size_t vc_controller_size(void)

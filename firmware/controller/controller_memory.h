@@ -1,4 +1,4 @@
-/* What a controller keeps, laid open for a port that sets its memory aside at compile time; nobody else looks inside.
+/* The state of a controller, for a port that reserves its memory at compile time. Nothing else reads or writes it.
  */
 #ifndef VIBROCAST_CONTROLLER_MEMORY_H
 #define VIBROCAST_CONTROLLER_MEMORY_H
@@ -20,9 +20,9 @@ struct vc_controller {
     uint32_t answer_bytes;
     uint8_t answer[VC_FRAME_BYTES];
 
-    int reported; /* there is a last Status, which is `last_report` */
+    int reported; /* `last_report` is valid */
     vc_status_report last_report;
-    uint32_t outgoing_at, outgoing_end; /* what waits for the host */
+    uint32_t outgoing_at, outgoing_end; /* bytes that wait for the host */
     uint8_t outgoing[VC_OUTGOING_BYTES];
 
     int configured;                     /* there is a stream, or was one */

@@ -1,4 +1,4 @@
-/* Fields of what the host sends; see fields.h. */
+/* Fields of messages, see fields.h. */
 #include "fields.h"
 
 #include "protocol.h"

@@ -1,7 +1,7 @@
-/* Fields of what the host sends, taken off the front of its bytes: numbers, texts, every length checked.
+/* Reads fields from the front of bytes: numbers and texts, with every length checked.
  *
- * A field that is not all there sets `cut`, and so is every one after it; their values are 0 and NULL. So a reader
- * takes all fields and looks at `cut` once.
+ * An incomplete field sets `cut`, and so does each one after it; their values are 0 and NULL. So a reader takes all
+ * fields and then looks at `cut` once.
  */
 #ifndef VIBROCAST_FIELDS_H
 #define VIBROCAST_FIELDS_H
@@ -10,7 +10,7 @@
 #include <stdint.h>
 
 /* cffi: begin */
-/* Bytes, or a text without a zero behind it, in memory that belongs to somebody else. */
+/* Bytes, or a text without a zero behind it. Somebody else owns the memory. */
 typedef struct {
     const uint8_t *bytes;
     size_t length;
@@ -31,10 +31,10 @@ void vc_fields_begin(vc_fields *fields, const uint8_t *bytes, size_t length);
 /* A number of 1 to 8 bytes, little endian. */
 uint64_t vc_take_number(vc_fields *fields, unsigned bytes);
 
-/* `length` bytes, where they lie. */
+/* `length` bytes, in place. */
 vc_piece vc_take_piece(vc_fields *fields, size_t length);
 
-/* A LEB128 number below 2^bits, in at most so many bytes as those bits need; `bits` up to 63. */
+/* A LEB128 number below 2^bits, in no more bytes than `bits` needs; `bits`: at most 63. */
 uint64_t vc_take_varint(vc_fields *fields, unsigned bits);
 
 /* The number of 1 to 8 bytes, little endian, at `bytes`; and its bytes. */

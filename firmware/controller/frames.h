@@ -20,9 +20,9 @@ size_t vc_frame_reader_size(void);
 
 void vc_frame_reader_init(vc_frame_reader *reader);
 
-/* Takes bytes up to the end of the first good frame among them; returns how many. Where there was one, `payload` says
- * where its payload lies: in the reader, until the next call; otherwise its length is 0. A frame that is damaged, empty
- * or too long is dropped and counted. To be called until all bytes are taken. */
+/* Takes bytes up to the end of the first good frame. Returns how many. `payload`: that frame's payload, in the reader
+ * and valid until the next call; without a frame its length is 0. Damaged, empty and too long frames are dropped and
+ * counted. Call it until all bytes are taken. */
 size_t vc_frame_reader_feed(vc_frame_reader *reader, const uint8_t *data, size_t length, vc_piece *payload);
 
 /* Frames dropped so far; stays at 2^32 - 1. */
@@ -42,7 +42,7 @@ void vc_frame_write(vc_frame_writer *writer, const uint8_t *payload, size_t leng
 void vc_frame_write_number(vc_frame_writer *writer, uint64_t number, unsigned bytes);
 /* Numbers of two bytes, little endian. */
 void vc_frame_write_samples(vc_frame_writer *writer, const int16_t *samples, size_t count);
-/* Ends it; returns its bytes, or 0 where they do not fit, or the payload has not 1 to VC_MAX_PAYLOAD_BYTES. */
+/* Ends the frame. Returns its bytes, or 0 if they do not fit or the payload has not 1 to VC_MAX_PAYLOAD_BYTES. */
 size_t vc_frame_end(vc_frame_writer *writer);
 /* cffi: end */
 

@@ -26,7 +26,7 @@ static const uint8_t *slot_data(const vc_image_store *store, unsigned number)
     return store->flash->base + store->flash->slot[number];
 }
 
-/* Takes a copy of the record where it is whole and newer than what is known. */
+/* Takes a copy of the record if it is whole and newer than the last one. */
 static void read_record(vc_image_store *store, const uint8_t *record)
 {
     vc_fields fields;
@@ -146,7 +146,7 @@ void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const cha
             look_at_image(store, i, &unused);
         store->written[i] = programmed_bytes(store, i);
     }
-    /* What is broken is noted; a test that was not confirmed is over, one that begins is noted. */
+    /* Notes broken images. Ends a trial that was not confirmed; notes the first start of a new one. */
     memcpy(slots, store->slots, sizeof slots);
     spare = whole_slot(store, VC_SLOT_VERIFIED);
     for (i = 0; i < VC_SLOTS; i++) {

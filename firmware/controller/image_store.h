@@ -12,20 +12,20 @@
 #define VC_SLOTS 2
 
 /* cffi: begin */
-/* Says whether a codec can use the payload of an image: returns 0, or the rejection's code, VC_IMAGE_REJECTED. */
+/* Checks whether a codec can use the payload of an image. Returns 0, or the rejection's code, VC_IMAGE_REJECTED. */
 typedef int (*vc_payload_check)(const void *context, uint8_t codec, const uint8_t *payload, size_t length,
                                 vc_rejection *rejection);
 
-/* What the record says of a slot. */
+/* A slot's entry in the record. */
 typedef struct {
     uint8_t state;  /* enum vc_slot_state */
-    uint8_t booted; /* a slot that is tested has been started once */
+    uint8_t booted; /* a slot on trial has been started once */
     uint32_t size_bytes;
     uint8_t sha256[32];
 } vc_slot;
 
-/* `whole`: the slot's image was whole when it was last looked at, and images[] describes it. `running`: the slot that
- * runs, or -1. */
+/* `whole`: the slot's image was whole at the last check, and images[] describes it. `running`: the slot that runs, or
+ * -1. */
 typedef struct {
     const vc_flash *flash;
     const char *hardware;
@@ -39,8 +39,8 @@ typedef struct {
     int running;
 } vc_image_store;
 
-/* Boots: starts a slot that is to be tested, or reverts from one that was not confirmed. `flash`,
- * `hardware` and `check_context` must stay valid. Reads both slots and may write the record. */
+/* Boots: starts a slot on trial, or reverts from one that was not confirmed. `flash`, `hardware` and `check_context`
+ * must stay valid. Reads both slots and may write the record. */
 void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const char *hardware, vc_payload_check check,
                          const void *check_context);
 
@@ -48,14 +48,13 @@ void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const cha
 const vc_model_image *vc_image_store_running(const vc_image_store *store);
 const uint8_t *vc_image_store_running_sha256(const vc_image_store *store);
 
-/* What a slot, 0 or 1, holds, as hello tells it. Points into the store and the flash. */
+/* Describes a slot, 0 or 1, as HelloResponse does. Points into the store and the flash. */
 void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_image_description *description);
 
-/* The requests. Each returns 0 and fills `report`, which points into the store, or returns the rejection's code. A
- * flash that fails is rejected as VC_FLASH_FAILED: no slot has then changed its state, but one that was to be
- * erased may be empty. */
+/* The requests. Each returns 0 and fills `report`, which points into the store, or returns the rejection's code. If the
+ * flash fails, the code is VC_FLASH_FAILED: no slot has changed its state, but a slot to be erased may be empty. */
 
-/* Makes a slot ready for an image, or goes on with the one that it is taking. Erases a slot. */
+/* Prepares a slot for an image, or resumes the one that it is taking. Erases a slot. */
 int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_status *report,
                          vc_rejection *rejection);
 /* Programs data at the offset that is next; at any other, writes nothing. */
@@ -65,7 +64,7 @@ int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_fl
 int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection);
 /* Tests a verified slot at the next boot. */
 int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection);
-/* Keeps the slot that is being tested; the one confirmed before becomes verified. */
+/* Keeps the slot on trial; the one confirmed before becomes verified. */
 int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection);
 /* cffi: end */
 

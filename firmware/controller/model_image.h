@@ -1,4 +1,4 @@
-/* Model images, read where they lie; docs/reference/protocol.md, "Model image". */
+/* Model images, read in place; docs/reference/protocol.md, "Model image". */
 #ifndef VIBROCAST_MODEL_IMAGE_H
 #define VIBROCAST_MODEL_IMAGE_H
 
@@ -12,10 +12,10 @@ typedef struct {
     uint8_t codec; /* identifier */
     vc_piece name, version;
     vc_piece hardware; /* the only hardware id that it may run on; empty: any */
-    vc_piece payload;  /* what the codec's decoder takes as its tables */
+    vc_piece payload;  /* tables for the codec's decoder */
 } vc_model_image;
 
-/* Reads the image that `data` is, all of it. Returns 0, or the rejection's code, VC_IMAGE_REJECTED. Any bytes are safe.
+/* Reads `data`, all of it, as an image. Returns 0, or the rejection's code, VC_IMAGE_REJECTED. Any bytes are safe.
  */
 int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t length, vc_rejection *rejection);
 /* cffi: end */

@@ -18,7 +18,7 @@ typedef struct {
 
 void vc_packet_buffer_clear(vc_packet_buffer *buffer);
 
-/* How many of the longest packets there is room for besides those held: all that may be asked of a host. */
+/* Returns how many more of the longest packets have room. */
 uint32_t vc_packet_buffer_room(const vc_packet_buffer *buffer);
 
 /* Keeps a copy of packet `number`, unless it is there already. All numbers held must lie within VC_BUFFER_PACKETS.

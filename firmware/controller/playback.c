@@ -1,10 +1,10 @@
 /* One stream on the controller: buffers, decodes and plays it; see playback.h. */
 #include "playback.h"
 
-/* What bounds the work of a loop, which begins afresh and decodes padding in each iteration. */
+/* Bounds of the work of a loop, which starts afresh and decodes padding in each iteration. */
 #define SHORTEST_ITERATION_MS 3u
 #define DECODED_PER_PLAYED 16u
-/* Playing begins with what is there when data has not come for so long: what is missing of the prebuffer was lost. */
+/* After this time without data, playing begins with the packets at hand: the rest of the prebuffer was lost. */
 #define LONGEST_WAIT_US 1000000u
 #define US_PER_S 1000000u
 #define DISPLACEMENT 2 /* the unit um; output.h */
@@ -84,7 +84,7 @@ static int is_spatial(const vc_stream_header *header)
     return header->output.unit == VC_UNIT_PROFILE;
 }
 
-/* What the drive takes of a stream: a profile is rendered at the DAC's rate. */
+/* Returns the stream as the drive takes it: a profile is rendered at the DAC's rate. */
 static vc_output_stream output_of(const vc_stream_header *header, const vc_actuator *actuator)
 {
     vc_output_stream output = header->output;
@@ -95,7 +95,7 @@ static vc_output_stream output_of(const vc_stream_header *header, const vc_actua
     return output;
 }
 
-/* What a profile must be to be loaded as a whole and rendered. */
+/* Rejects a profile that cannot be loaded as a whole or rendered. */
 static int reject_profile(const vc_configure *configure, const vc_stream_header *header, const vc_coding *coding,
                           const vc_controller_settings *settings, vc_rejection *rejection)
 {
@@ -446,7 +446,8 @@ static uint32_t ready_drive(vc_playback *playback)
     return playback->drive_end - playback->drive_at;
 }
 
-/* Makes so much drive, at most VC_PIECE_SAMPLES, of what is under the hand at the times of the next DAC samples. */
+/* Makes drive samples, at most `samples` and VC_PIECE_SAMPLES: the heights under the hand at the times of the next DAC
+ * samples. */
 static uint32_t render(vc_playback *playback, uint32_t samples)
 {
     const unsigned channels = playback->header.output.channels;

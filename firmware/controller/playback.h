@@ -1,7 +1,7 @@
 /* One stream on the controller: packets buffered, decoded and concealed, drive, DAC, and the capture of both ends.
  *
- * What it does is docs/reference/protocol.md, "Playing"; time comes from outside, in microseconds of the controller's
- * clock. Packets are counted over all iterations.
+ * docs/reference/protocol.md, "Playing", says how it behaves. Time comes from outside, in microseconds of the
+ * controller's clock. Packets are counted over all iterations.
  */
 #ifndef VIBROCAST_PLAYBACK_H
 #define VIBROCAST_PLAYBACK_H
@@ -31,11 +31,11 @@ typedef struct {
     /* The stream. */
     vc_stream_header header;
     vc_coding coding;        /* points into the header, and into a model image in flash */
-    vc_output_stream output; /* what the drive takes: of a profile, what is rendered from it */
-    uint8_t spatial;         /* it is a height profile: all of it is loaded, then the hand's position plays it */
+    vc_output_stream output; /* input of the drive; for a profile, the rendered heights */
+    uint8_t spatial;         /* a height profile: all of it is loaded, then the hand's position plays it */
     uint8_t stream;
     uint8_t live;
-    uint8_t open; /* a live stream whose end has not been said */
+    uint8_t open; /* a live stream whose end is not known yet */
     uint16_t loops;
     uint32_t packets; /* in one iteration, where it is not open */
     uint32_t prebuffer_samples;
@@ -45,7 +45,7 @@ typedef struct {
     enum vc_state state;
     uint64_t next;       /* packet to decode */
     uint64_t newest_end; /* one behind the newest packet that came */
-    uint64_t position;   /* as last told */
+    uint64_t position;   /* of the last Status */
     uint64_t start_us, waiting_since_us, rest_from_us;
     uint64_t clock_from_us, clock_samples; /* DAC samples since then */
     int starved;                           /* nothing was buffered for the packet decoded last */
@@ -68,7 +68,7 @@ typedef struct {
     vc_sizes sizes;
 
     vc_profile *profile;    /* memory for one; NULL: none */
-    uint32_t hand_delay_us; /* by how much later than they were taken positions are rendered */
+    uint32_t hand_delay_us; /* delay between a position's time and its rendering, us */
     const vc_actuator *actuator;
     vc_dac_sink sink;
     void *sink_context;
@@ -80,11 +80,12 @@ uint32_t vc_playback_max_rate_hz(const vc_actuator *actuator);
 /* The sizes that are compiled in, or those of the settings where they are smaller. */
 vc_sizes vc_playback_sizes(const vc_controller_settings *settings);
 
-/* Says whether a stream can be played: returns 0, or the rejection's code. `coding`: of the header's codec and
- * configuration; what its packets are is filled in. */
+/* Checks whether a stream can play. Returns 0, or the rejection's code. `coding`: of the header's codec and
+ * configuration; the check fills in its packets. */
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
                       const vc_controller_settings *settings, vc_rejection *rejection);
-/* Sets up what vc_playback_check has passed, in the place of what has stopped. `sizes` and what follows it stay. */
+/* Sets up a stream that vc_playback_check has accepted, after the former one has stopped. `sizes` and the members after
+ * it stay. */
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding);
 
@@ -101,23 +102,23 @@ void vc_playback_pause(vc_playback *playback);
 void vc_playback_resume(vc_playback *playback);
 /* Ramps down at once, drops the stream and stays in `state`. The captures remain. */
 void vc_playback_stop(vc_playback *playback, enum vc_state state);
-/* Sets all iterations, those played counted; 0 = until stopped. Returns 0, or the rejection's code. */
+/* Sets the iterations, including those played; 0 = until stopped. Returns 0, or the rejection's code. */
 int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_rejection *rejection);
 /* Moves to another gain, along a ramp. */
 void vc_playback_set_gain(vc_playback *playback, uint32_t gain_float_bits);
-/* Says how many packets the live stream has; if more have been decoded, it ends with those. */
+/* Sets the number of packets of the live stream; if more have been decoded, it ends with those. */
 void vc_playback_end_live(vc_playback *playback, uint32_t packets);
 
 /* Puts out the codes that are due up to this time. */
 void vc_playback_advance(vc_playback *playback, uint64_t time_us);
-/* Puts out what is left of the ramp to rest after a stop: the DAC takes all of it now. */
+/* Puts out the rest of the ramp after a stop: the DAC takes all of it now. */
 void vc_playback_flush(vc_playback *playback, uint64_t time_us);
-/* When the DAC has come to rest, and recovered as far as its power limit asks, if no more is played. */
+/* Returns when the DAC is at rest and its power limit has recovered, if nothing more plays. */
 uint64_t vc_playback_free_us(const vc_playback *playback);
 
 /* Samples per channel of the first credit. */
 uint32_t vc_playback_capacity_samples(const vc_playback *playback);
-/* What a Status says of the stream; device time and bad frames are left to the caller. */
+/* Fills in a Status, except for device time and bad frames. */
 void vc_playback_report(vc_playback *playback, vc_status_report *status);
 
 /* Samples in sequence, of all channels; `count`: per channel. */
@@ -126,8 +127,8 @@ typedef struct {
     uint32_t count;
 } vc_run;
 
-/* Finds the captured samples from `offset` on, at most `count` per channel, in the two runs that they lie in. An offset
- * whose samples are gone becomes that of the oldest, one beyond the end becomes the end. */
+/* Finds the captured samples from `offset` on, at most `count` per channel, in their two runs. If the samples at the
+ * offset are gone, it becomes that of the oldest; beyond the end it becomes the end. */
 void vc_playback_captured(const vc_playback *playback, enum vc_tap tap, uint64_t *offset, uint32_t count,
                           vc_run runs[2]);
 

@@ -1,21 +1,21 @@
-/* Why the controller rejects what the host asks: the code and the text of the Error that answers it. */
+/* The reason of a rejection: the code and the text of the Error that answers a request. */
 #ifndef VIBROCAST_REJECTION_H
 #define VIBROCAST_REJECTION_H
 
 #include "fields.h"
 #include "protocol.h"
 
-/* Fits, with what stands around it, in the smallest payload that the protocol allows. */
+/* Fits the smallest payload that the protocol allows, header and tag included. */
 #define VC_REJECTION_TEXT_BYTES 200
 
 /* cffi: begin */
-/* `text` is UTF-8, without a zero behind it; what does not fit is left out. */
+/* `text`: UTF-8, without a zero behind it; a longer text is cut. */
 typedef struct {
     uint16_t code, length;
     char text[200];
 } vc_rejection;
 
-/* Begins a rejection and returns `code`, which is never 0: `return vc_reject(...)` says no. */
+/* Begins a rejection. Returns `code`, which is never 0, so a caller may `return vc_reject(...)`. */
 int vc_reject(vc_rejection *rejection, enum vc_error_code code, const char *text);
 /* The same with numbers in the place of the first and second '#' of `text`. */
 int vc_reject_numbers(vc_rejection *rejection, enum vc_error_code code, const char *text, uint64_t first,

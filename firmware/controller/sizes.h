@@ -1,16 +1,16 @@
-/* Sizes of a controller, which a board sets by -D; those here are of a computer, and of the simulated controller. */
+/* Sizes of a controller. A board sets them by -D; the defaults suit a computer and the simulated controller. */
 #ifndef VIBROCAST_SIZES_H
 #define VIBROCAST_SIZES_H
 
 #include "profile_memory.h"
 #include "protocol.h"
 
-/* Channels of a stream. VC_MAX_CHANNELS bounds them too, and is what decoders set memory aside for. */
+/* Channels of a stream, at most VC_MAX_CHANNELS, for which decoders reserve memory. */
 #ifndef VC_CHANNELS
 #define VC_CHANNELS 8
 #endif
 
-/* What is buffered of a stream: samples per channel, packets, and bytes of coded packets. */
+/* The buffer of a stream: samples per channel, packets, and bytes of coded packets. */
 #ifndef VC_BUFFER_SAMPLES
 #define VC_BUFFER_SAMPLES 32768
 #endif
@@ -21,37 +21,37 @@
 #define VC_BUFFER_BYTES (VC_BUFFER_PACKETS * VC_MAX_PACKET_BYTES)
 #endif
 
-/* Samples per channel of the longest packet: one is decoded at a time. */
+/* Samples per channel of the longest packet: one packet is decoded at a time. */
 #ifndef VC_PACKET_SAMPLES
 #define VC_PACKET_SAMPLES VC_BUFFER_SAMPLES
 #endif
 
-/* Samples of a height profile, of all channels together. */
+/* Samples of a height profile, all channels together. */
 #ifndef VC_PROFILE_SAMPLES
 #define VC_PROFILE_SAMPLES 65536
 #endif
 #define VC_PROFILE_WORDS (VC_PROFILE_MEMORY(VC_PROFILE_SAMPLES, VC_CHANNELS) / sizeof(int64_t) + 1)
 
-/* Samples per channel that each capture keeps; 0 = none. */
+/* Samples per channel that each capture keeps; 0: no captures. */
 #ifndef VC_CAPTURE_SAMPLES
 #define VC_CAPTURE_SAMPLES 524288
 #endif
 
-/* Payload of a frame, both ways: 576, where what hello tells has room, to 4096. */
+/* Bytes of a frame's payload in both directions: 576 to 4096. HelloResponse needs 576. */
 #ifndef VC_MAX_PAYLOAD_BYTES
 #define VC_MAX_PAYLOAD_BYTES VC_PROTOCOL_MAX_PAYLOAD_BYTES
 #endif
 #define VC_MAX_PACKET_BYTES (VC_MAX_PAYLOAD_BYTES - VC_PACKET_OVERHEAD_BYTES)
-/* Bytes of an image's name, and of its version, in a HelloResponse: what its other parts leave of a payload when there
- * are two slots and eight codecs, and build, hardware and actuator have the longest names that they may have. */
+/* Bytes of an image's name, and of its version, in HelloResponse. The other parts leave this room with two slots, eight
+ * codecs, and the longest build, hardware id and name of an actuator. */
 #define VC_IMAGE_TEXT_BYTES ((VC_MAX_PAYLOAD_BYTES - 512) / 4)
 
-/* What waits for the host: a few answers, which it repeats its requests for. */
+/* Bytes that wait for the host: a few answers. A lost answer comes again when the host repeats its request. */
 #ifndef VC_OUTGOING_BYTES
 #define VC_OUTGOING_BYTES (4 * VC_MAX_PAYLOAD_BYTES)
 #endif
 
-/* Highest rate of a stream, in rates of the DAC: what the resampler has memory for. */
+/* Highest rate of a stream in multiples of the DAC's rate: the resampler has memory for it. */
 #ifndef VC_RATE_RATIO
 #define VC_RATE_RATIO 16
 #endif

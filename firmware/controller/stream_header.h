@@ -10,7 +10,7 @@
 #define VC_LENGTH_UNKNOWN UINT64_MAX
 
 /* cffi: begin */
-/* All that a decoder needs to know before the first packet; holds no pointers. */
+/* All facts that a decoder needs before the first packet; holds no pointers. */
 typedef struct {
     uint8_t codec;    /* identifier, 1 to 15 */
     uint64_t samples; /* per channel; VC_LENGTH_UNKNOWN for a live stream */
@@ -21,7 +21,7 @@ typedef struct {
     uint8_t configuration[255]; /* the codec's own */
 } vc_stream_header;
 
-/* Reads the header that `data` is, all of it. Returns 0, or the rejection's code, VC_BAD_VALUE. Any bytes are safe. */
+/* Reads `data`, all of it, as a header. Returns 0, or the rejection's code, VC_BAD_VALUE. Any bytes are safe. */
 int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_rejection *rejection);
 
 /* Reads the head of a packet. Returns 0, or -1 for a packet that no decoder takes. Any bytes are safe. */

@@ -6,7 +6,7 @@
 
 #include "mdct.h"
 
-/* What is known of one channel's blocks so far. */
+/* The coder's state of one channel. */
 typedef struct {
     vc_history history;
     unsigned state; /* of dependent quantisation */

@@ -14,7 +14,7 @@ typedef struct {
     vc_below below;
 } path;
 
-/* What the search for one block needs of its surroundings. */
+/* Surroundings of the search for one block. */
 typedef struct {
     vc_model *model;
     const vc_history *history;
@@ -22,8 +22,8 @@ typedef struct {
     uint32_t bins, lambda;
 } task;
 
-/* Estimated probabilities, in 1/65536, of the decisions up to `last`: as they will be coded where a network is worth
- * it; else by the first context's adaptive probabilities alone, not mixed, in a third of the time. */
+/* Estimates probabilities, in 1/65536, of the decisions up to `last`. With a network: as they will be coded. Without:
+ * by the first context's adaptive probabilities alone, not mixed, in a third of the time. */
 static void estimate(const task *task, uint32_t k, const vc_below *below, unsigned quantiser, uint32_t last,
                      uint32_t *probabilities)
 {

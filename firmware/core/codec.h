@@ -1,4 +1,4 @@
-/* One row for each codec of the core: what it is called, and the functions that decode it, behind one interface. */
+/* One row for each codec of the core: its name, and the functions of its decoder, behind one interface. */
 #ifndef VIBROCAST_CODEC_H
 #define VIBROCAST_CODEC_H
 
@@ -6,11 +6,11 @@
 #include <stdint.h>
 
 /* cffi: begin */
-/* Calls that take the place of a decoder in C; only a controller that has them knows what they are. */
+/* Callbacks that replace a decoder in C; only a controller that has them knows their content. */
 typedef struct vc_decoder_callbacks vc_decoder_callbacks;
 
-/* A stream to decode; the bytes belong to the caller. `tables`: payload of the model image that the stream needs, which
- * must stay valid while a decoder uses it; NULL = those built in. */
+/* A stream to decode. The bytes belong to the caller. `tables`: payload of the stream's model image, which must stay
+ * valid while a decoder uses it; NULL: the built-in tables. */
 typedef struct {
     uint8_t codec; /* identifier */
     uint8_t channels;
@@ -18,23 +18,25 @@ typedef struct {
     size_t configuration_length;
     const uint8_t *tables;
     size_t tables_length;
-    /* The check fills these: samples per channel in each packet, by which of them the output lags the input, and the
-     * callbacks that decode the stream; NULL = a codec of the core does. */
+    /* The check fills these: samples per channel in each packet; samples per channel by which the output lags the
+     * input; the callbacks that decode the stream, NULL for a codec of the core. */
     uint32_t packet_samples, delay_samples;
     const vc_decoder_callbacks *callbacks;
 } vc_coding;
 /* cffi: end */
 
-/* A row. `decoder` is memory for the codec's own decoder. Any bytes are safe. */
+/* A row. `decoder`: memory for the codec's own decoder, struct vc_NAME_decoder, which the caller owns. Any bytes are
+ * safe. */
 typedef struct {
     uint8_t identifier;
     const char *name;
-    int needs_tables; /* none are built in */
-    /* Returns NULL if a decoder takes the tables, else why it does not. NULL: the codec takes none. */
+    int needs_tables; /* there are no built-in tables */
+    /* Returns NULL if a decoder takes the tables, else the reason as a text. NULL: the codec takes no tables. */
     const char *(*check_tables)(const uint8_t *tables, size_t length);
-    /* Finds packet_samples and delay_samples. Returns an enum vc_status. */
+    /* Fills in packet_samples and delay_samples. Returns an enum vc_status. */
     int (*check)(vc_coding *coding);
-    /* Make a decoder of what `check` has passed, and use it: as vc_mdct_decoder_init and the functions below it. */
+    /* Prepare a decoder for a coding that `check` has accepted, and use it. They work as vc_mdct_decoder_init and the
+     * functions below it. */
     void (*init)(void *decoder, const vc_coding *coding);
     int (*decode)(void *decoder, const uint8_t *packet, size_t length, int16_t *samples);
     void (*conceal)(void *decoder, int16_t *samples);

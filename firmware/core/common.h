@@ -1,4 +1,4 @@
-/* What all codecs of the core share: libc's two functions, packet heads, adaptive decisions, codes of whole numbers,
+/* Shared by all codecs of the core: libc's two functions, packet heads, adaptive decisions, codes of whole numbers,
  * rounding, random signs. */
 #ifndef VIBROCAST_COMMON_H
 #define VIBROCAST_COMMON_H
@@ -25,10 +25,10 @@ void *memset(void *destination, int value, size_t length);
 size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);
 size_t vc_packet_head_write(uint8_t *packet, uint32_t sequence, int refresh);
 
-/* One decision whose probability of 1, in 1/65536, adapts by 1/2^shift with what came. */
+/* One decision with a probability of 1 in 1/65536. The probability adapts to the decision by 1/2^shift. */
 void vc_adaptive_encode(vc_range_coder *coder, int bit, uint16_t *probability, unsigned shift);
 int vc_adaptive_decode(vc_range_coder *coder, uint16_t *probability, unsigned shift);
-/* The one if `encoding`, else the other; returns the decision. */
+/* Encodes `bit` if `encoding`, otherwise decodes. Returns the decision. */
 int vc_adaptive_code(vc_range_coder *coder, int encoding, int bit, uint16_t *probability, unsigned shift);
 
 /* A number from 0 on: exponential-Golomb code of order 0, each bit with even odds, at most 24 bits behind the prefix.
@@ -37,7 +37,7 @@ void vc_golomb_encode(vc_range_coder *coder, uint32_t value);
 uint32_t vc_golomb_decode(vc_range_coder *coder);
 
 extern const int32_t vc_cosine[1024]; /* cos(2 pi i / 1024) in 1/2^24 */
-/* sqrt(x) + 1.5 at x = 2^25 i, in 1/8, above 12 bits of what it rises by to the next, in 1/8; 0 below 2^30. */
+/* sqrt(x) + 1.5 at x = 2^25 i, in 1/8, above 12 bits for the rise to the next entry, in 1/8; 0 below 2^30. */
 extern const uint32_t vc_root[128];
 
 /* Largest signal value, in 1/256 of a sample's least significant bit; only hostile streams come near. */
@@ -71,7 +71,7 @@ static inline int32_t vc_weighted(int32_t value, int32_t weight)
 /* The sample of a signal value in 1/256 of its least significant bit. */
 static inline int16_t vc_rounded_sample(int64_t value)
 {
-    const int32_t limited = vc_limited(value); /* far beyond what a sample holds */
+    const int32_t limited = vc_limited(value); /* far beyond a sample's range */
     const int32_t sample = (limited + (limited < 0 ? -128 : 128)) / 256;
     return (int16_t)(sample > 32767 ? 32767 : sample < -32768 ? -32768 : sample);
 }

@@ -25,10 +25,10 @@ int vc_dct_decoder_init(vc_dct_decoder *decoder, const uint8_t *configuration, s
  * sample is there, and decoded as a whole. */
 uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
- * VC_HOST_ONLY for a stream of whole transforms, or VC_BAD_PACKET (nothing written) for a packet without a head that
- * says refresh, without its ranges, or with a code that is none, of Huffman's or of a number of levels. The caller
- * orders packets and drops those that come late. Any bytes are safe. */
+/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale.
+ * Returns VC_OK, VC_HOST_ONLY for a stream of whole transforms, or VC_BAD_PACKET (nothing written). A bad packet is no
+ * refresh, lacks its ranges, or has an invalid Huffman table or number of levels.
+ * The caller orders packets and drops late ones. Any bytes are safe. */
 int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
 /* Decodes one packet of a stream of whole transforms: writes the coded coefficients, first to end - 1, of channel after

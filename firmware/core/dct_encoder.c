@@ -1,4 +1,4 @@
-/* Range coding of `dct`, the mirror of what dct_decoder.c reads. */
+/* Range coding of `dct`, the mirror of dct_decoder.c. */
 #include "dct_model.h"
 
 static void encode_rank(vc_range_coder *coder, vc_dct_context context, uint32_t rank)

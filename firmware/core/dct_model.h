@@ -1,4 +1,4 @@
-/* What the encoder and the decoder of `dct` share: reconstruction levels, and the adaptive model of range coding. */
+/* Shared by encoder and decoder of `dct`: reconstruction levels, and the adaptive model of range coding. */
 #ifndef VIBROCAST_DCT_MODEL_H
 #define VIBROCAST_DCT_MODEL_H
 

@@ -1,4 +1,4 @@
-/* What the decoders keep, laid open for a caller that sets their memory aside at compile time.
+/* The state of the decoders, for a caller that reserves their memory at compile time.
  *
  * Only the decoders themselves read and write it. */
 #ifndef VIBROCAST_DECODER_MEMORY_H

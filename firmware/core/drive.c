@@ -7,8 +7,8 @@
 
 enum { FULL_SCALE, ACCELERATION, DISPLACEMENT, UNITS };
 
-/* Fraction bits of a drive sample, and of the acceleration's filters: the most that they have room
- * for, as the sum of the magnitudes of the impulse response is up to 3.7, depending on where it is taken. */
+/* Fraction bits of a drive sample, and of the acceleration's filters. There is room for no more: the magnitudes of the
+ * impulse response add up to 3.7 at most. */
 #define DRIVE_BITS 10
 #define INTEGRATOR_BITS 14
 /* Fraction bits of the numbers in vc_section. */
@@ -37,11 +37,13 @@ uint32_t vc_raised_cosine(uint32_t part, uint32_t whole)
     return (uint32_t)((1 << 24) - cosine) / 2;
 }
 
-/* Butterworth high-pass of fourth order at 20 Hz, and double integration by Numerov's rule,
- * y[n+1] - 2 y[n] + y[n-1] = T^2 (x[n+1] + 10 x[n] + x[n-1]) / 12 (Hairer, Norsett, Wanner, Solving Ordinary
- * Differential Equations I, III.10), times (2 pi 20 Hz)^2. The rule's double pole at z = 1 is cancelled by two of the
- * four zeros of the high-pass. What is left are the high-pass of one section and, of the other, the low-pass made
- * Numerov's by a part of its high-pass: (1, 10, 1) / 12 = (1, 2, 1) / 4 - (1, -2, 1) / 6. */
+/* Butterworth high-pass of fourth order at 20 Hz, and double integration, times (2 pi 20 Hz)^2. Numerov's rule
+ * integrates (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, III.10):
+ *
+ *     y[n+1] - 2 y[n] + y[n-1] = T^2 (x[n+1] + 10 x[n] + x[n-1]) / 12
+ *
+ * Two of the four zeros of the high-pass cancel the rule's double pole at z = 1. Two sections remain: a high-pass, and
+ * a low-pass that a part of its high-pass makes Numerov's: (1, 10, 1) / 12 = (1, 2, 1) / 4 - (1, -2, 1) / 6. */
 static void prepare_integrator(vc_drive *drive)
 {
     /* 1 / Q of the two pairs of poles: 2 cos(pi / 8) and 2 cos(3 pi / 8), in 1/2^30. */
@@ -96,9 +98,9 @@ static int32_t displacement(vc_drive *drive, vc_drive_channel *channel, int32_t 
     return (low + (1 << (INTEGRATOR_BITS - DRIVE_BITS - 1))) >> (INTEGRATOR_BITS - DRIVE_BITS);
 }
 
-/* Keeps the output steady where a recording that does not close on itself begins again. A next iteration that begins
- * farther from the last value than the largest step within the recording is faded in from that value, held: wholly from
- * twice that step on, less below, so that no step is larger than within. */
+/* Keeps the output steady where a recording that does not close on itself begins again. If the next iteration begins
+ * farther from the last value than the largest step within the recording, it fades in from that value, held: wholly
+ * from twice that step on, less below. So no step is larger than within. */
 static int32_t joined(const vc_drive *drive, vc_drive_channel *channel, int32_t sample)
 {
     const int32_t step = sample > channel->before ? sample - channel->before : channel->before - sample;

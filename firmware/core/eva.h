@@ -35,9 +35,9 @@ uint32_t vc_eva_decoder_delay_samples(const vc_eva_decoder *decoder);
  * number: the caller orders packets and drops those that come late. Any bytes are safe. */
 int vc_eva_decode(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
-/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
- * packet (or its first 128 samples), then silence for as long as no packet can be decoded. Only silence where the model
- * has no network in integers. */
+/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
+ * or its first 128 samples. Silence follows until a packet can be decoded. Without a network in integers there is only
+ * silence. */
 void vc_eva_conceal(vc_eva_decoder *decoder, int16_t *samples);
 
 /* The same two for a synthesis that is done elsewhere: write the latents, channels x packet_samples / 16 columns x

@@ -50,7 +50,7 @@ static inline int32_t vc_eva_scaled(int32_t value, uint32_t multiplier, uint32_t
 void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t rows, uint32_t columns, int16_t *scaled,
                   uint32_t stride);
 
-/* What the four do where there are DSP instructions, and channels, or rows of sums, are a multiple of 16. */
+/* The same four with DSP instructions, for channels or rows of sums in multiples of 16. */
 void vc_eva_products_dsp(const int8_t *weights, uint32_t rows, uint32_t taps, const int16_t *inputs, uint32_t channels,
                          uint32_t columns, int32_t *sums);
 void vc_eva_squares_dsp(const int16_t *values, uint32_t channels, uint32_t columns, int16_t *squares,

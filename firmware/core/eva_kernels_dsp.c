@@ -2,12 +2,13 @@
  * 16 channels; see eva_kernels.h.
  *
  * A sum of products is exact in 32 bits: of at most 384 products of at most 2^7 * 2^15 it stays below 2^31, and so does
- * each part of it. So the order of additions does not matter, and the results are those of the portable loops. Memory
- * is read and written by words at any address, which these processors do for single loads and stores, not for LDRD and
- * LDM, unless UNALIGN_TRP of the Configuration and Control Register is set; it is not after reset.
+ * each part of it. So the order of additions does not matter, and the results are those of the portable loops.
  *
- * Squares and normalised activations lie in groups of four in the order 0, 2, 1, 3: that in which SXTB16, which widens
- * every other byte, gives weights. */
+ * Memory is read and written by words at any address. These processors allow that for single loads and stores, but not
+ * for LDRD and LDM, unless UNALIGN_TRP of the Configuration and Control Register is set; it is not after reset.
+ *
+ * Squares and normalised activations lie in groups of four in the order 0, 2, 1, 3: SXTB16, which widens every other
+ * byte, gives weights in this order. */
 #include "eva_kernels.h"
 
 #ifdef VC_DSP
@@ -224,7 +225,7 @@ void vc_eva_normalise_dsp(const int16_t *values, uint32_t channels, uint32_t col
                           const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants,
                           unsigned shift, int16_t *normalised)
 {
-    /* What is added to a product before the shift rounds it down: half away from zero is up, or down if negative. */
+    /* Added to a product before the shift rounds it down: half away from zero is up, or down if negative. */
     const int32_t half = (1 << shift) >> 1, for_negative = shift > 0 ? -1 : 0;
     uint32_t energies[MAX_CHANNELS], i, k;
     for (; columns > 0; columns--, sums += channels) {

@@ -6,7 +6,7 @@
 #define FAST_COLUMNS 8u
 #define MEDIUM_COLUMNS 24u
 #define FAST_SHIFT 3u
-#define NO_ADAPTATION 16u /* what is shifted by so much is 0 */
+#define NO_ADAPTATION 16u /* a shift that leaves 0 */
 
 void vc_eva_contexts_reset(vc_eva_contexts *contexts, const vc_eva_model *model)
 {

@@ -1,7 +1,7 @@
 /* The adaptive binary arithmetic coder of EVA's latents: contexts for each latent, and levels to bits and back.
  *
- * As in CABAC (Marpe, Schwarz and Wiegand, "Context-based adaptive binary arithmetic coding in the H.264/AVC video
- * compression standard", 2003), a level is binarised, and each decision has a probability that adapts to what came. */
+ * A level is binarised, and the probability of each decision adapts, as in CABAC (Marpe, Schwarz and Wiegand, "Context-
+ * based adaptive binary arithmetic coding in the H.264/AVC video compression standard", 2003). */
 #ifndef VIBROCAST_EVA_LATENTS_H
 #define VIBROCAST_EVA_LATENTS_H
 

@@ -12,7 +12,7 @@
 #define MAX_STEP_CODE (24 * 64 - 1)
 #define CODES_OF_QUANTISER_OFFSET 4
 
-/* What is left of the bytes of a model. */
+/* The remaining bytes of a model. */
 typedef struct {
     const uint8_t *bytes;
     size_t length;

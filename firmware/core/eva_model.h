@@ -1,4 +1,4 @@
-/* What the encoder and the decoder of `eva` share: the model as it lies in memory, and the configuration. */
+/* Shared by encoder and decoder of `eva`: the model in memory, and the configuration. */
 #ifndef VIBROCAST_EVA_MODEL_H
 #define VIBROCAST_EVA_MODEL_H
 

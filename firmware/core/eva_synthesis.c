@@ -25,7 +25,7 @@ static void normalise(const vc_eva_normalisation *part, uint32_t channels, uint3
     unsigned doubled[4 * VC_EVA_COLUMNS];
     read_numbers(part->multipliers, channels, UINT32_MAX, multipliers);
     read_numbers(part->constants, channels, VC_EVA_MAX_ENERGY, constants);
-    /* The squares take the place of what comes out, until their sums are there. */
+    /* The squares use the memory of the output until their sums are there. */
     vc_eva_squares(work->inputs, channels, columns, normalised, doubled);
     vc_eva_products(part->weights, channels, 1, normalised, channels, columns, work->sums);
     vc_eva_normalise(work->inputs, channels, columns, work->sums, doubled, multipliers, constants, part->shift,

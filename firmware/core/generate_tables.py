@@ -14,7 +14,7 @@ def detection_threshold_db(frequency_hz: float) -> float:
 
 
 def resampling_kernel(crossings: float) -> float:
-    """Return the resampler's low-pass at so many zero crossings of its plain sinc: Kaiser window, stop band 60 dB.
+    """Return the resampler's low-pass at a number of zero crossings of its plain sinc: Kaiser window, stop band 60 dB.
 
     Its -6 dB point is 0.9 of half the rate whose samples lie a crossing apart. Kaiser and Schafer, "On the use of the
     I0-sinh window for spectrum analysis", 1980: beta = 0.1102 (60 - 8.7).

@@ -1,4 +1,4 @@
-/* What the encoder and the decoder of `mdct` share: configuration, the context model, and the levels coded so far. */
+/* Shared by encoder and decoder of `mdct`: configuration, the context model, and the levels coded so far. */
 #ifndef VIBROCAST_MDCT_H
 #define VIBROCAST_MDCT_H
 
@@ -28,7 +28,7 @@ typedef struct {
     uint8_t fill[VC_MAX_CHANNELS]; /* magnitude that stands in for a level of 0, in 1/128 step */
 } vc_mdct_configuration;
 
-/* What is mixed: the contexts' probabilities, the network's, and a constant. */
+/* Inputs of the mixer: the contexts' probabilities, the network's, and a constant. */
 #define VC_MIXED (VC_INPUTS + 2)
 
 /* Adaptive state that is shared by all channels of a stream and restarts at a refresh. A quantiser is one of the two

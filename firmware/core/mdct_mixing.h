@@ -1,5 +1,5 @@
-/* Logistic mixing: a decision's probability from four contexts and, where a model image brings it, a network; inline,
- * for decoding spends most of its time here.
+/* Logistic mixing: a decision's probability from four contexts and, if a model image brings one, a network. Inline,
+ * because decoding spends most of its time here.
  *
  * After M. Mahoney, "Adaptive weighing of context models for lossless data compression", 2005. */
 #ifndef VIBROCAST_MDCT_MIXING_H
@@ -73,7 +73,7 @@ static inline uint32_t vc_predict(vc_model *model, const vc_contexts *contexts, 
     return vc_codable(probability);
 }
 
-/* Learns from what came. */
+/* Learns from the decision. */
 static inline void vc_update(const vc_prediction *prediction, int bit)
 {
     const int32_t error = VC_LEARNING_RATE * ((bit ? 65536 : 0) - prediction->mixed);

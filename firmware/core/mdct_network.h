@@ -23,7 +23,7 @@
 void vc_network_inputs(int16_t *inputs, const vc_model *model, const vc_contexts *contexts, const vc_history *history,
                        const vc_below *below, uint32_t bins, uint32_t k, unsigned quantiser);
 
-/* What the network makes of its inputs: ln(p / (1 - p)) of each decision, in 1/256. Any bytes are safe. */
+/* Runs the network: ln(p / (1 - p)) of each decision, in 1/256. Any bytes are safe. */
 void vc_network_run(const uint8_t *network, const int16_t *inputs, unsigned quantiser, int32_t *logits);
 
 #endif

@@ -1,8 +1,8 @@
-/* What the output keeps, laid open for a caller that sets its memory aside at compile time, and what its two halves
+/* The state of the output, for a caller that reserves its memory at compile time, and declarations that its two halves
  * share.
  *
- * Only drive.c and dac.c read and write it. They rely, as all compilers for their processors grant, on right shifts of
- * negative numbers rounding down. */
+ * Only drive.c and dac.c read and write it. They rely on right shifts of negative numbers rounding down, as all
+ * compilers for their processors do. */
 #ifndef VIBROCAST_OUTPUT_MEMORY_H
 #define VIBROCAST_OUTPUT_MEMORY_H
 
@@ -46,7 +46,7 @@ struct vc_drive {
      * the newest. */
     uint32_t delay_samples, taps; /* 0 where both rates are the same */
     uint32_t wait, phase;
-    uint32_t whole_step, part_step; /* what a drive sample adds to both */
+    uint32_t whole_step, part_step; /* added to both for each drive sample */
     uint32_t held_samples;          /* of the last value, still to be taken by vc_drive_finish() */
     uint32_t tap_step;              /* from tap to tap, in 1/2^22 of a zero crossing's distance */
     uint64_t phase_step;            /* of a phase of 1, in 1/2^52 of it */
@@ -81,7 +81,7 @@ struct vc_dac {
     uint32_t hold_samples;          /* at rest, still to come */
     uint32_t fade_samples, fade_at; /* samples of the fade, and of it since its beginning */
     uint32_t ramp_samples;          /* of the way to rest, still to come */
-    /* Gain, in 1/2^40: now, at the end of its ramp, and what each of the ramp's samples to come adds. */
+    /* Gain, in 1/2^40: now, at the end of its ramp, and the change for each sample of the ramp. */
     uint64_t gain_now, gain_to;
     int64_t gain_step;
     uint32_t gain_samples;
@@ -95,8 +95,9 @@ struct vc_dac {
 /* sinc(0.9 t) times a Kaiser window over |t| < 8, from t = 0 on, in 1/2^23, 256 steps to 1; 0 at 8 and behind it. */
 extern const int32_t vc_resampling_kernel[2050];
 
-/* Writes 2 `half` taps of it, `step` apart in 1/2^22 of a crossing (at least 8 crossings in all on either side): tap
- * `half` lies `behind`, at most `step`, behind its middle, the ones after it farther. Returns their sum. */
+/* Writes 2 `half` taps of the kernel. They are `step` apart in 1/2^22 of a crossing, with at least 8 crossings on
+ * either side. Tap `half` lies `behind`, at most `step`, behind the kernel's middle, the taps after it farther. Returns
+ * their sum. */
 uint32_t vc_kernel_taps(int32_t *taps, uint32_t half, uint32_t step, uint32_t behind);
 
 /* Samples of a fade of 5 ms: at least 1. */

@@ -31,8 +31,8 @@ uint32_t vc_parametric_decoder_delay_samples(const vc_parametric_decoder *decode
  * Any bytes are safe. */
 int vc_parametric_decode(vc_parametric_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
-/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
- * packet (or its first eight blocks), then silence for as long as no packet can be decoded. */
+/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
+ * or its first eight blocks. Silence follows until a packet can be decoded. */
 void vc_parametric_conceal(vc_parametric_decoder *decoder, int16_t *samples);
 
 /* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one. */

@@ -36,9 +36,9 @@ static int32_t amplitude(const vc_parametric_configuration *configuration, int32
     return level > 0 && sum > 0 ? vc_step_of((uint32_t)(sum - 1) << (6 - configuration->level_bits)) : 0;
 }
 
-/* Adds the next block of the ridges to what will be put out: harmonics whose amplitudes go to `target` in a straight
- * line. Their phases are shifted by pi h^2 / 8, so that their crests do not meet (M. R. Schroeder, "Synthesis of
- * low-peak-factor signals and binary sequences with low autocorrelation", IEEE Trans. IT 16, 1970). */
+/* Adds the next block of the ridges to the output: harmonics whose amplitudes go to `target` in a straight line. Their
+ * phases are shifted by pi h^2 / 8, so that their crests do not meet (M. R. Schroeder, "Synthesis of low-peak-factor
+ * signals and binary sequences with low autocorrelation", IEEE Trans. IT 16, 1970). */
 static void add_ridges(vc_parametric_synthesis *synthesis, uint32_t *phase, uint32_t hop, const int32_t *target)
 {
     unsigned i;
@@ -119,7 +119,7 @@ int vc_parametric_decode(vc_parametric_decoder *decoder, const uint8_t *packet, 
     return VC_OK;
 }
 
-/* value, where so many parts of a ramp to zero are left, one part on. */
+/* Returns the value one step further on a ramp to zero that has `left` steps left. */
 static int32_t faded(int32_t value, uint32_t left)
 {
     return left > 1 ? value / (int32_t)left * (int32_t)(left - 1) : 0;

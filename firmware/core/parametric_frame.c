@@ -3,7 +3,7 @@
 
 #define ADAPTATION 4u
 #define FIRST_OCTAVE 12          /* of the level that the first band of all is expected at: 1/32 of full scale */
-#define LARGEST_DIFFERENCE 1024u /* of two numbers: beyond what there is between levels */
+#define LARGEST_DIFFERENCE 1024u /* of two numbers: more than the range of levels */
 
 int vc_parametric_configuration_read(vc_parametric_configuration *configuration, const uint8_t *bytes, size_t length,
                                      unsigned channels)
@@ -30,7 +30,7 @@ int vc_parametric_configuration_read(vc_parametric_configuration *configuration,
         read.edges[read.bands++] = (uint8_t)edge;
         edge += edge >> spacing > 1 ? edge >> spacing : 1;
         if (edge < read.hop && 2 * (read.hop - edge) < edge >> spacing)
-            edge = read.hop; /* what is left belongs to the last band */
+            edge = read.hop; /* the remaining bins belong to the last band */
     }
     read.edges[read.bands] = (uint8_t)read.hop;
     *configuration = read;
@@ -68,7 +68,7 @@ static int32_t within(int32_t value, int32_t least, int32_t greatest)
     return value < least ? least : value > greatest ? greatest : value;
 }
 
-/* What the numbers of a frame are coded with. */
+/* The coder of a frame's numbers. */
 typedef struct {
     vc_range_coder *coder;
     int encoding;
@@ -76,7 +76,7 @@ typedef struct {
     unsigned context; /* magnitude of the last difference, at most 2 */
 } number_coder;
 
-/* Codes a number of a kind, from `least` to `greatest`, by its difference to what is expected. */
+/* Codes a number of a kind, from `least` to `greatest`, by its difference from the expected value. */
 static int16_t code_number(number_coder *with, unsigned kind, int32_t expected, int32_t least, int32_t greatest,
                            int32_t number)
 {
@@ -103,7 +103,7 @@ static int16_t code_number(number_coder *with, unsigned kind, int32_t expected, 
     return (int16_t)within(expected + (negative ? -(int32_t)magnitude : (int32_t)magnitude), least, greatest);
 }
 
-/* Codes so many bits with even odds, the highest first. */
+/* Codes bits with even odds, the highest first. */
 static uint32_t code_bits(const number_coder *with, unsigned bits, uint32_t value)
 {
     uint32_t coded_value = 0;

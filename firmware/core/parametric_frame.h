@@ -1,4 +1,4 @@
-/* What the encoder and the decoder of `parametric` share: configuration and the syntax of a frame. */
+/* Shared by encoder and decoder of `parametric`: configuration and the syntax of a frame. */
 #ifndef VIBROCAST_PARAMETRIC_FRAME_H
 #define VIBROCAST_PARAMETRIC_FRAME_H
 
@@ -49,7 +49,7 @@ typedef struct {
     int16_t harmonics[VC_PARAMETRIC_MAX_HARMONICS]; /* amplitudes of the ridges' harmonics */
 } vc_parametric_frame;
 
-/* What one channel carries from frame to frame, restarted at a refresh but for the phase. */
+/* The state of a channel from frame to frame. Everything but the phase restarts at a refresh. */
 typedef struct {
     int silent, known;         /* the last frame; and whether one that was not silent came before */
     vc_parametric_frame frame; /* the last one that was not silent */
@@ -72,7 +72,7 @@ static inline int32_t vc_parametric_levels(const vc_parametric_configuration *co
     return (int32_t)(VC_PARAMETRIC_OCTAVES << configuration->level_bits);
 }
 
-/* What the phase of ridges of a pitch gains from sample to sample, in 1/2^32 turn. */
+/* Returns how far the phase of ridges of a pitch moves from sample to sample, in 1/2^32 turn. */
 static inline uint32_t vc_parametric_turn(int32_t pitch)
 {
     return (uint32_t)vc_step_of((uint32_t)pitch) << 16;

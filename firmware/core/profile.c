@@ -19,13 +19,13 @@
 #define FADES_PER_SECOND 50 /* of 20 ms */
 
 /* The kernel of the resampler passes up to 0.7 and stops from 1.13 on, in parts of half the rate of an octave. So it
- * leaves no images of what lies below 2 - 1.13 = 0.87: that far an octave's band may reach, and that far the filter
- * that makes the next one lets it. */
+ * leaves no images of content below 2 - 1.13 = 0.87. An octave's band may reach that far, and the filter of the next
+ * octave passes that far. */
 #define TAPS VC_RESAMPLER_TAPS
 #define HALF_TAPS (TAPS / 2)
 #define CROSSING_BITS 22
 #define BAND_256 223u /* 0.87 in 1/256 */
-#define HEIGHT_BITS 8 /* of what is interpolated */
+#define HEIGHT_BITS 8 /* of interpolated heights */
 
 #define CROSSFADE_PART 16
 #define MOST_CROSSFADE 4096u
@@ -46,7 +46,7 @@ uint32_t vc_profile_least_samples(uint32_t samples_per_metre, uint32_t dac_rate_
     uint32_t step;
     if (samples_per_metre == 0 || samples_per_metre > MAX_SAMPLES_PER_METRE || dac_rate_hz < MIN_DAC_RATE_HZ)
         return 0;
-    /* What is left of them by the crossfade is a sample of the coarsest octave: a step, or a sixteenth of it more. */
+    /* The crossfade must leave a sample of the coarsest octave: a step, or a sixteenth of it more. */
     step = 1u << (octaves_of(samples_per_metre, dac_rate_hz) - 1);
     return step + step / (CROSSFADE_PART - 1);
 }
@@ -235,8 +235,8 @@ static int64_t follow(vc_profile *profile, int64_t target)
     return step < 0 ? -step : step;
 }
 
-/* The fade of this DAC sample: on its way to what the speed asks for, 0 until the place is anchored. Where it has come
- * down to 0 the place is so no more. */
+/* The fade of this DAC sample, on its way to the level for this speed; 0 until the place is anchored. A fade that
+ * reaches 0 releases the place. */
 static void fade(vc_profile *profile, int64_t step)
 {
     const int64_t full = profile->fastest / 2;

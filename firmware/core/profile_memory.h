@@ -1,4 +1,4 @@
-/* What a profile keeps, laid open for a caller that sets its memory aside at compile time; only profile.c uses it. */
+/* The state of a profile, for a caller that reserves its memory at compile time; only profile.c uses it. */
 #ifndef VIBROCAST_PROFILE_MEMORY_H
 #define VIBROCAST_PROFILE_MEMORY_H
 
@@ -10,7 +10,8 @@
 #define VC_OCTAVE_FILTER_TAPS 43 /* the middle one, and those on one side of it */
 extern const int32_t vc_octave_filter[VC_OCTAVE_FILTER_TAPS];
 
-/* Bytes of a vc_profile of so many samples, of all channels together: its octaves, each with what continues its end. */
+/* Bytes of a vc_profile of this many samples, all channels together: its octaves, each with the samples that continue
+ * its end. */
 #define VC_PROFILE_MEMORY(samples, channels)                                                                           \
     (sizeof(struct vc_profile) +                                                                                       \
      (2 * (size_t)(samples) + VC_PROFILE_OCTAVES * VC_RESAMPLER_TAPS * (channels)) * sizeof(int16_t))

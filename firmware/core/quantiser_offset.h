@@ -23,11 +23,10 @@ int vc_rate_control_read(const uint8_t *bytes, size_t length, size_t fields_leng
 /* At a refresh. */
 void vc_quantiser_offset_reset(vc_quantiser_offset *quantiser_offset);
 
-/* Both make the packet's quantiser offset the last one; `value`: what is beyond +-VC_MAX_QUANTISER_OFFSET counts as
- * that. */
+/* Both store the packet's quantiser offset as the last one. `value`: limited to +-VC_MAX_QUANTISER_OFFSET. */
 void vc_quantiser_offset_encode(vc_range_coder *coder, vc_quantiser_offset *quantiser_offset, int32_t value);
-/* Encodes the number of fours nearest `quantiser_offset`, and returns `lambda`, the weight of a bit against squared
- * error, moved by what is left, which need not be told. */
+/* Encodes the multiple of four nearest `value`. Returns `lambda`, the weight of a bit against squared error, adjusted
+ * by the remainder, which is not coded. */
 uint32_t vc_quantiser_offset_encode_fours(vc_range_coder *coder, vc_quantiser_offset *quantiser_offset, int32_t value,
                                           uint32_t lambda);
 void vc_quantiser_offset_decode(vc_range_coder *coder, vc_quantiser_offset *quantiser_offset);

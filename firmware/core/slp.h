@@ -30,8 +30,8 @@ uint32_t vc_slp_decoder_packet_samples(const vc_slp_decoder *decoder);
  * Any bytes are safe: the synthesis filter is stable for each of them. */
 int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
-/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
- * packet (or its first 256 samples), then silence for as long as no packet can be decoded. */
+/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
+ * or its first 256 samples. Silence follows until a packet can be decoded. */
 void vc_slp_conceal(vc_slp_decoder *decoder, int16_t *samples);
 
 /* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one. */

@@ -1,4 +1,4 @@
-/* What the encoder and the decoder of `slp` share: configuration, syntax of a frame, transform, filter and steps. */
+/* Shared by encoder and decoder of `slp`: configuration, syntax of a frame, transform, filter and steps. */
 #ifndef VIBROCAST_SLP_FRAME_H
 #define VIBROCAST_SLP_FRAME_H
 
@@ -39,8 +39,8 @@ typedef struct {
     uint16_t reflection_above[VC_SLP_MAX_REFLECTION];
 } vc_slp_model;
 
-/* What one channel carries from frame to frame, restarted at a refresh. Rows of magnitudes have two bins of padding on
- * each side. */
+/* The state of a channel from frame to frame, which restarts at a refresh. Rows of magnitudes have two bins of padding
+ * on each side. */
 typedef struct {
     uint8_t now[VC_SLP_MAX_FRAME + 4], last[VC_SLP_MAX_FRAME + 4];
     uint16_t average[VC_SLP_MAX_FRAME + 4]; /* running average of each bin's magnitudes, in 1/256 */

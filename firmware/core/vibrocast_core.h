@@ -1,8 +1,7 @@
-/* The integer core of vibrocast: the one decoder of `mdct` streams, and the encoder that mirrors it.
+/* The integer core of vibrocast: the decoder of `mdct` streams, and the encoder that mirrors it.
  *
- * Portable C99, no allocation, no libc beyond memcpy and memset, no global state: everything lives in the structures
- * that the caller owns. Every function returns a status or cannot fail. The layout of streams is in
- * docs/reference/bitstream.md.
+ * Portable C99, no allocation, no libc but memcpy and memset, no global state. Everything lives in structures that the
+ * caller owns. Every function returns a status or cannot fail. docs/reference/bitstream.md has the layout of streams.
  */
 #ifndef VIBROCAST_CORE_H
 #define VIBROCAST_CORE_H
@@ -24,33 +23,33 @@ enum vc_status {
 typedef struct vc_mdct_decoder vc_mdct_decoder;
 typedef struct vc_mdct_encoder vc_mdct_encoder;
 
-/* Bytes of memory, aligned for int64_t, that the caller provides for each structure. */
+/* Return the bytes of memory, aligned for int64_t, that the caller provides for each structure. */
 size_t vc_mdct_decoder_size(void);
 size_t vc_mdct_encoder_size(void);
 
-/* Bytes of a set of initial tables (adaptive probabilities and mixer weights at a refresh), and of the network that
- * may follow it. */
+/* Return the bytes of a set of initial tables (adaptive probabilities and mixer weights at a refresh), and of the
+ * network that may follow it. */
 size_t vc_mdct_tables_size(void);
 size_t vc_mdct_network_size(void);
 
 /* Prepares a decoder. `configuration`: the codec's bytes from the stream header. `tables`: NULL for the built-in set,
  * else tables, perhaps with a network, that must stay valid while the decoder is used. The first packet must be a
- * refresh packet. */
+ * refresh. Returns VC_OK, VC_BAD_CONFIGURATION or VC_BAD_TABLES. */
 int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
                          unsigned channels, const uint8_t *tables, size_t tables_length);
 
-/* Samples per channel in every packet of the stream, and samples per channel by which the output lags the input. */
+/* Return the samples per channel in every packet, and the samples per channel by which the output lags the input. */
 uint32_t vc_mdct_decoder_packet_samples(const vc_mdct_decoder *decoder);
 uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
- * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written). A
- * refresh packet is decoded whatever its number: the caller orders packets and drops those that come late. Any bytes
+/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale.
+ * Returns VC_OK, VC_CONCEALED for a packet that does not follow the last one and is no refresh, or VC_BAD_PACKET
+ * (nothing written). A refresh is decoded whatever its number: the caller orders packets and drops late ones. Any bytes
  * are safe. */
 int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
-/* Stands in for one missing packet: writes packet_samples x channels samples, the last sound faded to zero within the
- * packet (or its first eight blocks), then silence for as long as no packet can be decoded. */
+/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
+ * or its first eight blocks. Silence follows until a packet can be decoded. */
 void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples);
 
 /* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one.
@@ -59,22 +58,23 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
                          unsigned channels, const uint8_t *tables, size_t tables_length, uint32_t refresh_packets,
                          uint32_t lambda);
 
-/* Codes one packet. `coefficients`: MDCT coefficients, blocks x channels x hop, in 1/256 of a sample's least
- * significant bit, limited to +-2^28. `quantiser_offset`: of a rate-controlled stream, in 1/16 octave of the step:
- * told in fours, the nearest one, and the rest moves lambda; other streams ignore it. Returns the bytes written to
- * `packet`, or VC_PACKET_TOO_LARGE. */
+/* Codes one packet. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE.
+ * `coefficients`: MDCT coefficients, blocks x channels x hop, in 1/256 of a sample's least significant bit, limited to
+ * +-2^28.
+ * `quantiser_offset`: of a rate-controlled stream, in 1/16 octave of the step. The packet carries the nearest multiple
+ * of four; the remainder adjusts lambda. Other streams ignore it. */
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t quantiser_offset, uint8_t *packet,
                        size_t capacity);
 
 /* The built-in tables. */
 const uint8_t *vc_mdct_builtin_tables(void);
 
-/* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes): how tables are trained. */
+/* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes), for the training of tables. */
 void vc_mdct_encoder_tables(const vc_mdct_encoder *encoder, uint8_t *tables);
 
-/* How a network is trained: of each coefficient coded from now on, unless its block is silent, a row of
- * vc_mdct_example_values() numbers is written, as long as `capacity` rows have room: the network's inputs in 1/16, the
- * quantiser (0 or 1) and the index, at most 15. The second function returns the rows written. */
+/* Record examples for the training of a network. Each coefficient coded from now on gives a row, unless its block is
+ * silent, as long as `capacity` rows have room. A row has vc_mdct_example_values() numbers: the network's inputs in
+ * 1/16, the quantiser (0 or 1) and the index, at most 15. The last function returns the rows written. */
 size_t vc_mdct_example_values(void);
 void vc_mdct_encoder_record(vc_mdct_encoder *encoder, int16_t *rows, size_t capacity);
 size_t vc_mdct_encoder_recorded(const vc_mdct_encoder *encoder);

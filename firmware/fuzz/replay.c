@@ -1,6 +1,7 @@
 /* Runs a target over a corpus from stdin, and over changed copies of its inputs: `replay COPIES`.
  *
- * Corpus: inputs, each a length of four bytes (little endian) and so many bytes. The same changes at every run.
+ * Corpus: inputs, each a length of four bytes (little-endian) and that number of bytes. The changes are the same at
+ * every run.
  */
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,7 +1,7 @@
-/* What is fuzzed: each target takes any bytes, and stops the program where something is wrong.
+/* The fuzz targets: each takes any bytes, and stops the program on a fault.
  *
- * They run in two programs: libFuzzer's, which looks for inputs that are new (`make fuzz`), and replay.c, which runs
- * those of the corpus and changed copies of them. What these programs need of an operating system, they may use.
+ * They run in two programs: libFuzzer's, which looks for new inputs (`make fuzz`), and replay.c, which runs those of
+ * the corpus and changed copies of them. These programs may use an operating system.
  */
 #ifndef VIBROCAST_FUZZ_TARGETS_H
 #define VIBROCAST_FUZZ_TARGETS_H
@@ -25,15 +25,15 @@ void vc_fuzz_flash(const uint8_t *data, size_t length);
  * frame; 2, milliseconds that pass, in two bytes. */
 void vc_fuzz_controller(const uint8_t *data, size_t length);
 
-/* Takes the next record, a length of two bytes and so many bytes (fewer at the end), off the front of `data`; returns
- * whether there was one. It is a copy of this very length, so that a sanitiser sees what is read beyond it, and is the
- * caller's to free. */
+/* Takes the next record off the front of `data`: a length of two bytes and that number of bytes, fewer at the end.
+ * Returns whether there was one. The record is a copy of exactly this length, so that a sanitiser sees any read beyond
+ * it. The caller frees it. */
 int vc_fuzz_record(const uint8_t **data, size_t *length, uint8_t **record, size_t *record_length);
 
 /* Stops the program unless `holds`. */
 void vc_fuzz_check(int holds, const char *what);
 
-/* libFuzzer's interface; the target is that which the environment variable FUZZ_TARGET names. */
+/* libFuzzer's interface; the environment variable FUZZ_TARGET names the target. */
 int LLVMFuzzerInitialize(int *argument_count, char ***arguments);
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length);
 

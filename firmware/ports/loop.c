@@ -2,7 +2,7 @@
 #include "port.h"
 #include "controller_memory.h"
 
-#define VC_PIECE_BYTES 256 /* read, and written, at once */
+#define VC_PIECE_BYTES 256 /* in one read or write */
 
 static vc_controller controller;
 static uint8_t outgoing[VC_PIECE_BYTES];

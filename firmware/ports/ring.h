@@ -1,18 +1,19 @@
-/* A ring of bytes between an interrupt and the main loop: one of them puts in, the other takes out. */
+/* A ring of bytes between an interrupt and the main loop: one side puts bytes in, the other takes them out. */
 #ifndef VIBROCAST_RING_H
 #define VIBROCAST_RING_H
 
 #include <stddef.h>
 #include <stdint.h>
 
-/* `capacity`: a power of two. The counts run on for ever; each is written on one side only. */
+/* `bytes` and its `capacity`, a power of two, belong to the port. The counts run on for ever; only one side writes
+ * each. */
 typedef struct {
     uint8_t *bytes;
     uint32_t capacity;
     volatile uint32_t put, taken;
 } vc_ring;
 
-/* Returns 0, and drops the byte, when the ring is full. */
+/* Puts in a byte. Returns 0, and drops the byte, if the ring is full. */
 static inline int vc_ring_put(vc_ring *ring, uint8_t byte)
 {
     uint32_t put = ring->put;
@@ -24,7 +25,7 @@ static inline int vc_ring_put(vc_ring *ring, uint8_t byte)
     return 1;
 }
 
-/* Returns 0 when the ring is empty. */
+/* Takes out a byte. Returns 0 if the ring is empty. */
 static inline int vc_ring_take(vc_ring *ring, uint8_t *byte)
 {
     uint32_t taken = ring->taken;
@@ -36,7 +37,7 @@ static inline int vc_ring_take(vc_ring *ring, uint8_t *byte)
     return 1;
 }
 
-/* Takes up to `capacity` bytes; returns how many there were. */
+/* Takes out up to `capacity` bytes. Returns how many there were. */
 static inline size_t vc_ring_read(vc_ring *ring, uint8_t *data, size_t capacity)
 {
     size_t length = 0;
@@ -45,7 +46,7 @@ static inline size_t vc_ring_read(vc_ring *ring, uint8_t *data, size_t capacity)
     return length;
 }
 
-/* Puts in up to `length` bytes; returns how many there was room for. */
+/* Puts in up to `length` bytes. Returns how many had room. */
 static inline size_t vc_ring_write(vc_ring *ring, const uint8_t *data, size_t length)
 {
     size_t taken = 0;

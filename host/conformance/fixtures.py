@@ -78,7 +78,7 @@ def probe(link: TappedLink) -> Iterator[Probe]:
 
 @pytest.fixture
 def hello(probe: Probe) -> HelloResponse:
-    """What the controller says of itself."""
+    """The controller's description of itself."""
     return probe.description
 
 

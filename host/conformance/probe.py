@@ -60,7 +60,7 @@ _Answer = TypeVar("_Answer", bound=Message)
 
 
 class NotConforming(AssertionError):
-    """What the controller did is not what the protocol says; the text tells both."""
+    """The controller did not do what the protocol says; the text states both."""
 
 
 class Unreachable(Exception):
@@ -95,7 +95,7 @@ class Probe:
             raise NotConforming(f"Hello: expected a HelloResponse, came {describe(answer)}")
         self.description = answer
         self.opened_by = self.sequence
-        # What is less than the protocol allows is a fault of its own, and hides no other.
+        # A limit below the protocol's is a fault of its own, and must not hide another.
         self._limit_bytes = max(answer.limits.max_payload_bytes, MIN_PAYLOAD_LIMIT_BYTES)
         self._max_silence_s = max(_POLL_S, answer.limits.watchdog_ms / 4000)
         if self.answer_s > _COPIED_S:
@@ -346,7 +346,7 @@ class Probe:
         return self._inbox.popleft()
 
     def _read(self, payload: bytes) -> tuple[int, Message]:
-        """Return number and message in a payload; keep notifications. Raises NotConforming for what has no business."""
+        """Return number and message in a payload; keep notifications. Raises NotConforming for others."""
         if len(payload) > self._limit_bytes:
             raise NotConforming(f"expected payloads of at most {self._limit_bytes} bytes, came one of {len(payload)}")
         try:

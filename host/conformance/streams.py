@@ -23,7 +23,7 @@ SECONDS = 0.4
 STRENGTH = 0.1
 TONE_HZ = 150.0
 MODEL = "eva-16-4"
-# What needs no model image; the first that the controller has is played where a test needs no other.
+# Codecs without a model image. A test that needs no special codec plays the first that the controller has.
 PLAIN_CODECS = tuple(known.name for known in codec.BUILT_IN.values() if known.keeps_waveform and not known.needs_model)
 SignalMaker = Callable[[int, int, str, float, float], textures.Recording]
 """Makes a signal of a rate in hertz, of so many channels, in a unit, with a peak value, for so many seconds."""
@@ -67,7 +67,7 @@ def stream_for(
 def lasting_stream(
     probe: Probe, requests: int, seconds: float = SECONDS, unit: str = "um", make_signal: SignalMaker | None = None
 ) -> Stream:
-    """Return a stream, as `stream_for`, that still plays when so many requests behind its Start have been answered.
+    """Return a stream, as `stream_for`, that still plays when `requests` behind its Start have been answered.
 
     It lasts for longer than `seconds` only where answers take long. Skips the test where the buffer does not hold it.
     """
@@ -154,7 +154,7 @@ def decoded(stream: Stream, first_packet: int = 0, missing: Collection[int] = ()
 
 
 def decoded_as(probe: Probe, expected: NDArray[np.int16], what: str) -> None:
-    """Compare what was decoded, as far as the controller has kept it, with what it must be, (samples, channels).
+    """Compare the decoded samples that the controller has kept with the expected ones, (samples, channels).
 
     Skips the test where it keeps nothing. Raises NotConforming, TransportError.
     """

@@ -32,7 +32,7 @@ def next_stop(probe: Probe) -> bytes:
 
 
 def dropped(probe: Probe, data: bytes, bad_frames: int, what: str) -> None:
-    """Send what must be dropped, counted as so many bad frames, and followed by a frame that is read."""
+    """Send bytes that must be dropped and counted as `bad_frames`, then a frame that must be read."""
     before = probe.status()
     probe.link.write(data)
     after = probe.status()

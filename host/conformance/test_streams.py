@@ -16,7 +16,7 @@ from vibrocast.host.controller import Controller
 from vibrocast.host.uploader import flash
 from vibrocast.output.rendering import LimitCounts, render
 
-# Far beyond what any actuator's amplifier gives.
+# Far beyond any actuator's amplifier.
 _TOO_LOUD = 30.0
 
 

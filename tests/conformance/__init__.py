@@ -1,1 +1,1 @@
-"""What every controller must do, whichever way it is reached."""
+"""The duties of every controller, over every transport."""

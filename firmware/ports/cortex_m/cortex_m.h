@@ -1,4 +1,4 @@
-/* What every Cortex-M port shares: start, registers of the processor itself, interrupts.
+/* Shared by all Cortex-M ports: start, registers of the processor itself, interrupts.
  *
  * Registers: Armv7-M Architecture Reference Manual (DDI 0403), B3; the same in Armv8-M (DDI 0553).
  */
@@ -16,7 +16,7 @@
 #define VC_RESET_CONTROL VC_REGISTER(0xE000ED0C)   /* AIRCR, B3.2.6 */
 #define VC_COPROCESSORS VC_REGISTER(0xE000ED88)    /* CPACR, B3.2.20 */
 
-/* Code that goes on while flash, from which all else runs, is being erased. */
+/* Code that runs while flash, which holds all other code, is being erased. */
 #define VC_IN_RAM __attribute__((section(".ramfunc"), noinline))
 
 typedef void (*vc_handler)(void); /* of an exception, in a vector table */
@@ -39,7 +39,7 @@ typedef struct {
         }                                                                                                              \
     }
 
-/* Prepares memory and FPU, and calls main. */
+/* Prepares memory and FPU, and calls main(). */
 void Reset_Handler(void);
 
 int main(void);

@@ -31,7 +31,7 @@ uint64_t vc_systick_now_us(void)
     elapsed_ms += ms - last_ms;
     last_ms = ms;
     now_us = elapsed_ms * 1000 + (1000 * ticks_per_us - 1 - ticks) / ticks_per_us;
-    /* Where the timer has begun anew and its interrupt is yet to come, this is a millisecond too early. */
+    /* If the timer has restarted and its interrupt is still pending, this is a millisecond too early. */
     if (now_us > last_us)
         last_us = now_us;
     return last_us;

@@ -32,8 +32,8 @@
 #define FLASH_BYTES (2 * RECORD_BYTES + 2 * SLOT_BYTES)
 #define WAIT_MS 2
 #define MOST_DRIFT_PPM 100000
-/* A loaded system may keep the process waiting, which no controller's own processor does: of a longer wait, its clock
- * counts only so much. */
+/* A loaded system may suspend the process, which no controller's own processor does. Of a longer wait, its clock counts
+ * this part only. */
 #define LONGEST_STEP_US 50000
 
 static volatile sig_atomic_t ended;

@@ -54,9 +54,8 @@ enum {
     VC_TIMER_ON = 1 << 7
 };
 
-/* The boards have no DAC. What would go to one is shown, as to a controller of direct memory access, to three words in
- * place of the audio controller's, which an emulator may watch: where the codes are, how many channels, and, last, how
- * many samples. */
+/* The boards have no DAC. The port writes three words in place of the audio controller's, as to a DMA controller; an
+ * emulator may watch them: the address of the codes, the channels and, last, the samples. */
 #define VC_OUTPUT_CODES VC_REGISTER(VC_OUTPUT)
 #define VC_OUTPUT_CHANNELS VC_REGISTER(VC_OUTPUT + 0x04)
 #define VC_OUTPUT_SAMPLES VC_REGISTER(VC_OUTPUT + 0x08)
@@ -64,10 +63,10 @@ enum {
 /* Starts UART and clock. */
 void vc_board_start(void);
 
-/* Waits for the next byte, or a while. */
+/* Waits for the next byte, or a short time. */
 void vc_board_wait(void);
 
-/* Where it lies in memory: by the linker script. Model images need no more than vc_flash. */
+/* The linker script places it in memory. Model images need nothing but vc_flash. */
 extern const vc_flash vc_board_flash;
 
 #endif

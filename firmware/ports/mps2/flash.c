@@ -1,4 +1,4 @@
-/* Flash in the board's memory: what NOR flash would do, kept as long as the power is on. */
+/* Flash in the board's memory: it behaves like NOR flash, and keeps its content until the power goes. */
 #include "board.h"
 #include "common.h"
 

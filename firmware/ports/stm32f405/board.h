@@ -1,7 +1,7 @@
 /* Adafruit Feather STM32F405 Express: STM32F405RG with a 12 MHz crystal; the parts of its port.
  *
- * Pins: TX and RX (PB10, PB11) are the serial line, 921 600 baud, 8 data bits, no parity, 1 stop bit; A0 and A1 (PA4,
- * PA5) are the DAC's channels 1 and 2, 0 V to 3.3 V, at rest in the middle.
+ * Pins: TX and RX (PB10, PB11) are the serial port, 921 600 baud, 8 data bits, no parity, 1 stop bit. A0 and A1 (PA4,
+ * PA5) are the DAC's channels 1 and 2: 0 V to 3.3 V, at rest in the middle.
  */
 #ifndef VIBROCAST_STM32F405_BOARD_H
 #define VIBROCAST_STM32F405_BOARD_H
@@ -13,36 +13,36 @@
 #define VC_APB1_HZ (VC_PROCESSOR_HZ / 4)
 #define VC_APB1_TIMERS_HZ (VC_PROCESSOR_HZ / 2) /* 7.2: twice APB1's clock where that is divided */
 
-/* Memory beside that of all else, for the rings between interrupts and the loop and for height profiles; not cleared
- * at a start. */
+/* Memory that only the processor reaches, for the rings between interrupts and the loop and for height profiles. It is
+ * not cleared at a start. */
 #define VC_CORE_MEMORY __attribute__((section(".core")))
 
-/* Runs the processor at VC_PROCESSOR_HZ, from the crystal or, if it does not start, from the internal oscillator. */
+/* Runs the processor at VC_PROCESSOR_HZ, from the crystal or, if that does not start, from the internal oscillator. */
 void vc_clocks_start(void);
 
-/* Starts the watchdog, which resets the board where it is not fed for some 4 s (2.7 s at least, as its oscillator
- * varies: 17 to 47 kHz): longer than the largest model takes for the longest packet. */
+/* Starts the watchdog. It resets the board about 4 s after the last feed: at least 2.7 s, because its oscillator varies
+ * from 17 to 47 kHz. The largest model takes less for the longest packet. */
 void vc_watchdog_start(void);
 static inline void vc_watchdog_feed(void)
 {
     VC_IWDG_KR = VC_IWDG_FEED;
 }
 
-/* Brings both outputs from 0 V to rest, slowly, and returns when they are there; then plays what vc_port_play() gets.
+/* Brings both outputs slowly from 0 V to rest and returns when they are there. Then plays the codes of vc_port_play().
  * `dac_bits`: of the codes. */
 void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits);
 void TIM6_DAC_IRQHandler(void);
 
-/* States that a turn of the loop begins: what has passed when it hands on codes, decoding took. */
+/* States that a turn of the loop begins. Decoding takes the time from here to the next codes. */
 void vc_dac_output_turn(void);
 
-/* For a fault: brings both outputs to rest, without interrupts. Does not return: the watchdog resets the board. */
+/* For a fault: brings both outputs to rest, without interrupts. Does not return; the watchdog resets the board. */
 void vc_dac_output_rest(void);
 
 void vc_uart_start(void);
 void USART3_IRQHandler(void);
 
-/* Sectors 1 and 2 for records, 8 to 11 for model images: board.ld keeps code out of them. */
+/* Sectors 1 and 2 hold records, 8 to 11 model images: board.ld keeps code out of them. */
 extern const vc_flash vc_board_flash;
 
 #endif

@@ -1,9 +1,8 @@
-/* The DAC, one sample of both channels at each interrupt of TIM6. RM0090: 14.3 (DAC), 20.3 (timer), 8.3 (pins).
+/* The DAC: one sample of both channels at each interrupt of TIM6. RM0090: 14.3 (DAC), 20.3 (timer), 8.3 (pins).
  *
- * Its samples wait in a ring, for while a packet is being decoded the loop hands on none. So the output lags the
- * controller's clock: by LEAST_LAG_MS, and twice the time that the packet took with which a stream begins, as far as
- * the ring goes. What takes longer runs it dry: the output goes to rest, from there back into the stream, and the lag
- * is set anew.
+ * The samples wait in a ring, because the loop hands on none while it decodes a packet. So the output lags the
+ * controller's clock: by LEAST_LAG_MS plus twice the time of the stream's first packet, as far as the ring has room. A
+ * longer time empties the ring: the output goes to rest, fades back into the stream, and sets the lag again.
  */
 #include "board.h"
 #include "common.h"
@@ -13,8 +12,8 @@
 #define REST 2048
 #define LEAST_LAG_MS 4
 #define CAPACITY 4096u /* samples; a power of two */
-#define SPARE 64u      /* samples beyond the lag: those of the way to rest come at once, of a piece */
-#define FADE_MS 50     /* to rest at boot; where samples are missing, to rest and back */
+#define SPARE 64u      /* samples beyond the lag: the ramp to rest comes at once, in one piece */
+#define FADE_MS 50     /* to rest at boot; to rest and back where samples are missing */
 
 /* Written by the loop. */
 static int16_t ring[CAPACITY][CHANNELS] VC_CORE_MEMORY;
@@ -25,8 +24,8 @@ static unsigned shift;
 
 /* Written by the interrupt; by the loop as well where the ring is empty, or with interrupts off. */
 static volatile uint32_t taken;
-static volatile uint32_t waiting; /* samples for which nothing is taken yet */
-static volatile int broken;       /* what is taken next does not follow what the output has had last */
+static volatile uint32_t waiting; /* samples to wait before the next is taken */
+static volatile int broken;       /* the next sample does not follow the last output */
 
 /* Of the interrupt. */
 static int playing;                                   /* the last sample came from the ring */
@@ -110,7 +109,7 @@ static void put_sample(const int16_t *codes, unsigned channels)
     put++;
 }
 
-/* The ring was empty: sets the lag, for which its samples wait. */
+/* The ring was empty: sets the lag, during which its samples wait. */
 static void begin_lag(void)
 {
     const uint32_t kept = samples_in(vc_port_now_us() - turn_us);
@@ -121,8 +120,8 @@ static void begin_lag(void)
     waiting = lag_samples;
 }
 
-/* Has nothing wait longer than the lag, of which a part has passed already where many samples come at once. Of what is
- * far too late, for something else kept the loop, the oldest samples are left out. */
+/* Lets nothing wait longer than the lag, part of which has passed already where many samples come at once. If something
+ * else stopped the loop for long, drops the oldest samples. */
 static void keep_lag(void)
 {
     uint32_t held;

@@ -1,7 +1,7 @@
 /* Flash for model images. RM0090: 3.6 (erase and program operations), 3.9 (registers).
  *
- * The processor cannot fetch anything from flash while this is going on, so it waits in RAM, where the interrupts are
- * as well: DAC and serial line go on.
+ * The processor cannot fetch from flash meanwhile, so it waits in RAM. The interrupts are in RAM too: DAC and serial
+ * port go on.
  */
 #include "board.h"
 
@@ -15,11 +15,11 @@
 static const uint32_t sector_start[SECTORS + 1] = {0x00000, 0x04000, 0x08000, 0x0C000, 0x10000, 0x20000, 0x40000,
                                                    0x60000, 0x80000, 0xA0000, 0xC0000, 0xE0000, 0x100000};
 
-/* Waits for the end of what has been begun; returns 0 if it went well. */
+/* Waits until the flash is ready; returns 0 if it reports no error. */
 static inline int finish(void)
 {
     uint32_t turns = 0;
-    __asm volatile("dsb" ::: "memory"); /* what was written to flash has arrived there */
+    __asm volatile("dsb" ::: "memory"); /* all writes to flash have arrived */
     while (VC_FLASH_SR & VC_FLASH_BUSY && turns++ < LONGEST_WAIT)
         vc_watchdog_feed();
     return (VC_FLASH_SR & (VC_FLASH_BUSY | VC_FLASH_ERRORS)) != 0;
@@ -68,7 +68,7 @@ VC_IN_RAM static int program_all(uint32_t address, const uint8_t *data, uint32_t
     return failed;
 }
 
-/* 3.5.2: what the data cache holds of an erased sector is no longer so. */
+/* 3.5.2: the data cache may still hold the erased sector. */
 static void forget_cached(void)
 {
     VC_FLASH_ACR &= ~(uint32_t)VC_FLASH_DATA_CACHE;

@@ -8,7 +8,7 @@
 
 #define ACTUATOR vc_piezo_stack_12_bits
 
-/* In RAM, for flash cannot be read while it is being erased; aligned as VTOR asks of 98 entries. */
+/* In RAM, because flash cannot be read while it is being erased; aligned as VTOR requires for 98 entries. */
 static struct {
     vc_core_vectors core;
     vc_handler lines[VC_LINES];

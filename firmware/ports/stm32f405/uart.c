@@ -1,11 +1,11 @@
-/* The serial line by interrupts. RM0090: 30.3 (USART), 8.3 (pins). */
+/* The serial port by interrupts. RM0090: 30.3 (USART), 8.3 (pins). */
 #include "board.h"
 #include "port.h"
 #include "ring.h"
 
 #define BAUD 921600u
 
-/* Received while a packet is being decoded or flash is written: 178 ms of the line. */
+/* Bytes received while a packet is decoded or flash is written: 178 ms of the link. */
 static uint8_t received_bytes[1 << 14] VC_CORE_MEMORY, sending_bytes[1 << 10] VC_CORE_MEMORY;
 static vc_ring received = {received_bytes, sizeof received_bytes, 0, 0};
 static vc_ring sending = {sending_bytes, sizeof sending_bytes, 0, 0};
@@ -25,7 +25,7 @@ void vc_uart_start(void)
     vc_enable_interrupt(VC_USART3_LINE, 1);
 }
 
-/* Sends what the line takes at once, and has the interrupt come for the rest. */
+/* Sends as much as the port takes at once, and leaves the rest to the interrupt. */
 static inline void send_waiting(void)
 {
     uint8_t byte;
@@ -43,7 +43,7 @@ VC_IN_RAM void USART3_IRQHandler(void)
 {
     /* An overrun keeps the interrupt up until the data register is read after the status (30.6.1). */
     if (VC_USART_SR & (VC_USART_RXNE | VC_USART_ORE))
-        (void)vc_ring_put(&received, (uint8_t)VC_USART_DR); /* what does not fit is lost, and a CRC tells */
+        (void)vc_ring_put(&received, (uint8_t)VC_USART_DR); /* a byte without room is lost, and a CRC shows it */
     send_waiting();
 }
 

@@ -55,7 +55,7 @@ static void take_received(void)
 {
     VC_UART_INTERRUPTS = VC_UART_RECEIVE_PENDING;
     while (VC_UART_STATE & VC_UART_RECEIVE_FULL)
-        (void)vc_ring_put(&received, (uint8_t)VC_UART_DATA); /* what does not fit is lost, and a CRC tells */
+        (void)vc_ring_put(&received, (uint8_t)VC_UART_DATA); /* a byte without room is lost, and a CRC shows it */
 }
 
 static void go_on_sending(void)

@@ -29,7 +29,7 @@ size_t vc_port_write(const uint8_t *data, size_t length)
     return taken;
 }
 
-/* The timer counts down and begins anew after 45 minutes at least. */
+/* The timer counts down and restarts after 45 minutes at least. */
 uint64_t vc_port_now_us(void)
 {
     static uint32_t last;
