@@ -25,11 +25,8 @@ SLOW = {
 }
 """Pages that take more than ten seconds, most of them because they play in real time."""
 UNFINISHED = {
-    "docs/benchmarks/firmware.md",
     "docs/benchmarks/results.md",
     "docs/how-to/plan.md",
-    "docs/reference/conformance.md",
-    "firmware/README.md",
 }
 """Pages whose blocks do not run yet."""
 

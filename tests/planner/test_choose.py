@@ -31,7 +31,8 @@ def test_the_choice_is_the_cheapest_that_meets_what_is_asked(choice: TextureChoi
 
 def test_the_choice_and_every_other_option_have_a_reason_that_fits_their_cost(choice: TextureChoice) -> None:
     assert re.fullmatch(
-        r"cheapest of the \d+ options that meet SNR 10 dB within all limits; a coarser setting has SNR [\d.]+ dB", choice.why
+        r"cheapest of the \d+ options that meet SNR 10 dB within all limits; a coarser setting has SNR [\d.]+ dB",
+        choice.why,
     )
     assert len(choice.reasons) == len(choice.evaluator.options("M4F")) - 1
     for reason in choice.reasons:
