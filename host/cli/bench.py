@@ -14,9 +14,8 @@ from vibrocast import extras, progress, textures
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import (
-    FOLDER,
-    INPUT,
     BadInput,
     RecordingOptions,
     chosen_highpass_hz,
@@ -26,6 +25,8 @@ from vibrocast.host.cli.options import (
     own_models_option,
     recording_options,
 )
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
 from vibrocast.models import ModelError
 from vibrocast.textures import dataset
 from vibrocast.textures.dataset import DatasetEntry, DatasetError
@@ -38,7 +39,7 @@ if TYPE_CHECKING:  # what measures takes a second to load, which other commands 
 SNRS_DB = (5.0, 10.0, 15.0, 20.0)
 SHOWN_FAILURES = 10
 MUCH_REMOVED = 0.5
-"""Of a trace's energy: a person should know."""
+"""Of a recording's energy: a person should know."""
 
 
 def separate_names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str]:
@@ -48,7 +49,7 @@ def separate_names(ctx: click.Context, param: click.Parameter, value: str | None
 
 @dataclass(frozen=True)
 class CodecOptions:
-    """What is measured."""
+    """The codecs to measure."""
 
     names: list[str]
     model_folders: tuple[Path, ...]
@@ -66,7 +67,7 @@ class SplitOptions:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How often, where, and whether again what was measured before."""
+    """How often and where to measure, and whether to measure again."""
 
     repeats: int
     scheduler: str | None
@@ -81,68 +82,103 @@ class SignalOptions:
     keep_dc: bool
 
 
-@click.command()
+@click.command(cls=SectionedCommand)
 @click.argument("recordings", metavar="FOLDER|MANIFEST", type=INPUT)
-@click.option(
-    "--out",
-    type=FOLDER,
-    required=True,
-    help="Folder for results.md and results/; where a run was cut, the same command goes on.",
-)
-@grouped(
-    "codecs",
-    CodecOptions,
-    click.option(
-        "--codecs",
-        "names",
-        callback=separate_names,
-        metavar="NAME,NAME,...",
-        help="Codecs, or single sets of rate points of their settings; all if not given.",
-    ),
-    own_models_option,
-    click.option("--programs", "program_list", type=INPUT, help="TOML file that lists codecs in programs of your own."),
-)
-@click.option("--peers", type=INPUT, help="CSV of others' points on the same recordings, to compare with.")
-@click.option(
-    "--kinds", "kinds_table", type=INPUT, help="CSV of file, kind: textures to tell apart; known sets if not given."
-)
-@grouped(
-    "split",
-    SplitOptions,
-    click.option(
-        "--split", "part", type=click.Choice(dataset.PARTS), default="all", show_default=True, help="Part to measure."
+@section(
+    "Codecs",
+    grouped(
+        "codecs",
+        CodecOptions,
+        click.option(
+            "--codecs",
+            "names",
+            callback=separate_names,
+            metavar="NAME,...",
+            help="Measure these codecs, or sets of their rate points. Default: all.",
+        ),
+        own_models_option,
+        click.option(
+            "--programs",
+            "program_list",
+            type=INPUT,
+            metavar="FILE",
+            help="Add codecs in programs of your own, from a TOML file.",
+        ),
     ),
     click.option(
-        "--split-by",
-        type=click.Choice(dataset.SPLITS),
-        default="auto",
-        show_default=True,
-        help="Keep these whole; auto: as the manifest says, else single recordings (trace).",
+        "--peers", type=INPUT, metavar="FILE", help="Add others' points on the same recordings, from a CSV file."
     ),
-    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the split."),
 )
-@grouped(
-    "run",
-    RunOptions,
-    click.option(
-        "--repeats",
-        type=click.IntRange(min=0),
-        default=3,
-        show_default=True,
-        help="Take the median time of this number of runs; 0: measure no times.",
+@section(
+    "Recordings",
+    grouped(
+        "split",
+        SplitOptions,
+        click.option(
+            "--split",
+            "part",
+            type=click.Choice(dataset.PARTS),
+            default="all",
+            show_default=True,
+            help="Choose the part to measure.",
+        ),
+        click.option(
+            "--split-by",
+            type=click.Choice(dataset.SPLITS),
+            default="auto",
+            show_default=True,
+            help="Keep these whole in a split; auto follows the manifest.",
+        ),
+        click.option(
+            "--seed", type=Whole("NUMBER", 0), default=0, show_default=True, help="Choose another random split."
+        ),
     ),
     click.option(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers measure, such as tcp://host:8786."
+        "--kinds",
+        "kinds_table",
+        type=INPUT,
+        metavar="FILE",
+        help="Tell kinds of textures apart, by a CSV file of file,kind. Default: those of known sets.",
     ),
-    click.option("--fresh", is_flag=True, help="Measure all again, whatever a run before has measured."),
-)
-@grouped(
-    "signal",
-    SignalOptions,
-    click.option("--stream-rate-hz", type=click.IntRange(1, MAX_RATE_HZ), help="Instead of each recording's own rate."),
-    keep_dc_option,
 )
 @recording_options
+@section(
+    INPUT_SECTION,
+    grouped(
+        "signal",
+        SignalOptions,
+        click.option(
+            "--stream-rate-hz",
+            type=Whole("Hz", 1, MAX_RATE_HZ),
+            help="Resample all recordings to this rate. Default: each recording's own.",
+        ),
+        keep_dc_option,
+    ),
+)
+@section(
+    RUN,
+    grouped(
+        "run",
+        RunOptions,
+        click.option(
+            "--repeats",
+            type=Whole("NUMBER", 0),
+            default=3,
+            show_default=True,
+            help="Take the median time of these runs; 0 measures no times.",
+        ),
+        click.option(
+            "--scheduler", metavar="ADDRESS", help="Measure on a Dask scheduler's workers. Default: on this machine."
+        ),
+        click.option("--fresh", is_flag=True, help="Measure again all that an earlier run has measured."),
+    ),
+)
+@section(
+    OUTPUT,
+    click.option(
+        "--out", type=FOLDER, required=True, help="Write results.md and results/ here, and continue a run that was cut."
+    ),
+)
 def bench(
     recordings: Path,
     out: Path,
@@ -154,11 +190,15 @@ def bench(
     signal: SignalOptions,
     recording: RecordingOptions,
 ) -> None:
-    """Measure codecs and trained models on every recording of a folder or a manifest.
+    """Measure codecs and trained models on a folder of recordings.
 
-    A manifest is a CSV file with a column file and any of unit, rate_hz, full_scale, hand_speed_mm_s, axis, reduce,
-    key, material, subject, split. Each trace is coded at every setting of every codec, at its own rate. Failures are
-    listed, the rest goes on, and the exit code is 1.
+    A MANIFEST is a CSV file that names recordings. It has the column file, and any of unit, rate_hz, full_scale,
+    hand_speed_mm_s, axis, reduce, key, material, subject and split.
+
+    The command codes each recording at every setting of every codec. If one fails, the others continue; the failures
+    are listed at the end, and the exit code is 1.
+
+    A scheduler's ADDRESS is one such as tcp://host:8786.
     """
     extras.require("bench")
     from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
@@ -191,7 +231,9 @@ def bench(
             check_imported(peers, found.entries, mine, load)
         results = bench.results_folder(out)
         write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
-        click.echo(f"{len(traces)} traces, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings")
+        click.echo(
+            f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings"
+        )
         work: Any = partial(workers.on_cores, processes=workers.cores())
         if run.scheduler:
             work = partial(workers.on_cluster, address=run.scheduler, version=cells.program_version)
@@ -230,7 +272,9 @@ def bench(
     show(measurements)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
-        click.echo(f"left out, as no trace states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
+        click.echo(
+            f"left out, because no recording states a physical unit (--unit, --full-scale): {', '.join(left_out)}"
+        )
     if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
         click.echo(
             f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
@@ -243,8 +287,8 @@ def bench(
     if failures:
         show_failures(failures)
         raise click.ClickException(
-            f"{len(failures)} traces or cells failed; {results / 'failures.csv'} lists them, and the same command "
-            "tries them again"
+            f"{len(failures)} recordings or cells failed; see {results / 'failures.csv'}, correct the cause, and run "
+            "the same command again"
         )
 
 

@@ -1,4 +1,4 @@
-"""The subcommands `codecs` and `models`: what there is to code with."""
+"""The subcommands `codecs` and `models`, which list both."""
 
 import json
 
@@ -6,6 +6,7 @@ import click
 
 from vibrocast import codec, models
 from vibrocast.device_protocol.model_image import sha256
+from vibrocast.host.cli.options import json_option
 from vibrocast.host.cli.steps import show
 from vibrocast.host.printable import plain
 
@@ -13,9 +14,9 @@ _COLUMNS = ("name", "codec", "width", "image bytes", "SNR dB", "bit/sample")
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def codecs(as_json: bool) -> None:
-    """List the codecs and the parameters of their settings."""
+    """List the codecs and their parameters."""
     facts = {
         known.name: {
             "summary": known.summary,
@@ -37,9 +38,9 @@ def codecs(as_json: bool) -> None:
 
 
 @click.command("models")
-@click.option("--json", "as_json", is_flag=True, help="Print their cards as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the cards of the models as JSON.")
 def list_models(as_json: bool) -> None:
-    """List the trained models that ship, with their rates and quality."""
+    """List the shipped models, with rate and quality."""
     if as_json:
         cards = {model.name: {**model.card, "image_sha256": sha256(model.image).hex()} for model in models.shipped()}
         click.echo(json.dumps(cards, indent=2, allow_nan=False))

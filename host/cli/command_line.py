@@ -25,43 +25,43 @@ class Subcommand(NamedTuple):
 
 
 # Help and version load none of these modules; a subcommand loads its own.
-SUBCOMMANDS: Mapping[str, Subcommand] = {
-    "bench": Subcommand(
-        "bench", "bench", "Measure codecs and trained models on every recording of a folder or a manifest."
-    ),
-    "codecs": Subcommand("codecs", "codecs", "List the codecs and the parameters of their settings."),
-    "conformance": Subcommand("conformance", "conformance", "Test a controller against docs/reference/protocol.md."),
-    "decode": Subcommand(
-        "decode",
-        "decode",
-        "Decode a .vct file into a WAV, CSV, NPY or MAT file, or a height profile into a CSV file.",
-    ),
-    "devices": Subcommand("devices", "list_devices", "List what may be a controller."),
-    "encode": Subcommand(
-        "encode", "encode", "Code a recording, or with --plan the texture that FILE names, into a .vct file."
-    ),
-    "export": Subcommand(
-        "export", "export", "Write a folder with ONNX graphs, model image and card of a trained model."
-    ),
-    "flash": Subcommand(
-        "devices", "flash", "Upload MODEL, or with --plan every model that the plan needs, to a controller."
-    ),
-    "generate": Subcommand(
-        "generate", "generate", "Make a texture as a WAV file, or its height profile as a CSV file."
-    ),
-    "info": Subcommand("decode", "info", "Show what a .vct file holds."),
-    "live": Subcommand(
-        "live", "live", "Stream a live SOURCE: a generated texture, or raw samples from standard input (-)."
-    ),
-    "measure": Subcommand("measure", "measure", "Measure a controller: latency, load, fidelity, frequency response."),
-    "models": Subcommand("codecs", "list_models", "List the trained models that ship, with their rates and quality."),
-    "plan": Subcommand("plan", "plan", "Choose how each texture of a scene is coded, with no more than it needs."),
-    "play": Subcommand("play", "play", "Play a recording or a .vct file on a controller, or on several at once."),
-    "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),
-    "stability": Subcommand("stability", "stability", "Map where each codec holds and where it fails."),
-    "status": Subcommand("devices", "status", "Show the properties and the state of a controller."),
-    "train": Subcommand("train", "train", "Train a model as CONFIG describes it."),
+SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
+    "Compress": {
+        "generate": Subcommand("generate", "generate", "Generate a texture (.wav) or its height profile (.csv)."),
+        "encode": Subcommand("encode", "encode", "Code a recording into a .vct file."),
+        "decode": Subcommand("decode", "decode", "Decode a .vct file into a WAV, CSV, NPY or MAT file."),
+        "info": Subcommand("decode", "info", "Show the codec, rate and content of a .vct file."),
+        "codecs": Subcommand("codecs", "codecs", "List the codecs and their parameters."),
+    },
+    "Play": {
+        "play": Subcommand("play", "play", "Play a recording or a .vct file on one or several controllers."),
+        "live": Subcommand("live", "live", "Stream a generated texture or standard input to a controller."),
+        "plan": Subcommand("plan", "plan", "Choose the cheapest codec settings that meet your requirements."),
+    },
+    "Controllers": {
+        "devices": Subcommand(
+            "devices", "list_devices", "List the addresses of controllers: simulated, serial and USB."
+        ),
+        "status": Subcommand("devices", "status", "Show the properties and state of a controller."),
+        "flash": Subcommand("devices", "flash", "Upload a trained model to a controller."),
+        "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),
+    },
+    "Measure and compare": {
+        "bench": Subcommand("bench", "bench", "Measure codecs and trained models on a folder of recordings."),
+        "stability": Subcommand("stability", "stability", "Map where each codec holds and where it fails."),
+        "measure": Subcommand(
+            "measure", "measure", "Measure the latency, load, fidelity and response of a controller."
+        ),
+        "conformance": Subcommand("conformance", "conformance", "Test a controller against the protocol."),
+    },
+    "Learned codecs": {
+        "models": Subcommand("codecs", "list_models", "List the shipped models, with rate and quality."),
+        "train": Subcommand("train", "train", "Train a model from a TOML configuration."),
+        "export": Subcommand("export", "export", "Export a checkpoint: ONNX graphs, model image and card."),
+    },
 }
+SUBCOMMANDS = {name: each for section in SECTIONS.values() for name, each in section.items()}
+_LONGEST = max(map(len, SUBCOMMANDS))
 
 
 class DeviceFailure(click.ClickException):
@@ -100,9 +100,10 @@ class VibrocastCommand(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the names and summaries of the subcommands, without loading them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, subcommand.summary) for name, subcommand in SUBCOMMANDS.items()])
+        """Write the names and summaries of the subcommands by section, without loading them."""
+        for title, subcommands in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{name:{_LONGEST}}", each.summary) for name, each in subcommands.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a subcommand, its errors turned into click's own; with --debug they pass with their traceback."""

@@ -12,6 +12,7 @@ from rich.table import Table
 from vibrocast import extras, progress
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices
+from vibrocast.host.cli.option_types import FOLDER
 from vibrocast.host.cli.options import BadInput, device_option
 from vibrocast.host.printable import plain
 
@@ -21,21 +22,23 @@ if TYPE_CHECKING:
 
 @click.command()
 @device_option
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the report.")
-@click.option("--no-flash", is_flag=True, help="Write no slot for model images; what needs that is not applicable.")
-@click.option("--quick", is_flag=True, help="Leave out what takes more than a second.")
+@click.option("--out", type=FOLDER, help="Write the report into this folder. Default: none is written.")
+@click.option("--no-flash", is_flag=True, help="Write no model image; requirements on them are not applicable.")
+@click.option("--quick", is_flag=True, help="Leave out tests that take more than a second.")
 @click.option("--date", "dated", is_flag=True, help="Put today's date into the report.")
 def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, dated: bool) -> None:
-    """Test a controller against docs/reference/protocol.md.
+    """Test a controller against the protocol.
 
-    It plays textures, and writes the slot for model images that does not run; the image that runs runs again
-    afterwards. The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tested.
+    The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
+    model images. The image that runs now runs again afterwards.
+
+    The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tested.
     """
     extras.require("bench")
     from vibrocast.host.conformance import PAGE, NotTestable, TappedLink, run_suite
 
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)  # what cannot be written is better known before than after
+        out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
     date = datetime.date.today().isoformat() if dated else None
     try:
         with devices.reach(address) as transport, progress.bar("testing") as update:

@@ -7,7 +7,8 @@ import click
 
 from vibrocast import models, progress, textures
 from vibrocast.codec.stream import read_stream, write_profile, write_recording
-from vibrocast.host.cli.options import INPUT, OutputFile, model_option, runtime_option
+from vibrocast.host.cli.option_types import INPUT, OutputFile
+from vibrocast.host.cli.options import json_option, model_option, runtime_option
 from vibrocast.host.cli.steps import files_of, reject_overwriting, show
 
 
@@ -25,14 +26,16 @@ from vibrocast.host.cli.steps import files_of, reject_overwriting, show
 @model_option
 @runtime_option
 def decode(file: Path, out: Path, sample_format: str, model: models.Model | None, runtime: str | None) -> None:
-    """Decode a .vct file into a WAV, CSV, NPY or MAT file, or a height profile into a CSV file.
+    """Decode a .vct file into a WAV, CSV, NPY or MAT file.
 
-    The file holds physical values, exactly as decoded; a WAV file of 16 bit is relative to a full scale. All but NPY
-    state rate and unit, from which this program knows them again.
+    The suffix of OUT chooses the format. The file holds physical values, exactly as decoded; a 16-bit WAV file is
+    relative to full scale. WAV, CSV and MAT files state rate and unit, and vibrocast reads both again.
+
+    A height profile becomes a CSV file.
     """
     sixteen_bit = sample_format == "16-bit"
     if sixteen_bit and out.suffix.lower() != ".wav":
-        raise click.UsageError("--format is for a WAV file; drop it.")
+        raise click.UsageError("--format is for a WAV file; drop it, or name a .wav file")
     reject_overwriting([out], [file, *files_of(model)])
     stream = replace(read_stream(file, model.image if model else None), runtime=runtime)
     if stream.header.spatial and out.suffix.lower() == ".csv":
@@ -49,8 +52,8 @@ def decode(file: Path, out: Path, sample_format: str, model: models.Model | None
 
 @click.command()
 @click.argument("file", type=INPUT)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 @model_option
 def info(file: Path, as_json: bool, model: models.Model | None) -> None:
-    """Show what a .vct file holds."""
+    """Show the codec, rate and content of a .vct file."""
     show(read_stream(file, model.image if model else None).facts(), as_json)

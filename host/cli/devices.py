@@ -9,11 +9,12 @@ import click
 from vibrocast import models, progress
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli import planned
+from vibrocast.host.cli.option_types import OutputFile, Whole
 from vibrocast.host.cli.options import (
     BadInput,
-    OutputFile,
     chosen_model,
     device_option,
+    json_option,
     plan_option,
     runtime_option,
 )
@@ -23,7 +24,7 @@ from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
 @click.command("devices")
 def list_devices() -> None:
-    """List what may be a controller."""
+    """List the addresses of controllers: simulated, serial and USB."""
     show(devices.available())
 
 
@@ -32,46 +33,64 @@ def list_devices() -> None:
 @plan_option
 @device_option
 def flash(model: models.Model | None, plan_path: Path | None, address: str) -> None:
-    """Upload MODEL, or with --plan every model that the plan needs, to a controller.
+    """Upload a trained model to a controller.
 
-    MODEL is the name of a model, its folder, or a model image. The command transfers it, reads it back, tests it
-    there and confirms it. After an interruption the same command goes on where it stopped; until then the controller
-    runs the previous image.
+    MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, or a model image. The command
+    transfers the model, reads it back, tests it on the controller and confirms it.
+
+    After an interruption, run the same command again: it continues. Until then the controller runs the previous image.
+
+    With --plan, the command uploads the models that the plan needs.
     """
-    if plan_path is not None:
-        for name, planned_address, needed_model in planned.needed_models(plan_path):
-            click.echo(f"{name}: {flashed(needed_model, planned_address)}")
+    if plan_path is None:
+        click.echo(uploaded(needed(model, "MODEL"), address))
         return
-    click.echo(flashed(needed(model, "MODEL"), address))
+    needs = list(planned.needed_models(plan_path))
+    for name, planned_address, needed_model in needs:
+        click.echo(f"{name}: {uploaded(needed_model, planned_address)}")
+    if not needs:
+        click.echo(f"{plan_path}: no texture needs a model; nothing to upload")
 
 
-def flashed(model: models.Model, address: str) -> str:
-    """Flash a model into the controller at an address; return what it runs then."""
-    with devices.connect(address) as controller, progress.bar("flashing") as update:
+def uploaded(model: models.Model, address: str) -> str:
+    """Upload a model to the controller at an address; return the image that it runs then, in words."""
+    with devices.connect(address) as controller, progress.bar("uploading") as update:
         slot = uploader.flash(controller, model.image, progress=lambda done, total: update(done / total))
     return f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed"
 
 
 @click.command()
 @device_option
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option
 def status(address: str, as_json: bool) -> None:
-    """Show the properties and the state of a controller."""
+    """Show the properties and state of a controller."""
     with devices.connect(address) as controller:
         facts = devices.facts(controller)
     show(facts, as_json)
 
 
 @click.command()
-@click.option("--actuator", type=click.Choice(sorted(ACTUATORS)), default=PIEZO_STACK.name, show_default=True)
-@click.option("--drift-ppm", type=click.IntRange(-10_000, 10_000), default=0, show_default=True, help="Of its clock.")
-@click.option("--flash-file", type=OutputFile(), help="Keeps the model images; without it they last until the end.")
+@click.option(
+    "--actuator",
+    type=click.Choice(sorted(ACTUATORS)),
+    default=PIEZO_STACK.name,
+    show_default=True,
+    help="Choose the actuator to simulate.",
+)
+@click.option(
+    "--drift-ppm",
+    type=Whole("ppm", -10_000, 10_000),
+    default=0,
+    show_default=True,
+    help="Let the controller's clock run fast.",
+)
+@click.option("--flash-file", type=OutputFile(), help="Keep model images in this file. Default: lost at the end.")
 @runtime_option
 def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: str | None) -> None:
     """Run a simulated controller until Ctrl-C.
 
-    It prints the address of its serial port, which other programs open: a pseudo-terminal on Linux and macOS, a socket
-    on Windows.
+    The command prints the address of its serial port. Pass it to another program as --device. The port is a
+    pseudo-terminal on Linux and macOS, and a socket on Windows.
     """
     from vibrocast.simulated_device.controller import FLASH_BYTES, Settings
     from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -79,7 +98,7 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
     from vibrocast.simulated_device.serial_port import serial_port
 
     if flash_file and flash_file.exists() and not (flash_file.is_file() and flash_file.stat().st_size == FLASH_BYTES):
-        raise BadInput(f"{flash_file}: not the {FLASH_BYTES} bytes of this flash memory; give a name for a new file")
+        raise BadInput(f"{flash_file}: no flash memory, which has {FLASH_BYTES} bytes; name a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm, runtime=runtime)
     with serial_port(SimulatedController(settings, flash_memory)) as port:

@@ -11,10 +11,8 @@ from vibrocast.codec import rate_controlled
 from vibrocast.codec.encoding import Encoding
 from vibrocast.host import profiles
 from vibrocast.host.cli import planned
+from vibrocast.host.cli.option_types import INPUT, OutputFile, positive
 from vibrocast.host.cli.options import (
-    INPUT,
-    POSITIVE,
-    OutputFile,
     QualityOptions,
     RecordingOptions,
     plan_option,
@@ -22,6 +20,7 @@ from vibrocast.host.cli.options import (
     recording_options,
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
+from vibrocast.host.cli.sections import SectionedCommand, section
 from vibrocast.host.cli.steps import (
     describe_quality,
     encoded,
@@ -32,21 +31,24 @@ from vibrocast.host.cli.steps import (
 )
 
 
-@click.command()
+@click.command(cls=SectionedCommand)
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".vct"))
-@click.option("--spatial", is_flag=True, help="Code a height profile to be played by the position of a hand.")
-@click.option(
-    "--slowest-hand-speed-mm-s",
-    type=POSITIVE,
-    default=profiles.SLOWEST_MM_S,
-    show_default=True,
-    help="With --spatial: the pitch is chosen for this speed.",
-)
-@plan_option
+@recording_options
 @quality_options
 @rate_controlled_options
-@recording_options
+@section(
+    "Height profile under a hand",
+    click.option("--spatial", is_flag=True, help="Code a height profile over position, for a moving hand."),
+    click.option(
+        "--slowest-hand-speed-mm-s",
+        type=positive("mm/s"),
+        default=profiles.SLOWEST_MM_S,
+        show_default=True,
+        help="Choose the pitch of heights for this speed, with --spatial.",
+    ),
+)
+@plan_option
 def encode(
     file: Path,
     out: Path,
@@ -57,7 +59,13 @@ def encode(
     rate: RateOptions,
     recording: RecordingOptions,
 ) -> None:
-    """Code a recording, or with --plan the texture that FILE names, into a .vct file."""
+    """Code a recording into a .vct file.
+
+    --rate-bps and --snr-db apply to the file as a whole. The options of rate control code it as a live stream, and
+    hold a target over time.
+
+    With --plan, FILE is the name of a texture in the plan.
+    """
     if plan_path is not None:
         write_encoding(out, planned.read(plan_path, ("file", "out")).texture(str(file)).encode())
         return
@@ -65,7 +73,9 @@ def encode(
     target = rate.target(quality.snr_db, quality.rate_bps)
     if spatial:
         if target is not None:
-            raise click.UsageError("a profile has no time: no rate or quality over time can be kept in it.")
+            raise click.UsageError(
+                "a profile has no time, so nothing can be held over time; drop the options of rate control"
+            )
         encoding = encoded_profile(profiles.recording_of(file, **vars(recording)), quality, slowest_hand_speed_mm_s)
         facts = encoding.stream.facts()
         click.echo(

@@ -9,16 +9,18 @@ import numpy as np
 
 from vibrocast import extras, models, progress
 from vibrocast.files import atomic_folder
-from vibrocast.host.cli.options import INPUT, BadInput, command_run
+from vibrocast.host.cli.option_types import FOLDER, INPUT
+from vibrocast.host.cli.options import BadInput, command_run
+from vibrocast.host.cli.sections import OUTPUT, SectionedCommand, section
 
 FILES = {models.CARD, "card.md", "curves.csv", "curves.png", models.ANALYSIS, "synthesis.onnx"}
-"""What the folder of a model holds, in addition to its image."""
+"""The files in the folder of a model, in addition to its image."""
 
 
 def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
     """Return a model's name, or raise click.BadParameter for one that makes no good file name."""
     if value is not None and not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", value):
-        raise click.BadParameter("use at most 41 small letters, digits and hyphens.", ctx, param)
+        raise click.BadParameter(f"{value!r} names no file; use at most 41 small letters, digits, hyphens", ctx, param)
     return value
 
 
@@ -26,37 +28,57 @@ def reject_replacing_others(folder: Path) -> None:
     """Raise BadInput for a folder that holds anything but a model. Raises OSError where it cannot be looked into."""
     held = {path.name for path in folder.iterdir() if path.suffix != models.IMAGE_SUFFIX} if folder.exists() else set()
     if held and (models.CARD not in held or held - FILES):
-        raise BadInput(f"{folder}: exists, and holds more than a model that could be replaced; give another --out")
+        raise BadInput(f"{folder} holds other files than a model's, and would be replaced; give another --out")
 
 
-@click.command()
+@click.command(cls=SectionedCommand)
 @click.argument("checkpoint", type=INPUT)
-@click.option("--name", callback=checked_name, help="Name of the model; that of its training if not given.")
-@click.option("--version", "model_version", default="1", show_default=True, help="Version of the model.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder to write; ./NAME if not given.")
-@click.option(
-    "--runtime",
-    type=click.Choice(("core", "onnx", "both")),
-    default="core",
-    show_default=True,
-    help="What the image holds for decoding: the integer network, the ONNX graph, or both, the network preferred.",
+@section(
+    "Model",
+    click.option(
+        "--name", callback=checked_name, metavar="NAME", help="Name the model. Default: the name of its training."
+    ),
+    click.option(
+        "--version",
+        "model_version",
+        metavar="VERSION",
+        default="1",
+        show_default=True,
+        help="State the version of the model.",
+    ),
+    click.option(
+        "--runtime",
+        type=click.Choice(("core", "onnx", "both")),
+        default="core",
+        show_default=True,
+        help="Pack the integer network (core), the ONNX graph, or both.",
+    ),
+    click.option(
+        "--prior",
+        type=click.Choice(("adaptive", "static")),
+        default="adaptive",
+        show_default=True,
+        help="Adapt the probabilities to each stream, or keep the trained ones.",
+    ),
 )
-@click.option(
-    "--prior",
-    type=click.Choice(("adaptive", "static")),
-    default="adaptive",
-    show_default=True,
-    help="Whether the probabilities of the prior adapt to each stream, as in the EVA paper, or stay as trained.",
+@section(
+    "Model card",
+    click.option(
+        "--data",
+        "data_folder",
+        type=INPUT,
+        metavar="FOLDER",
+        default=".",
+        show_default=True,
+        help="Find the training's data under this folder.",
+    ),
+    click.option(
+        "--training-command",
+        metavar="COMMAND",
+        help="State the command of the training. Default: `vibrocast train NAME.toml`.",
+    ),
 )
-@click.option(
-    "--data",
-    "data_folder",
-    type=INPUT,
-    default=".",
-    show_default=True,
-    help="Folder at which the paths of the training's configuration start.",
-)
-@click.option("--training-command", help="How it was trained, for its card; `vibrocast train NAME.toml` if not given.")
+@section(OUTPUT, click.option("--out", type=FOLDER, help="Write the model into this folder. Default: ./NAME."))
 def export(
     checkpoint: Path,
     name: str | None,
@@ -67,10 +89,12 @@ def export(
     data_folder: Path,
     training_command: str | None,
 ) -> None:
-    """Write a folder with ONNX graphs, model image and card of a trained model.
+    """Export a checkpoint: ONNX graphs, model image and card.
 
-    The data that it was trained on set the ranges of its integers; what was held back is what its card measures it on.
-    The folder is written whole or not at all; one that holds a model is replaced.
+    The training's data set the ranges of the integers. The card measures the model on the data that the training held
+    back.
+
+    The command writes the folder as a whole, and replaces a folder that holds a model.
     """
     extras.require("train")
     from vibrocast.evaluation import lapped_card, model_card, training_curves
@@ -84,20 +108,20 @@ def export(
         try:
             trained_as = configuration.parsed(loaded.training)
         except configuration.ConfigurationError as error:
-            raise ModelError(f"{checkpoint}: how it was trained is damaged: {error}; train the model again") from error
-        if isinstance(loaded.model, Lapped) and (runtime, prior) != ("core", "adaptive"):
             raise ModelError(
-                "a model of kind lapped has no ONNX graph and no static prior; leave --runtime and --prior out"
-            )
+                f"{checkpoint}: the configuration in it is damaged: {error}; train the model again"
+            ) from error
+        if isinstance(loaded.model, Lapped) and (runtime, prior) != ("core", "adaptive"):
+            raise ModelError("a model of kind lapped has no ONNX graph and no static prior; drop --runtime and --prior")
         if (done := loaded.progress["step"]) < trained_as.training.steps:
             raise ModelError(
-                f"{checkpoint}: its training was cut at step {done} of {trained_as.training.steps}; go on with "
+                f"{checkpoint}: its training was cut at step {done} of {trained_as.training.steps}; continue it with "
                 "`vibrocast train --resume`"
             )
         name = name or trained_as.name
         out = out or Path(name)
         reject_replacing_others(out)
-        # Before the work, so that a place that cannot be written to is not found out after it.
+        # An error is better known before the work than after.
         out.parent.mkdir(parents=True, exist_ok=True)
         commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
         with progress.bar("exporting") as update:

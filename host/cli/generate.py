@@ -8,31 +8,48 @@ from vibrocast import textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.files import atomic_write
-from vibrocast.host.cli.options import POSITIVE, Finite, OutputFile
+from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.textures.recording import Signal
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(sorted(textures.GENERATORS)))
 @click.argument("out", type=OutputFile(".wav", ".csv"))
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another seed, another texture.")
-@click.option("--seconds", type=POSITIVE, default=4.0, show_default=True)
-@click.option("--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=DEFAULT_STREAM_RATE_HZ, show_default=True)
-@click.option("--hand-speed-mm-s", type=POSITIVE, default=50.0, show_default=True, help="Mean speed of the hand.")
+@click.option(
+    "--seed", type=Whole("NUMBER", 0), default=0, show_default=True, help="Choose another realisation of the texture."
+)
+@click.option("--seconds", type=positive("s"), default=4.0, show_default=True, help="Set the duration.")
+@click.option(
+    "--rate-hz",
+    type=Whole("Hz", 1, MAX_RATE_HZ),
+    default=DEFAULT_STREAM_RATE_HZ,
+    show_default=True,
+    help="Set the sample rate.",
+)
+@click.option(
+    "--hand-speed-mm-s",
+    type=positive("mm/s"),
+    default=50.0,
+    show_default=True,
+    help="Set the mean speed of the hand.",
+)
 @click.option(
     "--speed-variation",
-    type=Finite(min=0, max=2),
+    type=Number("FRACTION", 0, 2),
     default=0.0,
     show_default=True,
-    help="How far the speed swings to either side of its mean, in parts of it, once a second; above 1 it turns back.",
+    help="Vary the speed by this fraction of its mean, once a second.",
 )
 def generate(
     kind: str, out: Path, seed: int, seconds: float, rate_hz: int, hand_speed_mm_s: float, speed_variation: float
 ) -> None:
-    """Make a texture as a WAV file, or its height profile as a CSV file."""
+    """Generate a texture (.wav) or its height profile (.csv).
+
+    KIND is a physical model of a surface or of taps. The suffix of OUT chooses the format.
+    """
     if out.suffix.lower() == ".csv":
         if speed_variation:
-            raise click.UsageError("a height profile is the same at any speed: drop --speed-variation.")
+            raise click.UsageError("a height profile is the same at any speed; drop --speed-variation")
         profile = textures.surface_profile(kind, seed, seconds, hand_speed_mm_s, rate_hz)
         with atomic_write(out) as partial:
             textures.save_profile(partial, profile)

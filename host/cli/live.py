@@ -21,11 +21,9 @@ from vibrocast.device_protocol.messages import Status
 from vibrocast.files import atomic_write
 from vibrocast.host import devices, uploader
 from vibrocast.host import live as streaming
+from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
-    POSITIVE,
     BadInput,
-    Finite,
-    OutputFile,
     chosen_highpass_hz,
     codec_option,
     device_option,
@@ -35,9 +33,10 @@ from vibrocast.host.cli.options import (
     setting_option,
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
+from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
 from vibrocast.textures.recording import MAX_CHANNELS
 
-# What 1.0 of full scale is in each.
+# By name: the type in NumPy's words, and the number that stands for full scale.
 FORMATS = {"int16": ("<i2", 32768.0), "float32": ("<f4", 1.0)}
 STANDARD_INPUT = "-"
 MAX_BLOCK_S = 0.01
@@ -45,7 +44,7 @@ MAX_BLOCK_S = 0.01
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """The samples of the source; all but the first two are of raw samples."""
+    """The samples of the source. `seconds` is for a texture; all below it are for raw samples."""
 
     rate_hz: int
     seconds: float
@@ -66,36 +65,78 @@ class CodingOptions:
     snr_db: float | None
 
 
-@click.command()
+@click.command(cls=SectionedCommand)
 @click.argument("source", type=click.Choice((STANDARD_INPUT, *sorted(textures.GENERATORS))))
-@device_option
-@grouped(
-    "samples",
-    SampleOptions,
-    click.option("--rate-hz", type=click.IntRange(1, MAX_RATE_HZ), default=DEFAULT_STREAM_RATE_HZ, show_default=True),
-    click.option("--seconds", type=POSITIVE, default=10.0, show_default=True, help="Duration of a generated texture."),
-    click.option("--format", "sample_format", type=click.Choice(list(FORMATS)), default="int16", show_default=True),
-    click.option("--channels", type=click.IntRange(1, MAX_CHANNELS), default=1, show_default=True),
-    click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of the samples; - needs it."),
-    keep_dc_option,
-    click.option("--full-scale", type=POSITIVE, default=1.0, show_default=True, help="Largest magnitude, in --unit."),
+@section(
+    INPUT,
+    grouped(
+        "samples",
+        SampleOptions,
+        click.option("--seconds", type=positive("s"), default=10.0, show_default=True, help="Generate this duration."),
+        click.option(
+            "--rate-hz",
+            type=Whole("Hz", 1, MAX_RATE_HZ),
+            default=DEFAULT_STREAM_RATE_HZ,
+            show_default=True,
+            help="Set the sample rate of the source.",
+        ),
+        click.option(
+            "--format",
+            "sample_format",
+            type=click.Choice(list(FORMATS)),
+            default="int16",
+            show_default=True,
+            help="Choose the type of raw samples.",
+        ),
+        click.option(
+            "--channels",
+            type=Whole("NUMBER", 1, MAX_CHANNELS),
+            default=1,
+            show_default=True,
+            help="Set the channels of raw samples.",
+        ),
+        click.option(
+            "--unit",
+            type=click.Choice(list(textures.INPUT_UNITS)),
+            help="Give the unit of raw samples.",
+        ),
+        click.option(
+            "--full-scale",
+            type=positive("VALUE"),
+            default=1.0,
+            show_default=True,
+            help="Give the value of full scale, in --unit.",
+        ),
+        keep_dc_option,
+    ),
 )
-@click.option(
-    "--playout-delay-ms",
-    type=Finite(min=0, max=10_000),
-    help="How long a packet lies ready on the controller, and so how late it may be. "
-    f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}; longer with a rate on a link that is not much faster.",
-)
-@click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON.")
-@grouped(
-    "coding",
-    CodingOptions,
-    codec_option,
-    setting_option,
-    model_option,
-    click.option("--snr-db", type=Finite(), help="Signal-to-noise ratio of every packet, for the two that follow."),
+@section(
+    CODING,
+    grouped(
+        "coding",
+        CodingOptions,
+        codec_option,
+        model_option,
+        setting_option,
+        click.option(
+            "--snr-db",
+            type=Number("dB"),
+            help="Set the signal-to-noise ratio of packets, for --capped-rate-bps and --constant-quality.",
+        ),
+    ),
 )
 @rate_controlled_options
+@section(
+    CONTROLLER,
+    device_option,
+    click.option(
+        "--playout-delay-ms",
+        type=Number("ms", 0, 10_000),
+        help="Delay the output to bear late packets. "
+        f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}, or a quarter packet if longer; more on a slow link.",
+    ),
+)
+@section(OUTPUT, click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."))
 def live(
     source: str,
     address: str,
@@ -105,10 +146,12 @@ def live(
     coding: CodingOptions,
     rate: RateOptions,
 ) -> None:
-    """Stream a live SOURCE: a generated texture, or raw samples from standard input (-).
+    """Stream a generated texture or standard input to a controller.
 
-    Raw samples are little-endian, channels interleaved; 32767 in int16 and 1.0 in float32 stand for --full-scale.
-    A rate counts all that goes over the link, and falls with what the link carries.
+    SOURCE is the name of a texture, or - for raw samples from standard input. Raw samples are little-endian, with
+    interleaved channels. 32768 in int16 and 1.0 in float32 stand for --full-scale.
+
+    A rate counts packets and their frames. If the link becomes slower, the stream lowers its rate.
     """
     target = rate.target(coding.snr_db)
     rate_hz, full_scale = samples.rate_hz, samples.full_scale
@@ -117,9 +160,9 @@ def live(
         peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
         signal_format = live_format(rate_hz, texture.unit, peaks.tolist(), rms.tolist())
     elif sys.stdin is None:
-        raise BadInput("standard input is closed: pipe samples into it, or name a texture")
+        raise BadInput("standard input is closed; pipe samples into it, or name a texture")
     elif samples.unit is None:
-        raise click.UsageError("--unit is missing: state the unit of the samples, or drive for a drive signal.")
+        raise click.UsageError("missing --unit; state the unit of the samples, or drive for a drive signal")
     else:
         stream_unit, factor = textures.INPUT_UNITS[samples.unit]
         full_scale *= factor

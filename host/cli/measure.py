@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from vibrocast import extras
-from vibrocast.host.cli.options import INPUT, plan_option
+from vibrocast.host.cli.option_types import FOLDER, INPUT
+from vibrocast.host.cli.options import plan_option
 from vibrocast.host.harness import ACTUATOR, JSON, NAMES, PAGE
 
 
@@ -14,29 +15,43 @@ def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) 
     names = tuple(name.strip() for name in value.split(",")) if value else NAMES
     for name in names:
         if name not in NAMES:
-            raise click.BadParameter(f"{name!r} is none of {', '.join(NAMES)}.", ctx, param)
+            raise click.BadParameter(f"{name!r} is no measurement; give some of {', '.join(NAMES)}", ctx, param)
     return names
 
 
 @click.command()
 @click.option(
-    "--device", help="Address as `vibrocast devices` lists them, or a name in the bench file; sim if neither."
+    "--device", metavar="ADDRESS|NAME", help="Choose a controller, by address or name. Default: the bench's, else sim."
 )
 @click.option(
-    "--bench", "bench_path", type=INPUT, help="Bench file in TOML: controllers, actuators, sensors, textures."
+    "--bench",
+    "bench_path",
+    type=INPUT,
+    metavar="FILE",
+    help="Read controllers, actuators, sensors and textures from a TOML file.",
 )
 @plan_option
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default=Path("measured"),
     show_default=True,
-    help=f"Folder for {PAGE}, {JSON} and {ACTUATOR}.",
+    help=f"Write {PAGE}, {JSON} and {ACTUATOR} into this folder.",
 )
 @click.option(
-    "--compare", "earlier", type=INPUT, help=f"{JSON} of an earlier run: what has become worse fails the run."
+    "--compare",
+    "earlier",
+    type=INPUT,
+    metavar="FILE",
+    help=f"Compare with {JSON} of an earlier run; a worse result fails.",
 )
-@click.option("--only", "names", callback=chosen_names, metavar="NAME,...", help=f"Some of {', '.join(NAMES)}.")
+@click.option(
+    "--only",
+    "names",
+    callback=chosen_names,
+    metavar="NAME,...",
+    help=f"Choose among {', '.join(NAMES)}. Default: all.",
+)
 def measure(
     device: str | None,
     bench_path: Path | None,
@@ -45,10 +60,12 @@ def measure(
     earlier: Path | None,
     names: tuple[str, ...],
 ) -> None:
-    """Measure a controller: latency, load, fidelity, frequency response.
+    """Measure the latency, load, fidelity and response of a controller.
 
-    With --plan, on the plan's actuators and textures. What has been measured is written also when the run is cut. The
-    exit code is 1 where something could not be measured or has become worse than in the earlier run.
+    With --plan, the command measures the plan's actuators and textures. If you interrupt it, it writes the results so
+    far.
+
+    The exit code is 1 if a measurement failed, or a result is worse than in the earlier run.
     """
     extras.require("bench")
     from vibrocast.host.bench_file import choose_controller, read_bench
@@ -56,7 +73,7 @@ def measure(
     from vibrocast.host.planner import read_plan
 
     if plan_path is not None and bench_path is not None:
-        raise click.UsageError("a plan and a bench file both say what is there: drop one of them.")
+        raise click.UsageError("--plan and --bench both name controllers and actuators; drop one of them")
     bench = None if bench_path is None else read_bench(bench_path)
     bench = choose_controller(bench if plan_path is None else read_plan(plan_path).bench(), device)
     before = None if earlier is None else read_results(earlier)
@@ -68,6 +85,10 @@ def measure(
         click.echo(f"{name}: {value:.6g}")
     click.echo(f"{out / PAGE}")
     if worse := [change.name for change in changes if change.regressed]:
-        raise click.ClickException(f"worse than in {earlier}: {'; '.join(worse)}")
+        raise click.ClickException(
+            f"worse than in {earlier}: {'; '.join(worse)}; compare both reports, then measure again"
+        )
     if results.failed:
-        raise click.ClickException(f"not all could be measured: {', '.join(results.failed)}")
+        raise click.ClickException(
+            f"not all could be measured: {', '.join(results.failed)}; the lines above say why, and --only repeats some"
+        )

@@ -1,13 +1,10 @@
-"""What the arguments of several subcommands have in common: their types, groups of options, the error of bad input."""
+"""Options that several subcommands share, how they are read, and the error of bad input."""
 
 import functools
-import math
-import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import click
@@ -18,6 +15,9 @@ from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import devices
 from vibrocast.host.cli.exit_codes import BAD_INPUT
+from vibrocast.host.cli.option_types import INPUT, Number, Whole, positive
+from vibrocast.host.cli.sections import CODING, section
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 
 
 def command_run() -> str:
@@ -26,37 +26,9 @@ def command_run() -> str:
 
 
 class BadInput(click.ClickException):
-    """What was given cannot be used."""
+    """Input that cannot be used."""
 
     exit_code = BAD_INPUT
-
-
-class OutputFile(click.Path):
-    """A file to write: rejected before any work is done when it cannot be written."""
-
-    def __init__(self, *suffixes: str) -> None:
-        super().__init__(dir_okay=False, writable=True, path_type=Path)
-        self.suffixes = suffixes
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path, or raise click.BadParameter with what to do."""
-        path = Path(os.fsdecode(super().convert(value, param, ctx)))
-        if not path.parent.is_dir():
-            self.fail(f"{path}: the folder {path.parent} does not exist; make it first", param, ctx)
-        if self.suffixes and path.suffix.lower() not in self.suffixes:
-            self.fail(f"{path}: the name must end in {' or '.join(self.suffixes)}", param, ctx)
-        return path
-
-
-class Finite(click.FloatRange):
-    """A number in a range, infinity and NaN rejected."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number, or raise click.BadParameter."""
-        number = float(super().convert(value, param, ctx))
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number", param, ctx)
-        return number
 
 
 def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
@@ -73,9 +45,9 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
     for text in values:
         name, sign, value = text.partition("=")
         if not (name and sign and value):
-            raise click.BadParameter(f"{text!r} is not of the form NAME=VALUE.", ctx, param)
+            raise click.BadParameter(f"{text!r} names no parameter and value; write NAME=VALUE", ctx, param)
         if name in setting:
-            raise click.BadParameter(f"{name} is given twice.", ctx, param)
+            raise click.BadParameter(f"{name} is given twice; keep one", ctx, param)
         setting[name] = value
     return setting
 
@@ -83,9 +55,11 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
 def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
     """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
     if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
-        known = ", ".join(devices.SIMULATED)
         raise click.BadParameter(
-            f"{value!r} is none of {known}, serial:PORT and usb:VID:PID (in hexadecimal digits).", ctx, param
+            f"{value!r} is no address; give {', '.join(devices.SIMULATED)}, serial:PORT, or usb:VID:PID in "
+            "hexadecimal digits",
+            ctx,
+            param,
         )
     return value
 
@@ -94,7 +68,7 @@ def checked_addresses(ctx: click.Context, param: click.Parameter, values: tuple[
     """Return addresses as `checked_address` does; raise click.BadParameter for a port that is given twice."""
     for value in values:
         if values.count(checked_address(ctx, param, value)) > 1 and value not in devices.SIMULATED:
-            raise click.BadParameter(f"{value} is given twice: a port has one controller.", ctx, param)
+            raise click.BadParameter(f"{value} is given twice, and a port has one controller; keep one", ctx, param)
     return values
 
 
@@ -115,59 +89,64 @@ def grouped(name: str, kind: type[Any], *decorators: Callable[..., Any]) -> Call
     return decorate
 
 
-POSITIVE = Finite(min=0, min_open=True)
-INPUT = click.Path(path_type=Path)
-FOLDER = click.Path(file_okay=False, path_type=Path)
-
-_ADDRESSES = f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID; `vibrocast devices` lists them."
 device_option = click.option(
-    "--device", "address", callback=checked_address, default="sim", show_default=True, help=_ADDRESSES
+    "--device",
+    "address",
+    callback=checked_address,
+    metavar="ADDRESS",
+    default="sim",
+    show_default=True,
+    help="Choose the controller; `vibrocast devices` lists the addresses.",
 )
 devices_option = click.option(
     "--device",
     "addresses",
     callback=checked_addresses,
+    metavar="ADDRESS",
     multiple=True,
     default=("sim",),
     show_default=True,
-    help=f"{_ADDRESSES} Repeat it for several controllers at once.",
+    help="Choose the controller; repeat it to play on several.",
 )
 
 model_option = click.option(
     "--model",
     callback=chosen_model,
-    metavar="NAME|FOLDER|IMAGE",
-    help="A trained model that `vibrocast models` lists, a folder that `vibrocast export` wrote, or a model image.",
+    metavar="NAME|FOLDER|FILE",
+    help="Use a trained model; `vibrocast models` lists the shipped ones.",
 )
 own_models_option = click.option(
     "--models",
     "model_folders",
     type=INPUT,
+    metavar="FOLDER",
     multiple=True,
-    help="Add a model of your own: a folder that `vibrocast export` wrote; may be repeated.",
+    help="Add a model that `vibrocast export` wrote; may be repeated.",
 )
 codec_option = click.option(
     "--codec",
     "codec_name",
     type=click.Choice(sorted(codec.CODECS)),
-    help=f"That of --model if not given, else {codec.DEFAULT_CODEC}.",
+    metavar="NAME",
+    help=f"Choose a codec that `vibrocast codecs` lists. Default: that of --model, else {codec.DEFAULT_CODEC}.",
 )
 setting_option = click.option(
     "--setting",
     callback=parsed_setting,
     multiple=True,
     metavar="NAME=VALUE",
-    help="Parameter of the codec, instead of searching for it; `vibrocast codecs` lists them.",
+    help="Fix a parameter that `vibrocast codecs` lists; may be repeated.",
 )
 
 plan_option = click.option(
-    "--plan", "plan_path", type=INPUT, help="Plan file, as `vibrocast plan` writes it: it says how, and where."
+    "--plan", "plan_path", type=INPUT, metavar="FILE", help="Take codecs and controllers from a plan file."
 )
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """What the file of a recording leaves open, as `textures.load` takes it; None where it is not given."""
+    """Facts that the file of a recording may not state, as `textures.load` takes them; None = not given."""
 
     rate_hz: float | None
     unit: str | None
@@ -178,37 +157,42 @@ class RecordingOptions:
     hand_speed_mm_s: float | None
 
 
-recording_options = grouped(
-    "recording",
-    RecordingOptions,
-    click.option("--rate-hz", type=POSITIVE, help="Give the sample rate, if the file does not state it."),
-    click.option(
-        "--unit",
-        type=click.Choice(list(textures.INPUT_UNITS)),
-        help="Give the unit, if the file does not state it; drive: the actuator's drive signal.",
+recording_options = section(
+    INPUT_SECTION,
+    grouped(
+        "recording",
+        RecordingOptions,
+        click.option("--rate-hz", type=positive("Hz"), help="Give the sample rate of a file that states none."),
+        click.option(
+            "--unit",
+            type=click.Choice(list(textures.INPUT_UNITS)),
+            help="Give the unit of a file that states none.",
+        ),
+        click.option("--full-scale", type=positive("VALUE"), help="Give the value of 1.0 in a WAV file, in --unit."),
+        click.option(
+            "--axis",
+            type=click.Choice(textures.AXES, case_sensitive=False),
+            help="Take one axis of a three-axis recording.",
+        ),
+        click.option(
+            "--reduce",
+            type=click.Choice(textures.REDUCTIONS),
+            help="Reduce three axes to one signal; none keeps them. Default: dft321 for P1918.1.1 recordings only.",
+        ),
+        click.option("--key", metavar="NAME", help="Choose an array of an NPZ, MAT or HDF5 file."),
+        click.option(
+            "--hand-speed-mm-s", type=positive("mm/s"), help="Give the speed of the hand over a height profile."
+        ),
     ),
-    click.option("--full-scale", type=POSITIVE, help="Give the value, in --unit, of 1.0 in a WAV file."),
-    click.option(
-        "--axis",
-        type=click.Choice(textures.AXES, case_sensitive=False),
-        help="Take one axis of a three-axis recording.",
-    ),
-    click.option(
-        "--reduce",
-        type=click.Choice(textures.REDUCTIONS),
-        help="Make one signal of three axes, or keep them. Default: dft321 for P1918.1.1 traces only.",
-    ),
-    click.option("--key", help="Choose an array of an NPZ, MAT or HDF5 file."),
-    click.option("--hand-speed-mm-s", type=POSITIVE, help="Give the speed of the hand over a height profile."),
 )
 
 runtime_option = click.option(
     "--runtime",
     type=click.Choice(codec.RUNTIMES),
-    help="Decode by the integer core or by ONNX Runtime, where the model can be decoded by either; else as it says.",
+    help="Decode by the integer core or by ONNX Runtime. Default: as the model specifies.",
 )
 keep_dc_option = click.option(
-    "--keep-dc", is_flag=True, help=f"Code the band below {textures.HIGHPASS_HZ:g} Hz too: offset, gravity, drift."
+    "--keep-dc", is_flag=True, help=f"Keep the band below {textures.HIGHPASS_HZ:g} Hz: offset, gravity, drift."
 )
 
 
@@ -227,27 +211,34 @@ class QualityOptions:
     def arguments(self, unit: str | None = None) -> dict[str, Any]:
         """Return the arguments of `encode_recording` for a recording in a unit. Raises click.UsageError."""
         if self.rate_bps is not None and self.snr_db is not None:
-            raise click.UsageError("--rate-bps and --snr-db exclude each other: give one of them.")
+            raise click.UsageError("--rate-bps and --snr-db exclude each other; give one of them")
         arguments = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "keep_dc"}
         return {**arguments, "highpass_hz": chosen_highpass_hz(self.keep_dc, unit)}
 
 
-quality_options = grouped(
-    "quality",
-    QualityOptions,
-    codec_option,
-    click.option("--rate-bps", type=POSITIVE, help="Size of the whole coded file, in bits per second of signal."),
-    click.option("--snr-db", type=Finite(), help=f"Signal-to-noise ratio; {DEFAULT_SNR_DB:g} if neither is given."),
-    click.option(
-        "--stream-rate-hz",
-        type=click.IntRange(1, MAX_RATE_HZ),
-        default=DEFAULT_STREAM_RATE_HZ,
-        show_default=True,
-        help="Sample rate of the coded stream.",
+quality_options = section(
+    CODING,
+    grouped(
+        "quality",
+        QualityOptions,
+        codec_option,
+        model_option,
+        setting_option,
+        click.option("--rate-bps", type=positive("bit/s"), help="Set the highest rate of the whole .vct file."),
+        click.option(
+            "--snr-db",
+            type=Number("dB"),
+            help=f"Set the signal-to-noise ratio. Default: {DEFAULT_SNR_DB:g} without --rate-bps.",
+        ),
+        click.option(
+            "--stream-rate-hz",
+            type=Whole("Hz", 1, MAX_RATE_HZ),
+            default=DEFAULT_STREAM_RATE_HZ,
+            show_default=True,
+            help="Set the sample rate of the coded stream.",
+        ),
+        keep_dc_option,
     ),
-    keep_dc_option,
-    setting_option,
-    model_option,
 )
 
 

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import click
 
 from vibrocast import extras, progress
-from vibrocast.host.cli.options import INPUT
+from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.planned import play as play_plan
 from vibrocast.host.printable import plain
 
@@ -17,9 +17,7 @@ FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
 
 @click.command()
 @click.argument("scene_path", metavar="SCENE.toml", type=INPUT)
-@click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), help="Write plan, picture and tables into a folder."
-)
+@click.option("--out", type=FOLDER, help="Write plan, picture and tables into this folder.")
 @click.option("--play", "plays", is_flag=True, help="Play the plan, and compare measurement with forecast.")
 @click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")
 def plan(scene_path: Path, out: Path | None, plays: bool, as_json: bool) -> None:

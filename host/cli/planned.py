@@ -1,4 +1,4 @@
-"""What the subcommands do with a plan, which says all that their other options would."""
+"""The steps of subcommands that take a plan, which replaces their other options."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
         given = context.get_parameter_source(name) == ParameterSource.COMMANDLINE
         if given and name not in ("plan_path", *allowed):
             label = parameter.opts[-1] if isinstance(parameter, click.Option) else parameter.human_readable_name
-            raise click.UsageError(f"the plan says how: drop {label}, or change {path}.")
+            raise click.UsageError(f"{label} contradicts the plan; drop it, or change {path}")
     plan = read_plan(path)
     option = "addresses" if "addresses" in context.params else "address"
     if context.get_parameter_source(option) != ParameterSource.COMMANDLINE:
@@ -39,8 +39,8 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
     addresses = context.params[option] if option == "addresses" else (context.params[option],)
     if len(plan.controllers) != len(addresses):
         raise click.UsageError(
-            f"{path} has {len(plan.controllers)} controllers, and --device is given {len(addresses)} times: give one "
-            "for each, in the plan's order, or write the addresses there."
+            f"{path} has {len(plan.controllers)} controllers, and --device is given {len(addresses)} times; give one "
+            "for each in the plan's order, or write the addresses into the plan"
         )
     pairs = zip(plan.controllers, addresses, strict=True)
     return replace(plan, controllers=tuple(structs.replace(each, address=address) for each, address in pairs))
@@ -88,8 +88,8 @@ def needed_models(path: Path) -> Iterator[tuple[str, str, models.Model]]:
         names = sorted({each.model for each in plan.textures if each.controller == controller.name and each.model})
         if len(names) > 1:
             raise PlanError(
-                f"{path}: {controller.name} runs one model at a time, and its textures need {' and '.join(names)}: "
-                "`vibrocast play --plan` flashes simulated controllers in between; plan others a scene for each"
+                f"{path}: {controller.name} runs one model at a time, and its textures need {' and '.join(names)}; "
+                "plan a scene for each model, or play simulated controllers, which `vibrocast play --plan` reloads"
             )
         for name in names:
             yield controller.name, controller.address, models.find(name)

@@ -16,12 +16,9 @@ from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.files import atomic_write
 from vibrocast.host import devices, player, profiles, stream_session
 from vibrocast.host.cli import planned
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
-    INPUT,
-    POSITIVE,
     BadInput,
-    Finite,
-    OutputFile,
     QualityOptions,
     RecordingOptions,
     devices_option,
@@ -31,6 +28,7 @@ from vibrocast.host.cli.options import (
     recording_options,
     runtime_option,
 )
+from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import (
     describe_quality,
     encoded,
@@ -79,47 +77,65 @@ class HandOptions:
     stroke_mm: float | None
 
 
-@click.command()
+@click.command(cls=SectionedCommand)
 @click.argument("file", type=INPUT, required=False)
-@plan_option
-@devices_option
+@recording_options
+@quality_options
+@section(CONTROLLER, devices_option)
 @grouped(
     "playback",
     PlaybackOptions,
-    click.option(
-        "--loop", "loops", type=click.IntRange(1, 65_535), default=1, show_default=True, help="Passes to play."
+    section(
+        CONTROLLER,
+        click.option(
+            "--actuator",
+            "actuator_name",
+            metavar="NAME|FILE",
+            help=f"Model the actuator: {', '.join(ACTUATORS)} or a TOML file. Default: as the controller states.",
+        ),
+        runtime_option,
     ),
-    click.option(
-        "--gain-db",
-        type=Finite(min=-MAX_GAIN_DB, max=MAX_GAIN_DB),
-        default=0.0,
-        show_default=True,
-        help="Raise or lower the level.",
+    section(
+        PLAYBACK,
+        click.option(
+            "--loop", "loops", type=Whole("PASSES", 1, 65_535), default=1, show_default=True, help="Repeat the texture."
+        ),
+        click.option(
+            "--gain-db",
+            type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),
+            default=0.0,
+            show_default=True,
+            help="Raise or lower the level.",
+        ),
     ),
-    click.option(
-        "--actuator",
-        "actuator_name",
-        metavar="NAME|FILE.toml",
-        help=f"{', '.join(ACTUATORS)} or a TOML file: of a simulated controller, or the model of the real one.",
-    ),
-    runtime_option,
 )
-@grouped(
-    "outputs",
-    OutputOptions,
-    click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."),
-    click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw a picture."),
-)
-@quality_options
-@grouped(
-    "hand",
-    HandOptions,
-    click.option(
-        "--positions", "positions_path", type=INPUT, help="CSV file of time_s,position_mm: a hand on a profile."
+@section(
+    PLAYBACK,
+    grouped(
+        "hand",
+        HandOptions,
+        click.option(
+            "--positions",
+            "positions_path",
+            type=INPUT,
+            metavar="FILE",
+            help="Move a hand over a profile, as a CSV file of time_s,position_mm.",
+        ),
+        click.option(
+            "--stroke-mm", type=positive("mm"), help="Stroke a profile there and back, --loop times, to this length."
+        ),
     ),
-    click.option("--stroke-mm", type=POSITIVE, help="A hand that strokes a profile, --loop times there and back."),
 )
-@recording_options
+@section(
+    OUTPUT,
+    grouped(
+        "outputs",
+        OutputOptions,
+        click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."),
+        click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw the signals."),
+    ),
+)
+@plan_option
 def play(
     file: Path | None,
     plan_path: Path | None,
@@ -130,15 +146,19 @@ def play(
     hand: HandOptions,
     recording: RecordingOptions,
 ) -> None:
-    """Play a recording or a .vct file on a controller, or on several at once.
+    """Play a recording or a .vct file on one or several controllers.
 
-    With several --device, one that fails holds no other up; the command ends with a line for each.
+    A recording is coded for a link that may lose packets: packets are short, and one in 0.25 s can be decoded alone.
+    At the same rate, `vibrocast encode` reaches a higher SNR. Its .vct file plays as it is.
 
-    A height profile is played over time, as --hand-speed-mm-s passes it once, or by the position of a hand:
-    --positions, or --stroke-mm with --hand-speed-mm-s as its highest speed.
+    With several --device, a controller that fails does not stop the others. The command prints a line for each.
 
-    With --plan, play the texture that FILE names, or all, live and as planned, on the plan's controllers, or on
-    one --device for each of them, and compare measurement and forecast: what is off by more than 10 % fails.
+    A height profile is played over time if you give --hand-speed-mm-s alone. It is played by the position of a hand if
+    you give --positions, or --stroke-mm. Then --hand-speed-mm-s is the highest speed of the stroke.
+
+    With --plan, FILE is the name of a texture; without FILE, all textures play. They play live, on the plan's
+    controllers or on one --device for each. The command compares measurement and forecast, and fails if they differ by
+    more than 10 %.
     """
     from vibrocast.host import end_to_end, picture
 
@@ -156,12 +176,14 @@ def play(
     )
     actuator = None if playback.actuator_name is None else actuator_files.find(playback.actuator_name)
     if len(addresses) > 1 and (hand.positions_path or hand.stroke_mm or outputs.plot_path):
-        raise click.UsageError("--positions, --stroke-mm and --plot are for one controller: give one --device.")
+        raise click.UsageError("--positions, --stroke-mm and --plot are for one controller; give one --device")
     if hand.positions_path or hand.stroke_mm:
         if outputs.report_path:
-            raise click.UsageError("a profile under a hand has no report: drop --report.")
+            raise click.UsageError("a profile under a hand has no report; drop --report")
         if playback.gain_db or actuator:
-            raise click.UsageError("a profile under a hand has its own level and actuator: drop --gain-db, --actuator.")
+            raise click.UsageError(
+                "a profile under a hand has its own level and actuator; drop --gain-db and --actuator"
+            )
         from vibrocast.host import position_playback
 
         movement = position_playback.chosen_movement(
@@ -221,11 +243,12 @@ def play(
         picture.draw(outputs.plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
     show(summary(outcome.report))
     if outcome.report.touch.level_db <= 0:
-        click.echo("warning: nobody would feel this: raise --gain-db, or check --unit and --full-scale", err=True)
+        click.echo("warning: nobody would feel this; raise --gain-db, or check --unit and --full-scale", err=True)
     if outcome.report.differs:
         raise ControllerError(
-            "what the controller played is not what was sent: see the underruns and lost packets above, "
-            "and try a shorter cable or a less busy machine; or the other --runtime, if the controller decodes by it"
+            "the controller played something else than was sent: the lines above count underruns and lost packets; if "
+            "there are any, use a shorter cable or a less busy machine, else the --runtime by which the controller "
+            "decodes"
         )
 
 
@@ -255,7 +278,7 @@ def report_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_pa
     failed = [name for name, each in reports.items() if isinstance(each, Exception) or each.differs]
     if failed:
         raise ControllerError(
-            f"{len(failed)} of {len(reports)} controllers did not play what was sent: {', '.join(failed)}"
+            f"{len(failed)} of {len(reports)} controllers failed: {', '.join(failed)}; the line of each says why"
         )
 
 
@@ -267,7 +290,7 @@ def spatial_stream(file: Path, quality: QualityOptions, recording: RecordingOpti
         profile = profiles.recording_of(file, **vars(recording))
         stream = encoded_profile(profile, quality, profiles.SLOWEST_MM_S).stream
     if not stream.header.spatial:
-        raise BadInput(f"{file}: coded over time, not over position; encode the profile with --spatial")
+        raise BadInput(f"{file}: coded over time, not over position; encode the profile again with --spatial")
     return stream
 
 
@@ -305,7 +328,7 @@ def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptio
     values = vars(replace(quality, model=None)) | vars(recording)
     given = [name for name, value in values.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
     if given:
-        raise click.UsageError(f"{file} is coded already: drop --{given[0].removesuffix('_name').replace('_', '-')}.")
+        raise click.UsageError(f"{file} is coded already; drop --{given[0].removesuffix('_name').replace('_', '-')}")
     return read_stream(file, quality.model.image if quality.model else None)
 
 

@@ -1,16 +1,19 @@
-"""The options of rate-controlled streams, of files coded as such and of live ones: what is to be held."""
+"""The options of rate-controlled streams, both in files and live."""
 
 from dataclasses import dataclass
 
 import click
 
 from vibrocast.codec import rate_controlled
-from vibrocast.host.cli.options import POSITIVE, Finite, grouped
+from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
+from vibrocast.host.cli.option_types import Number, positive
+from vibrocast.host.cli.options import grouped
+from vibrocast.host.cli.sections import RATE_CONTROL, section
 
 
 @dataclass(frozen=True)
 class RateOptions:
-    """What a rate-controlled stream holds: one of the first three, and how."""
+    """The target of a rate-controlled stream: one of the first three, and how it is held."""
 
     constant_rate_bps: float | None
     capped_rate_bps: float | None
@@ -34,18 +37,21 @@ class RateOptions:
         if not given:
             for name in ("error_db", "rate_buffer_s", "packet_ms", "equal_error"):
                 if getattr(self, name) not in (None, False):
-                    raise click.UsageError(f"{option_of(name)} needs one of {', '.join(map(option_of, kinds))}.")
+                    policies = ", ".join(map(option_of, kinds))
+                    raise click.UsageError(f"{option_of(name)} is for rate control; add one of {policies}")
             return None
         if len(given) > 1 or rate_bps is not None:
             others = ", ".join(map(option_of, [*kinds, "rate_bps"]))
-            raise click.UsageError(f"{others} exclude each other: give one of them.")
+            raise click.UsageError(f"{others} exclude each other; give one of them")
         qualities = sum(value is not None for value in (snr_db, self.error_db))
         if self.constant_rate_bps is not None and qualities:
-            raise click.UsageError("a constant rate leaves no quality to ask for: drop it, or give --capped-rate-bps.")
+            raise click.UsageError(
+                "a constant rate sets the quality itself; drop --snr-db and --error-db, or give --capped-rate-bps"
+            )
         if self.constant_rate_bps is None and qualities != 1:
-            raise click.UsageError(f"{given[0]} needs either --snr-db or --error-db.")
+            raise click.UsageError(f"{given[0]} needs a quality; give either --snr-db or --error-db")
         if self.constant_quality and self.rate_buffer_s is not None:
-            raise click.UsageError("--rate-buffer-s belongs to a rate: drop it.")
+            raise click.UsageError("--rate-buffer-s is for a rate, and --constant-quality has none; drop one of them")
         return rate_controlled.RateTarget(
             constant_rate_bps=self.constant_rate_bps,
             capped_rate_bps=self.capped_rate_bps,
@@ -62,26 +68,38 @@ def option_of(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-rate_controlled_options = grouped(
-    "rate",
-    RateOptions,
-    click.option(
-        "--constant-rate-bps",
-        type=POSITIVE,
-        help="As a live stream: over any 2 s, so many bits per second in packets and their frames, within 1 %.",
+rate_controlled_options = section(
+    RATE_CONTROL,
+    grouped(
+        "rate",
+        RateOptions,
+        click.option(
+            "--constant-rate-bps",
+            type=positive("bit/s"),
+            help="Hold this rate within 1 % over any 2 s, framing included.",
+        ),
+        click.option(
+            "--capped-rate-bps",
+            type=positive("bit/s"),
+            help="Hold --snr-db or --error-db up to this rate, framing included.",
+        ),
+        click.option(
+            "--constant-quality", is_flag=True, help="Hold --snr-db or --error-db in every packet, at any rate."
+        ),
+        click.option(
+            "--error-db", type=Number("dB"), help="Set the level of the error relative to the detection threshold."
+        ),
+        click.option(
+            "--rate-buffer-s",
+            type=positive("s"),
+            help="Set the rate buffer; longer evens the quality, and varies the rate. "
+            f"Default: {DEFAULT_RATE_BUFFER_S:g}.",
+        ),
+        click.option(
+            "--packet-ms",
+            type=positive("ms"),
+            help="Set the duration of packets. Default: 60 bytes at the rate; 4 blocks without a rate.",
+        ),
+        click.option("--equal-error", is_flag=True, help="Give all channels equal error, instead of equal SNR."),
     ),
-    click.option(
-        "--capped-rate-bps",
-        type=POSITIVE,
-        help="As a live stream: every packet at --snr-db or --error-db, but never more bits per second than these.",
-    ),
-    click.option("--constant-quality", is_flag=True, help="As a live stream: every packet at --snr-db or --error-db."),
-    click.option(
-        "--error-db", type=Finite(), help="Level of the error relative to the detection threshold, third octaves."
-    ),
-    click.option(
-        "--rate-buffer-s", type=POSITIVE, help="Let a rate wander by so many seconds' bits, for a more even quality."
-    ),
-    click.option("--packet-ms", type=POSITIVE, help="Length of packets; if not given, the wire adds at most 15 %."),
-    click.option("--equal-error", is_flag=True, help="The same error in all channels, rather than the same SNR."),
 )

@@ -9,14 +9,16 @@ import click
 from vibrocast import extras, progress
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import (
-    INPUT,
     BadInput,
     RecordingOptions,
     command_run,
     own_models_option,
     recording_options,
 )
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
 from vibrocast.models import ModelError
 from vibrocast.textures import Recording, TextureError, dataset
 from vibrocast.textures.dataset import DatasetError
@@ -26,15 +28,35 @@ MAX_FAILURES = 5
 OUTCOMES = {"rejected": "rejected", "degraded": "degraded", "fails": "failed"}
 
 
-@click.command()
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder of the page.")
-@click.option("--codecs", "names", metavar="NAME,...", help="Codecs, or families of models, to try; all if not given.")
-@own_models_option
-@click.option("--peers-edge", type=INPUT, help="CSV of what other codecs do with hard signals, joined to the page.")
-@click.option("--recordings", type=INPUT, help="Folder or manifest of recordings of your own, for a map of them.")
-@click.option("--maps", "map_names", metavar="NAME,...", help="Maps to make, such as recordings. Default: all.")
-@click.option("--quick", is_flag=True, help="Try a few conditions only.")
+@click.command(cls=SectionedCommand)
+@section(
+    "Codecs",
+    click.option(
+        "--codecs", "names", metavar="NAME,...", help="Test these codecs or families of models. Default: all."
+    ),
+    own_models_option,
+    click.option(
+        "--peers-edge", type=INPUT, metavar="FILE", help="Add other codecs' results with hard signals, from a CSV file."
+    ),
+)
+@section(
+    INPUT_SECTION,
+    click.option(
+        "--recordings",
+        type=INPUT,
+        metavar="FOLDER|MANIFEST",
+        help="Map recordings of your own too. Default: none.",
+    ),
+)
 @recording_options
+@section(
+    RUN,
+    click.option("--maps", "map_names", metavar="NAME,...", help="Make these maps, such as recordings. Default: all."),
+    click.option("--quick", is_flag=True, help="Test a few conditions only."),
+)
+@section(
+    OUTPUT, click.option("--out", type=FOLDER, required=True, help="Write the page and its data into this folder.")
+)
 def stability(
     out: Path,
     names: str | None,

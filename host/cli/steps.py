@@ -23,7 +23,7 @@ _Argument = TypeVar("_Argument")
 def needed(argument: _Argument | None, name: str) -> _Argument:
     """Return an argument that only --plan makes up for. Raises click.UsageError."""
     if argument is None:
-        raise click.UsageError(f"{name} is missing: give it, or --plan.")
+        raise click.UsageError(f"missing {name}; pass it, or --plan")
     return argument
 
 
@@ -34,7 +34,7 @@ def reject_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | N
         for other in used:
             same = os.path.realpath(output) == os.path.realpath(other)
             if same or (output.exists() and other.exists() and output.samefile(other)):
-                raise click.UsageError(f"{output} and {other} are the same file: give the output another name.")
+                raise click.UsageError(f"{output} and {other} are the same file; give the output another name")
         used.append(output)
 
 
@@ -55,7 +55,9 @@ def encoded(
 def encoded_profile(recording: textures.Recording, quality: QualityOptions, slowest_mm_s: float) -> Encoding:
     """Encode a height profile as a spatial stream, show how far it is, and say what was not met."""
     if quality.rate_bps is not None or quality.stream_rate_hz != DEFAULT_STREAM_RATE_HZ:
-        raise click.UsageError("a profile has no time: give --snr-db and --slowest-hand-speed-mm-s instead of rates.")
+        raise click.UsageError(
+            "a profile has no time, so no rates; give --snr-db and --slowest-hand-speed-mm-s instead"
+        )
     arguments = quality.arguments()
     del arguments["rate_bps"], arguments["stream_rate_hz"], arguments["highpass_hz"]  # heights keep their own rules
     with progress.bar("encoding") as update:

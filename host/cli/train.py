@@ -9,33 +9,39 @@ from typing import Any
 import click
 
 from vibrocast import extras, progress
-from vibrocast.host.cli.options import INPUT, BadInput
+from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
+from vibrocast.host.cli.options import BadInput
 
 
 @click.command()
 @click.argument("config", type=INPUT)
 @click.option(
-    "--data", "data_folder", type=INPUT, help="Folder at which the paths of CONFIG start. Default: that of CONFIG."
+    "--data",
+    "data_folder",
+    type=INPUT,
+    metavar="FOLDER",
+    help="Find the data of CONFIG under this folder. Default: the folder of CONFIG.",
 )
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default="trained",
     show_default=True,
-    help="Folder that gets a folder of checkpoints for each training, by its name.",
+    help="Write the checkpoints into this folder, under the training's name.",
 )
-@click.option("--resume", is_flag=True, help="Go on where a training was cut.")
-@click.option("--threads", type=click.IntRange(min=1), help="Threads of a single training; all cores if not given.")
+@click.option("--resume", is_flag=True, help="Continue a training that was cut.")
+@click.option("--threads", type=Whole("NUMBER", 1), help="Limit the threads of a single training. Default: one a core.")
 @click.option(
-    "--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run a sweep, such as tcp://host:8786."
+    "--scheduler", metavar="ADDRESS", help="Run a sweep on a Dask scheduler's workers. Default: on this machine."
 )
 def train(
     config: Path, data_folder: Path | None, out: Path, resume: bool, threads: int | None, scheduler: str | None
 ) -> None:
-    """Train a model as CONFIG describes it.
+    """Train a model from a TOML configuration.
 
-    examples/eva.toml is a CONFIG. OUT/NAME/checkpoint.pt is the checkpoint to export. A sweep runs its trainings side
-    by side, each on one core.
+    examples/eva.toml is such a CONFIG. Export the checkpoint, OUT/NAME/checkpoint.pt, with `vibrocast export`.
+
+    A sweep runs its trainings in parallel, each on one core. A scheduler's ADDRESS is one such as tcp://host:8786.
     """
     extras.require("train")
     from vibrocast.export import configuration, training
@@ -87,7 +93,7 @@ def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
         raise click.ClickException(str(error)) from error
     if failed:
         raise click.ClickException(
-            f"{len(failed)} of {len(trainings)} trainings failed; the same command with --resume tries them again"
+            f"{len(failed)} of {len(trainings)} trainings failed: {', '.join(failed)}; correct them and add --resume"
         )
 
 

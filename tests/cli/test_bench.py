@@ -70,7 +70,7 @@ def folder(tmp_path: Path) -> Path:
 def test_figures_are_written_and_the_table_names_the_curves(folder: Path, tmp_path: Path) -> None:
     result = vibrocast_bench(folder, "--codecs", "g726", "--out", tmp_path / "out", "--repeats", "1")
     assert result.exit_code == 0, result.output
-    assert "2 traces, 1 curves, 4 settings" in result.stdout
+    assert "2 recordings, 1 curves, 4 settings" in result.stdout
     assert "g726" in result.stdout
     results = tmp_path / "out" / "results"
     assert len(read_rows(results / "points.csv", Point)) == 8
@@ -86,7 +86,7 @@ def test_failures_are_listed_and_the_exit_code_says_so(folder: Path, tmp_path: P
     said = fails(1, folder, "--codecs", FAST, "--out", tmp_path / "out", "--repeats", "0")
     assert "failed: nan: " in said and "is nan" in said
     assert "failed: dct-threshold: stereo" in said and "and 10 more: the detection threshold is one" in said
-    assert "12 traces or cells failed" in said
+    assert "12 recordings or cells failed" in said
     failures = read_rows(tmp_path / "out" / "results" / "failures.csv", Failure)
     assert {failure.trace for failure in failures} == {"nan", "stereo"}
     assert {point.trace for point in read_rows(tmp_path / "out" / "results" / "points.csv", Point)} == {
@@ -104,7 +104,9 @@ def test_a_rate_point_set_that_needs_a_unit_is_left_out_unless_it_is_named(tmp_p
     arguments = (tmp_path / "recordings", "--out", tmp_path / "out", "--repeats", "0", "--codecs")
     result = vibrocast_bench(*arguments, "dct")
     assert result.exit_code == 0, result.output
-    assert "left out, as no trace states a physical unit (--unit, --full-scale): dct-threshold" in result.stdout
+    assert (
+        "left out, because no recording states a physical unit (--unit, --full-scale): dct-threshold" in result.stdout
+    )
     fails(1, *arguments, "dct-threshold")
     result = vibrocast_bench(*arguments, "dct", "--unit", "m/s^2", "--full-scale", "10")
     assert result.exit_code == 0, result.output
@@ -287,7 +289,7 @@ def test_a_run_in_which_all_fails_still_says_so(folder: Path, tmp_path: Path) ->
     for path in folder.iterdir():
         path.write_bytes(b"RIFF")
     said = fails(1, folder, "--codecs", "g726", "--out", tmp_path / "out")
-    assert "2 traces or cells failed" in said
+    assert "2 recordings or cells failed" in said
     assert read_rows(tmp_path / "out" / "results" / "points.csv", Point) == []
 
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
+import click
 import numpy as np
 import pytest
 import soundfile
@@ -25,7 +26,8 @@ from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host import devices
 from vibrocast.host.bench_file import actuator_toml
-from vibrocast.host.cli.command_line import main
+from vibrocast.host.cli import sections
+from vibrocast.host.cli.command_line import SECTIONS, SUBCOMMANDS, main
 from vibrocast.host.report import Report
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
@@ -676,3 +678,49 @@ def test_level_and_actuator_are_your_own(texture: Path, tmp_path: Path) -> None:
     quiet = vibrocast("play", texture, "--gain-db", -80)
     assert "nothing exceeds the detection threshold" in quiet.stdout and "raise --gain-db" in quiet.stderr
     assert "no actuator of that name" in fails(2, "play", texture, "--actuator", "none")
+
+
+def test_help_lists_options_and_commands_by_section() -> None:
+    titles = [line for line in succeeds("play", "--help").splitlines() if re.fullmatch(r"[A-Z][\w ]+:", line)]
+    assert titles == [
+        f"{title}:" for title in ("Input", sections.CODING, sections.CONTROLLER, "Playback", "Output")
+    ] + ["Options:"]
+    main_help = succeeds("--help")
+    for title, subcommands in SECTIONS.items():
+        section = main_help.split(f"{title}:\n")[1].split("\n\n")[0]
+        assert [line.split()[0] for line in section.splitlines()] == list(subcommands)
+
+
+def test_an_option_belongs_to_the_section_that_is_nearest_to_it() -> None:
+    @click.command(cls=sections.SectionedCommand)
+    @sections.section("Outer", sections.section("Inner", click.option("--one")), click.option("--two"))
+    @click.option("--three")
+    def command(**_options: object) -> None: ...
+
+    text = CliRunner().invoke(command, ["--help"]).output
+    assert re.findall(r"(\w+):\n  --(\w+)", text) == [("Inner", "one"), ("Outer", "two"), ("Options", "three")]
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_help_prints_units_and_ranges_for_people(name: str) -> None:
+    text = succeeds(name, "--help")
+    for internal in ("x<", "x>", "<x", "None", "RANGE", "FLOAT", "INTEGER", "TEXT  ", "DIRECTORY", "PATH"):
+        assert internal not in text
+    assert len(SUBCOMMANDS[name].summary) <= 67, "a line of `vibrocast --help`"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["--rate-hz", "-5"], "-5 cannot be used; give a finite number above 0."),
+        (["--rate-hz", "0"], "0 cannot be used; give a finite number above 0."),
+        (["--snr-db", "nan"], "nan cannot be used; give a finite number."),
+        (["--snr-db", "much"], "much cannot be used; give a finite number."),
+        (["--gain-db", "500"], "500 cannot be used; give a finite number from -400 to 400."),
+        (["--loop", "1.5"], "1.5 cannot be used; give a whole number from 1 to 65535."),
+    ],
+)
+def test_a_number_that_cannot_be_used_is_told_in_a_line(arguments: list[str], error: str, texture: Path) -> None:
+    assert fails(2, "play", texture, *arguments) == (
+        f"error: Invalid value for '{arguments[0]}': {error} See `main play --help`.\n"
+    )

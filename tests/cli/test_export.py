@@ -192,7 +192,7 @@ def test_a_training_that_was_cut_is_not_exported(tmp_path: Path) -> None:
     cut = tiny.checkpoint()
     cut.training["training"]["steps"] = 2
     cut.save(tmp_path / "checkpoint.pt")
-    assert "was cut at step 1 of 2; go on with `vibrocast train --resume`" in fails(
+    assert "was cut at step 1 of 2; continue it with `vibrocast train --resume`" in fails(
         2, "export", tmp_path / "checkpoint.pt", "--out", tmp_path / "model"
     )
 
@@ -208,5 +208,5 @@ def test_a_folder_that_holds_more_than_a_model_is_not_replaced(exported: Path, t
     out.mkdir()
     succeeds("export", trained, "--out", out)
     (out / "recording.wav").touch()
-    assert "holds more than a model" in fails(2, "export", trained, "--out", out)
+    assert "holds other files than a model" in fails(2, "export", trained, "--out", out)
     assert (out / "recording.wav").exists()

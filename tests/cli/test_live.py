@@ -37,7 +37,7 @@ def test_no_sample_is_no_error() -> None:
 def test_the_unit_of_raw_samples_is_asked_for() -> None:
     result = run("-")
     assert result.exit_code == 2
-    assert "--unit is missing" in result.output
+    assert "missing --unit" in result.output
 
 
 def test_a_recording_that_is_piped_in_is_rejected() -> None:

@@ -108,7 +108,7 @@ def test_a_sensor_that_complains_in_no_known_letters_is_told(tmp_path: Path) -> 
     [
         (["--device", "nowhere"], "'nowhere' is no controller"),
         (["--bench", "nowhere.toml"], "nowhere.toml: No such file or directory"),
-        (["--only", "taste"], "'taste' is none of latency, "),
+        (["--only", "taste"], "'taste' is no measurement; give some of latency, "),
         (["--compare", "nowhere.json"], "nowhere.json: No such file or directory"),
     ],
 )

@@ -1,0 +1,53 @@
+"""Sections in the help of a command, each with a title: options that belong together stand together."""
+
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import click
+
+# The titles, in the order in which commands with several of them list them.
+INPUT = "Input"
+CODING = "Codec and quality"
+RATE_CONTROL = "Rate control"
+CONTROLLER = "Controller and actuator"
+PLAYBACK = "Playback"
+RUN = "Run"
+OUTPUT = "Output"
+OTHERS = "Options"
+
+_titles: WeakKeyDictionary[click.Parameter, str] = WeakKeyDictionary()
+
+
+def section(title: str, *options: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """Return one decorator for options, which the help of a SectionedCommand lists under a title."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        before = len(_parameters(command))
+        for option in reversed(options):
+            command = option(command)
+        for parameter in _parameters(command)[before:]:
+            _titles.setdefault(parameter, title)
+        return command
+
+    return decorate
+
+
+def _parameters(command: Callable[..., Any]) -> list[click.Parameter]:
+    """Return what click has noted on a function so far, the last option first."""
+    return getattr(command, "__click_params__", [])
+
+
+class SectionedCommand(click.Command):
+    """A command whose help has a section for each title of its options, and one for those without."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections, in the order of their first options."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for option in self.get_params(ctx):
+            record = option.get_help_record(ctx)
+            if isinstance(option, click.Option) and record is not None:
+                sections.setdefault(_titles.get(option, OTHERS), []).append(record)
+        for title, records in sections.items():
+            with formatter.section(title):
+                formatter.write_dl(records)
