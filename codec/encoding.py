@@ -255,14 +255,14 @@ def _shortfall(
 ) -> str | None:
     """Return why the asked rate, or else SNR, was not met within its tolerance; None when it was."""
     if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - codec.RATE_TOLERANCE):
-        return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no setting that was tried comes nearer"
+        return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no setting below it comes nearer"
     audible = [(ratio_db, number) for number, ratio_db in enumerate(each_db, 1) if ratio_db is not None]
     if snr_db is not None and audible:
         furthest_db, number = max(audible, key=lambda ratio: abs(ratio[0] - snr_db))
         if abs(furthest_db - snr_db) > codec.SNR_TOLERANCE_DB:
             where = f" in channel {number}" if len(each_db) > 1 else ""
             return (
-                f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting that was tried comes nearer from above"
+                f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting above it comes nearer"
             )
     return None
 

@@ -102,6 +102,7 @@ class Outcome:
 
     `sent_bps`: packets and their frames; `packets_bps`: packets alone. `furthest`: by how much, relative to the rate,
     the run of packets of 2 s that is furthest from it differs; None without a rate, or where all lasts less.
+    `peak_bps`: of the run of 2 s with the most bytes; None where all lasts less.
     `padding`: part of the bytes sent that only keep the rate. `packet_snrs_db`: of all packets but those 20 dB below
     the recording. `packet_s`: how long a packet lasts.
     """
@@ -109,6 +110,7 @@ class Outcome:
     sent_bps: float
     packets_bps: float
     furthest: float | None
+    peak_bps: float | None
     padding: float
     packet_snrs_db: tuple[float, ...]
     packet_s: float
@@ -192,23 +194,24 @@ def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: cod
     packet_s = decoder.packet_samples / stream.header.rate_hz
     sizes = [len(packet) + added_bytes(packet) for packet in stream.packets]
     seconds = packet_s * len(sizes)
+    window_bps = _window_bps(sizes, packet_s)
     return Outcome(
         sent_bps=8 * sum(sizes) / seconds,
         packets_bps=8 * sum(map(len, stream.packets)) / seconds,
-        furthest=None if rate_bps is None else _furthest(sizes, rate_bps * packet_s / 8, packet_s),
+        furthest=max((each / rate_bps - 1 for each in window_bps), key=abs, default=None) if rate_bps else None,
+        peak_bps=max(window_bps, default=None),
         padding=policy.padding_bytes / sum(sizes) if isinstance(policy, RatePolicy) else 0.0,
         packet_snrs_db=tuple(_packet_snrs_db(samples, stream.decode(), decoder)),
         packet_s=packet_s,
     )
 
 
-def _furthest(sizes: Sequence[int], share_bytes: float, packet_s: float) -> float | None:
-    """Return the relative deviation from its share of the run of packets that lasts 2 s and is furthest from it."""
+def _window_bps(sizes: Sequence[int], packet_s: float) -> list[float]:
+    """Return the rate of every run of packets that lasts 2 s; empty where all packets last less."""
     run = math.ceil(WINDOW_S / packet_s - 1e-9)
     if run > len(sizes):
-        return None
-    sums = np.convolve(sizes, np.ones(run), "valid") / (run * share_bytes) - 1
-    return float(max(sums, key=abs))
+        return []
+    return [8 * float(each) / (run * packet_s) for each in np.convolve(sizes, np.ones(run), "valid")]
 
 
 def _packet_snrs_db(samples: Signal, decoded: Signal, decoder: codec.Decoder) -> list[float]:

@@ -281,7 +281,7 @@ class Stream:
             "bits_per_second": self.bits_per_second,
             "bits_per_sample": self.bits_per_second / self.header.rate_hz / self.header.channels,
             "packets": len(self.packets),
-            "refresh_packets": refreshes,
+            "random_access_packets": refreshes,
             "packet_samples": decoder.packet_samples,
             "delay_samples": decoder.delay_samples,
             "model": self.model_name,

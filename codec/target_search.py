@@ -101,13 +101,13 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
         return math.inf if ratio is None else ratio - target_db
 
     if not setting and source.codec.step_range:
-        found = _search(source, mean_excess, SNR_TOLERANCE_DB, side=1)
+        found = _search(source, mean_excess, _SNR)
         best, least = _balance(source, found, excesses_db)
     elif _differs_by_channel(source, setting):
         best = _choose_for_each(source, setting, excesses_db)
         least = excesses_db(best)
     else:
-        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), SNR_TOLERANCE_DB, side=1)
+        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR)
         least = excesses_db(best)
     if min(least) < -SNR_TOLERANCE_DB:
         raise TargetUnreachable(
@@ -184,7 +184,7 @@ def encode_to_rate(
     size_bytes: Callable[[CodedSignal], int],
     setting: Setting | None = None,
 ) -> CodedSignal:
-    """Code at `bits_per_second`, to within 2 %; below it where no setting comes nearer.
+    """Code at up to `bits_per_second`, never above, and within 2 % below where a setting comes as near.
 
     `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: what of it is given and
     not searched for. Raises CodecError as `encode`, TargetUnreachable with the least rate that the signal takes.
@@ -198,12 +198,11 @@ def encode_to_rate(
     def excess(coded: CodedSignal) -> float:
         return math.log(rate(coded)) - math.log(bits_per_second)
 
-    tolerance = math.log1p(RATE_TOLERANCE)
     if not setting and source.codec.step_range:
-        best = _search(source, excess, tolerance, side=-1).coded
+        best = _search(source, excess, _RATE).coded
     else:
-        best = _choose(source, setting, excess, tolerance, side=-1)
-    if excess(best) > tolerance:
+        best = _choose(source, setting, excess, _RATE)
+    if _RATE.misses(excess(best)):
         raise TargetUnreachable(
             f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
             f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
@@ -262,8 +261,7 @@ def _choose(
     source: Source,
     setting: Setting | None,
     excess: Callable[[CodedSignal], float],
-    tolerance: float,
-    side: int,
+    goal: "_Goal",
 ) -> CodedSignal:
     """Code where the excess, rising on the whole from rate point to rate point, changes its sign; at every rate point
     if nothing there will do.
@@ -280,7 +278,7 @@ def _choose(
         return tried[index][1]
 
     def preference(index: int) -> tuple[bool, float]:
-        return _preference(excess_at(index), tolerance, side)
+        return goal.preference(excess_at(index))
 
     every = range(len(settings))
     crossing = bisect.bisect_left(every, 0.0, key=excess_at)
@@ -324,12 +322,32 @@ def _choose_for_each(
     return tried[chosen][0]
 
 
-def _preference(excess: float, tolerance: float, side: int) -> tuple[bool, float]:
-    """Order by which trials are chosen: none beyond the tolerance on the worse side first, then the nearest to zero.
-
-    `side`: +1 when an excess above the tolerance is better than none, -1 when one below is.
+@dataclass(frozen=True)
+class _Goal:
+    """Which excess over a target meets it: from `low` to `high`. `ceiling`: an excess above `high` is an error, else
+    one below `low`; the other side is second best.
     """
-    return side * excess < -tolerance, abs(excess)
+
+    low: float
+    high: float
+    ceiling: bool
+
+    def misses(self, excess: float) -> bool:
+        """Return whether an excess lies on the wrong side."""
+        return excess > self.high if self.ceiling else excess < self.low
+
+    def meets(self, excess: float, part: float = 1.0) -> bool:
+        """Return whether an excess meets the target, within a part of the tolerance."""
+        return part * self.low <= excess <= part * self.high
+
+    def preference(self, excess: float) -> tuple[bool, float]:
+        """Order by which trials are chosen: those on the wrong side last, then the nearest to zero first."""
+        return self.misses(excess), abs(excess)
+
+
+_SNR = _Goal(-SNR_TOLERANCE_DB, SNR_TOLERANCE_DB, ceiling=False)
+_RATE = _Goal(math.log1p(-RATE_TOLERANCE), 0.0, ceiling=True)
+"""A rate is never exceeded: the excess is the logarithm of rate over target."""
 
 
 @dataclass(frozen=True)
@@ -342,11 +360,10 @@ class _Found:
     rd_weight: float
 
 
-def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: float, side: int) -> _Found:
+def _search(source: Source, excess: Callable[[CodedSignal], float], goal: _Goal) -> _Found:
     """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
 
-    The codec has a `step_range`. What is found, preferred by `_preference`, lies beyond the tolerance on the worse side
-    only where every step does.
+    The codec has a `step_range`. The one preferred by the goal lies on its wrong side only where every step does.
     """
     best: _Found | None = None
     step_range = source.codec.step_range
@@ -366,9 +383,9 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
             step = 2 ** (exponent / _STEPS_PER_OCTAVE)
             coded = source.encode(_setting(source, step, rd_weight))
             found = _Found(coded, excess(coded), step, rd_weight)
-            if best is None or _preference(found.excess, tolerance, side) < _preference(best.excess, tolerance, side):
+            if best is None or goal.preference(found.excess) < goal.preference(best.excess):
                 best = found
-            if abs(best.excess) <= tolerance / 2:
+            if goal.meets(best.excess, part=0.5):
                 return best
             if found.excess > 0:
                 finest, above = exponent + 1, found.excess
@@ -377,7 +394,7 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], tolerance: f
             # Straight lines lead there soon, unless one end stays where it is, or the excess jumps: then halve.
             halved = 2 * (coarsest - finest) <= width
             interpolates = rd_weight == _RD_WEIGHTS[0] and halved and math.isfinite(above - below)
-        if best is not None and (abs(best.excess) <= tolerance or side * best.excess < -tolerance):
+        if best is not None and (goal.meets(best.excess) or goal.misses(best.excess)):
             break
     assert best is not None, "there is a step to try"
     return best

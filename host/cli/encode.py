@@ -103,25 +103,36 @@ def write_encoding(out: Path, encoding: Encoding) -> None:
 def encode_rate_controlled(
     recording: textures.Recording, out: Path, target: rate_controlled.RateTarget, arguments: dict[str, Any]
 ) -> None:
-    """Code a recording as a live stream into a .vct file, and print how rate and quality came out."""
+    """Code a recording as a live stream into a .vct file, and print the rate and quality reached."""
     del arguments["rate_bps"], arguments["snr_db"]  # they are in the target
     with progress.bar("encoding") as update:
         stream, outcome = rate_controlled.encode(recording, target, progress=update, **arguments)
     stream.save(out)
-    window = "" if outcome.furthest is None else f", furthest from it over 2 s: {100 * outcome.furthest:+.2f} %"
-    required = "" if target.rate_bps is None else f" of {target.rate_bps:g}{window}"
-    low_db, high_db = outcome.snr_range_db
-    snr = (
-        "silent"
-        if math.isnan(outcome.snr_db)
-        else f"{outcome.snr_db:.2f} dB, 90 % within {low_db:.1f} to {high_db:.1f}"
-    )
     lines = {
         str(out): f"{stream.size_bytes} bytes, codec {stream.codec_name}"
         + (f", model {stream.model_name}" if stream.image else ""),
-        "rate": f"{outcome.sent_bps:.0f} bit/s{required}",
-        "of it": f"packets {outcome.packets_bps:.0f} bit/s, to which frames add {100 * outcome.frames_add:.1f} %; "
+        "rate": describe_rate(target, outcome),
+        "framing": f"packets {outcome.packets_bps:.0f} bit/s, frames add {100 * outcome.frames_add:.1f} %, "
         f"padding {100 * outcome.padding:.1f} %",
-        "packets": f"{1000 * outcome.packet_s:.1f} ms each, SNR {snr}",
+        "packets": f"{1000 * outcome.packet_s:.1f} ms each, {describe_packets(outcome)}",
     }
     show(lines)
+
+
+def describe_rate(target: rate_controlled.RateTarget, outcome: rate_controlled.Outcome) -> str:
+    """Return the rate with its frames, and how a target was held, in words."""
+    mean = f"{outcome.sent_bps:.0f} bit/s"
+    if target.capped_rate_bps is not None and outcome.peak_bps is not None:
+        return f"{mean} on average, at most {outcome.peak_bps:.0f} over 2 s; limit {target.capped_rate_bps:g}"
+    if target.rate_bps is None:
+        return mean
+    off = "" if outcome.furthest is None else f", at most {100 * abs(outcome.furthest):.2f} % off over 2 s"
+    return f"{mean} of {target.rate_bps:g}{off}"
+
+
+def describe_packets(outcome: rate_controlled.Outcome) -> str:
+    """Return the SNR of the packets in words."""
+    if math.isnan(outcome.snr_db):
+        return "no SNR: the recording is silent"
+    low_db, high_db = outcome.snr_range_db
+    return f"SNR {outcome.snr_db:.2f} dB, 90 % within {low_db:.1f} to {high_db:.1f} dB"

@@ -12,7 +12,7 @@ import click
 from vibrocast import extras, progress, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
-from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.files import atomic_write
 from vibrocast.host import devices, player, profiles, stream_session
 from vibrocast.host.cli import planned
@@ -241,7 +241,7 @@ def play(
         outcome.report.write(outputs.report_path)
     if outputs.plot_path:
         picture.draw(outputs.plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
-    show(summary(outcome.report))
+    show(summary(outcome.report, stream))
     if outcome.report.touch.level_db <= 0:
         click.echo("warning: nobody would feel this; raise --gain-db, or check --unit and --full-scale", err=True)
     if outcome.report.differs:
@@ -358,7 +358,15 @@ def describe_touch(touch: Touch) -> str:
     return f"nothing exceeds the detection threshold ({level})"
 
 
-def summary(report: Report) -> dict[str, object]:
+def describe_packets(stream: Stream) -> str:
+    """Return how long the packets of a stream are, and how often one can be decoded alone, in words."""
+    packet_s = stream.decoder().packet_samples / stream.header.rate_hz
+    alone = [number for number, packet in enumerate(stream.packets) if packet_sequence(packet)[1]]
+    often = f"one in {packet_s * (alone[1] - alone[0]):.2f} s" if len(alone) > 1 else "only the first"
+    return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone"
+
+
+def summary(report: Report, stream: Stream) -> dict[str, object]:
     """Return the lines that `play` prints at its end."""
     latency, limits = report.latency_ms, report.actuator
     return {
@@ -366,6 +374,7 @@ def summary(report: Report) -> dict[str, object]:
         "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
         f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
         + (f", model {report.model}" if report.model else ""),
+        "packets": describe_packets(stream),
         "quality": describe_quality(report),
         "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "

@@ -74,7 +74,7 @@ def _noted(encoding: Encoding) -> Encoding:
 def describe_quality(quality: CodingQuality | Report) -> str:
     """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words."""
     if quality.snr_db is None:
-        text = "SNR not known (silent, without loss, or coded before)"
+        text = "SNR unknown (silent, lossless, or coded before)"
     else:
         text = f"SNR {quality.snr_db:.2f} dB"
         if quality.tactile_snr_db is not None:
@@ -94,7 +94,16 @@ def show(facts: Mapping[str, object], as_json: bool = False) -> None:
     width = max(map(len, facts))
     for name, value in facts.items():
         if isinstance(value, Mapping):
-            value = [f"{key.replace('_', ' ')}: {item}" for key, item in value.items()]
+            value = [f"{key.replace('_', ' ')}: {in_words(item)}" for key, item in value.items()]
         lines = value if isinstance(value, list) else [value]
         for index, line in enumerate(lines or ["none"]):
-            click.echo(f"{name.replace('_', ' ') if index == 0 else '':{width}}  {plain(str(line))}")
+            click.echo(f"{name.replace('_', ' ') if index == 0 else '':{width}}  {plain(in_words(line))}")
+
+
+def in_words(value: object) -> str:
+    """Return a value as a person reads it: no Python names, six digits at most."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -131,6 +131,7 @@ def test_play_reports_and_draws(device: str, texture: Path, tmp_path: Path) -> N
     assert report["device"]["address"] == device
     assert report["actuator"]["name"] == "piezo-stack"
     assert plot_path.stat().st_size > 10_000
+    assert "packets          45.7 ms each, only the first can be decoded alone" in output
 
 
 @pytest.mark.parametrize("missing", [[], ["--device", "serial:/dev/no-such-port"]])
@@ -191,7 +192,11 @@ def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
 
 def test_plays_a_coded_file(coded: Path, tmp_path: Path) -> None:
     report_path = tmp_path / "report.json"
-    succeeds("play", coded, "--report", report_path, "--plot", tmp_path / "plot.png")
+    output = succeeds("play", coded, "--report", report_path, "--plot", tmp_path / "plot.png")
+    assert "each, only the first can be decoded alone" in output
+    longer = tmp_path / "longer.wav"
+    textures.save(longer, textures.GENERATORS["rough"](seconds=0.5))
+    assert "packets          45.7 ms each, one in 0.23 s can be decoded alone" in succeeds("play", longer)
     report = json.loads(report_path.read_text())
     assert report["stream_bytes"] == coded.stat().st_size
     assert report["snr_db"] is None
@@ -243,7 +248,7 @@ def test_encode_info_decode(texture: Path, tmp_path: Path) -> None:
 def test_encode_to_a_rate_and_at_another_stream_rate(tmp_path: Path) -> None:
     out = tmp_path / "oak.vct"
     succeeds("encode", ROOT / "examples" / "oak.wav", out, "--rate-bps", 3000, "--stream-rate-hz", 2000)
-    assert 8 * out.stat().st_size / 4 == pytest.approx(3000, rel=0.02)
+    assert 2940 <= 8 * out.stat().st_size / 4 <= 3000
     assert json.loads(succeeds("info", out, "--json"))["rate_hz"] == 2000
 
 

@@ -39,7 +39,7 @@ def test_meets_the_asked_quality(snr_db: float) -> None:
 def test_meets_the_asked_rate_in_bytes_of_the_file(rate_bps: float, tmp_path: Path) -> None:
     encoding = encode_recording(noise(seconds=2), rate_bps=rate_bps)
     encoding.stream.save(tmp_path / "noise.vct")
-    assert 8 * (tmp_path / "noise.vct").stat().st_size / 2 == pytest.approx(rate_bps, rel=0.02)
+    assert 0.98 * rate_bps <= 8 * (tmp_path / "noise.vct").stat().st_size / 2 <= rate_bps
 
 
 def test_says_why_a_target_cannot_be_met() -> None:

@@ -68,10 +68,10 @@ def test_progress_goes_from_nothing_to_nearly_all() -> None:
 
 @pytest.mark.parametrize("bits_per_second", [1000, 2500, 8000, 20000])
 @pytest.mark.parametrize("live", [False, True])
-def test_rate_is_met(bits_per_second: float, live: bool) -> None:
+def test_rate_is_met_and_never_exceeded(bits_per_second: float, live: bool) -> None:
     signal = texture(14000)
     coded = codec.encode_to_rate(codec.Source(signal, RATE_HZ, live=live), bits_per_second, size_bytes)
-    assert size_bytes(coded) * 8 * RATE_HZ / 14000 == pytest.approx(bits_per_second, rel=0.02)
+    assert 0.98 * bits_per_second <= size_bytes(coded) * 8 * RATE_HZ / 14000 <= bits_per_second
 
 
 @pytest.mark.parametrize("target_db", [200.0, math.inf, math.nan])
