@@ -177,6 +177,11 @@ class LiveStream:
         return self._session.status
 
     @property
+    def seconds(self) -> float:
+        """Seconds of signal that the source has given so far."""
+        return self._sent_samples / self.format.rate_hz
+
+    @property
     def begun(self) -> int:
         """How many streams have been begun."""
         return len(self.earlier) + 1
@@ -405,7 +410,7 @@ class LiveStream:
             lost_packets=sum(status.lost_packets for status in streams),
             dropped_packets=self.dropped_packets,
             streams=len(streams),
-            seconds=self._sent_samples / self.format.rate_hz,
+            seconds=self.seconds,
             payload_bytes=self.payload_bytes,
             wire_bytes=self._wire_bytes,
         )

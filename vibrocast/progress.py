@@ -10,9 +10,9 @@ LINE_INTERVAL_S = 1.0
 
 
 class Update(Protocol):
-    """Takes the part of the work that is done, from 0 to 1, and what else there is to say."""
+    """Takes the part of the work that is done, from 0 to 1 or None if its end is unknown, and details."""
 
-    def __call__(self, part: float, details: str = "", /) -> None:
+    def __call__(self, part: float | None, details: str = "", /) -> None:
         """Report the part of the work that is done, and details such as a rate."""
 
 
@@ -26,7 +26,12 @@ def bar(work: str) -> Iterator[Update]:
         columns = BarColumn(), TextColumn("{task.description}")
         with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
             task = shown.add_task(work, total=1.0)
-            yield lambda part, details="": shown.update(task, completed=part, description=f"{work} {details}")
+
+            def update(part: float | None, details: str = "", /) -> None:
+                shown.tasks[task].total = None if part is None else 1.0
+                shown.update(task, completed=part or 0.0, description=f"{work} {details}")
+
+            yield update
     else:
         yield _Lines(work)
 
@@ -38,8 +43,9 @@ class _Lines:
         self._work = work
         self._printed_s = time.monotonic()
 
-    def __call__(self, part: float, details: str = "", /) -> None:
+    def __call__(self, part: float | None, details: str = "", /) -> None:
         now_s = time.monotonic()
         if now_s - self._printed_s >= LINE_INTERVAL_S:
             self._printed_s = now_s
-            print(f"{self._work} {100 * part:.0f} % {details}".rstrip(), file=sys.stderr, flush=True)
+            done = "" if part is None else f" {100 * part:.0f} %"
+            print(f"{self._work}{done} {details}".rstrip(), file=sys.stderr, flush=True)

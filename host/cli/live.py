@@ -189,15 +189,20 @@ def live(
         # Shorter than long packets, so that what the controller sends meanwhile is read.
         block_samples = min(stream.packet_samples, math.ceil(MAX_BLOCK_S * rate_hz))
         blocks: Iterator[NDArray[np.float64]]
+        total_s = None
         if source != STANDARD_INPUT:
             blocks = (block for _, block in streaming.paced(stream, texture.samples, block_samples))
+            total_s = texture.seconds
         else:
             blocks = raw_blocks(samples.sample_format, samples.channels, full_scale, block_samples)
         if highpass_hz is not None and textures.is_vibration(signal_format.unit):
             blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
 
         def show(now: Status) -> None:
-            update(0.0, f"{now.position / rate_hz:.1f} s  underruns {now.underruns}")
+            part = None if total_s is None else min(1.0, stream.seconds / total_s)
+            length = "" if total_s is None else f" of {total_s:.1f}"
+            rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
+            update(part, f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {now.underruns}")
 
         try:
             result = streaming.play(stream, blocks, progress=show)
@@ -206,19 +211,21 @@ def live(
     if report_path:
         with atomic_write(report_path) as partial:
             partial.write_text(json.dumps(figures(result, stream), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    delay_ms = 1000 * stream.playout_delay_s
     if target is not None:
         click.echo(
-            f"packets {result.payload_bps:.0f} bit/s, on the wire {result.wire_bps:.0f} bit/s "
-            f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, due "
-            f"{1000 * stream.playout_delay_s:.0f} ms after they come; {result.dropped_packets} not sent, as too late"
+            f"packets {result.payload_bps:.0f} bit/s, with frames {result.wire_bps:.0f} bit/s "
+            f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, playout delay "
+            f"{delay_ms:.0f} ms; {result.dropped_packets} packets not sent, because too late"
         )
-    restarts = f", begun again {result.streams - 1} times" if result.streams > 1 else ""
-    if result.lost_packets or result.dropped_packets:
-        delay = f"{1000 * stream.playout_delay_s:.0f} ms"
-        click.echo(
-            f"packets came too late or not at all: a --playout-delay-ms of more than {delay} bears a busier computer"
-        )
+    restarts = f", restarts {result.streams - 1}" if result.streams > 1 else ""
     click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{restarts}")
+    if result.lost_packets or result.dropped_packets:
+        click.echo(
+            "warning: packets were late or lost: the computer or the link was too busy; pass a --playout-delay-ms "
+            f"above {delay_ms:.0f}",
+            err=True,
+        )
 
 
 def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[str, Any]:
@@ -230,7 +237,7 @@ def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[
         "stream_rate_hz": stream.format.rate_hz,
         "seconds": result.seconds,
         "packet_ms": 1000 * stream.packet_s,
-        "margin_ms": 1000 * stream.playout_delay_s,
+        "playout_delay_ms": 1000 * stream.playout_delay_s,
         "payload_bits_per_second": result.payload_bps,
         "wire_bits_per_second": result.wire_bps,
         "wire_adds": result.wire_adds,

@@ -69,7 +69,7 @@ def measure(
     """
     extras.require("bench")
     from vibrocast.host.bench_file import choose_controller, read_bench
-    from vibrocast.host.harness import compare, figures, measure_bench, read_results
+    from vibrocast.host.harness import compare, described, figures, measure_bench, read_results
     from vibrocast.host.planner import read_plan
 
     if plan_path is not None and bench_path is not None:
@@ -82,7 +82,7 @@ def measure(
     for name, why in results.failed.items():
         click.echo(f"not measured: {name}: {why}", err=True)
     for name, value in figures(results.document()):
-        click.echo(f"{name}: {value:.6g}")
+        click.echo(described(name, value))
     click.echo(f"{out / PAGE}")
     if worse := [change.name for change in changes if change.regressed]:
         raise click.ClickException(

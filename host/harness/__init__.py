@@ -24,6 +24,7 @@ __all__ = [
     "MinLatency",
     "Results",
     "compare",
+    "described",
     "figures",
     "find_min_latency",
     "machine",

@@ -48,7 +48,7 @@ class Latency:
 
     `parts`: by the names of PARTS. `total_ms`: the median wait of a sample in all parts; every sample of a stream has
     the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, relative to when their
-    samples were taken. `margin_ms`: the time that packets should lie ready. `stable`: no underrun and no
+    samples were taken. `playout_delay_ms`: the time that packets should lie ready. `stable`: no underrun and no
     lost packet. `as_sent`: what the controller decoded, as far as it keeps that, is bit for bit what the packets hold.
     """
 
@@ -56,7 +56,7 @@ class Latency:
     setting: dict[str, str]
     rate_hz: int
     packet_samples: int
-    margin_ms: float
+    playout_delay_ms: float
     blocks: int
     parts: dict[str, Spread]
     total_ms: float
@@ -77,7 +77,7 @@ class Trial:
     """One setting that the search for the lowest delay has measured; `total_ms` is None where it was not stable."""
 
     hop: str
-    margin_ms: float
+    playout_delay_ms: float
     total_ms: float | None
 
 
@@ -162,7 +162,7 @@ def measure_latency(
         setting={name: str(value) for name, value in stream.setting.items()},
         rate_hz=rate_hz,
         packet_samples=stream.packet_samples,
-        margin_ms=1e3 * playout_delay_s,
+        playout_delay_ms=1e3 * playout_delay_s,
         blocks=len(numbers),
         parts={name: _spread(values_s) for name, values_s in parts_s.items()},
         total_ms=1e3 * float(np.median(sum(parts_s.values()))),

@@ -12,6 +12,8 @@ NAMES = ("latency", "smallest", "throughput", "load", "gap", "fidelity", "respon
 """The measurements, in the order of a run."""
 PAGE, JSON, ACTUATOR = "measured.html", "measured.json", "actuator.toml"
 FORMAT = "vibrocast measurements 1"
+DECODED, COMPUTED = "decoded as sent", "DAC as computed"
+"""The figures that are 1 for yes and 0 for no."""
 _MAX_BYTES = 1 << 26
 
 
@@ -66,13 +68,13 @@ TOLERANCES = {
     "latency, ms": Tolerance(1, 2.0, 0.1),
     "jitter, ms": Tolerance(1, 2.0, 0.5),
     "smallest stable latency, ms": Tolerance(1, 4.0, 0.2),
-    "bytes/s to the controller": Tolerance(-1, 0.0, 0.3),
-    "bytes/s to the host": Tolerance(-1, 0.0, 0.3),
+    "throughput to the controller, bytes/s": Tolerance(-1, 0.0, 0.3),
+    "throughput to the host, bytes/s": Tolerance(-1, 0.0, 0.3),
     "largest load, samples/s": Tolerance(-1, 0.0, 0.5),
     "longest gap, ms": Tolerance(-1, 20.0, 0.1),
     "longest gap with a full buffer, ms": Tolerance(-1, 20.0, 0.1),
-    "as decoded": Tolerance(-1, 0.0),
-    "as computed": Tolerance(-1, 0.0),
+    DECODED: Tolerance(-1, 0.0),
+    COMPUTED: Tolerance(-1, 0.0),
     "SNR, dB": Tolerance(-1, 1.0),
     "SNR without the codec, dB": Tolerance(-1, 1.0),
     "ST-SIM": Tolerance(-1, 0.02),
@@ -109,8 +111,8 @@ def figures(document: dict[str, Any]) -> Iterator[tuple[str, float]]:
     if found := (measured.get("smallest") or {}).get("found"):
         yield "smallest stable latency, ms", float(found["total_ms"])
     if throughput := measured.get("throughput"):
-        yield "bytes/s to the controller", float(throughput["to_controller_bytes_per_s"])
-        yield "bytes/s to the host", float(throughput["to_host_bytes_per_s"])
+        yield "throughput to the controller, bytes/s", float(throughput["to_controller_bytes_per_s"])
+        yield "throughput to the host, bytes/s", float(throughput["to_host_bytes_per_s"])
     if loads := measured.get("load"):
         held = [load["channels"] * load["rate_hz"] for load in loads if not load["underruns"] + load["lost_packets"]]
         yield "largest load, samples/s", float(max(held, default=0))
@@ -119,8 +121,8 @@ def figures(document: dict[str, Any]) -> Iterator[tuple[str, float]]:
         yield "longest gap with a full buffer, ms", float(gaps[-1]["survived_ms"])
     for texture in measured.get("fidelity") or ():
         keys = {
-            "as decoded": "as_decoded",
-            "as computed": "as_computed",
+            DECODED: "as_decoded",
+            COMPUTED: "as_computed",
             "SNR, dB": "snr_db",
             "SNR without the codec, dB": "playing_snr_db",
             "ST-SIM": "st_sim",
@@ -137,6 +139,14 @@ def figures(document: dict[str, Any]) -> Iterator[tuple[str, float]]:
             yield "quality", float(fit["quality"])
     if together := measured.get("together"):
         yield "controllers that played as computed", float(sum(each["as_computed"] is True for each in together))
+
+
+def described(name: str, value: float) -> str:
+    """Return a figure of `figures` as a line for a person: its unit behind the value, yes or no in words."""
+    title, _, unit = name.partition(", ")
+    if title.endswith((DECODED, COMPUTED)):
+        return f"{title}: {'yes' if value else 'no'}"
+    return f"{title}: {value:{'.0f' if abs(value) >= 1000 else '.4g'}} {unit}".rstrip()
 
 
 def compare(before: dict[str, Any], now: dict[str, Any]) -> list[Change]:

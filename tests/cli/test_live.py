@@ -1,6 +1,7 @@
 """`vibrocast live`: a generated texture, and raw samples from standard input."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,25 @@ def test_a_generated_texture_is_streamed() -> None:
     result = run("rough", "--seconds", "0.3", "--playout-delay-ms", "300")
     assert result.exit_code == 0, result.output
     assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
+
+
+@pytest.mark.parametrize(
+    ("source", "line"),
+    [
+        (["rough", "--seconds", "0.3"], r"streaming \d+ % 0\.\d of 0\.3 s  \d+\.\d\d kbit/s  underruns \d+"),
+        (["-", "--unit", "um"], r"streaming 0\.\d s  \d+\.\d\d kbit/s  underruns \d+"),
+    ],
+)
+def test_progress_has_a_percentage_where_the_end_is_known(
+    source: list[str], line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vibrocast.progress.LINE_INTERVAL_S", 0.0)
+    result = run(*source, "--playout-delay-ms", "300", data=bytes(2 * 800))
+    assert result.exit_code == 0, result.output
+    lines = result.stderr.splitlines()
+    assert all(re.fullmatch(line, each) for each in lines if each.startswith("streaming"))
+    last = re.search(r" (\d\.\d) ", lines[-1])
+    assert last is not None and float(last[1]) == 0.3
 
 
 @pytest.mark.parametrize(("name", "kind"), [("int16", "<i2"), ("float32", "<f4")])
@@ -73,7 +93,7 @@ def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     figures = json.loads(report.read_text())
     assert figures["payload_bits_per_second"] < figures["wire_bits_per_second"]
-    assert figures["margin_ms"] == 300
+    assert figures["playout_delay_ms"] == 300
     assert figures["underruns"] == figures["dropped_packets"] == 0
 
 

@@ -34,7 +34,7 @@ def test_a_run_is_written_and_compared_with_itself_and_a_better_one(tmp_path: Pa
     arguments = ("--bench", str(bench_file(tmp_path)), "--only", "fidelity", "--out", str(tmp_path / "out"))
     first = run(*arguments)
     assert first.exit_code == 0, first.output
-    assert "rough: as computed: 1" in first.output
+    assert "rough: DAC as computed: yes" in first.output
     written = tmp_path / "out" / "measured.json"
     assert (tmp_path / "out" / "measured.html").read_text().startswith("<!doctype html>")
     assert run(*arguments, "--compare", str(written)).exit_code == 0
@@ -70,7 +70,7 @@ def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
     assert "worse, measured again: throughput" in once.output
     lasting = run(*arguments, str(tmp_path / "lasting"), "--compare", earlier)
     assert lasting.exit_code == 1
-    assert "bytes/s to the controller" in lasting.output
+    assert "throughput to the controller" in lasting.output
     assert next(taken, None) is None
 
 

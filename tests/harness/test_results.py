@@ -49,9 +49,9 @@ def test_a_run_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "worse"),
     [
-        (("throughput", "to_host_bytes_per_s"), 5e4, ["bytes/s to the host"]),
+        (("throughput", "to_host_bytes_per_s"), 5e4, ["throughput to the host, bytes/s"]),
         (("throughput", "to_host_bytes_per_s"), 7e4, []),
-        (("fidelity", 0, "as_computed"), False, ["oak: best: as computed"]),
+        (("fidelity", 0, "as_computed"), False, ["oak: best: DAC as computed"]),
         (("fidelity", 0, "playing_snr_db"), 28.5, ["oak: best: SNR without the codec, dB"]),
         (("fidelity", 0, "playing_snr_db"), 40.0, []),
         (("fidelity", 0, "gain"), 1.2, ["oak: best: gain"]),
@@ -67,6 +67,21 @@ def test_what_is_worse_beyond_its_tolerance_is_named(path: tuple[Any, ...], valu
         at = at[key]
     at[last] = value
     assert [change.name for change in results.compare(before, now) if change.regressed] == worse
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "line"),
+    [
+        ("latency, ms", 25.639, "latency: 25.64 ms"),
+        ("oak: DAC as computed", 1.0, "oak: DAC as computed: yes"),
+        ("oak: decoded as sent", 0.0, "oak: decoded as sent: no"),
+        ("oak: gain", 0.87341, "oak: gain: 0.8734"),
+        ("throughput to the host, bytes/s", 2.15447e7, "throughput to the host: 21544700 bytes/s"),
+        ("controllers that played as computed", 3.0, "controllers that played as computed: 3"),
+    ],
+)
+def test_a_figure_is_a_line_with_its_unit(name: str, value: float, line: str) -> None:
+    assert results.described(name, value) == line
 
 
 @pytest.mark.parametrize(
