@@ -1,5 +1,6 @@
 """Compiles core and controller into the libraries that firmware/native_core.py loads; run directly, in place."""
 
+import argparse
 import platform
 import subprocess
 import sys
@@ -92,4 +93,6 @@ def check_links() -> None:
 
 
 if __name__ == "__main__":
+    # Not click: the build may run where vibrocast's dependencies are not installed yet.
+    argparse.ArgumentParser(description="Compile core and controller into firmware/.").parse_args()
     compile_core(ROOT / "firmware")

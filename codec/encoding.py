@@ -261,9 +261,7 @@ def _shortfall(
         furthest_db, number = max(audible, key=lambda ratio: abs(ratio[0] - snr_db))
         if abs(furthest_db - snr_db) > codec.SNR_TOLERANCE_DB:
             where = f" in channel {number}" if len(each_db) > 1 else ""
-            return (
-                f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting above it comes nearer"
-            )
+            return f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting above it comes nearer"
     return None
 
 

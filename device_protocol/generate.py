@@ -3,6 +3,7 @@
 Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
 
+import argparse
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -241,5 +242,8 @@ def _cells(fields: list[WireField]) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(
+        description="Write the C sources of the messages, and the tables of docs/reference/protocol.md."
+    ).parse_args()
     for path, contents in generated_files().items():
         path.write_text(contents, encoding="utf-8")

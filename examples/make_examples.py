@@ -1,8 +1,8 @@
 """Makes the textures of this folder again, byte for byte: `python examples/make_examples.py [FOLDER]`."""
 
-import sys
 from pathlib import Path
 
+import click
 import numpy as np
 
 from vibrocast.textures import Recording, save, save_profile
@@ -37,5 +37,12 @@ def two_fingers() -> Recording:
     return Recording(np.stack([surface[later:], surface[:-later]], axis=1), RATE_HZ, "um", "cloth")
 
 
+@click.command()
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=Path(__file__).parent)
+def main(folder: Path) -> None:
+    """Write the textures into FOLDER. Default: the folder of this script."""
+    make_examples(folder)
+
+
 if __name__ == "__main__":
-    make_examples(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent)
+    main()

@@ -31,14 +31,14 @@ def c_source(tables: bytes) -> str:
 
 @click.command()
 @click.argument("archives", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--image", type=click.Path(dir_okay=False, path_type=Path), help="Model image to write.")
-@click.option("--network", is_flag=True, help="Train a network too, for the image; takes minutes, and PyTorch.")
+@click.option("--image", type=click.Path(dir_okay=False, path_type=Path), help="Write a model image.")
+@click.option("--network", is_flag=True, help="Train a network for the image; takes minutes, needs PyTorch.")
 @click.option("--built-in", is_flag=True, help="Replace the tables built into firmware/core; reinstall afterwards.")
-@click.option("--name", default="mdct", show_default=True, help="Name of the image.")
-@click.option("--version", default="1", show_default=True, help="Version of the image.")
-@click.option("--drop-s", default=1.0, show_default=True, help="Seconds to drop at each start.")
-@click.option("--high-pass-hz", default=30.0, show_default=True, help="Corner of the high-pass.")
-@click.option("--seed", default=1, show_default=True)
+@click.option("--name", default="mdct", show_default=True, help="Name the image.")
+@click.option("--version", default="1", show_default=True, help="State the version of the image.")
+@click.option("--drop-s", default=1.0, show_default=True, help="Drop this many seconds at each start.")
+@click.option("--high-pass-hz", default=30.0, show_default=True, help="Set the corner of the high-pass, in Hz.")
+@click.option("--seed", default=1, show_default=True, help="Seed the training.")
 def main(
     archives: tuple[Path, ...],
     image: Path | None,
@@ -60,7 +60,9 @@ def main(
     except TextureError as error:
         raise click.ClickException(str(error)) from error
     if not textures:
-        raise click.ClickException("the archives hold no recording that is long enough")
+        raise click.ClickException(
+            "the archives hold no recording that is long enough; add longer ones, or lower --drop-s"
+        )
     tables = untrained_tables()
     for training_pass in range(PASSES):
         tables = train(textures, seed + training_pass, tables)

@@ -222,9 +222,17 @@ def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
 @click.command()
 @click.argument("names", metavar="[TARGET]...", nargs=-1, type=click.Choice(list(TARGETS)))
 @click.option("--sizes", "with_sizes", is_flag=True, help="Print the bytes of each image instead.")
-@click.option("--json", "json_path", type=click.Path(dir_okay=False, path_type=Path), help="Write those as JSON.")
+@click.option(
+    "--json",
+    "json_path",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the bytes of each image as JSON.",
+)
 def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None) -> None:
-    """Build targets of the firmware, all if none is named, and print the file of each."""
+    """Build targets of the firmware, and print the file of each.
+
+    Without TARGET, all targets are built.
+    """
     wanted = names or tuple(TARGETS)
     try:
         if not with_sizes and json_path is None:

@@ -1,5 +1,6 @@
 """An actuator's constants in integers (vc_actuator of firmware/core/output.h); run directly, writes those that ship."""
 
+import argparse
 import math
 import struct
 from collections.abc import Mapping, Sequence
@@ -111,5 +112,8 @@ def _initialiser(constant: int | bytes | Sequence[int] | Mapping[str, Any], inde
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(
+        description="Write the C tables of the actuators that ship into firmware/core."
+    ).parse_args()
     for path, text in zip((TABLES, TABLES.with_suffix(".h")), source(), strict=True):
         path.write_text(text)

@@ -465,7 +465,12 @@ PICTURES: dict[str, Callable[[], Picture]] = {
 
 
 @click.command()
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=FIGURES, help="Default: docs/figures.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=FIGURES,
+    help="Draw into this folder. Default: docs/figures.",
+)
 def main(out: Path) -> None:
     """Draw every picture."""
     with errors_in_one_line():

@@ -47,9 +47,16 @@ class Row:
 
 @click.command()
 @OUT
-@click.option("--device", "addresses", multiple=True, default=ADDRESSES, help="Address; may be repeated.")
+@click.option(
+    "--device",
+    "addresses",
+    multiple=True,
+    default=ADDRESSES,
+    show_default=True,
+    help="Measure this controller; may be repeated.",
+)
 def main(out: Path, addresses: tuple[str, ...]) -> None:
-    """Measure the controllers at the addresses given, and write the page and its table into OUT."""
+    """Measure the latency of controllers, and write the page latency.md."""
     budgets, searches = {}, {}
     for address in addresses:
         bench = Bench((BenchController(address, address),))

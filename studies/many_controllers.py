@@ -19,6 +19,7 @@ from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import build
 from vibrocast.host import player
+from vibrocast.host.cli.option_types import Whole, positive
 from vibrocast.host.controller import Controller
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.harness import machine
@@ -139,16 +140,36 @@ def page(rows: Sequence[Measured], seconds: float, buffer_s: float) -> str:
 
 
 @click.command()
-@click.option("--controllers", "counts", type=click.IntRange(1), multiple=True, default=(1, 20, 50, 100))
-@click.option("--channels", type=click.IntRange(1, MAX_CHANNELS), default=10, show_default=True)
-@click.option("--seconds", type=float, default=10.0, show_default=True)
-@click.option("--buffer-s", type=float, default=player.BUFFER_S, show_default=True)
-@click.option("--kind", "kinds", type=click.Choice(list(KINDS)), multiple=True, default=tuple(KINDS))
+@click.option(
+    "--controllers",
+    "counts",
+    type=Whole("NUMBER", 1),
+    multiple=True,
+    default=(1, 20, 50, 100),
+    show_default=True,
+    help="Measure with this number of controllers; may be repeated.",
+)
+@click.option(
+    "--channels", type=Whole("NUMBER", 1, MAX_CHANNELS), default=10, show_default=True, help="Set the channels of each."
+)
+@click.option("--seconds", type=positive("s"), default=10.0, show_default=True, help="Set the duration.")
+@click.option(
+    "--buffer-s", type=positive("s"), default=player.BUFFER_S, show_default=True, help="Set the buffer of each."
+)
+@click.option(
+    "--kind",
+    "kinds",
+    type=click.Choice(list(KINDS)),
+    multiple=True,
+    default=tuple(KINDS),
+    show_default=True,
+    help="Choose the kind of controllers; may be repeated.",
+)
 @OUT
 def main(
     counts: tuple[int, ...], channels: int, seconds: float, buffer_s: float, kinds: tuple[str, ...], out: Path
 ) -> None:
-    """Measure, print a line for each, and write the page into OUT."""
+    """Measure hosts with many controllers, and write the page many_controllers.md."""
     with errors_in_one_line():
         rows = []
         for kind in kinds:

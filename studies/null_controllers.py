@@ -10,6 +10,8 @@ import time
 import tty
 from dataclasses import dataclass, field
 
+import click
+
 from vibrocast.codec import codec_by_identifier, decoder
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS, StreamHeader, packet_sequence
 from vibrocast.device_protocol.frames import FrameReader, write_frame
@@ -160,5 +162,12 @@ def serve(count: int) -> None:
                     controller.turn(now_s)
 
 
+@click.command()
+@click.argument("count", type=click.IntRange(min=1))
+def main(count: int) -> None:
+    """Print the ports of COUNT controllers, and serve them until standard input ends."""
+    serve(count)
+
+
 if __name__ == "__main__":
-    serve(int(sys.argv[1]))
+    main()

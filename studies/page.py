@@ -18,7 +18,10 @@ from vibrocast.textures.dataset import DatasetError
 
 FOLDER = click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 OUT = click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder for the page and its tables."
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    required=True,
+    help="Write the page and its tables into this folder.",
 )
 
 

@@ -330,7 +330,10 @@ def _the_row(rows: Sequence[Result], surface: str, levels: int, b0_db: float | N
 @FOLDER
 @OUT
 def main(folder: Path, out: Path) -> None:
-    """Write OUT/papers.md and OUT/results/note.md, from the tables of a benchmark of FOLDER in OUT/results."""
+    """Write papers.md and results/note.md from the tables of a benchmark.
+
+    The benchmark of FOLDER has written its tables into OUT/results.
+    """
     results = out / "results"
     try:
         with errors_in_one_line():

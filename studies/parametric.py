@@ -176,7 +176,7 @@ def _of_noise() -> tuple[Quality, Quality]:
 @FOLDER
 @OUT
 def main(folder: Path, out: Path) -> None:
-    """Measure what a description keeps of the recordings in FOLDER and write the page OUT/parametric.md."""
+    """Measure parametric coding on the recordings in FOLDER, and write parametric.md."""
     with errors_in_one_line():
         rows = [
             row

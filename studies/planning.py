@@ -219,9 +219,9 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 @click.command()
 @click.argument("folders", nargs=-1, required=True, type=click.Path(file_okay=False, exists=True, path_type=Path))
 @OUT
-@click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Unit of files that do not state it.")
+@click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Give the unit of files that state none.")
 def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
-    """Plan all recordings of folders, and write what that saves: OUT/planning_results.md and its rows as CSV."""
+    """Plan all recordings of FOLDERS, and write the savings into planning_results.md."""
     with errors_in_one_line():
         found = [(folder.name, trace) for folder in folders for trace in entries(folder)]
     rows: list[Saving] = []

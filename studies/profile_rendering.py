@@ -1,19 +1,21 @@
-"""One coded profile at several hand speeds and through a reversal: `python -m studies.profile_rendering`.
+"""Renders a coded profile at several hand speeds: `python -m studies.profile_rendering --out docs/benchmarks`.
 
-Writes profiles.png and profiles.csv in docs/benchmarks: the rendered profile against the decoded one, resampled
-exactly, and its cost on a Cortex-M4.
+Writes OUT/profiles.png and OUT/profiles.csv: the rendered profile against the decoded one, resampled exactly, and its
+cost on a Cortex-M4.
 """
 
 import csv
 import tempfile
 from pathlib import Path
 
+import click
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from studies.emulated_core import CORES, EmulatedCore, compile_core
+from studies.page import OUT
 from vibrocast.host import position_playback, profiles
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import PIEZO_STACK
@@ -88,8 +90,11 @@ def cost(decoded: NDArray[np.int16], samples_per_metre: int) -> dict[str, float]
     }
 
 
-def main() -> None:
-    """Render, measure, draw."""
+@click.command()
+@OUT
+def main(out: Path) -> None:
+    """Render a coded profile at several hand speeds; write profiles.png and profiles.csv."""
+    out.mkdir(parents=True, exist_ok=True)
     stream = profiles.encode(profiles.recording_of(PROFILE), snr_db=20.0).stream
     header, decoder, rate_hz = stream.header, stream.decoder(), PIEZO_STACK.dac_rate_hz
     integers, gain = stream.decode_integers(), header.gains[0] / 32768
@@ -128,9 +133,9 @@ def main() -> None:
     axes[-1].set_xlabel("time, s")
     axes[0].legend(loc="upper right")
     figure.suptitle(f"{PROFILE.name}, coded once ({stream.size_bytes} bytes), under a hand")
-    figure.savefig(ROOT / "docs" / "benchmarks" / "profiles.png", dpi=80)
+    figure.savefig(out / "profiles.png", dpi=80)
     rows += cost(decoded[:, 0], header.rate_hz).items()
-    with (ROOT / "docs" / "benchmarks" / "profiles.csv").open("w", newline="", encoding="utf-8") as file:
+    with (out / "profiles.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("figure", "value"))
         writer.writerows((name, f"{value:.4g}" if value < 1000 else f"{value:.0f}") for name, value in rows)

@@ -34,7 +34,7 @@ MIN_SECONDS = 6.0
 @FOLDER
 @OUT
 def main(folder: Path, out: Path) -> None:
-    """Measure all codecs that control the rate on a folder of recordings, and write page, charts and tables."""
+    """Measure rate control on a folder of recordings; write page and charts."""
     with errors_in_one_line():
         _measure_and_write(folder, out)
 

@@ -1,5 +1,6 @@
 """Writes constant_tables.c, the mathematical tables of the core: `python firmware/core/generate_tables.py`."""
 
+import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -80,6 +81,7 @@ def table_source(name: str, kind: str, values: Sequence[float]) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description="Write constant_tables.c, the mathematical tables of the core.").parse_args()
     definitions = "\n".join(table_source(name, kind, values) for name, (kind, values) in TABLES.items())
     names = ("dct_model", "mdct", "output_memory", "profile_memory", "slp_frame")
     includes = "".join(f'#include "{name}.h"\n' for name in names)

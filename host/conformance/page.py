@@ -1,5 +1,6 @@
 """Writes the list of requirements into docs/reference/conformance.md: `python -m vibrocast.host.conformance.page`."""
 
+import argparse
 import re
 from collections.abc import Iterable
 from itertools import groupby
@@ -50,4 +51,7 @@ def _words(parameter: str) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(
+        description="Write the requirements of the suite into docs/reference/conformance.md."
+    ).parse_args()
     PAGE.write_text(with_requirements(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
