@@ -89,7 +89,7 @@ def test_a_texture_is_coded_as_planned(tmp_path: Path) -> None:
     encoding = texture.encode()
     decoder = encoding.stream.decoder()
     assert encoding.stream.header.rate_hz == 1600 and decoder.packet_samples == 64
-    assert encoding.stream.facts()["refresh_packets"] == -(-len(encoding.stream.packets) // 5)
+    assert encoding.stream.facts()["random_access_packets"] == -(-len(encoding.stream.packets) // 5)
     assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 3
 
 

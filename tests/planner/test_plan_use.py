@@ -60,12 +60,12 @@ def test_a_texture_of_a_plan_is_played_and_coded_as_planned(plan: Path, tmp_path
     ("arguments", "message"),
     [
         (("play", "oak"), "the plan has no texture 'oak'; choose from wood"),
-        (("play", "--loop", "2"), "the plan says how: drop --loop, or change"),
-        (("play", "--snr-db", "5"), "the plan says how: drop --snr-db, or change"),
-        (("play", "--device", "nowhere"), "'nowhere' is none of"),
-        (("encode", "wood", "out.vct", "--rate-bps", "500"), "the plan says how: drop --rate-bps"),
-        (("flash", "mdct-network"), "the plan says how: drop MODEL"),
-        (("measure", "--bench", "bench.toml"), "a plan and a bench file both say what is there"),
+        (("play", "--loop", "2"), "--loop contradicts the plan; drop it, or change"),
+        (("play", "--snr-db", "5"), "--snr-db contradicts the plan; drop it, or change"),
+        (("play", "--device", "nowhere"), "'nowhere' is no address; give sim"),
+        (("encode", "wood", "out.vct", "--rate-bps", "500"), "--rate-bps contradicts the plan; drop it"),
+        (("flash", "mdct-network"), "MODEL contradicts the plan; drop it"),
+        (("measure", "--bench", "bench.toml"), "--plan and --bench both name controllers and actuators"),
     ],
 )
 def test_what_contradicts_a_plan_is_rejected(
@@ -78,8 +78,8 @@ def test_what_contradicts_a_plan_is_rejected(
 
 
 def test_without_a_plan_what_it_makes_up_for_is_asked() -> None:
-    assert "FILE is missing: give it, or --plan" in run("play").stderr
-    assert "MODEL is missing: give it, or --plan" in run("flash").stderr
+    assert "missing FILE; pass it, or --plan" in run("play").stderr
+    assert "missing MODEL; pass it, or --plan" in run("flash").stderr
 
 
 def test_a_plan_says_what_to_flash_and_no_more_than_a_controller_runs(plan: Path, tmp_path: Path) -> None:
