@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 from vibrocast.evaluation.points import Point
 
 MIN_POINTS = 4
-"""Of each curve: what the field's reports of four rates have."""
+"""Of each curve: as many as the field's reports of four rates have."""
 ENOUGH_POINTS = 6
 """With fewer, a result is marked: one point decides much of the curve."""
 MIN_OVERLAP = 0.2
@@ -50,10 +50,10 @@ class Scale:
 
 
 # SNR from 5 to 20 dB: below, a decoded texture shares little with its original; above, the peers shape noise no more.
-# The other windows span what goes with that SNR on recorded textures, as far as each measure still tells codecs apart.
-# PSNR exceeds SNR by the crest factor of the trace, 10 to 18 dB and 13 in the middle. ST-SIM is about
-# (1 - 10^(-SNR/10))^(1/3): 0.8 at 3 dB, 0.98 at 12.5 dB; the 0.02 above that hold all better qualities, so that a
-# step of 0.001 there is worth more than the differences of codecs. SPQI: 0.1 is near 5 dB, 0.9 near 18 dB.
+# The other windows span the qualities that go with that SNR on recorded textures, as far as each measure separates
+# codecs. PSNR exceeds SNR by the crest factor of the recording, 10 to 18 dB and 13 in the middle. ST-SIM is about
+# (1 - 10^(-SNR/10))^(1/3): 0.8 at 3 dB, 0.98 at 12.5 dB. All better qualities lie in the 0.02 above, where a step of
+# 0.001 is worth more than the differences of codecs. SPQI: 0.1 is near 5 dB, 0.9 near 18 dB.
 SCALES = (
     Scale("snr_db", "SNR, dB", 5, 20),
     Scale("psnr_db", "PSNR, dB", 18, 33),
@@ -110,7 +110,7 @@ def monotone_envelope(curve: Curve) -> list[tuple[float, float]]:
     Points without a finite quality are left out.
     """
     envelope: list[tuple[float, float]] = []
-    # By the logarithm, which is what is interpolated: of rates that it cannot tell apart, one point is kept.
+    # By the logarithm, which is interpolated: of rates that it makes equal, one point is kept.
     for bits, quality in sorted(curve, key=lambda point: (np.log2(point[0]), -point[1])):
         if math.isfinite(quality) and (not envelope or quality > envelope[-1][1]):
             envelope.append((bits, quality))

@@ -1,4 +1,4 @@
-"""The benchmark: every trace at every setting of every method, each measured once and kept in a journal."""
+"""The benchmark: every recording at every setting of every method, each measured once and kept in a journal."""
 
 import json
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -25,7 +25,7 @@ class Journal:
     """
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
-        """Open or begin a journal; `fresh` forgets what it holds. Raises OSError."""
+        """Open or begin a journal; `fresh` forgets its cells. Raises OSError."""
         held = b"" if fresh or not path.exists() else path.read_bytes()
         whole = held[: held.rfind(b"\n") + 1]
         self._measured = dict(filter(None, map(_journal_entry, whole.splitlines())))
@@ -40,11 +40,11 @@ class Journal:
         self._file.close()
 
     def get(self, cell: Cell) -> Measured | None:
-        """Return what was measured of a cell, or None."""
+        """Return the figures of a cell, or None."""
         return self._measured.get(cell.key)
 
     def add(self, cell: Cell, measured: Measured) -> None:
-        """Keep what was measured of a cell. Raises OSError."""
+        """Keep the figures of a cell. Raises OSError."""
         timing = measured.timing and asdict(measured.timing)
         line = json.dumps({"key": cell.key, "point": asdict(measured.point), "timing": timing})
         self._file.write(line.encode() + b"\n")
@@ -83,9 +83,9 @@ def run(
     workers: Callable[[Iterator[Task]], Outcomes],
     progress: Callable[[CellCounts], None],
 ) -> list[Measured | Failure]:
-    """Measure all cells that the journal does not hold; return what all gave, by trace, method and setting.
+    """Measure all cells that the journal does not hold; return the figures of all, by recording, method and setting.
 
-    A trace that cannot be loaded is one failure, a cell whose codec raises another; the next run tries them again.
+    A recording that cannot be loaded is one failure, a cell whose codec raises another; the next run tries them again.
     `workers`: one of evaluation.workers, its other arguments given. Raises OSError where the journal cannot be
     written, and as the workers.
     """

@@ -1,4 +1,4 @@
-"""The cells of a benchmark, one trace at one setting of one codec: what they are, how each is measured."""
+"""The cells of a benchmark, one recording at one setting of one codec, and how each is measured."""
 
 import ast
 import hashlib
@@ -54,7 +54,7 @@ class Method:
 
 @dataclass(frozen=True)
 class Measured:
-    """What one cell gave; no timing where none was asked for."""
+    """The figures of one cell; no timing where none was asked for."""
 
     point: Point
     timing: Timing | None
@@ -62,9 +62,9 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One trace at one setting of a method. `repeats`: the times are the median of so many runs, 0 for no times.
+    """One recording at one setting of a method. `repeats`: the runs of which times are the median, 0 for no times.
 
-    Those of a program are of one run, by the wall clock and with process start.
+    Times of a program are of one run, by the wall clock and with process start.
     """
 
     trace: str
@@ -137,7 +137,7 @@ def encode_file(recording: textures.Recording, codec_name: str, setting: Setting
 
 
 def decode_file(file: bytes, model: Model | None, runtime: str | None = None) -> Signal:
-    """Return what the bytes of a .vct file decode to, in their unit; by one of codec.RUNTIMES, or as the model prefers.
+    """Return the samples of a .vct file, in their unit; by one of codec.RUNTIMES, or as the model prefers.
 
     Raises CodecError, or StreamError.
     """
@@ -232,7 +232,7 @@ def coders(chosen: Sequence[Method]) -> dict[str, tuple[str, list[Model]]]:
 
 @cache
 def program_version() -> str:
-    """Return what must be alike for figures to be: the versions of program and libraries, a hash of the sources."""
+    """Return the versions of program and libraries and a hash of the sources: equal ones give equal figures."""
     versions = [f"{name} {_version(name)}" for name in _LIBRARIES]
     return ", ".join([*versions, f"sources {digest_of(sources(__name__))[:12]}"])
 
@@ -278,13 +278,13 @@ def digest_of(files: Mapping[str, Path]) -> str:
 def _version(library: str) -> str:
     try:
         return version(library)
-    except PackageNotFoundError:  # what only trains needs no library that measures
+    except PackageNotFoundError:  # a computer that only trains may lack the measuring libraries
         return "none"
 
 
 @cache
 def _other_packages() -> str:
-    """Return what identifies the modules that other packages register as codecs, and of these packages' versions."""
+    """Return names and hashes of the modules that other packages register as codecs, and these packages' versions."""
     points = sorted(plugins.registered(), key=lambda each: each.name)
     return repr([(each.name, each.dist and each.dist.version, digest_of(sources(each.module))) for each in points])
 

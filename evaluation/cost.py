@@ -1,4 +1,4 @@
-"""What a codec costs: processor time, delay, memory and decoder size."""
+"""The costs of a codec: processor time, delay, memory and decoder size."""
 
 import json
 import math
@@ -24,7 +24,7 @@ from vibrocast.models import Model
 T = TypeVar("T")
 
 MIN_S = 0.01
-"""Shorter work is timed in so many runs at a time that together they take about so long, far above a clock's step."""
+"""Shorter work is timed in several runs at a time that together take about as long, far above a clock's step."""
 MEMORY_SECONDS, MEMORY_RATE_HZ = 100, 2800
 DECODER_SIZES = Path(__file__).parent / "data" / "decoder_sizes.json"
 """Counted by `python -m studies.decoder_sizes`."""
@@ -32,7 +32,7 @@ DECODER_SIZES = Path(__file__).parent / "data" / "decoder_sizes.json"
 
 @dataclass(frozen=True)
 class DecoderSize:
-    """Bytes of a codec's decoder, None where they cannot be told, and what was counted or why it was not."""
+    """Bytes of a codec's decoder, None where they are unknown. `note`: the counted parts, or why none was counted."""
 
     bytes: int | None
     note: str
@@ -40,9 +40,9 @@ class DecoderSize:
 
 @dataclass(frozen=True)
 class CodecCost:
-    """What a codec, or `coder` with a family of models, costs whatever the signal; None where that is not known.
+    """The costs of a codec, or of `coder` with a family of models, that hold for every signal; None where unknown.
 
-    `decoder_bytes`: of the decoder's code, `note` says what they count. `model_bytes`: of the images of a family of
+    `decoder_bytes`: of the decoder's code; `note` names the parts. `model_bytes`: of the images of a family of
     models without their ONNX graphs, which no microcontroller runs; None for a codec without models. `width`: channels
     of a model's hidden layers.
     """
@@ -57,7 +57,7 @@ class CodecCost:
 
     @property
     def flash_bytes(self) -> int | None:
-        """What a controller holds to decode: code and models."""
+        """The bytes that a controller holds to decode: code and models."""
         return None if self.decoder_bytes is None else self.decoder_bytes + (self.model_bytes or 0)
 
 
@@ -97,9 +97,9 @@ def delay_ms(
 ) -> float:
     """Return the algorithmic delay: from a sample's arrival to its play-out, were computing and transport instant.
 
-    The codec's shortest packet, whose first sample waits for its last, and the samples by which decoded signal lags
-    (overlap and lookahead): what the codec itself cannot do without, however many blocks a packet then holds. Raises
-    CodecError where the codec does not have the setting, rate or channels.
+    It is the codec's shortest packet, whose first sample waits for its last, and the samples by which decoded signal
+    lags (overlap and look-ahead). Longer packets are a choice of framing, and do not count. Raises CodecError where the
+    codec does not have the setting, rate or channels.
     """
     signal_format = SignalFormat(rate_hz, unit, gains=(1.0,) * channels, rms=(1.0,) * channels)
     plug_in = codec.codec_by_name(codec_name)
@@ -113,11 +113,11 @@ def peak_memory_bytes(codec_name: str, model: Model | None = None) -> int | None
     """Return the resident memory that coding adds at its peak to a fresh process; None on Windows.
 
     The process encodes and decodes 100 s of Gaussian noise, RMS 0.1, one channel at 2800 Hz, at the codec's default
-    setting. What it held before, libraries and tables included, is that after coding a tenth of a second.
+    setting. The memory before, with libraries and tables, is measured after coding a tenth of a second.
     """
     if sys.platform == "win32":
         return None
-    # Not "spawn": on Linux what a large process starts begins with its peak; what the fork server starts does not.
+    # Not "spawn": on Linux, a child of a large process begins with its parent's peak; one of the fork server does not.
     with ProcessPoolExecutor(1, multiprocessing.get_context("forkserver")) as fresh:
         return fresh.submit(_memory_added, codec_name, model).result()
 
@@ -149,10 +149,10 @@ def measure_costs(
     wanted: Mapping[str, tuple[str, Sequence[Model]]],
     progress: Callable[[float, str], None] = lambda part, details: None,
 ) -> list[CodecCost]:
-    """Return what each of these costs, a codec and perhaps a family of models by a name of its own.
+    """Return the costs of each, a codec and perhaps a family of models by a name of its own.
 
     Where one fails to code, its note says so, and its memory is None. `progress` is called with the part done, from 0
-    to 1, and the name of what was measured.
+    to 1, and the name of the measured codec.
     """
     costs = []
     for place, (name, (codec_name, models)) in enumerate(wanted.items(), 1):

@@ -19,7 +19,7 @@ DASHES: tuple[tuple[str, str], ...] = (
 _WIDTH_IN, _PANEL_IN = 7.2, 2.6
 _LABEL_DISTANCE = 0.07  # of an axis' height, for each line
 _LABEL_CHARACTERS = {1: 40, 2: 20}
-"""By how many panels are beside each other."""
+"""By how many panels are next to each other."""
 _SAME_HEIGHT = 0.004
 _MIN_TICK_DISTANCE = 0.13  # of its width
 
@@ -47,7 +47,7 @@ class Panel:
 
 
 def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
-    """Draw panels of curves, `across` beside each other; marked points are ringed. Raises OSError."""
+    """Draw panels of curves, `across` next to each other; marked points are ringed. Raises OSError."""
     across = min(across, len(panels))
     down = -(-len(panels) // across)
     with figure_file(path, _WIDTH_IN, _PANEL_IN * down) as figure:

@@ -79,7 +79,7 @@ class Program:
 
 
 class Run(NamedTuple):
-    """What coding gave: the samples (n, 1), aligned; the coded bytes; wall-clock seconds with process start."""
+    """The result of coding: aligned samples (n, 1), the number of bytes, wall-clock seconds with process start."""
 
     decoded: NDArray[np.float64]
     size_bytes: int
@@ -99,7 +99,7 @@ def read_programs(path: Path) -> list[Program]:
 def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: int) -> Run:
     """Code and decode samples (n, 1) of any unit by the program, in a folder of its own that is removed afterwards.
 
-    The WAV file is of 16 bit and peaks at PEAK. What the decoder leaves out at the end, up to a tenth, counts as
+    The WAV file is of 16 bit and peaks at PEAK. Samples that the decoder leaves out at the end, up to a tenth, count as
     silence. Raises ProgramError where a command is missing, fails, hangs, or leaves nothing usable; OSError where
     there is no room for the files.
     """

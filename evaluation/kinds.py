@@ -1,4 +1,4 @@
-"""Kinds of textures, such as "fingertip": which of them a trace is, by a table of files."""
+"""Kinds of textures, such as "fingertip": the kind of each recording, by a table of files."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,14 +20,14 @@ class FileKind:
 
 @dataclass(frozen=True)
 class TraceKind:
-    """The kind of texture that a trace is of."""
+    """The kind of a recording's texture."""
 
     trace: str
     kind: str
 
 
 def kinds(everything: list[DatasetEntry], table: Path = TABLE) -> list[TraceKind]:
-    """Return the kinds of those traces of which a CSV file with columns `file` and `kind` tells; its first row counts.
+    """Return the kinds of the recordings that a CSV file with columns `file` and `kind` names; the first row counts.
 
     Raises PointsError where it is no such file, OSError where it cannot be read.
     """

@@ -1,4 +1,4 @@
-"""Labels next to a panel: at the heights of what they name, moved apart where they would overlap."""
+"""Labels next to a panel: at the heights of their curves, moved apart where they would overlap."""
 
 from collections.abc import Sequence
 

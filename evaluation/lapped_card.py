@@ -1,4 +1,4 @@
-"""The card of a model of kind lapped: what it was trained on, and what it does with held-back recordings."""
+"""The card of a model of kind lapped: its training, and its figures on held-back recordings."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence

@@ -112,7 +112,7 @@ def _measure_channel(
 
 
 def _blocks_with_signal(reference: Signal, decoded: Signal, peak: float) -> tuple[Signal, Signal]:
-    """Return both without the blocks in which the reference is silent, and without what follows the last whole block.
+    """Return both without blocks in which the reference is silent, and without the samples after the last whole block.
 
     A silent block has neither correlation nor spectrum, and counts 0 in vibromaf's ST-SIM however well it is decoded.
     Where it is below SILENCE of the unit, the 2.2e-16 that vibromaf adds to divisors would decide the scores.
@@ -183,12 +183,13 @@ def _third_octave_distance_db(
     """Return the mean over frames of the RMS difference of third-octave levels; peak of reference 1.
 
     The measure d_2 as in `_log_spectral_distance_db`, of levels in bands as by D. H. Klatt, "Prediction of perceived
-    phonetic distance from critical-band spectra", ICASSP 1982; in third octaves, for touch tells frequencies apart by a
-    fifth or so (A. Israr, H. Z. Tan and C. M. Reed, "Frequency and amplitude discrimination along the
-    kinesthetic-cutaneous continuum", J. Acoust. Soc. Am. 120, 2006). A level that cannot be felt counts as the least
-    that can: the power of a sine at the detection threshold or, where the unit is not physical, FLOOR of the mean power
-    of the reference's bands. Frames in which neither signal is above that say nothing. None where none is left, where
-    the signal is shorter than a frame, and where the rate has room for no band.
+    phonetic distance from critical-band spectra", ICASSP 1982. The bands are third octaves, because touch distinguishes
+    frequencies by about a fifth (A. Israr, H. Z. Tan and C. M. Reed, "Frequency and amplitude discrimination along the
+    kinesthetic-cutaneous continuum", J. Acoust. Soc. Am. 120, 2006).
+
+    A level counts as at least the power of a sine at the detection threshold. Where the unit is not physical, the floor
+    is FLOOR of the mean power of the reference's bands. Frames in which neither signal exceeds it are left out. None
+    where no frame is left, where the signal is shorter than a frame, and where the rate has room for no band.
     """
     frame = round(FRAME_S * rate_hz)
     middles_hz = 1000 * 10 ** (THIRD_OCTAVES / 10)

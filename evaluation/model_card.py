@@ -1,4 +1,4 @@
-"""The card of a trained model: what it was trained on, what it holds, and what it does with held-back recordings."""
+"""The card of a trained model: its training, its content, and its figures on held-back recordings."""
 
 import hashlib
 import json
@@ -91,7 +91,7 @@ def as_markdown(card: Mapping[str, Any]) -> str:
 def training_of(
     checkpoint: Checkpoint, trained: Sequence[Trace], held_back: Sequence[Trace], command: str
 ) -> dict[str, Any]:
-    """Return what a card says of a training, given the traces of its data and the command that ran it."""
+    """Return a card's values of a training, given the recordings of its data and the command that ran it."""
     training, history = checkpoint.training, checkpoint.progress
     return {
         "data": _sources(trained, training),
@@ -106,7 +106,7 @@ def training_of(
 
 
 def _sources(traces: Sequence[Trace], training: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return name, recordings, hours, and what is said of them, of each source of a training's data.
+    """Return name, description, recordings and hours of each source of a training's data.
 
     `training`: the configuration as a checkpoint stores it.
     """

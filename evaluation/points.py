@@ -25,7 +25,7 @@ class PointsError(ValueError):
 
 @dataclass(frozen=True)
 class Point:
-    """One trace, coded at one setting of a codec: its samples, all channels together, all bytes, and the quality.
+    """One recording, coded at one setting of a codec: its samples, all channels together, all bytes, and the quality.
 
     `codec`: the name of the curve: a set of rate points of settings. Qualities as in evaluation.metrics; None where one
     has no value, or was not measured. `delay_ms`: algorithmic. `source`: MEASURED, PROGRAM or IMPORTED.
@@ -66,7 +66,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Timing:
-    """What coding one trace at one setting took: seconds per million samples of one core, without process start.
+    """The time of coding one recording at one setting: seconds per million samples of one core, without process start.
 
     Those of programs and imported ones are wall-clock seconds with process start: an order of magnitude.
     """
@@ -85,7 +85,10 @@ class Timing:
 
 @dataclass(frozen=True)
 class Failure:
-    """One trace at one setting of a codec that gave no point, and why. `codec`, `setting`: empty for a trace itself."""
+    """One recording at one setting of a codec that gave no point, and why.
+
+    `codec`, `setting`: empty for a recording that cannot be read.
+    """
 
     trace: str
     codec: str
@@ -94,7 +97,7 @@ class Failure:
 
     @classmethod
     def of(cls, error: Exception, trace: str, codec: str = "", setting: str = "") -> Self:
-        """Return an error as a failure, in one line; what Python itself raises tells little without its name."""
+        """Return an error as a failure, in one line; an exception of Python itself says little without its name."""
         text = printable(" ".join(str(error).split()))
         named = f"{type(error).__name__}: {text}".removesuffix(": ") if type(error).__module__ == "builtins" else text
         return cls(trace, codec, setting, named)
@@ -135,7 +138,7 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
 
 
 def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
-    """Read others' points, and their timings where columns encode_s and decode_s hold the seconds of one trace.
+    """Read others' points, and their timings where columns encode_s and decode_s hold the seconds of one recording.
 
     All count as imported, those of another benchmark's points.csv too. Raises as `read_rows`, and for columns that
     there are not.
@@ -160,8 +163,8 @@ def check_imported(
 ) -> None:
     """Check a table of others' points against the recordings that they are of.
 
-    `everything`: the traces of the data set; of those `wanted`, samples and rate are compared, after `load`. One that
-    cannot be loaded is not compared with. Raises PointsError where a row differs, OSError where it cannot be read.
+    `everything`: the recordings of the data set; of those `wanted`, samples and rate are compared, after `load`. One
+    that cannot be loaded is not compared. Raises PointsError where a row differs, OSError where it cannot be read.
     """
     by_name = {trace.name: trace for trace in everything}
     expected: dict[str, Recording | None] = {}
@@ -204,7 +207,7 @@ def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
 
 
 def by_codec_and_trace(points: Iterable[Point]) -> dict[str, dict[str, list[Point]]]:
-    """Return the points of each codec and trace, in their order."""
+    """Return the points of each codec and recording, in their order."""
     curves: dict[str, dict[str, list[Point]]] = {}
     for point in points:
         curves.setdefault(point.codec, {}).setdefault(point.trace, []).append(point)

@@ -1,4 +1,4 @@
-"""The speed table: what each method needs for a million samples, all coded as one signal near a fixed ratio."""
+"""The speed table: the time of each method for a million samples, all coded as one signal near a fixed ratio."""
 
 import math
 import platform
@@ -28,11 +28,10 @@ SAMPLES = 1 << 17
 
 @dataclass(frozen=True)
 class Speed:
-    """What a method takes for each million samples: processor seconds of one core, without process start.
+    """The speed of a method: processor seconds of one core for each million samples, without process start.
 
-    `rate`: bits per sample that its setting comes nearest to. `runtime`: what decodes where a
-    model leaves the choice, of codec.RUNTIMES; "" for codecs without. `snr_db`: of this signal as that runtime decodes
-    it.
+    `rate`: bits per sample that its setting comes nearest to. `runtime`: the decoder, of codec.RUNTIMES, where a model
+    leaves the choice; "" for codecs without. `snr_db`: of this signal as that runtime decodes it.
     """
 
     codec: str
@@ -47,7 +46,7 @@ class Speed:
 
 
 def cpu_name() -> str:
-    """Return what the system calls its processor."""
+    """Return the system's name of its processor."""
     described = Path("/proc/cpuinfo")
     lines = described.read_text(encoding="utf-8").splitlines() if described.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -117,7 +116,7 @@ def _speeds(
     recording: textures.Recording,
     repeats: int,
 ) -> list[Speed]:
-    """Return what a codec takes at one setting, by each runtime that it has."""
+    """Return the speeds of a codec at one setting, by each runtime that it has."""
     assert isinstance(method.coder, str) and not isinstance(setting, str), "programs have no speed"
     encode = partial(encode_file, recording, method.coder, setting, model)
     file = encode()

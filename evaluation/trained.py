@@ -15,10 +15,10 @@ _FORMAT = SignalFormat(2800, "full scale", (1.0,), (0.5,))
 
 
 def known_models(folders: Iterable[Path]) -> list[Model]:
-    """Return the models that ship, and those in folders of a person's own; none whose tables are built in anyway.
+    """Return the models that ship, and those in your folders; none whose tables are built in anyway.
 
-    Raises ModelError or ModelImageError for what is no model, OSError for what cannot be read, CodecError for one of
-    a codec that this version does not have.
+    Raises ModelError or ModelImageError for a folder without a model, OSError for one that cannot be read, CodecError
+    for a model of a codec that this version does not have.
     """
     every = [*models.shipped(), *map(models.load, folders)]
     return [model for model in every if not brings_built_in_tables(model)]
@@ -30,7 +30,7 @@ def codec_name(model: Model) -> str:
 
 
 def for_encoder(model: Model) -> codec.Model:
-    """Return what an encoder gets of a model."""
+    """Return the parts of a model that an encoder gets."""
     return codec.Model(model.tables, model.analysis)
 
 

@@ -1,4 +1,4 @@
-"""The curves of a training beside its model: a table and a picture of the same numbers."""
+"""The curves of a training, stored next to its model: a table and a picture of the same numbers."""
 
 import csv
 import io
@@ -24,7 +24,7 @@ def files(curves: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:
 
 
 def _picture(curves: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return a PNG: losses over steps, and beside them rate and SNR of the held-back materials."""
+    """Return a PNG: losses over steps, and next to them rate and SNR of the held-back materials."""
     figure = Figure(figsize=(8, 2.8), layout="constrained", dpi=100)
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)

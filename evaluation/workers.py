@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar
 Key = TypeVar("Key")
 Result = TypeVar("Result")
 Task: TypeAlias = tuple[Key, Callable[[], Result]]
-"""A task: what it is known by, and a function that can be pickled."""
+"""A task: its key, and a function that can be pickled."""
 Outcomes: TypeAlias = Generator[tuple[Key, Result | Exception], None, None]
 
 CONNECT_S = 10.0
@@ -48,8 +48,8 @@ def cores() -> int:
 def on_cores(tasks: Iterator[Task[Key, Result]], processes: int) -> Outcomes[Key, Result]:
     """Yield the key of every task with the result of its work, or the exception that ended it, as they are finished.
 
-    The work runs in so many processes, each on one core. Tasks are taken as they are needed. No process is left
-    where the generator is closed.
+    The work runs in that number of `processes`, each on one core. Tasks are taken as they are needed. No process is
+    left when the generator is closed.
     """
     from pebble import ProcessExpired, ProcessPool
 
@@ -90,7 +90,7 @@ def on_cluster(tasks: Iterator[Task[Key, Result]], address: str, version: Callab
     import distributed
     from distributed.comm.addressing import get_address_host_port
 
-    for logger in ("distributed", "distributed.client"):  # what matters of their warnings is raised
+    for logger in ("distributed", "distributed.client"):  # their warnings that matter are raised
         logging.getLogger(logger).setLevel(logging.CRITICAL)
     try:
         # A Client that does not reach its scheduler may block the process when it is garbage-collected.
@@ -123,7 +123,7 @@ def _same_version(wanted: str, version: Callable[[], str], work: Callable[[], Re
 
 
 def _is_of_another_version(outcome: object) -> bool:
-    """Return whether what came from a worker says that it has this program in another version, or not at all."""
+    """Return whether a worker's answer says that it has this program in another version, or not at all."""
     # The form in which Dask says that a worker lacks a module.
     lacks = type(outcome) is RuntimeError and isinstance(outcome.__cause__, ImportError)
     return lacks or isinstance(outcome, OtherVersionError)

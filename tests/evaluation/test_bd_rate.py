@@ -240,7 +240,7 @@ def test_points_without_a_quality_are_not_on_its_curve() -> None:
     assert SNR.curve(points) == [(2.0, 5.0)]
 
 
-def test_traces_are_compared_one_by_one_and_summed_up() -> None:
+def test_recordings_are_compared_one_by_one_and_summed_up() -> None:
     anchor = {name: curve(COARSE) for name in ("a", "b", "c", "only here")}
     test = {name: curve(COARSE, factor) for name, factor in (("a", 0.5), ("b", 0.6), ("c", 0.9), ("only there", 1))}
     rates = bd_rates(anchor, test, SNR)
@@ -261,7 +261,7 @@ def test_a_summary_names_the_check_and_the_window() -> None:
     assert result.points == 5
 
 
-def test_the_interval_of_the_mean_holds_it_and_shrinks_with_the_traces() -> None:
+def test_the_interval_of_the_mean_holds_it_and_shrinks_with_the_recordings() -> None:
     values = np.random.default_rng(1).normal(-40, 10, 400)
     few, many = (
         summary([BdRate(value, value, value, 5, 20, 8) for value in values[:count]], SNR) for count in (10, 400)

@@ -199,7 +199,7 @@ def written_failures(results: Path, measured: Results) -> Path:
     return results / "failures.csv"
 
 
-def test_traces_that_cannot_be_read_cost_only_themselves(folder: Path, results: Path) -> None:
+def test_recordings_that_cannot_be_read_cost_only_themselves(folder: Path, results: Path) -> None:
     (folder / "broken.wav").write_bytes(b"RIFF")
     np.savetxt(folder / "nan.csv", [0.0, np.nan, 1.0], header="rate_hz: 2800\n# unit: um")
     (folder / "rateless.txt").write_text("1\n2\n")

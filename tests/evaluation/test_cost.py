@@ -1,4 +1,4 @@
-"""What codecs cost: times by a clock of the test's own, delay as streamed, memory, shipped sizes of decoders."""
+"""The costs of codecs: times by a clock of the test itself, delay as streamed, memory, shipped sizes of decoders."""
 
 import sys
 

@@ -92,7 +92,7 @@ def test_third_octave_distance_heeds_bands_and_not_where_in_them() -> None:
 
 
 def test_third_octave_distance_heeds_what_can_be_felt() -> None:
-    """A tone that is lost counts by what it is above the threshold, one below it not at all."""
+    """A lost tone counts by its level above the threshold, and below it not at all."""
     t = np.arange(2800)[:, None] / RATE_HZ
     felt, faint = np.sin(2 * np.pi * 250 * t), 0.003 * np.sin(2 * np.pi * 60 * t)
     assert measure(felt + faint, felt, RATE_HZ, "um").third_octave_distance_db == pytest.approx(0, abs=0.01)

@@ -46,7 +46,7 @@ def test_timings_and_failures_come_back_from_a_file(tmp_path: Path) -> None:
     assert read_rows(tmp_path / "failures.csv", Failure) == failures
 
 
-def test_points_are_sorted_by_codec_and_trace() -> None:
+def test_points_are_sorted_by_codec_and_recording() -> None:
     points = [Point(trace, codec, "", 1, 1, 0.0) for codec in "xy" for trace in "abab"]
     curves = by_codec_and_trace(points)
     assert list(curves) == ["x", "y"]
@@ -74,7 +74,7 @@ def test_rejected_with_the_place(tmp_path: Path, text: str, message: str) -> Non
         read_rows(tmp_path / "points.csv", Point)
 
 
-def test_imported_seconds_of_a_trace_become_seconds_per_million_samples(tmp_path: Path) -> None:
+def test_imported_seconds_of_a_recording_become_seconds_per_million_samples(tmp_path: Path) -> None:
     (tmp_path / "peers.csv").write_text(f"{TIMED}\na,peer,-b 1,2000,10,5,0.004,0.002\na,peer,-b 2,2000,20,6,,\n")
     points, timings = read_imported(tmp_path / "peers.csv")
     assert [point.source for point in points] == ["imported", "imported"]

@@ -140,7 +140,7 @@ def test_a_codec_that_fails_costs_only_its_own_speed(recording: Recording, monke
     assert speed.measure([flac], points, [silent], 1) == []
 
 
-def test_all_traces_make_one_signal() -> None:
+def test_all_recordings_make_one_signal() -> None:
     loud, quiet = Recording(np.full((3, 2), 8.0), 2800.0, "um", "a"), Recording(-np.ones((2, 1)), 2800.0, "um", "b")
     other = Recording(np.ones((9, 1)), 8000.0, "um", "c")
     together = speed.one_signal([loud, other, quiet], 7)
