@@ -1,4 +1,4 @@
-"""Tables that compare codecs over all traces, one for each chart, computed from measured rows alone."""
+"""Tables that compare codecs over all recordings, one for each chart, computed from measured rows alone."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,6 +30,7 @@ from vibrocast.evaluation.bd_rate import (
 )
 from vibrocast.evaluation.cost import CodecCost
 from vibrocast.evaluation.kinds import TraceKind
+from vibrocast.evaluation.peers import named
 from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
 from vibrocast.evaluation.tables import as_rows, columns, frame
@@ -37,10 +38,10 @@ from vibrocast.evaluation.tables import as_rows, columns, frame
 FIT = "(fit)"
 """Stands for a trace where a row is of the fit to all of them."""
 ANCHORS = ("mdct", "slp", "vcpwq")
-"""What others are compared with: the project's own codec, one of the kind that the EVA paper compares with, and the
-reference of IEEE 1918.1.1."""
+"""The codecs that all others are compared with: the project's own, one of the kind that the EVA paper compares with,
+and the reference software of IEEE 1918.1.1."""
 REFERENCE = "slp"
-"""The anchor of the EVA paper's kind, which learned codecs are compared with."""
+"""The anchor of learned codecs: of the kind that the EVA paper compares with."""
 AUTOENCODER = "eva"
 """The codec of the EVA paper."""
 PAPER_SCALES = (PSNR, ST_SIM_2800)
@@ -81,7 +82,7 @@ _PAIR = {"quality": pl.String, "anchor": pl.String, "codec": pl.String, "source"
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that was measured or imported: points, times, costs of codecs, failures, speeds, kinds of textures."""
+    """All measured or imported rows: points, times, costs of codecs, failures, speeds, kinds of textures."""
 
     points: Sequence[Point]
     timings: Sequence[Timing]
@@ -92,9 +93,9 @@ class Measurements:
 
     @cached_property
     def curves(self) -> dict[str, dict[str, list[Point]]]:
-        """The points by codec and trace. Imported ones only of codecs not measured here, and of traces that are.
+        """The points by codec and recording; imported ones only of codecs not measured here, on recordings that are.
 
-        PSNR of an imported one that lacks it follows from its SNR: on one trace they differ by its crest factor.
+        The PSNR of an imported one that lacks it follows from its SNR: they differ by the recording's crest factor.
         """
         measured = [point for point in self.points if point.source != IMPORTED]
         traces, names = {point.trace for point in measured}, {point.codec for point in measured}
@@ -121,14 +122,14 @@ class Measurements:
 
     @cached_property
     def traces(self) -> list[str]:
-        """The names of all traces."""
+        """The names of all recordings."""
         return sorted(self.drawn["trace"].unique())
 
     @cached_property
     def compared(self) -> list[str]:
-        """The traces that count in means and BD-rates: those with a block that is long and loud enough for ST-SIM.
+        """The recordings that count in means and BD-rates: those with a block that is long and loud enough for ST-SIM.
 
-        A few samples, or a constant, have a file but no curve. Without any such trace, or figure of it, all count.
+        A few samples, or a constant, have a file but no curve. Without any such recording, all count.
         """
         return sorted(self.drawn.drop_nulls("st_sim_8000")["trace"].unique()) or self.traces
 
@@ -141,9 +142,14 @@ class Measurements:
         """Those of ANCHORS that have points; without any, the first codec that has."""
         return [name for name in ANCHORS if name in self.curves] or list(self.curves)[:1]
 
+    @property
+    def anchor(self) -> str:
+        """The first of `anchors`; "" without any curve."""
+        return next(iter(self.anchors), "")
+
     @cached_property
     def kind_of(self) -> dict[str, str]:
-        """The kinds of textures by trace."""
+        """The kinds of textures by recording."""
         return {row.trace: row.kind for row in self.kinds}
 
     @cached_property
@@ -154,8 +160,9 @@ class Measurements:
 
     @cached_property
     def paper_pair(self) -> list[str]:
-        """The codecs of charts in the form of the EVA paper's: its own at its widest, or else another learned one, and
-        REFERENCE, or else other anchors; at most two.
+        """At most two codecs for charts in the form of the EVA paper's.
+
+        The first is its own at its widest, or else another learned one; the second is REFERENCE, or another anchor.
         """
         widths = {cost.codec: cost.width or 0 for cost in self.costs if cost.coder == AUTOENCODER}
         first = sorted(self.learned, key=lambda codec: -widths.get(codec, 0))[:1]
@@ -163,12 +170,12 @@ class Measurements:
         return list(dict.fromkeys([*first, *others]))[:2]
 
     def of(self, codec: str, scale: Scale) -> dict[str, Curve]:
-        """Return a codec's rate and quality by trace, of the compared traces on which it has that quality."""
+        """Return a codec's rate and quality by recording, of the compared recordings on which it has that quality."""
         curves = {trace: scale.curve(self.curves[codec].get(trace, [])) for trace in self.compared}
         return {trace: curve for trace, curve in curves.items() if curve}
 
     def everywhere(self, codec: str, scale: Scale) -> list[Curve] | None:
-        """Return a codec's curves of all traces on which any has that quality; None where it lacks one."""
+        """Return a codec's curves of all recordings on which any has that quality; None where it lacks one."""
         curves = self.of(codec, scale)
         return list(curves.values()) if curves and set(curves) == self._traces_with[scale] else None
 
@@ -177,9 +184,7 @@ class Measurements:
         return {scale: {trace for codec in self.curves for trace in self.of(codec, scale)} for scale in SCALES}
 
     def cost(self, codec: str) -> CodecCost | None:
-        """Return the cost of the codec that a curve belongs to: the one of that name, or the one with that set of rate
-        points.
-        """
+        """Return the cost of the codec that a curve belongs to, by its name or its set of rate points."""
         by_name = {cost.codec: cost for cost in self.costs}
         return by_name.get(codec) or by_name.get(self.owner(codec))
 
@@ -192,7 +197,7 @@ class Measurements:
 
     @cached_property
     def codec_costs(self) -> pl.DataFrame:
-        """What each curve's codec costs whatever the rate, a row for each curve; columns as in CodecCost."""
+        """The costs of each curve's codec that hold at every rate, a row for each curve; columns as in CodecCost."""
         costs = [(codec, self.cost(codec)) for codec in self.curves]
         kept = [replace(cost, codec=codec) for codec, cost in costs if cost]
         flash = pl.Series("flash_bytes", [cost.flash_bytes for cost in kept], pl.Int64)
@@ -208,11 +213,11 @@ class Measurements:
 
 
 def mean_curves(measurements: Measurements, scale: Scale) -> pl.DataFrame:
-    """Return the mean curve of each codec over the rates at which it has a value for every trace.
+    """Return the mean curve of each codec over the rates at which it has a value for every recording.
 
     Columns: `codec`, `source`, `bits_per_sample`, `mean`, the `low` and `high` end of the spread (10 and 90 %), and
-    `traces`, how many. A codec that reaches an exact copy of every trace has a last point there, of infinite SNR. Of a
-    codec with one point for each trace, the rate is a mean as well.
+    `traces`, their number. A codec that reaches an exact copy of every recording has a last point there, of infinite
+    SNR. Of a codec with one point for each recording, the rate is a mean as well.
     """
     found = [
         (codec, measurements.source(codec), *point, len(curves))
@@ -278,12 +283,12 @@ def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> pl.Data
 
 
 def bd_regions(measurements: Measurements, scales: Iterable[Scale]) -> pl.DataFrame:
-    """Return the two curves between which BD-rate integrates, on the trace whose BD-rate is the median at the first
-    scale, of the codecs of `paper_pair`.
+    """Return the two curves between which BD-rate integrates, of the codecs of `paper_pair`.
 
-    Columns: `quality`, `trace`, `codec`, `source`, `value`, `bits_per_sample`, `in_region`: True for the interpolated
-    curve over the range of quality that is integrated, False for the measured points; and the BD-rate in `percent`, of
-    the first codec relative to the second. Empty without two codecs that can be compared.
+    They are of the recording whose BD-rate is the median at the first scale. Columns: `quality`, `trace`, `codec`,
+    `source`, `value`, `bits_per_sample`, `in_region`, and the BD-rate of the first codec relative to the second in
+    `percent`. `in_region` is True for the interpolated curve over the range of quality that is integrated, and False
+    for the measured points. Empty without two codecs that can be compared.
     """
     chosen = list(scales)
     if len(measurements.paper_pair) < 2:
@@ -325,10 +330,11 @@ def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) 
     columns = {"bits_per_sample": pl.Float64, "codec": pl.String, "source": pl.String, "quality": pl.Float64}
     table = _table(found, {**columns, "cost": pl.String, "value": pl.Float64, "flash_bytes": pl.Int64})
     points = as_rows(table)
-    return table.with_columns(on_front=pl.Series([_on_front(each, points) for each in points], dtype=pl.Boolean))
+    return table.with_columns(on_front=pl.Series([is_on_front(each, points) for each in points], dtype=pl.Boolean))
 
 
-def _on_front(point: Any, points: Sequence[Any]) -> bool:
+def is_on_front(point: Any, points: Sequence[Any]) -> bool:
+    """Return whether no other point of a measured codec beats one, of the same cost and rate, in cost and quality."""
     return point.source != IMPORTED and not any(
         other.value <= point.value
         and other.quality >= point.quality
@@ -339,12 +345,12 @@ def _on_front(point: Any, points: Sequence[Any]) -> bool:
 
 
 def with_runtime(row: Any) -> str:
-    """Return the name of a row's curve, with what decodes it where there is a choice."""
+    """Return the name of a row's curve, and its decoder where there is a choice."""
     return f"{row.codec} ({row.runtime})" if row.runtime else str(row.codec)
 
 
 def _means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str, float]:
-    """Return the mean quality of the codecs that have one for every trace at this rate."""
+    """Return the mean quality of the codecs that have one for every recording at this rate."""
     means = {}
     for codec in measurements.curves:
         values = [float(quality_at(curve, rate)) for curve in measurements.everywhere(codec, scale) or [()]]
@@ -354,7 +360,7 @@ def _means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str
 
 
 def rate_excesses(measurements: Measurements) -> pl.DataFrame:
-    """Return what each codec needs on each trace at EQUAL_SNR_DB, compared with the trace's best codec.
+    """Return the bits of each codec on each recording at EQUAL_SNR_DB, compared with the recording's best codec.
 
     Columns: `trace`, `codec`, `source`, `bits_per_sample`, and `excess_percent` over the codec that needs the fewest.
     """
@@ -372,7 +378,7 @@ def rate_excesses(measurements: Measurements) -> pl.DataFrame:
 
 
 def trace_bd_rates(measurements: Measurements) -> pl.DataFrame:
-    """Return the BD-rate of every codec relative to each anchor on every trace at every quality, as `pair_bd_rates`."""
+    """Return the BD-rate of every codec relative to each anchor on every recording, as `pair_bd_rates`."""
     anchors, others = measurements.anchors, measurements.curves
     return pair_bd_rates(
         measurements, [(scale, anchor, codec) for anchor in anchors for scale in SCALES for codec in others]
@@ -380,7 +386,7 @@ def trace_bd_rates(measurements: Measurements) -> pl.DataFrame:
 
 
 def pair_bd_rates(measurements: Measurements, pairs: Iterable[tuple[Scale, str, str]]) -> pl.DataFrame:
-    """Return the BD-rate of one codec relative to another, an anchor, on every trace at one quality, for all pairs.
+    """Return the BD-rate of one codec relative to another, an anchor, on every recording at one quality, for all pairs.
 
     Columns: `quality`, `anchor`, `codec` and its `source`, those of BdRate, and `trace`; none of a codec and itself.
     """
@@ -394,10 +400,10 @@ def pair_bd_rates(measurements: Measurements, pairs: Iterable[tuple[Scale, str, 
 
 
 def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -> pl.DataFrame:
-    """Sum up BD-rates over the traces, and over those of each kind, fewest bits first for each anchor and quality.
+    """Sum up BD-rates over the recordings and each kind of them, fewest bits first for each anchor and quality.
 
-    Columns: those of the pair, of Summary, `won`: the traces of which the codec needs fewer bits, and `kind`, "" for
-    all traces.
+    Columns: those of the pair, of Summary, `won`: on how many recordings the codec needs fewer bits, and `kind`, "" for
+    all recordings.
     """
     kind = pl.col("trace").replace_strict(kinds or {}, default=None, return_dtype=pl.String)
     of_kinds = rates.with_columns(kind=kind).drop_nulls("kind")
@@ -418,18 +424,19 @@ def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -
 
 
 def rival_bd_rates(measurements: Measurements) -> pl.DataFrame:
-    """Return the mean BD-rate of every learned codec relative to every other curve, over all traces and each kind."""
+    """Return the mean BD-rates of learned codecs relative to every other curve, over all recordings and each kind."""
     learned, others = measurements.learned, measurements.curves
     pairs = [(scale, rival, codec) for scale in LEARNED_SCALES for codec in learned for rival in others]
     return mean_bd_rates(pair_bd_rates(measurements, pairs), measurements.kind_of)
 
 
 def curve_costs(measurements: Measurements, rate: float = BITS_PER_SAMPLE) -> pl.DataFrame:
-    """Return what each curve's codec costs near a rate, a row for each runtime that it has; null where not measured.
+    """Return the costs of each curve's codec near a rate, a row for each of its runtimes; null where not measured.
 
-    Columns: `codec`, `source`, `runtime`, `settings` (how many), the `setting` and its `bits_per_sample` and `snr_db`,
-    TIMES, `real_time_factor` (seconds of encoding and decoding for each second of one channel), `delay_ms`, those of
-    CodecCost. Times of codecs measured here are of one signal made of all traces, of others medians over the traces.
+    Columns: `codec`, `source`, `runtime`, `settings` (their number), the `setting` and its `bits_per_sample` and
+    `snr_db`, TIMES, `real_time_factor` (seconds of encoding and decoding for each second of one channel), `delay_ms`,
+    those of CodecCost. Times of codecs measured here are of all recordings as one signal, of others medians over the
+    recordings.
     """
     speeds = frame([speed for speed in measurements.speeds if speed.rate == rate], Speed).drop("rate", "samples")
     first_rate_hz = measurements.drawn.group_by("codec").agg(pl.first("rate_hz"))
@@ -445,7 +452,7 @@ def curve_costs(measurements: Measurements, rate: float = BITS_PER_SAMPLE) -> pl
 
 
 def _costs_at(measurements: Measurements, rates: Mapping[str, float]) -> pl.DataFrame:
-    """Return what codecs cost, each at the rate given, by timings of single traces at the nearest setting."""
+    """Return the costs of codecs, each at the rate given, by timings of single recordings at the nearest setting."""
     targets = _table(rates.items(), {"codec": pl.String, "rate": pl.Float64})
     nearest = (
         measurements.timed.join(targets, on="codec", maintain_order="left")
@@ -465,11 +472,11 @@ def _costs_at(measurements: Measurements, rates: Mapping[str, float]) -> pl.Data
 
 
 def marginal_costs(measurements: Measurements) -> pl.DataFrame:
-    """Return what one more decibel costs each codec measured here near BITS_PER_SAMPLE, the fastest decoder first.
+    """Return the price of one more decibel by each codec measured here near BITS_PER_SAMPLE, the fastest decoder first.
 
-    Columns: `codec`, `runtime`, `snr_db` (mean over the traces), `bytes_percent` (more bytes for one decibel more by a
-    finer setting), and for each decibel that it gains over `than`, the best of those that decode faster, `gained_db`,
-    TIMES and `flash_bytes`; null where it gains none.
+    Columns: `codec`, `runtime`, `snr_db` (mean over the recordings), `bytes_percent` (more bytes for one decibel more
+    by a finer setting). `than` is the best codec that decodes faster, and `gained_db` the gain over it. TIMES and
+    `flash_bytes` are those for each decibel of that gain; null where there is none.
     """
     means = _means_at(measurements, SNR, BITS_PER_SAMPLE)
     costs = curve_costs(measurements).filter(pl.col("codec").is_in(list(means)), source=MEASURED)
@@ -512,13 +519,45 @@ def _finer_percent(measurements: Measurements, codec: str, snr_db: float) -> flo
 
 
 def bits_to_reach(measurements: Measurements, snr_db: float) -> dict[str, float]:
-    """Return the mean bits per sample of the codecs that reach this SNR or more on every trace, the fewest first."""
+    """Return the mean bits per sample of the codecs that reach an SNR or more on every recording, the fewest first."""
     means = {}
     for codec in measurements.curves:
         bits = [fewest_bits(curve, snr_db) for curve in measurements.everywhere(codec, SNR) or [()]]
         if all(map(math.isfinite, bits)):
             means[codec] = fmean(bits)
     return dict(sorted(means.items(), key=lambda item: item[1]))
+
+
+def at_needed_snr(measurements: Measurements) -> pl.DataFrame:
+    """Return the codecs that reach NEEDED_SNR_DB or more on every recording, the fewest bits first.
+
+    Columns: `codec`, its `name`, `source` and `software`; the mean `bits_per_sample`, and `bits_per_second` where all
+    recordings have one rate; the algorithmic delay from `delay_low_ms` to `delay_high_ms`. `delay_from`: `measured`, or
+    `frames` where it follows from their length. `anchor_percent`: the mean BD-rate of the first anchor relative to this
+    codec at equal SNR, over `recordings` of them; null where they cannot be compared.
+    """
+    reached = bits_to_reach(measurements, NEEDED_SNR_DB)
+    pairs = [(SNR, codec, measurements.anchor) for codec in reached]
+    compared = pair_bd_rates(measurements, pairs).group_by("anchor").agg(pl.mean("percent"), pl.len())
+    percents = {codec: (percent, count) for codec, percent, count in compared.rows()}
+    delays = measurements.drawn.group_by("codec").agg(pl.min("delay_ms").alias("low"), pl.max("delay_ms").alias("high"))
+    measured_ms = {codec: (low, high) for codec, low, high in delays.rows()}
+    rates_hz = measurements.drawn["rate_hz"].drop_nulls().unique().to_list()
+    rate_hz = rates_hz[0] if len(rates_hz) == 1 else None
+    found = []
+    for codec, bits in reached.items():
+        peer, owner, delay_ms = named(codec), codecs.CODECS.get(measurements.owner(codec)), measured_ms[codec]
+        software = peer.software or (owner.summary if owner else "")
+        delay_from = "" if delay_ms[0] is None else "measured"
+        if not delay_from and rate_hz and peer.delay_samples:
+            delay_from, delay_ms = "frames", (1000 * peer.delay_samples / rate_hz,) * 2
+        bits_per_second = bits * rate_hz if rate_hz else None
+        about = (codec, peer.name, measurements.source(codec), software)
+        found.append((*about, bits, bits_per_second, *delay_ms, delay_from, *percents.get(codec, (None, None))))
+    text = dict.fromkeys(("codec", "name", "source", "software"), pl.String)
+    numbers = dict.fromkeys(("bits_per_sample", "bits_per_second", "delay_low_ms", "delay_high_ms"), pl.Float64)
+    last = {"delay_from": pl.String, "anchor_percent": pl.Float64, "recordings": pl.Int64}
+    return _table(found, {**text, **numbers, **last})
 
 
 def recommendations(measurements: Measurements) -> pl.DataFrame:

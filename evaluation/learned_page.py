@@ -1,18 +1,17 @@
-"""The page's section on trained models: where they win and lose, what they take in time, bytes and flash."""
+"""The page's section on trained models: their bits by kind of texture, and the time and flash that quality costs."""
 
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from vibrocast.evaluation import charts
-from vibrocast.evaluation.bd_rate import PSNR
+from vibrocast.evaluation.bd_rate import SNR
 from vibrocast.evaluation.comparison import (
     LEARNED_SCALES,
     REFERENCE,
     Measurements,
     marginal_costs,
+    mean_bd_rates,
     pair_bd_rates,
     rival_bd_rates,
 )
@@ -20,49 +19,37 @@ from vibrocast.evaluation.tables import as_rows, write_table
 
 
 def section(folder: Path, measurements: Measurements) -> dict[str, Any]:
-    """Return what the section says, its charts and tables written into a folder. Raises OSError.
+    """Return the values of the section, its charts and tables written into a folder. Raises OSError.
 
     Empty without trained models.
     """
     if not measurements.learned:
         return {}
-    rivals = rival_bd_rates(measurements)
     costs = marginal_costs(measurements)
-    write_table(folder / "learned_bd_rate.csv", rivals)
+    write_table(folder / "learned_bd_rate.csv", rival_bd_rates(measurements))
     write_table(folder / "prices.csv", costs)
-    anchor = REFERENCE if REFERENCE in measurements.anchors else measurements.anchors[0]
+    anchor = REFERENCE if REFERENCE in measurements.anchors else measurements.anchor
     kinds = ["", *sorted(set(measurements.kind_of.values()))]
     return {
-        "verdicts": {learned: _comparisons(rivals, learned) for learned in measurements.learned},
         "kind_names": [kind or "all" for kind in kinds],
-        "kinds": _kinds(measurements, rivals, kinds),
+        "kinds": _kinds(measurements, kinds),
         "anchor": anchor,
         "chart": _chart(folder, measurements, anchor),
-        "marginal_costs": as_rows(costs),
+        "marginal_costs": [row for row in as_rows(costs) if row.gained_db is None or row.gained_db > 0],
     }
 
 
-def _comparisons(rivals: pl.DataFrame, learned: str) -> list[dict[str, Any]]:
-    """Return at each quality whom a learned codec loses to, and whom it wins against, the nearest first."""
-    found = []
-    for scale in LEARNED_SCALES:
-        ranked = as_rows(rivals.filter(codec=learned, quality=scale.field, kind="").sort(pl.col("mean").abs()))
-        if ranked:
-            lost, won = ([row for row in ranked if (row.mean < 0) == wins] for wins in (False, True))
-            found.append({"quality": scale.name, "lost": lost, "won": won})
-    return found
-
-
-def _kinds(measurements: Measurements, rivals: pl.DataFrame, kinds: list[str]) -> list[tuple[str, str, list[Any]]]:
-    """Return BD-rates at equal PSNR relative to the anchors, over all traces and by kind."""
-    found = {(row.codec, row.anchor, row.kind): row for row in as_rows(rivals.filter(quality=PSNR.field))}
-    lines = [
-        (learned, anchor, [found.get((learned, anchor, kind)) for kind in kinds])
+def _kinds(measurements: Measurements, kinds: list[str]) -> list[tuple[Any, list[Any]]]:
+    """Return BD-rates at equal SNR relative to the first anchor: over all recordings, then by kind."""
+    anchor = measurements.anchor
+    pairs = [(SNR, anchor, learned) for learned in measurements.learned]
+    means = as_rows(mean_bd_rates(pair_bd_rates(measurements, pairs), measurements.kind_of))
+    found = {(row.codec, row.kind): row for row in means}
+    return [
+        (found[learned, ""], [found.get((learned, kind)) for kind in kinds])
         for learned in measurements.learned
-        for anchor in measurements.anchors
-        if anchor != learned
+        if (learned, "") in found
     ]
-    return [line for line in lines if any(line[2])]
 
 
 def _chart(folder: Path, measurements: Measurements, anchor: str) -> charts.Chart:
@@ -70,7 +57,7 @@ def _chart(folder: Path, measurements: Measurements, anchor: str) -> charts.Char
     pairs = [(scale, anchor, learned) for learned in shown for scale in LEARNED_SCALES]
     return charts.Chart(
         "learned_bd_rate_traces",
-        f"BD-rate relative to {anchor} on every trace",
+        f"Bits of trained models relative to {anchor}: a mark is a recording",
         pair_bd_rates(measurements, pairs),
         tuple(shown),
     ).write(folder, partial(charts.plot_bd_rates, scales=LEARNED_SCALES, kinds=measurements.kind_of))

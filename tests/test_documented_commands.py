@@ -25,7 +25,6 @@ SLOW = {
 }
 """Pages that take more than ten seconds, most of them because they play in real time."""
 UNFINISHED = {
-    "docs/benchmarks/results.md",
     "docs/how-to/plan.md",
 }
 """Pages whose blocks do not run yet."""

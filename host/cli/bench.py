@@ -230,6 +230,7 @@ def bench(
             imported = read_imported(peers)
             check_imported(peers, found.entries, mine, load)
         results = bench.results_folder(out)
+        held_out = results_page.read_held_out(results)
         write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
         click.echo(
             f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings"
@@ -264,11 +265,11 @@ def bench(
     data = recordings.resolve().name + (
         "" if split.part == "all" else f" ({split.part} part, by {split.split_by}, seed {split.seed})"
     )
-    cells_on = "a Dask cluster" if run.scheduler else f"{workers.cores()} cores at work at once"
-    machine = f"{speed.cpu_name()}; of single cells {cells_on}"
+    cells_on = "a Dask cluster" if run.scheduler else f"{workers.cores()} cores at once"
+    machine = f"{speed.cpu_name()}; single cells on {cells_on}"
     description = results_page.Description(dataset.printable(data), machine, command_run())
     with progress.bar("drawing") as update:
-        results_page.write_results(out, measurements, description, update)
+        results_page.write_results(out, measurements, description, held_out, update)
     show(measurements)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:

@@ -76,7 +76,7 @@ def test_figures_are_written_and_the_table_names_the_curves(folder: Path, tmp_pa
     assert len(read_rows(results / "points.csv", Point)) == 8
     assert len((results / "timings.csv").read_text().splitlines()) == 9
     assert (results / "costs.csv").read_text().splitlines()[1].startswith("g726,")
-    assert "recordings, 2 traces" in (tmp_path / "out" / "results.md").read_text().replace("`", "")
+    assert "recordings, 2 recordings" in (tmp_path / "out" / "results.md").read_text().replace("`", "")
 
 
 @pytest.mark.usefixtures("quick")

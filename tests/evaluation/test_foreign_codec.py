@@ -52,7 +52,7 @@ def test_the_benchmark_takes_it_as_any_other(tmp_path: Path, monkeypatch: pytest
     own = [point for point in points if point.codec == NAME]
     assert len(own) == 24 and max(point.snr_db or 0 for point in own) > 20
     page = (tmp_path / "out" / "results.md").read_text()
-    assert f"- `{NAME}`: Haar wavelet" in page
+    assert f"| `{NAME}` | Haar wavelet" in page
     assert any(line.startswith(f"| {NAME} |") for line in page.splitlines())
     assert f"\n{NAME}," in (tmp_path / "out" / "results" / "speeds.csv").read_text()
     assert "decoder not counted" in (tmp_path / "out" / "results" / "costs.csv").read_text()

@@ -120,7 +120,7 @@ def test_the_command_writes_page_note_and_waveforms(tmp_path: Path) -> None:
     page = (results.parent / "papers.md").read_text()
     assert "No such family was measured." in page and "| `mdct` | " in page
     assert "| `mdct` | SNR | -55.1 (-42.1) |" in (results / "note.md").read_text()
-    assert (results / "waveforms.png").stat().st_size > 5000
+    assert (results / "waveforms.svg").stat().st_size > 5000
     with (results / "waveforms.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["codec"] for row in rows} == {"slp", "mdct"}

@@ -1,0 +1,34 @@
+"""The names of other projects' codecs, and the software that a label in a table of figures stands for."""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from vibrocast.evaluation.points import read_rows
+
+TABLE = Path(__file__).parent / "data" / "peers.csv"
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A codec of another project.
+
+    `codec`: its label in tables. `software`: which program coded; empty for those that vibrocast calls itself.
+    `delay_samples`: the algorithmic delay by its frames, None where its settings leave it open.
+    """
+
+    codec: str
+    name: str
+    software: str
+    delay_samples: int | None
+
+
+@cache
+def peers() -> dict[str, Peer]:
+    """Return the known codecs of other projects by label."""
+    return {peer.codec: peer for peer in read_rows(TABLE, Peer)}
+
+
+def named(codec: str) -> Peer:
+    """Return the known codec of a label; one of that name alone where it is not known."""
+    return peers().get(codec) or Peer(codec, codec, "", None)

@@ -1,0 +1,88 @@
+"""Tests of the choice of curves in charts, and of their files."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import polars as pl
+import pytest
+
+from vibrocast import pictures
+from vibrocast.evaluation import charts
+from vibrocast.evaluation.bd_rate import SNR
+from vibrocast.evaluation.peers import named, peers
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def curves(*codecs: str) -> pl.DataFrame:
+    """Return mean curves of two points; each codec is 1 dB better than the one before."""
+    rows = [
+        (codec, "measured", bits, 10 * bits + place, 5.0, 15.0)
+        for place, codec in enumerate(codecs)
+        for bits in (1.0, 2.0)
+    ]
+    return pl.DataFrame(rows, ["codec", "source", "bits_per_sample", "mean", "low", "high"], orient="row")
+
+
+def texts(path: Path) -> list[str]:
+    return ["".join(text.itertext()) for text in ElementTree.parse(path).iter(f"{SVG}text")]
+
+
+@pytest.mark.parametrize(
+    ("codec", "group"),
+    [("mdct-live", "mdct"), ("mpeg_native", "mpeg"), ("dct-log", "dct"), ("g726@relabel", "g72"), ("haar", "haar")],
+)
+def test_a_curve_belongs_to_a_group(codec: str, group: str) -> None:
+    assert charts.group_of(codec) == group
+
+
+def test_a_group_is_drawn_by_its_own_name_or_else_by_its_best_curve() -> None:
+    table = curves("slp", "mdct", "mdct-network", "eva-16", "eva-32", "haar")
+    groups = charts.mean_curves_by_group(table)
+    assert [codec for group in groups.values() for codec in group] == ["mdct", "eva-32", "haar", "slp"]
+
+
+def test_known_codecs_keep_their_colour_and_unknown_ones_get_one() -> None:
+    assert charts.style_of("mdct-live").colour == charts.style_of("mdct").colour == pictures.BLUE
+    assert charts.is_grey("slp") and not charts.is_grey("haar")
+    colours = [style.colour for style in (*pictures.CODECS.values(), pictures.OTHERS)]
+    assert len(set(colours)) == len(colours) and pictures.GREY not in colours
+
+
+def test_a_chart_is_the_same_each_time_and_its_text_stays_text(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.svg", tmp_path / "second.svg"
+    for path in (first, second):
+        table = curves("mdct", "vcpwq", "slp")
+        charts.plot_quality_against_rate(path, table, "A title", SNR, rate_hz=2800)
+    assert first.read_bytes() == second.read_bytes()
+    assert {"A title", "mdct", "VC-PWQ", "slp", "SNR, dB"} <= set(texts(first))
+    assert any("2.8 kbit/s at 2800 Hz" in text for text in texts(first))
+
+
+def test_the_first_look_has_few_lines(tmp_path: Path) -> None:
+    table = curves("mdct", "vcpwq", "vcpwq_bl128", "slp", "eva-16", "opus", "opus_celt@relabel")
+    charts.plot_comparison(tmp_path / "look.svg", table, "At equal SNR", None)
+    assert {"mdct", "VC-PWQ", "Opus"} <= set(texts(tmp_path / "look.svg"))
+    assert not {"slp", "eva-16"} & set(texts(tmp_path / "look.svg"))
+
+
+def test_the_best_of_those_drawn_are_joined(tmp_path: Path) -> None:
+    """A host's decoder, which is not drawn, does not push the controller's off the line."""
+    rows = [("eva-16 (core)", 1.0), ("eva-16 (onnx)", 0.5)]
+    marks = pl.DataFrame([(codec, 15.0, value) for codec, value in rows], ["codec", "quality", "value"], orient="row")
+    marks = marks.with_columns(
+        bits_per_sample=1.6, source=pl.lit("measured"), cost=pl.lit("delay_ms"), flash_bytes=1, on_front=False
+    )
+    charts.plot_cost_points(tmp_path / "cost.svg", marks, "", SNR)
+    assert "eva-16" in texts(tmp_path / "cost.svg")
+    drawn = [SimpleNamespace(**row) for row in marks[:1].iter_rows(named=True)]
+    assert charts.is_on_front(drawn[0], drawn)
+
+
+def test_every_known_peer_has_a_name_of_its_own_or_shares_it_with_an_imported_one() -> None:
+    assert named("vcpwq").software.startswith("IEEE 1918.1.1 reference software")
+    assert named("mpeg_native_bl1024").delay_samples == 1024
+    assert named("haar").name == "haar"
+    labels = [peer.name for peer in peers().values() if "@" not in peer.codec]
+    assert len(set(labels)) == len(labels)

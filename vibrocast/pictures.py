@@ -1,0 +1,54 @@
+"""The style of charts: colours of codecs, readable in grey print, and the same bytes from the same data."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+INK, GREY, PALE = "#222222", "#767676", "#e6e6e6"
+"""Of text and axes; of what stays in the background; of grids and areas."""
+BLUE, SKY, PURPLE, ORANGE = "#00558c", "#2f86cc", "#8e3fa8", "#d55e00"
+BROWN, GREEN, AMBER = "#7f3b08", "#00856a", "#a87400"
+POINTS, SMALL_POINTS = 9.0, 7.5
+"""Sizes of letters: of titles, axes and labels, and of labels in grey."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a codec is drawn. `dashes`: a line style of matplotlib; lines of this project's codecs are solid."""
+
+    colour: str
+    dashes: Any = "-"
+    width: float = 1.6
+
+
+CODECS: Mapping[str, Style] = {
+    "mdct": Style(BLUE, width=2.8),
+    "lapped": Style(SKY),
+    "eva": Style(PURPLE),
+    "vcpwq": Style(ORANGE, (0, (5, 1.5))),
+    "mpeg": Style(BROWN, (0, (1.5, 1))),
+    "opus": Style(GREEN, (0, (6, 1.5, 1.5, 1.5))),
+    "speex": Style(AMBER, (0, (3, 1))),
+}
+"""By the first letters of a curve's name."""
+OTHERS = Style("#c2185b", width=2.0)
+"""Of codecs that are not known."""
+
+
+def write(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of the path's suffix. Text of an SVG file stays text. Raises OSError."""
+    from matplotlib import rc_context
+
+    # Matplotlib draws the names of an SVG file's parts at random, unless it gets a salt.
+    settings: Any = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": "vibrocast",
+        "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+    }
+    is_svg = path.suffix == ".svg"
+    with rc_context(settings):
+        figure.savefig(path, metadata={"Date": None, "Creator": None} if is_svg else None)
