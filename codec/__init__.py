@@ -1,4 +1,4 @@
-"""Signal to integers to bytes and back: transforms, quantisers, entropy coding, rate control."""
+"""Encodes and decodes signals: codecs, coded streams, rate control, searches for a rate or an SNR."""
 
 from vibrocast.codec.interface import (
     RUNTIMES,

@@ -1,4 +1,4 @@
-"""What the codecs of the integer core share: the state of their encoder, and their decoder."""
+"""The states of an encoder and of a decoder in the integer core, for all codecs that run there."""
 
 import copy
 from typing import Any, Self
@@ -23,7 +23,7 @@ def does_not_fit(packet_samples: int) -> CodecError:
 
 def damaged_packet() -> CodecError:
     """Return the error of a malformed packet."""
-    return CodecError("a packet that is damaged, or was not made by this codec")
+    return CodecError("a packet is damaged, or another codec made it; copy or encode the stream again")
 
 
 def core_state(name: str, kind: str, configuration: bytes, channels: int, *parameters: Any) -> Structure:
@@ -31,15 +31,15 @@ def core_state(name: str, kind: str, configuration: bytes, channels: int, *param
     size, init = (getattr(library(), f"vc_{name}_{kind}_{function}") for function in ("size", "init"))
     state = Structure(size(), f"vc_{name}_{kind} *")
     if init(state.pointer, configuration, len(configuration), channels, *parameters) != library().VC_OK:
-        raise CodecError("the codec configuration is damaged or of another version")
+        raise CodecError("the codec configuration is damaged or of another version; encode the recording again")
     return state
 
 
 class CoreEncoder:
-    """The state of a codec's encoder in the core: integers in, packets out. `pointer`: what other functions take."""
+    """The state of a codec's encoder in the core: integers in, packets out. Core functions take its `pointer`."""
 
     def __init__(self, name: str, configuration: bytes, channels: int, *parameters: Any) -> None:
-        """Make it from the codec's bytes in the stream header; `parameters`: what its init function takes besides.
+        """Make it from the codec's bytes in the stream header; `parameters`: further arguments of its init function.
 
         Raises CodecError when they are not valid.
         """
@@ -59,9 +59,9 @@ class CoreEncoder:
         return twin
 
     def packet(self, packet_samples: int, *inputs: Any) -> bytes:
-        """Return the next packet; `inputs`: arrays and numbers that the core's function takes.
+        """Return the next packet; `inputs`: arrays and numbers for the core's function.
 
-        Raises CodecError where it does not fit.
+        Raises CodecError if the packet is too long.
         """
         given = [
             ffi.from_buffer(f"{each.dtype}_t[]", np.ascontiguousarray(each).data)
@@ -76,10 +76,10 @@ class CoreEncoder:
 
 
 class CoreDecoder:
-    """Decoder of a codec of the core, by its functions vc_NAME_...; see codec.interface.Decoder."""
+    """Decoder of a codec of the core, which calls its functions vc_NAME_...; see codec.interface.Decoder."""
 
     def __init__(self, name: str, configuration: bytes, channels: int, *tables: Any) -> None:
-        """Make a decoder from the codec's bytes in the stream header; `tables`: what its init function takes besides.
+        """Make a decoder from the codec's bytes in the stream header; `tables`: further arguments of its init function.
 
         Raises CodecError when they are not valid.
         """
@@ -100,13 +100,13 @@ class CoreDecoder:
         return samples
 
     def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last sound faded out, then silence."""
+        """Replace one missing packet: the last sound faded out, then silence."""
         samples, pointer = self._output()
         self._conceal(self._state.pointer, pointer)
         return samples
 
     def copy(self) -> Self:
-        """Return an independent decoder in the same state: what it is given, this one never sees."""
+        """Return an independent decoder in the same state."""
         twin = copy.copy(self)
         twin._state = self._state.copy()
         return twin

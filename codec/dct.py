@@ -1,11 +1,12 @@
 """The codec `dct`: DCT of blocks or of a whole file, quantised linearly or logarithmically, after a paper on textures.
 
 A block of N samples x[n] becomes the orthonormal DCT-II C[k] = s_k sum x[n] cos(pi (2n + 1) k / (2N)), s_0 = sqrt(1/N),
-s_k = sqrt(2/N). Its index k stands for the frequency F = k rate / (2N); for a hand that sweeps at the speed v over the
-length D of the block that is v k / (2D), half the spacing v / D of a discrete Fourier transform. The paper's |C_k| is
-an amplitude of displacement: here it is |C[k]| sqrt(2/N), that of a cosine which fits the block. Blocks do not
-overlap. A whole file is one transform, whose coefficients are coded as these amplitudes. The layout is in
-docs/reference/bitstream.md, the choices in docs/reference/codecs.md.
+s_k = sqrt(2/N). Its index k stands for the frequency F = k rate / (2N). For a hand that sweeps at the speed v over the
+length D of the block, F is v k / (2D): half the spacing v / D of a discrete Fourier transform.
+
+The paper's |C_k| is an amplitude of displacement. Here it is |C[k]| sqrt(2/N), the amplitude of a cosine that fits the
+block. Blocks do not overlap. A whole file is one transform, whose coefficients are coded as these amplitudes.
+docs/reference/bitstream.md has the layout, docs/reference/codecs.md the choices.
 """
 
 import math
@@ -44,25 +45,25 @@ NAME = "dct"
 IDENTIFIER = 2
 BLOCKS = (64, 128, 256, 512, 1024)
 WHOLE_SAMPLES = 20_000
-"""N of the source paper, 10 mm at 0.5 um: a longer file is cut into equal transforms, as near to this as can be."""
+"""N of the source paper: 10 mm at 0.5 um. A longer file is cut into equal transforms, as near to this as possible."""
 MAX_COEFFICIENTS = 1024
-"""Coded of one transform, as many as the core's adaptive model holds."""
+"""Most coefficients coded of one transform: as many as the core's adaptive model holds."""
 MAX_PACKET_BLOCKS = 4095
 MAX_PACKET_SAMPLES = 2**18
 MAX_LEVELS = 65_535
 LEVEL_CODES = 231
-"""Of the numbers of levels that the packets of a rate-controlled stream say."""
+"""Numbers of levels that a packet of a rate-controlled stream can state."""
 HEIGHT_LIMIT_HZ = 400.0
-"""The source paper drops what is above it: its display has no more, and fingers feel little of it."""
+"""The source paper drops higher frequencies: its display does not reach them, and fingers feel little of them."""
 MIN_HEIGHT_UM = 0.05
 """S of the source paper."""
 MIN_OF_RMS = 0.05
-"""S of other units, relative to the RMS value of a coefficient: a tenth gains 1 dB at 14 levels, but stops at 25 dB."""
+"""S in other units, relative to the RMS value of a coefficient. 0.1 gains 1 dB at 14 levels, but ends at 25 dB."""
 
 _RANGE_CODES_PER_OCTAVE = 256
 _LEVEL_CODES_PER_OCTAVE = 16
-# Quantiser offsets beyond 4 levels cut what is small, from 36 dB below the greatest magnitude on, and with the last one
-# all.
+# Quantiser offsets beyond 4 levels cut small coefficients. The first cuts from 36 dB below the greatest magnitude, the
+# last cuts all.
 _CUTTING_QUANTISER_OFFSETS = 6 * _LEVEL_CODES_PER_OCTAVE + 1
 _FIRST_CLASS = 16
 _WHOLE_CODE = 7
@@ -73,7 +74,7 @@ _FADE_SAMPLES = 64
 
 
 def range_code(magnitude: float) -> int:
-    """Return the code of the power of 2^(1/256) next above a magnitude in the core's unit; 0 for less than half."""
+    """Return the code of the lowest power of 2^(1/256) not below a magnitude in the core's unit; 0 below one half."""
     if magnitude < 0.5:
         return 0
     return min(max(math.ceil(_RANGE_CODES_PER_OCTAVE * math.log2(magnitude)), 1), 65_535)
@@ -87,7 +88,7 @@ def level_code(levels: int) -> int:
 def symbols_of(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the symbol of each coded value, and how many of the value's low bits follow its code.
 
-    Below 16 each value has its own symbol; above, a symbol is one of eight classes an octave.
+    Each value below 16 has its own symbol. Above, a symbol is one of eight classes an octave.
     """
     octaves = np.frexp(np.maximum(values, 1))[1].astype(np.int64) - 1
     low_bits = np.where(values < _FIRST_CLASS, 0, octaves - 3)
@@ -96,9 +97,9 @@ def symbols_of(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np
 
 
 def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: int, above: int) -> NDArray[np.int32]:
-    """Return the levels of a channel of a packet, from its range codes, in the core's unit: in the order of values.
+    """Return one channel's levels in a packet, from its range codes, in the core's unit and in the order of values.
 
-    Linear ones are one more than `levels` where equation (2) of the source paper makes it so.
+    Linear quantisers have one level more than `levels` where equation (2) of the source paper gives one more.
     """
     memory = np.empty(levels + 1, dtype=np.int32)
     pointer = ffi.cast("int32_t *", memory.ctypes.data)
@@ -106,14 +107,14 @@ def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: 
 
 
 def nearest(levels: NDArray[np.int32], coefficients: Signal) -> NDArray[np.int64]:
-    """Return the index of the level nearest to each coefficient, of levels in any order."""
+    """Return the index of the level nearest to each coefficient; the levels may have any order."""
     rising = np.argsort(levels, kind="stable")
     edges = (levels[rising][1:] + levels[rising][:-1].astype(np.float64)) / 2
     return rising[np.searchsorted(edges, coefficients)]
 
 
 def whole_samples(samples: int) -> int:
-    """Return the samples of each transform of a file of so many: all of it, or an equal part near WHOLE_SAMPLES."""
+    """Return the samples of each transform of a file: all `samples`, or an equal part near WHOLE_SAMPLES."""
     parts = max(1, round(samples / WHOLE_SAMPLES))
     return max(_FADE_SAMPLES, -(-samples // parts))
 
@@ -126,14 +127,14 @@ class DctEncoder(PacketwiseEncoder):
     ) -> None:
         """Make an encoder; the setting is complete and checked. `rate_control` chooses the levels of each packet.
 
-        Raises CodecError on a channel count, packet length, frequency limit or threshold that the codec does not have.
+        Raises CodecError for a channel count, packet length, frequency limit or threshold that the codec cannot have.
         """
         self._whole = word(setting, "block") == WHOLE
         if self._whole:
             if signal_format.samples is None:
                 raise CodecError(
-                    "block=whole is one transform of a whole file, which a live stream is not and no controller "
-                    f"decodes; choose a block of {BLOCKS[0]} to {BLOCKS[-1]}"
+                    "block=whole needs a whole file, and this is a live stream; choose a block of "
+                    f"{BLOCKS[0]} to {BLOCKS[-1]}"
                 )
             self._block = whole_samples(signal_format.samples)
             framing, max_blocks = Framing(self._block, 0), 1
@@ -141,7 +142,8 @@ class DctEncoder(PacketwiseEncoder):
             self._block = int(word(setting, "block"))
             max_blocks = min(MAX_PACKET_BLOCKS, MAX_PACKET_SAMPLES // self._block)
         super().__init__(signal_format.channels, framing, self._block, max_blocks)
-        # Of a cosine of amplitude 1 that fits the block; for a whole file 1, which fits the core at any length.
+        # The coefficient of a cosine of amplitude 1 that fits the block. For a whole file it is 1, which fits the core
+        # at any length.
         self._unit_coefficient = 1.0 if self._whole else math.sqrt(self._block / 2)
         self._weight = self._unit_coefficient * math.sqrt(2 / self._block)
         self._logarithmic = word(setting, "quantiser") == "log"
@@ -189,7 +191,7 @@ class DctEncoder(PacketwiseEncoder):
         return packets
 
     def _rate_controlled(self, coefficients: Signal, samples: Signal) -> bytes:
-        """Return one packet at the quantiser offset chosen for it."""
+        """Return one packet at the quantiser offset that the rate control chooses."""
         own_code = level_code(self._levels)
 
         def code(quantiser_offset: int) -> bytes:
@@ -201,10 +203,10 @@ class DctEncoder(PacketwiseEncoder):
         return self._chosen(samples, code)
 
     def _cut(self, coefficients: Signal, quantiser_offset: int) -> Signal:
-        """Return the coefficients of a packet without those that a quantiser offset beyond the fewest levels cuts."""
+        """Return a packet's coefficients, the small ones zero, as a quantiser offset beyond the fewest levels asks."""
         if quantiser_offset <= 0:
             return coefficients
-        # Equal in the physical unit, so that the bits go to the channels that have most.
+        # One limit for all channels in the physical unit, so that the bits go to the strongest channels.
         physical = np.abs(coefficients) * self._gains[:, None, None]
         octaves = (quantiser_offset + 1 - _CUTTING_QUANTISER_OFFSETS) / _LEVEL_CODES_PER_OCTAVE
         return np.where(physical < 2**octaves * np.max(physical), 0, coefficients)
@@ -219,13 +221,13 @@ class DctEncoder(PacketwiseEncoder):
     def _code(self, coefficients: Signal, levels: int, stated_levels: bytes = b"") -> bytes:
         """Return one packet of coefficients (channels, blocks, bins) in the core's unit.
 
-        `stated_levels`: the code of its levels, where the configuration states none. Raises CodecError where it does
-        not fit.
+        `stated_levels`: the code of its levels, if the configuration does not state them. Raises CodecError if the
+        packet is too long.
         """
         # The greatest magnitudes below and above zero.
         ranges = [(range_code(-float(np.min(part))), range_code(float(np.max(part)))) for part in coefficients]
         sounding = [channel for channel, both in enumerate(ranges) if any(both)]
-        # Logarithmic levels alone have none at zero.
+        # Only logarithmic levels have none at zero.
         zeros = self._logarithmic and bool(np.any(coefficients[sounding] == 0))
         values = [
             self._quantised(coefficients[channel], levels, self._smallest[channel], *ranges[channel], zeros)
@@ -246,7 +248,7 @@ class DctEncoder(PacketwiseEncoder):
     def _quantised(
         self, coefficients: Signal, levels: int, smallest: int, below: int, above: int, zeros: bool
     ) -> NDArray[np.int64]:
-        """Return the coded value of each coefficient: that of the nearest level, or 0 for zero where that is one."""
+        """Return each coefficient's coded value: that of its nearest level or, if zero has a value, 0 for zero."""
         levels_of_values = reconstruction_levels(self._logarithmic, levels, smallest, below, above)
         values = nearest(levels_of_values, coefficients) + zeros
         return np.where(coefficients == 0, 0, values) if zeros else values
@@ -262,18 +264,18 @@ class DctEncoder(PacketwiseEncoder):
 
 
 def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> slice:
-    """Return the coefficients that are coded. Raises CodecError when none is."""
+    """Return which coefficients are coded. Raises CodecError for none, and for too many."""
     first = int(word(setting, "dc") == "drop")
     limit_hz = number(setting, "limit_hz") or (HEIGHT_LIMIT_HZ if signal_format.unit == "um" else math.inf)
     end = min(limit_hz * 2 * block / signal_format.rate_hz + 1, block)
     if end < first + 1:
         raise CodecError(
-            f"a limit of {limit_hz:g} Hz leaves nothing; with limit_hz from "
-            f"{first * signal_format.rate_hz / (2 * block):.3g} on there is a component below it"
+            f"a limit of {limit_hz:g} Hz leaves no component; choose a limit_hz of at least "
+            f"{first * signal_format.rate_hz / (2 * block):.3g}"
         )
     if end >= MAX_COEFFICIENTS + 1:
         raise CodecError(
-            f"{int(end)} coefficients in one transform, at most {MAX_COEFFICIENTS} are coded: choose a limit_hz of at "
+            f"{int(end)} coefficients in one transform, more than {MAX_COEFFICIENTS}: choose a limit_hz of at "
             f"most {(MAX_COEFFICIENTS - 1) * signal_format.rate_hz / (2 * block):.0f}, or a shorter block"
         )
     return slice(first, int(end))
@@ -294,10 +296,13 @@ def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
 
 
 def huffman_code(values: NDArray[np.int64], zeros: bool | None) -> bytes:
-    """Return values of any shape behind their table, and behind `zeros` where levels have no zero of their own."""
+    """Return the Huffman code of values of any shape: the table of the code, then the values.
+
+    `zeros`: whether 0 stands for zero, for levels that have none at zero; the code states it first. None = not stated.
+    """
     flat = values.reshape(-1)
     symbols, low_bits = symbols_of(flat)
-    # The code is complete, so two symbols have one even where all values are equal.
+    # The code is complete: if all values are equal, a second symbol has a code too.
     lengths = code_lengths(np.bincount(symbols, minlength=2).tolist())
     codes = np.array(canonical_codes(lengths))[symbols] << low_bits | flat & ((1 << low_bits) - 1)
     table = [(len(lengths) - 1, 7), *((length, 4) for length in lengths)]
@@ -320,7 +325,7 @@ def make_encoder(
 
 
 class WholeDecoder:
-    """Decoder of whole transforms, on hosts alone; see codec.interface.Decoder. The core reads the coefficients.
+    """Decoder of whole transforms, for hosts only; see codec.interface.Decoder. The core reads the coefficients.
 
     The inverse transform is in floating point, so samples may differ in the last bit from machine to machine.
     """
@@ -338,7 +343,7 @@ class WholeDecoder:
         self._last = np.zeros((self.packet_samples, channels), dtype=np.int16)
 
     def coefficients(self, packet: bytes) -> NDArray[np.int32]:
-        """Return the coded coefficients (channels, end - first): amplitudes in the core's unit, exact anywhere.
+        """Return the coded coefficients (channels, end - first): amplitudes in the core's unit, exact on every machine.
 
         Raises CodecError when the packet is malformed.
         """
@@ -360,7 +365,7 @@ class WholeDecoder:
         return self._last
 
     def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last one backwards, faded out, then silence."""
+        """Replace one missing packet: the last one backwards, faded out, then silence."""
         self._last = faded_backwards(self._last, _FADE_SAMPLES)
         return self._last
 
@@ -373,7 +378,7 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None = Non
 
 
 RATE_POINT_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
-"""The paper's seven, then on to some 25 dB of SNR and beyond."""
+"""The paper's seven numbers of levels, then more, up to 25 dB of SNR and beyond."""
 RATE_POINT_B0_DB = (24.0, 18.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -18.0, -24.0)
 
 
@@ -384,31 +389,31 @@ def _level_rate_point_set(**fixed: str) -> tuple[Setting, ...]:
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
-    summary="DCT of blocks or a whole file at few levels, Huffman or range coded, after a paper on textures",
+    summary="DCT of blocks or of a whole file, few levels, Huffman or range coding, after a paper on textures",
     parameters={
         "quantiser": Parameter("spacing of the levels", "linear", choices=("linear", "log")),
-        "levels": Parameter("number of levels L; 65535 are 16 bits", 14, low=4, high=MAX_LEVELS, whole=True),
+        "levels": Parameter("number of levels; 65535 keeps 16 bits", 14, low=4, high=MAX_LEVELS, whole=True),
         "smallest": Parameter(
-            "least magnitude S of log, in the signal's unit; 0: .05 um, or in other units .05 of the RMS value",
+            "smallest level of `log`, in the signal's unit; 0 = 0.05 um, or 0.05 of the RMS value in other units",
             0.0,
             low=0,
         ),
         "threshold": Parameter(
-            "whether what is below the detection threshold is cut: off, on, or the name of another threshold's file",
+            "cut of coefficients below the detection threshold: off, on, or a file with another threshold",
             "off",
             text=True,
         ),
-        "b0_db": Parameter("where the cut is, relative to the detection threshold", -8.0, low=-200, high=200),
+        "b0_db": Parameter("level of the cut relative to the detection threshold, in dB", -8.0, low=-200, high=200),
         "entropy": Parameter(
-            "entropy coder; auto: range where rate-controlled", AUTO, choices=(AUTO, "huffman", "range")
+            "entropy coder; auto = range with rate control, else huffman", AUTO, choices=(AUTO, "huffman", "range")
         ),
         "block": Parameter(
-            "samples in a block; whole: one transform of a file, which hosts alone decode",
+            "samples in a block; whole = one transform of a file, for hosts only",
             "512",
             choices=(*map(str, BLOCKS), WHOLE),
         ),
-        "limit_hz": Parameter("components above are dropped; 0: above 400 Hz for um over time, else none", 0.0, low=0),
-        "dc": Parameter("the mean of each block", "keep", choices=("keep", "drop")),
+        "limit_hz": Parameter("highest frequency kept; 0 = 400 Hz for heights over time, else no limit", 0.0, low=0),
+        "dc": Parameter("whether to keep the mean of each block", "keep", choices=("keep", "drop")),
     },
     rate_point_sets={
         "dct-linear": _level_rate_point_set(),
@@ -424,6 +429,6 @@ CODEC = Codec(
     make_decoder=make_decoder,
     controls_rate=True,
     block_parameter="block",
-    # The range coder has taken fewer bits than Huffman's on every texture (docs/benchmarks/results.md).
+    # The range coder took fewer bits than the Huffman code on every texture (docs/benchmarks/results.md).
     planned_setting={"entropy": "range"},
 )

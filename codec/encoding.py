@@ -1,4 +1,4 @@
-"""Recordings to coded streams: resamples, removes the lowest band, finds the rate or the SNR, and measures."""
+"""Encodes recordings: resamples, removes the lowest band, searches for the rate or the SNR, measures the result."""
 
 import bisect
 import math
@@ -17,7 +17,7 @@ DEFAULT_STREAM_RATE_HZ = 2800
 
 @dataclass(frozen=True)
 class Encoding:
-    """A coded recording. `recording`: what was coded, at the stream's rate, without the band below the high-pass."""
+    """A coded recording. `recording`: the coder's input, at the stream's rate, without the band below the high-pass."""
 
     stream: Stream
     recording: textures.Recording
@@ -45,18 +45,18 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
-    What lies below `highpass_hz` is removed first, as `textures.highpass` does; None = the whole band is coded.
+    A codec that keeps no waveform has no SNR: without a rate, defaults complete its setting. The same holds for a model
+    with one rate, if you give it.
 
-    A codec that keeps no waveform has no SNR to search for: without a rate its setting is completed by the defaults. So
-    is that of a model with one rate, where it is given.
+    `codec_name`: None = the model's codec, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
+    `setting`: the part of the codec's setting that you fix; one that leaves nothing to search for is used as it is.
+    `model`: None = the built-in tables. A codec without such takes the choice of `first_reachable` among the models
+    that ship. `runtime`: as in `Stream`. `live` adds refreshes, for a link that may lose packets. `progress` is called
+    with the finished part of the search, from 0 to 1. `unit`: the stream's, None = the recording's. `highpass_hz`:
+    `textures.highpass` removes the band below it first; None = the whole band is coded.
 
-    `codec_name`: None = that of the model, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
-    `setting`: what is given of the codec's setting; one that leaves nothing to search for is used as it is. `model`:
-    None = the tables built in or, for a codec without such, what `first_reachable` chooses of those that ship.
-    `runtime`: as in `Stream`. `live` adds refresh packets, for a link that may lose some. `progress` is called with the
-    part of the search that is done, from 0 to 1. `unit`: the stream's, None = the recording's. Raises CodecError
-    (also when the asked rate or SNR cannot be met), ModelError, ModelImageError, StreamError or TextureError, with what
-    to do.
+    Raises CodecError (also when the target rate or SNR cannot be met), ModelError, ModelImageError, StreamError or
+    TextureError.
     """
     if rate_bps is not None and snr_db is not None:
         raise codec.CodecError("`rate_bps` and `snr_db` are both given; give one of them")
@@ -104,16 +104,16 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
         ratio_db = encoding.quality.snr_db
         return -ratio_db if rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
 
-    asked = rate_bps is not None or snr_db is not None
-    return first_reachable(chosen, model, code, progress, FamilyChoice(excess, cost) if asked else None)
+    targeted = rate_bps is not None or snr_db is not None
+    return first_reachable(chosen, model, code, progress, FamilyChoice(excess, cost) if targeted else None)
 
 
 @dataclass(frozen=True)
 class FamilyChoice(Generic[Made]):
-    """How a member of a family of models is chosen for what is asked.
+    """How a member of a family of models is chosen for a target.
 
-    `excess`: of a member without any search, above what is asked; it rises from member to member. `cost`: of what was
-    made with one; less is better.
+    `excess`: how far a member's own setting, without a search, lies above the target; it rises from member to member.
+    `cost`: of a result made with a member; less is better.
     """
 
     excess: Callable[[models.Model], float]
@@ -127,12 +127,12 @@ def unsearched_excess(
     rate_bps: float | None,
     snr_db: float | None,
 ) -> float:
-    """Return by how much a model's own setting is above a rate, in nepers, or else an SNR, in dB. Raises CodecError."""
+    """Return how far a model's own setting is above a rate, in nepers, or an SNR, in dB. Raises CodecError."""
     coded = source.encode(setting)
     if rate_bps is not None:
         return math.log(as_stream(coded, source.format.unit, model.image).bits_per_second / rate_bps)
     ratio_db = codec.snr_db(source.samples, codec.decode(coded, model.tables))
-    assert snr_db is not None, "a rate or an SNR is asked for"
+    assert snr_db is not None, "there is a rate or an SNR to meet"
     return math.inf if ratio_db is None else ratio_db - snr_db
 
 
@@ -143,11 +143,12 @@ def first_reachable(
     progress: Callable[[float], None] | None,
     choice: FamilyChoice[Made] | None,
 ) -> Made:
-    """Return what `code` makes with the model or, where a codec needs one, with one of the smallest family that does.
+    """Return the result of `code` with the model or, if the codec needs one, with a model that ships.
 
-    Of a family, the two members beside what is asked are tried, and the one that costs less is taken; where nothing is
-    asked (`choice` is None), the middle one. `code` is called with a model and with what it tells its progress. Raises
-    as it does, and as `models.shipped`.
+    Without a model, this takes the smallest family that reaches the target. In it, it codes with the two members
+    nearest to the target, one on each side, and returns the result of the lower cost. Without a target (`choice` is
+    None), it takes the middle member. `code` is called with a model and a function that reports its progress. Raises
+    the errors of `code` and of `models.shipped`.
     """
     if model or not chosen.needs_model:
         return code(model, progress)
@@ -176,7 +177,7 @@ def first_reachable(
 
 
 def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:
-    """Return the codec of that name; None = that of the model, or DEFAULT_CODEC. Raises CodecError on a misfit."""
+    """Return the codec of this name; None = the model's, or DEFAULT_CODEC. Raises CodecError on a mismatch."""
     if codec_name is None:
         codec_name = codec.DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
     chosen = codec.codec_by_name(codec_name)
@@ -186,7 +187,7 @@ def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Co
 
 
 def encoder_model(model: models.Model | None) -> codec.Model | None:
-    """Return what a trained model gives an encoder."""
+    """Return the parts of a trained model that an encoder needs."""
     return None if model is None else codec.Model(model.tables, model.analysis)
 
 
@@ -201,14 +202,14 @@ def families(chosen: codec.Codec) -> list[list[models.Model]]:
 
 
 def middle(members: Sequence[models.Model]) -> models.Model:
-    """Return the member of a family that is used where nothing is asked."""
+    """Return the member of a family that is used without a target."""
     return members[len(members) // 2]
 
 
 def default_model(chosen: codec.Codec) -> models.Model:
     """Return the model of a codec for a signal that is not known yet: the middle member of the smallest family.
 
-    Raises ModelError where none ships, and as `models.shipped`.
+    Raises ModelError if none ships, and as `models.shipped`.
     """
     for members in families(chosen):
         return middle(members)
@@ -216,13 +217,13 @@ def default_model(chosen: codec.Codec) -> models.Model:
 
 
 def brings_built_in_tables(model: models.Model) -> bool:
-    """Return whether a model's tables are those that its codec has anyway. Raises CodecError for an unknown codec."""
+    """Return whether a model's tables equal its codec's built-in ones. Raises CodecError for an unknown codec."""
     built_in_tables = codec.codec_by_identifier(model.codec_identifier).built_in_tables
     return built_in_tables is not None and model.tables == built_in_tables()
 
 
 def _tell_of_part(progress: Callable[[float], None], begun: float, share: float, done: float) -> None:
-    """Tell how much is done when it is so much of a part that begins there and takes this share of the whole."""
+    """Report the progress of a part that begins at `begun` and makes up `share` of the whole."""
     progress(begun + share * done)
 
 
@@ -233,9 +234,9 @@ def measure_encoding(
     snr_db: float | None = None,
     passed: textures.HighPassed | None = None,
 ) -> Encoding:
-    """Measure how near a stream comes to the recording, at its rate, and to what was asked. Raises CodecError.
+    """Measure how near a stream comes to its recording, and whether it meets its target. Raises CodecError.
 
-    `passed`: what the high-pass took from the recording before; None = nothing.
+    `passed`: result of the high-pass before; None = the high-pass removed nothing.
     """
     decoded = stream.decode()
     each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
@@ -253,7 +254,7 @@ def measure_encoding(
 def _shortfall(
     stream: Stream, each_db: Sequence[float | None], rate_bps: float | None, snr_db: float | None
 ) -> str | None:
-    """Return why the asked rate, or else SNR, was not met within its tolerance; None when it was."""
+    """Return why the target rate, or else SNR, was missed by more than its tolerance; None when it was met."""
     if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - codec.RATE_TOLERANCE):
         return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no setting below it comes nearer"
     audible = [(ratio_db, number) for number, ratio_db in enumerate(each_db, 1) if ratio_db is not None]

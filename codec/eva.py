@@ -32,30 +32,30 @@ from vibrocast.firmware.native_core import ffi, library
 NAME = "eva"
 IDENTIFIER = 4
 HOP = 16
-"""Samples for each column of latents."""
+"""Samples of each column of latents."""
 MAX_PACKET_COLUMNS = 4095
 MIN_LEVEL, MAX_LEVEL = 2.0**-10, 2.0**10
 MIN_SEARCHED_LEVEL = 2.0**-1
-"""Integers have room for signals four times as loud as the network knows them (export/quantise.py), peaks included."""
+"""The integers hold signals four times as loud as those of calibration (export/quantise.py), peaks included."""
 
 _REACH = 28
 """Samples on each side that a column of latents depends on, and acts on (export/eva.py)."""
 _LOOK_AHEAD = _REACH + 1 - HOP
 """Samples beyond its own hop that a column depends on."""
 _COLUMNS_BEFORE, _COLUMNS_AFTER = 2, 1
-"""Columns beside those of a packet whose samples the analysis takes, so that the edges do not reach the packet's."""
+"""Columns around a packet that the analysis also takes, so that edge effects stay out of the packet."""
 _HISTORY = HOP * _COLUMNS_BEFORE + _LOOK_AHEAD
 _CONTEXT_COLUMNS = 4
-"""Columns before a packet that the synthesis in ONNX Runtime takes again: its first sample depends on three of them."""
+"""Columns before a packet that ONNX Runtime synthesises again: the first sample depends on three of them."""
 _MAX_LATENT = 32767
-"""In the unit of the integers."""
+"""Largest magnitude of a latent, in the unit of the integers."""
 _QUANTISER_OFFSETS_OF_OCTAVE = 16
 _CODES_OF_QUANTISER_OFFSET = 4
-"""By how many codes, 64 to an octave, the step of a packet is larger for each unit of its quantiser offset."""
+"""Step codes, 64 to an octave, in one unit of the quantiser offset."""
 
 
 class LatentEncoder(CoreEncoder):
-    """Encoder of latents into packets: all of `eva` but its analysis."""
+    """Encoder of latents into packets: all of `eva` except its analysis."""
 
     def __init__(self, configuration: bytes, channels: int, payload: bytes, refresh_packets: int) -> None:
         """Make an encoder from the codec's bytes in the stream header and a model image's payload.
@@ -66,9 +66,9 @@ class LatentEncoder(CoreEncoder):
         super().__init__(NAME, configuration, channels, self._model, len(payload), refresh_packets)
 
     def encode(self, levels: Sequence[NDArray[np.int32]], quantiser_offset: int = 0) -> bytes:
-        """Return the next packet, of each channel's levels int32 (latents, columns), in the packet's quantiser steps.
+        """Return the next packet of levels, int32 (latents, columns) for each channel, in the packet's quantiser steps.
 
-        `quantiser_offset`: of a rate-controlled stream. Raises CodecError where it does not fit.
+        `quantiser_offset`: of a rate-controlled stream. Raises CodecError if the packet is too long.
         """
         stacked = np.stack(levels)
         return self.packet(stacked.shape[2] * HOP, stacked.transpose(0, 2, 1), quantiser_offset)
@@ -77,7 +77,7 @@ class LatentEncoder(CoreEncoder):
 class EvaEncoder(PacketwiseEncoder):
     """Encoder of `eva`; see codec.interface.Encoder. Samples beyond full scale are clipped to it.
 
-    The analysis runs once for each packet on just the samples that the packet depends on, so that packets do not depend
+    The analysis runs once for each packet, on exactly the samples that the packet depends on. So packets do not depend
     on how the samples arrive.
     """
 
@@ -93,23 +93,23 @@ class EvaEncoder(PacketwiseEncoder):
     ) -> None:
         """Make an encoder of len(levels) channels.
 
-        `levels`: of each channel, relative to full scale, what the network sees as an RMS value of 1. `rate_control`:
-        chooses the quantiser offset of each packet, in 1/16 octave of the step; None = all have a step of 1. Raises
-        CodecError on a channel count or packet length that the codec does not have, a model that is none, and where it
+        `levels`: for each channel, the level relative to full scale by which the network's input is divided.
+        `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave of the step; None = all have a step
+        of 1. Raises CodecError for a channel count, packet length or model that the codec cannot have, and if the model
         brings no analysis that fits.
         """
         super().__init__(len(levels), framing, HOP, MAX_PACKET_COLUMNS)
         self._image = image = EvaImage.unpack(model.tables)
         if not model.analysis:
             raise CodecError(
-                "the model brings no analysis, by which to encode; give the folder that has its analysis.onnx"
+                "the model brings no analysis, which encoding needs; give the folder with its analysis.onnx"
             )
         self._analysis = transform(model.analysis, SIGNAL, LATENTS)
         level_codes = [step_code(level) for level in levels]
         self.configuration = configuration(self._packet_blocks, level_codes, rate_control is not None)
         self._rate_control = rate_control
-        # From the coarsest unit of the integers to a step of which the largest latent is less than half: silence
-        # fits any rate.
+        # From the coarsest unit of the integers to a step more than twice the largest latent: silence, which fits any
+        # rate.
         finest = -_QUANTISER_OFFSETS_OF_OCTAVE * int(np.min(image.fraction_bits))
         self._quantiser_offsets = range(finest, finest + _QUANTISER_OFFSETS_OF_OCTAVE * 16 + 1)
         self._levels = [level_of(code) for code in level_codes]
@@ -135,7 +135,7 @@ class EvaEncoder(PacketwiseEncoder):
         signal = np.zeros((1, 1, columns * HOP), dtype=np.float32)
         signal[0, 0, : len(samples)] = samples / level
         latents = run(self._analysis, signal, (1, self._image.latents, columns))[0]
-        most = _MAX_LATENT / np.exp2(self._image.fraction_bits)[:, None]  # which decoders have
+        most = _MAX_LATENT / np.exp2(self._image.fraction_bits)[:, None]  # the decoders' limit
         own = latents[:, _COLUMNS_BEFORE : _COLUMNS_BEFORE + self._packet_blocks]
         return np.asarray(np.clip(own.astype(np.float64), -most, most))
 
@@ -153,10 +153,10 @@ class EvaDecoder(CoreDecoder):
 
 
 class OnnxDecoder(EvaDecoder):
-    """Decoder of `eva` whose latents are decoded by the integer core, and its samples by ONNX Runtime."""
+    """Decoder of `eva`: the integer core decodes the latents, and ONNX Runtime synthesises the samples."""
 
     def __init__(self, configuration: bytes, channels: int, payload: bytes) -> None:
-        """Make a decoder as `EvaDecoder`. Raises CodecError also where the model's graph cannot be run."""
+        """Make a decoder as `EvaDecoder`. Raises CodecError also if the model's graph cannot run."""
         super().__init__(configuration, channels, payload)
         image = EvaImage.unpack(payload)
         self._synthesis = transform(image.graph, LATENTS, SIGNAL)
@@ -164,7 +164,7 @@ class OnnxDecoder(EvaDecoder):
         head_bytes = 1 + (configuration[0] >> 7)
         level_codes = np.frombuffer(configuration, "<u2", channels, head_bytes)
         self._levels = [32768 * level_of(int(code)) for code in level_codes]
-        # Of each channel those of the last columns, then those of the packet.
+        # For each channel the latents of the last columns, then those of the packet.
         columns = _CONTEXT_COLUMNS + self.packet_samples // HOP
         self._latents = np.zeros((channels, columns, image.latents), dtype=np.int16)
 
@@ -173,11 +173,11 @@ class OnnxDecoder(EvaDecoder):
         fresh = np.empty_like(self._latents[:, _CONTEXT_COLUMNS:])
         pointer = ffi.cast("int16_t *", fresh.ctypes.data)
         if library().vc_eva_decode_latents(self._state.pointer, packet, len(packet), pointer) < 0:
-            raise CodecError("a packet that is damaged, or was not made by this codec")
+            raise CodecError("a packet is damaged, or another codec made it; copy or encode the stream again")
         return self._synthesise(fresh)
 
     def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last latents faded out, then silence."""
+        """Replace one missing packet: the last latents faded out, then silence."""
         fresh = np.empty_like(self._latents[:, _CONTEXT_COLUMNS:])
         library().vc_eva_conceal_latents(self._state.pointer, ffi.cast("int16_t *", fresh.ctypes.data))
         return self._synthesise(fresh)
@@ -205,16 +205,18 @@ def step_of(quantiser_offset: int) -> float:
 
 
 def level_of(code: int) -> float:
-    """Return the level, relative to full scale, that a code stands for: the same codes as of `mdct`'s steps."""
+    """Return the level of a code, relative to full scale; the codes are those of `mdct`'s steps."""
     return float((64 + code % 64) << code // 64) / UNIT
 
 
 def run(graph: Transform, values: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Run a graph whose result must have this shape and be finite. Raises CodecError where it is not."""
+    """Run a graph; check that its result is finite and has this shape. Raises CodecError if not."""
     result = graph(values)
     if result.shape != shape or not np.all(np.isfinite(result)):
         flaw = f"gives an array of shape {result.shape}" if result.shape != shape else "gives NaN or infinity"
-        raise CodecError(f"the ONNX graph {flaw} where {shape} is needed: it is not of this model; export it again")
+        raise CodecError(
+            f"the ONNX graph {flaw} where {shape} is needed, so it belongs to another model; export it again"
+        )
     return result
 
 
@@ -234,7 +236,7 @@ def make_encoder(
 
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
-    """Make a decoder that runs where the model prefers. Raises CodecError as `EvaDecoder`, and without a model."""
+    """Make a decoder for the runtime that the model prefers. Raises CodecError as `EvaDecoder`, and without a model."""
     if tables is None:
         raise CodecError("the codec eva needs a model; give the model image that the stream was coded for")
     onnx = EvaImage.unpack(tables).runtime == "onnx"
@@ -242,7 +244,7 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None = Non
 
 
 def check_tables(tables: bytes) -> None:
-    """Raise CodecError for a payload that decoders do not take, or whose graph is no synthesis of its latents."""
+    """Raise CodecError for a payload that decoders reject, or whose graph cannot synthesise its latents."""
     image, one_column = EvaImage.unpack(tables), configuration(1, [0])
     EvaDecoder(one_column, 1, tables)
     # Without ONNX Runtime only the integer core decodes, and no graph runs.
@@ -256,7 +258,7 @@ CODEC = Codec(
     summary="the EVA paper's autoencoder, one model for each rate; adaptive binary arithmetic coding",
     parameters={
         "level": Parameter(
-            "what the network sees as an RMS value of 1, relative to the signal's; more is coarser",
+            "divisor of the network's input, relative to the RMS value; a higher one is coarser",
             1.0,
             low=MIN_LEVEL,
             high=MAX_LEVEL,

@@ -12,24 +12,24 @@ from vibrocast.device_protocol.encoding import Reader
 
 LAYOUT_VERSION = 2
 MAX_CHANNELS = 128
-"""Channels of the hidden layers, and of the latents."""
+"""Most channels of the hidden layers, and of the latents."""
 MAX_FRACTION_BITS = 14
 UNARY_LIMIT = 15
 """Decisions on a magnitude before its escape code."""
 DECISIONS = UNARY_LIMIT + 1
-"""Of a level: those on its magnitude, and its sign."""
+"""Decisions of a level: those on its magnitude, and its sign."""
 MAX_SHIFT = 30
 
 PriorKind: TypeAlias = Literal["adaptive", "static"]
-"""What becomes of the prior's probabilities: they adapt to the latents of the stream, as in the EVA paper, or not."""
+"""Whether the prior's probabilities adapt to the stream's latents, as in the EVA paper, or stay."""
 PRIOR_KINDS: tuple[PriorKind, ...] = get_args(PriorKind)
 
 # Layout version, flags, width, latents, bytes of the graph.
 _FIXED = struct.Struct("<BBBBI")
 _STATIC_FLAG, _NETWORK_FLAG, _RUNTIME_FLAG = 1, 2, 4
 _KERNELS = (5, 5, 9)
-# Taps of each phase of a transposed convolution (stride 2 or 4), in the order of the input columns that they weigh, up
-# to the newest one, which all phases take.
+# Taps of each phase of a transposed convolution (stride 2 or 4), in the order of the input columns that they weight.
+# The last tap weights the newest column, which all phases take.
 _PHASES = {5: ((4, 2, 0), (3, 1)), 9: ((8, 4, 0), (5, 1), (6, 2), (7, 3))}
 
 
@@ -38,7 +38,7 @@ class Normalisation:
     """An inverse GDN in integers.
 
     `weights`: int8 (channels, channels), 0 to 127, of each square (second axis) in each norm. `multipliers`,
-    `constants`: uint32 (channels,). `shift`: 0 to 30. docs/reference/bitstream.md says what they do.
+    `constants`: uint32 (channels,). `shift`: 0 to 30. docs/reference/bitstream.md states their use.
     """
 
     weights: NDArray[np.int8]
@@ -83,12 +83,12 @@ class IntegerNetwork:
 
 @dataclass(frozen=True, eq=False)
 class EvaImage:
-    """All that a decoder of EVA needs.
+    """The content of a model image that a decoder of EVA needs.
 
-    `width`: channels of the hidden layers. `fraction_bits`: uint8 (latents,), the unit of each latent in integers is
-    2^-fraction_bits of the graph's, in which the quantiser step is 1. `probabilities`: uint16 (latents, 16), in
-    1/65536, that the magnitude of a level is above 0, 1, ... 14, then that it is negative; `prior` says whether they
-    adapt. `network`, `graph` (ONNX, "latents" to "signal"): at least one of them is there. `runtime`: which of RUNTIMES
+    `width`: channels of the hidden layers. `fraction_bits`: uint8 (latents,). In integers, the unit of a latent is
+    2^-fraction_bits of the graph's unit, in which the quantiser step is 1. `probabilities`: uint16 (latents, 16), in
+    1/65536: that the magnitude of a level is above 0, 1, ... 14, then that it is negative. `prior`: whether they adapt.
+    `network`, `graph` (ONNX, "latents" to "signal"): at least one of them is given. `runtime`: the one of RUNTIMES that
     a decoder prefers.
     """
 
@@ -119,11 +119,11 @@ class EvaImage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> "EvaImage":
-        """Return what a payload holds. Raises CodecError unless all of it is one whole, valid payload."""
+        """Return the content of a payload. Raises CodecError unless the bytes are one whole, valid payload."""
         if payload and payload[0] != LAYOUT_VERSION:
             raise CodecError(
-                f"a model image of EVA with layout {payload[0]}; this version reads layout {LAYOUT_VERSION}: export "
-                "the model again"
+                f"the model image of EVA has layout {payload[0]}, and this version reads layout {LAYOUT_VERSION}; "
+                "export the model again"
             )
         reader = _Reader(payload, _damaged)
         _, flags, width, latents, graph_bytes = _FIXED.unpack(reader.take(_FIXED.size))
@@ -141,7 +141,7 @@ class EvaImage:
 def with_runtime(payload: bytes, runtime: str) -> bytes:
     """Return a payload that prefers one of RUNTIMES.
 
-    Raises CodecError where the model does not have what that runtime needs.
+    Raises CodecError if the model lacks the network or graph for that runtime.
     """
     image = EvaImage.unpack(payload)
     if runtime not in RUNTIMES:
@@ -187,7 +187,7 @@ def _check(valid: bool) -> None:
 
 
 class _Reader(Reader):
-    """Takes arrays too."""
+    """A Reader that takes arrays too."""
 
     def array(self, kind: str, *shape: int) -> NDArray[Any]:
         count = int(np.prod(shape))

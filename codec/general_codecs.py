@@ -1,4 +1,4 @@
-"""Speech and audio codecs of FFmpeg's libraries, as others would use them; layout in docs/reference/bitstream.md."""
+"""Speech and audio codecs of FFmpeg's libraries, with their usual options; layout in docs/reference/bitstream.md."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ from vibrocast.device_protocol.encoding import pack_varint
 _AMR_BITS_PER_SECOND = (4750, 5150, 5900, 6700, 7400, 7950, 10_200, 12_200)
 # 3GPP TS 26.101, annex A: a byte of header, then the speech bits of the mode.
 _AMR_FRAME_BYTES = (13, 14, 16, 18, 20, 21, 27, 32)
-# At full amplitude its coarse quantiser saturates, which costs up to 7 dB of SNR: it gets half of it.
+# At full amplitude G.726's coarse quantiser saturates, which costs up to 7 dB of SNR; so the signal is halved.
 _G726_FULL_SCALE_BITS = 15
 _OPUS_FRAMES_SAMPLES = (20, 40, 80, 160, 320, 480)
 _OPUS_BITS_PER_SECOND = (6000, 8000, 10_000, 12_000, 16_000, 20_000, 24_000, 32_000, 48_000, 64_000)
@@ -40,9 +40,9 @@ def _plan_opus(setting: Setting, packet_samples: int) -> Plan:
     options = {
         "b": str(number(setting, "bit_rate_bps")),
         "frame_duration": str(1000 * frame_samples / LABEL_HZ),
-        # Never the speech coder: in the 48 kHz at which libav decodes, it lags by 0.7 of our samples more.
+        # Never the speech coder: at the 48 kHz at which libav decodes, its delay is 0.7 of our samples longer.
         "application": "lowdelay",
-        "vbr": "constrained",  # libopus's own default; FFmpeg's lets the rate run away from what was asked
+        "vbr": "constrained",  # libopus's own default; FFmpeg's lets the rate drift far from the setting
     }
     return Plan(frame_samples, 20, options)
 
@@ -74,15 +74,15 @@ def _plan_flac(setting: Setting, packet_samples: int) -> Plan:
 
 
 class RateControlledWavpackEncoder(PacketwiseEncoder):
-    """Encoder of `wavpack` that keeps as many bits of each packet's samples as are chosen for it.
+    """Encoder of `wavpack` with rate control, which chooses how many bits of a packet's samples to keep.
 
-    Each block of WavPack stands alone, so a trial is coded by an encoder of its own.
+    Each block of WavPack stands alone, so each trial has its own encoder.
     """
 
     def __init__(
         self, library: Library, plan: Plan, framing: Framing, channels: int, rate_control: RateControl
     ) -> None:
-        """Make an encoder; `plan` has the bits of a quantiser offset of 0. Raises CodecError as `LibavEncoder`."""
+        """Make an encoder; `plan` has the bits at a quantiser offset of 0. Raises CodecError as `LibavEncoder`."""
         self.configuration = LibavEncoder(library, plan, framing, channels).configuration
         super().__init__(channels, framing, plan.frame_samples, 1)
         self._library, self._plan, self._framing, self._rate_control = library, plan, framing, rate_control
@@ -154,7 +154,9 @@ CODECS = (
         "Opus (RFC 6716), its low-delay MDCT coder, by libopus",
         Library("libopus", "libopus", _plan_opus, decimation=6, file="libopus"),
         {
-            "bit_rate_bps": Parameter("bit/s at 8000 samples/s, on average", 16_000, low=500, high=128_000, whole=True),
+            "bit_rate_bps": Parameter(
+                "mean bit rate, in bit/s at 8000 samples/s", 16_000, low=500, high=128_000, whole=True
+            ),
             "frame_samples": Parameter("samples in a frame", "160", choices=tuple(map(str, _OPUS_FRAMES_SAMPLES))),
         },
         tuple({"bit_rate_bps": rate} for rate in _OPUS_BITS_PER_SECOND),
@@ -167,7 +169,7 @@ CODECS = (
         Library("libopencore_amrnb", "libopencore_amrnb", _plan_amr, file="libopencore-amrnb"),
         {
             "mode": Parameter(
-                "0 to 7: 4.75, 5.15, 5.9, 6.7, 7.4, 7.95, 10.2, 12.2 kbit/s at 8000 samples/s", 7, 0, 7, True
+                "0 to 7 = 4.75, 5.15, 5.9, 6.7, 7.4, 7.95, 10.2 or 12.2 kbit/s at 8000 samples/s", 7, 0, 7, True
             )
         },
         tuple({"mode": mode} for mode in range(8)),
@@ -193,17 +195,17 @@ CODECS = (
             settling_samples=1280,
             decoder_options=lambda frame_bytes: {"bits_per_coded_sample": str(frame_bytes)},
         ),
-        {"bits_per_sample": Parameter("coded bits of each sample", 4, low=2, high=5, whole=True)},
+        {"bits_per_sample": Parameter("bits per coded sample", 4, low=2, high=5, whole=True)},
         tuple({"bits_per_sample": bits} for bits in range(2, 6)),
     ),
     _codec(
         "wavpack",
         9,
-        "WavPack, lossless linear prediction, of samples rounded to fewer bits",
+        "WavPack, lossless linear prediction, after rounding the samples to fewer bits",
         Library("wavpack", "wavpack", _plan_wavpack, sample_format="s16p", settling_samples=0, controls_rate=True),
         {
             "bits_per_sample": Parameter(
-                "bits kept of each sample, 16 = lossless", 8, _FEWEST_WAVPACK_BITS, _MAX_WAVPACK_BITS, True
+                "bits kept of each sample; 16 = lossless", 8, _FEWEST_WAVPACK_BITS, _MAX_WAVPACK_BITS, True
             )
         },
         tuple({"bits_per_sample": bits} for bits in _WAVPACK_BITS_PER_SAMPLE),

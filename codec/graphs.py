@@ -1,4 +1,4 @@
-"""Transforms of learned codecs in ONNX Runtime: graphs that come from elsewhere, checked, single-threaded, reused."""
+"""Runs transforms of learned codecs in ONNX Runtime: checks graphs from elsewhere, uses one thread, reuses graphs."""
 
 import os
 import re
@@ -12,12 +12,12 @@ from vibrocast import extras
 from vibrocast.codec.interface import CodecError
 
 SIGNAL = "signal"
-"""Name of the samples of a graph, float32 (batch, 1, 16 n)."""
+"""Name of a graph's samples, float32 (batch, 1, 16 n)."""
 LATENTS = "latents"
-"""Name of the latents of a graph, float32 (batch, latents, n)."""
+"""Name of a graph's latents, float32 (batch, latents, n)."""
 MAX_MEMORY_BYTES = 2**30
-"""What all graphs together may take."""
-# Operators that may run for ever, as a serialised graph names them: behind the last byte of the length of the name.
+"""Memory limit of all graphs together."""
+# Operators that may run for ever, as a serialised graph names them: after the last byte of the name's length.
 _LOOPS = re.compile(rb"[\x00\x04](Loop|Scan)")
 _ADVICE = "give a graph that `vibrocast export` wrote"
 
@@ -35,9 +35,10 @@ class Transform:
         onnxruntime = _runtime()
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # what goes wrong is raised
+        options.log_severity_level = 4  # no log: errors are raised
         options.add_session_config_entry("session.use_env_allocators", "1")
-        # Weights that lie in files are looked for where none are: a graph stands alone, and reads no file of the user.
+        # ONNX Runtime looks for weights outside the graph in this folder, which holds none: no graph reads files of the
+        # user.
         options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
         try:
             self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
@@ -49,7 +50,7 @@ class Transform:
             (name, "tensor(float)", 3) for name in (source, result)
         ]:
             found = ", ".join(f"{end.name} {end.type} {end.shape}" for end in ends)
-            raise CodecError(f"this ONNX graph has {found} in place of {source} and {result} of three axes; {_ADVICE}")
+            raise CodecError(f"this ONNX graph has {found} instead of {source} and {result} with three axes; {_ADVICE}")
         self._source, self._result = source, result
         self.source_channels, self.result_channels = ends[0].shape[1], ends[1].shape[1]
 
@@ -64,9 +65,9 @@ class Transform:
 
 @cache
 def _runtime() -> Any:
-    """Load ONNX Runtime, which takes longer than all the rest and which most streams do not need; limit its memory.
+    """Load ONNX Runtime and limit its memory: on first use, because it is slow and few streams need it.
 
-    Raises CodecError where it is not installed.
+    Raises CodecError if it is not installed.
     """
     if advice := extras.advice("learned"):
         raise CodecError(advice)

@@ -1,4 +1,4 @@
-"""Canonical Huffman codes: lengths from counts, codes from lengths, and words of bits packed into bytes."""
+"""Canonical Huffman codes: lengths from counts, codes from lengths, and packing of codes into bytes."""
 
 import heapq
 from collections.abc import Sequence
@@ -10,10 +10,11 @@ MAX_CODE = 15
 
 
 def code_lengths(counts: Sequence[int]) -> list[int]:
-    """Return the length, in bits, of each symbol's code, 0 for those that do not occur; none is above MAX_CODE.
+    """Return the length of each symbol's code in bits, at most MAX_CODE; 0 for a symbol that does not occur.
 
     D. Huffman, "A method for the construction of minimum-redundancy codes", Proc. IRE 40 (1952). The code is complete:
-    where only one symbol occurs, another has a code too. Where one gets too long, the counts are halved, as in bzip2.
+    if only one symbol occurs, a second one gets a code too. While a code is too long, the counts are halved, as in
+    bzip2.
     """
     shared = list(counts)
     while sum(count > 0 for count in shared) < 2:
@@ -35,7 +36,7 @@ def code_lengths(counts: Sequence[int]) -> list[int]:
 
 
 def canonical_codes(lengths: Sequence[int]) -> list[int]:
-    """Return the code of each symbol: numbers in order of length, then of symbol; 0 where there is none."""
+    """Return the code of each symbol: numbers in order of length, then of symbol; 0 for a symbol without a code."""
     codes = [0] * len(lengths)
     code = previous = 0
     for length, symbol in sorted((length, symbol) for symbol, length in enumerate(lengths) if length):
@@ -46,7 +47,7 @@ def canonical_codes(lengths: Sequence[int]) -> list[int]:
 
 
 def pack_bits(words: NDArray[np.int64], lengths: NDArray[np.int64]) -> bytes:
-    """Return words of so many bits one behind the other, each from its highest bit on, filled up with 0 to bytes."""
+    """Join words of these lengths in bits, each from its highest bit on; zeros fill the last byte."""
     ends = np.cumsum(lengths)
     shifts = np.repeat(ends, lengths) - 1 - np.arange(ends[-1] if len(ends) else 0)
     return np.packbits((np.repeat(words, lengths) >> shifts & 1).astype(np.uint8)).tobytes()

@@ -1,4 +1,4 @@
-"""The small interface that every codec fills: its setting, an encoder and a decoder of packets with their states."""
+"""The interface that every codec implements: its setting, an encoder and a decoder of packets, each with its state."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -14,14 +14,14 @@ Signal = NDArray[np.float64]
 Decoded = NDArray[np.int16]
 Value: TypeAlias = float | str | tuple[float, ...]
 Setting: TypeAlias = Mapping[str, Value]
-"""A codec's parameters by name; a tuple is a number for each channel, of those that may differ between them."""
+"""A codec's parameters by name. A tuple has a number for each channel, where a parameter may differ by channel."""
 
 AUTO = "auto"
 """The value of a parameter that the codec chooses."""
 WHOLE = "whole"
-"""The length of a block that is a whole file, which live streams do not have and controllers do not decode."""
+"""The block that is a whole file. A live stream cannot have it, and a controller cannot decode it."""
 RUNTIMES = ("core", "onnx")
-"""What can decode a learned codec: the integer core, or ONNX Runtime."""
+"""The decoders of a learned codec: the integer core, or ONNX Runtime."""
 
 
 class CodecError(ValueError):
@@ -29,15 +29,15 @@ class CodecError(ValueError):
 
 
 class TargetUnreachable(CodecError):
-    """An SNR or a rate that this signal cannot be coded at; another codec or model may."""
+    """An SNR or a rate that this codec and model cannot reach with this signal; others may."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a codec: what it means, its default, and what it may be.
+    """One parameter of a codec: its meaning, its default, its allowed values.
 
-    Either one of the words in `choices`, or any text if `text`, or a number from `low` to `high`, a whole one if
-    `whole`. `per_channel`: or a tuple of such numbers, one for each channel.
+    A value is one of the words in `choices`; or any text, if `text`; or a number from `low` to `high`, a whole one if
+    `whole`. With `per_channel` it may also be a tuple of such numbers, one for each channel.
     """
 
     meaning: str
@@ -50,10 +50,10 @@ class Parameter:
     per_channel: bool = False
 
     def checked(self, name: str, value: Value) -> Value:
-        """Return the given part of a setting, with numbers in text read.
+        """Return the value, converted if it is a number in text.
 
         Raises:
-            CodecError: There is no such parameter, or it cannot have that value.
+            CodecError: The parameter `name` cannot have that value.
         """
         if isinstance(value, tuple):
             if not self.per_channel:
@@ -69,12 +69,12 @@ class Parameter:
 
     @property
     def fractional(self) -> bool:
-        """Whether it is a number that need not be whole."""
+        """Whether the value is a number that need not be whole."""
         return not (self.whole or self.text or self.choices)
 
     @property
     def range(self) -> str:
-        """The values that it may take, in words."""
+        """The allowed values, in words."""
         if self.choices:
             return ", ".join(self.choices)
         if self.text:
@@ -94,14 +94,14 @@ class Parameter:
 
 
 def number(setting: Setting, name: str) -> float:
-    """Return a parameter that is one number in a checked setting."""
+    """Return a parameter of a checked setting that is one number."""
     value = setting[name]
     assert isinstance(value, (float, int)), f"{name} is one number"
     return value
 
 
 def numbers(setting: Setting, name: str, channels: int) -> tuple[float, ...]:
-    """Return a parameter that is a number for each channel, or one for all of them. Raises CodecError on a misfit."""
+    """Return a parameter as one number for each channel. Raises CodecError for a wrong count of numbers."""
     value = setting[name]
     if not isinstance(value, tuple):
         return (number(setting, name),) * channels
@@ -111,18 +111,18 @@ def numbers(setting: Setting, name: str, channels: int) -> tuple[float, ...]:
 
 
 def word(setting: Setting, name: str) -> str:
-    """Return a parameter that is a word in a checked setting."""
+    """Return a parameter of a checked setting as a word."""
     return str(setting[name])
 
 
 def check_channels(channels: int) -> None:
-    """Raise CodecError for a channel count that no stream has."""
+    """Raise CodecError for a channel count that no stream can have."""
     if not 1 <= channels <= MAX_CHANNELS:
         raise CodecError(f"{channels} channels; 1 to {MAX_CHANNELS} make one stream")
 
 
 def checked_parts(samples: Signal, channels: int, part_samples: int) -> Iterator[Signal]:
-    """Yield what an encoder is given, clipped to full scale, in parts of so many samples.
+    """Yield the input of an encoder, clipped to full scale, in parts of at most `part_samples` samples.
 
     Raises CodecError on a wrong shape, NaN or infinity.
     """
@@ -137,11 +137,11 @@ def checked_parts(samples: Signal, channels: int, part_samples: int) -> Iterator
 
 @dataclass(frozen=True)
 class SignalFormat:
-    """What an encoder is told before the samples come.
+    """Properties of a signal that an encoder must know before the samples come.
 
-    `gains`: physical value, in `unit`, of full scale of each channel. `rms`: RMS value of each channel relative to
-    full scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or PROFILE_UNIT. `samples`: per channel in all; None
-    = not known, as of a live stream.
+    `gains`: physical value of each channel's full scale, in `unit`. `rms`: RMS value of each channel relative to full
+    scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or PROFILE_UNIT. `samples`: samples per channel; None =
+    unknown, as for a live stream.
     """
 
     rate_hz: int
@@ -158,10 +158,10 @@ class SignalFormat:
 
 @dataclass(frozen=True)
 class Model:
-    """What a trained model gives an encoder.
+    """The parts of a trained model that an encoder needs.
 
-    `tables`: payload of the model image, all that a decoder needs. `analysis`: ONNX graph of the analysis transform,
-    where the codec has a learned one.
+    `tables`: payload of the model image; a decoder needs nothing else. `analysis`: ONNX graph of the analysis
+    transform, if the codec has a learned one.
     """
 
     tables: bytes
@@ -172,8 +172,8 @@ class Model:
 class Framing:
     """How a stream is cut into packets.
 
-    `packet_samples`: samples per channel in each packet, rounded up to whole blocks. `refresh_packets`: packets
-    from one refresh to the next, 0 when only the first packet is a refresh.
+    `packet_samples`: samples per channel in each packet, rounded up to whole blocks. `refresh_packets`: packets from
+    one refresh to the next; 0 = only the first packet is a refresh.
     """
 
     packet_samples: int
@@ -181,12 +181,12 @@ class Framing:
 
 
 class Trial(Protocol):
-    """A packet whose quality is still to be chosen: all of its input is there, and nothing beyond it.
+    """A packet whose quality is still open. The encoder has all of its input, and no later input.
 
-    `samples`: what its decoded samples stand for, float64 (packet_samples, channels), full scale = 1: the input, as
-    late as the codec's delay. `quantiser_offsets`: what may be chosen, the finest first; 0 is the stream's own setting,
-    and more is coarser, on the whole in fewer bytes. `previous`: that of the packet before, which costs least to say
-    again, but in a refresh.
+    `samples`: the input that the packet's decoded samples stand for, float64 (packet_samples, channels), full scale =
+    1. It is delayed as the codec's output is. `quantiser_offsets`: the offsets to choose from, the finest first. 0 is
+    the stream's own setting; a larger one is coarser and usually takes fewer bytes. `previous`: the offset of the
+    packet before, which takes the fewest bytes to state, except in a refresh.
     """
 
     @property
@@ -202,12 +202,12 @@ class Trial(Protocol):
         """The offset of the packet before."""
 
     def packet(self, quantiser_offset: int) -> bytes:
-        """Return the packet at one of the quantiser offsets, each time from the same state. Raises CodecError."""
+        """Return the packet at one of the quantiser offsets; calls do not affect each other. Raises CodecError."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What is chosen for a packet: its quantiser offset, and to how many bytes it is padded where it is shorter."""
+    """The choice for a packet: its quantiser offset, and the bytes to which a shorter packet is padded."""
 
     quantiser_offset: int
     min_bytes: int = 0
@@ -230,7 +230,7 @@ class Encoder(Protocol):
 
     @property
     def delay_samples(self) -> int:
-        """Samples per channel by which decoded signal lags the input; also the trailing input that `finish` adds."""
+        """Samples per channel by which the decoded signal lags the input; `finish` codes as many after the end."""
 
     def encode(self, samples: Signal) -> list[bytes]:
         """Take samples (n, channels), full scale = 1; return the packets that they complete.
@@ -239,7 +239,7 @@ class Encoder(Protocol):
         """
 
     def finish(self) -> list[bytes]:
-        """Pad the end with zeros and return the packets that remain, so that every sample given can be decoded."""
+        """Pad the end with zeros; return the remaining packets, so that every input sample can be decoded."""
 
 
 class Decoder(Protocol):
@@ -255,22 +255,22 @@ class Decoder(Protocol):
 
     @property
     def delay_samples(self) -> int:
-        """Samples per channel by which decoded signal lags the encoder's input."""
+        """Samples per channel by which the decoded signal lags the encoder's input."""
 
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet; return int16 samples (packet_samples, channels), 32768 = full scale.
 
-        A packet that does not follow the one decoded last is not played until a refresh packet comes: the result
-        fades to silence instead. Raises CodecError on a malformed packet, whose time `conceal` then fills.
+        After a missing packet, the decoder plays nothing until a refresh: the result fades to silence. Raises
+        CodecError on a malformed packet; `conceal` then fills its time.
         """
 
     def conceal(self) -> Decoded:
-        """Stand in for one missing packet: same shape as `decode`, the last sound faded out, then silence."""
+        """Replace one missing packet: same shape as `decode`, the last sound faded out, then silence."""
 
 
 @dataclass(frozen=True)
 class LearnedTransform:
-    """The network in the tables of a trained model: channels of its hidden layers, bytes of its ONNX graph."""
+    """The network of a trained model: channels of its hidden layers, bytes of its ONNX graph."""
 
     width: int
     graph_bytes: int
@@ -362,7 +362,7 @@ class Codec:
         return {} if self.block_parameter is None or block is None else {self.block_parameter: block}
 
     def checked(self, setting: Setting) -> Setting:
-        """Return what is given of a setting, numbers in text read. Raises CodecError for unknown names and values."""
+        """Return a partial setting, with text converted to numbers. Raises CodecError for unknown names and values."""
         if unknown := sorted(set(setting) - set(self.parameters)):
             raise CodecError(f"{self.name} has no parameter {unknown[0]}; choose from {', '.join(self.parameters)}")
         return {name: self.parameters[name].checked(name, value) for name, value in setting.items()}
@@ -383,16 +383,16 @@ class Codec:
 
 
 def reject_rate_control(name: str, rate_control: RateControl | None) -> None:
-    """Raise CodecError where a codec whose packets are all of one quality is asked to control the rate."""
+    """Raise CodecError if `rate_control` is given to a codec that cannot control its rate."""
     if rate_control is not None:
         raise CodecError(
-            f"all packets of {name} are of one quality; choose mdct, or another with rate control in `vibrocast codecs`"
+            f"all packets of {name} have one quality; choose mdct, or another with rate control in `vibrocast codecs`"
         )
 
 
 @dataclass(frozen=True)
 class CodedSignal:
-    """A whole coded signal: all that a container needs to store.
+    """A whole coded signal, as a container stores it.
 
     `gains`: the physical value of full scale, one per channel, each a number of at most 8 significant bits.
     """

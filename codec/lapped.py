@@ -26,13 +26,13 @@ _WINDOW_UNIT = 2**15
 
 
 def pack_windows(windows: list[Signal]) -> bytes:
-    """Return windows as they begin a model image: of each of HOPS the first half, 2 hop values within +-1."""
+    """Return the windows that begin a model image: for each of HOPS the first half, 2 hop values within +-1."""
     return b"".join(np.clip(np.rint(half * _WINDOW_UNIT), -32767, 32767).astype("<i2").tobytes() for half in windows)
 
 
 @cache
 def analysis_matrix(windows: bytes, hop: int) -> Signal:
-    """Return the extended lapped transform (4 hop, hop) with a window of a model image: its transpose synthesises.
+    """Return the extended lapped transform (4 hop, hop) with a window of a model image; its transpose synthesises.
 
     Malvar, "Extended lapped transforms: properties, applications, and fast algorithms", 1992, overlap 4.
     """
@@ -41,11 +41,13 @@ def analysis_matrix(windows: bytes, hop: int) -> Signal:
 
 
 def parts(payload: bytes | None) -> tuple[bytes, bytes]:
-    """Return the windows in a model image's payload, and what is left: tables of `mdct`. Raises CodecError."""
+    """Return the windows in a model image's payload, and the rest: tables of `mdct`. Raises CodecError."""
     if payload is None:
         raise CodecError("the codec lapped needs a model; give one of its model images")
     if len(payload) < WINDOWS_BYTES:
-        raise CodecError(f"a model image of {len(payload)} bytes; lapped needs {WINDOWS_BYTES} bytes of windows alone")
+        raise CodecError(
+            f"the model image has {len(payload)} bytes, and the windows of lapped take {WINDOWS_BYTES}; give another"
+        )
     windows, tables = payload[:WINDOWS_BYTES], payload[WINDOWS_BYTES:]
     mdct.check_tables(tables)
     return windows, tables
@@ -62,7 +64,7 @@ class LappedDecoder(CoreDecoder):
 
 
 def check_tables(payload: bytes) -> None:
-    """Raise CodecError where the payload of a model image is none of this codec."""
+    """Raise CodecError for the payload of a model image that does not belong to this codec."""
     parts(payload)
 
 
@@ -81,7 +83,7 @@ def make_encoder(
     model: Model | None,
     rate_control: RateControl | None = None,
 ) -> MdctEncoder:
-    """Make an encoder, that of `mdct` with the model's windows. Raises CodecError as that, and without a model."""
+    """Make an encoder: that of `mdct` with the model's windows. Raises CodecError like it, and without a model."""
     windows, tables = parts(model.tables if model else None)
     analysis = partial(analysis_matrix, windows)
     return mdct.make_encoder(setting, signal_format, framing, Model(tables), rate_control, analysis)
@@ -90,7 +92,7 @@ def make_encoder(
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
-    summary="a learned lapped transform over four blocks, quantised and coded as in mdct, by a learned network",
+    summary="learned lapped transform over four hops, quantised and coded as in mdct with a network",
     parameters=mdct.CODEC.parameters,
     rate_point_sets={NAME: mdct.CODEC.rate_point_sets[mdct.NAME]},
     make_encoder=make_encoder,

@@ -21,7 +21,7 @@ from vibrocast.codec.packetwise import faded_backwards
 from vibrocast.device_protocol.encoding import Reader, pack_varint
 
 LABEL_HZ = 8000
-"""The rate that samples of every stream are passed off as: speech codecs have no other, the rest do not mind."""
+"""The rate with which samples of every stream are labelled: speech codecs have no other, the rest ignore it."""
 
 _MAX_PACKET_SAMPLES = 65_535
 _MAX_SEQUENCE_BITS = 33
@@ -35,8 +35,9 @@ _RISE_SAMPLES = 32
 class Plan:
     """How a codec codes with one setting.
 
-    `frame_samples`: of one codec frame. `delay_samples`: by which decoded signal lags. `options`: of libav's encoder.
-    `frame_bytes`: of every codec frame, 0 where they differ. `bits_per_sample`: kept of each sample before coding.
+    `frame_samples`: samples in a codec frame. `delay_samples`: lag of the decoded signal. `options`: of libav's
+    encoder. `frame_bytes`: bytes in every codec frame, 0 if they differ. `bits_per_sample`: bits kept of each sample
+    before coding.
     """
 
     frame_samples: int
@@ -48,12 +49,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Library:
-    """What libav's encoder and decoder of a codec are called, and how they differ from the others.
+    """The names of libav's encoder and decoder of a codec, and how they differ from the others.
 
-    `plan(setting, packet_samples)`. `decimation`: of decoded samples, one of so many is kept. `continuous`: frames
-    have no bounds, and those of a packet are decoded at once. `full_scale_bits`: 16, fewer where the codec wants
-    headroom. `settling_samples`: that a decoder which begins anew in the middle of a stream takes to find the signal.
-    `decoder_options(frame_bytes)`. `controls_rate`: WavPack does. `file`: as `Codec.library`.
+    `plan(setting, packet_samples)`. `decimation`: keep every n-th decoded sample. `continuous`: frames have no bounds,
+    so those of a packet are decoded at once. `full_scale_bits`: 16, or fewer if the codec needs headroom.
+    `settling_samples`: samples that a decoder needs to settle when it begins in the middle of a stream.
+    `decoder_options(frame_bytes)`. `controls_rate`: as of `Codec`. `file`: as `Codec.library`.
     """
 
     encoder: str
@@ -73,9 +74,9 @@ class LibavEncoder:
     """Encoder of all these codecs; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
     def __init__(self, library: Library, plan: Plan, framing: Framing, channels: int) -> None:
-        """Make an encoder of so many channels, each coded alone.
+        """Make an encoder; it codes each channel alone.
 
-        Raises CodecError on a channel count or packet length that a stream cannot have, or where libav is missing.
+        Raises CodecError for a channel count or packet length that a stream cannot have, or if libav is missing.
         """
         check_channels(channels)
         self._library = library
@@ -105,7 +106,7 @@ class LibavEncoder:
         return self._packets(ended=False)
 
     def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packets that remain; the last holds no more frames than are needed."""
+        """Pad with zeros and return the remaining packets; the last has no more frames than needed."""
         if not self._taken_samples:
             return []
         frame_samples = self._plan.frame_samples
@@ -118,7 +119,7 @@ class LibavEncoder:
         return self._packets(ended=True)
 
     def _code(self, samples: NDArray[np.int16], ended: bool) -> None:
-        """Give libav the frames that it wants; at the end a shorter one, and whatever it holds back is taken."""
+        """Give libav whole frames; at the end also the shorter last one, and take all that it holds back."""
         self._pending = np.concatenate([self._pending, samples])
         size = self._contexts[0].frame_size
         given = len(self._pending) if ended else len(self._pending) // size * size
@@ -140,7 +141,7 @@ class LibavEncoder:
             yield from (packet[start : start + size] for start in range(0, len(packet), size or 1))
 
     def _packets(self, ended: bool) -> list[bytes]:
-        """Return the packets of the frames that are there; at the end the last may be short of some."""
+        """Return the packets that the coded frames fill; at the end the last one may have fewer frames."""
         size = self._packet_frames
         count = len(self._frames[0]) if ended else len(self._frames[0]) // size * size
         packets = []
@@ -160,7 +161,7 @@ class LibavDecoder:
     def __init__(self, library: Library, configuration: bytes, channels: int) -> None:
         """Make a decoder from the codec's bytes in the stream header.
 
-        Raises CodecError when they are not valid, or where libav is missing.
+        Raises CodecError when they are not valid, or if libav is missing.
         """
         check_channels(channels)
         self._library = library
@@ -171,7 +172,7 @@ class LibavDecoder:
         )
         self.packet_samples = packet_frames * self._frame_samples
         if not reader.at_end or not 1 <= self.packet_samples <= _MAX_PACKET_SAMPLES:
-            raise CodecError("the codec configuration is damaged or of another version")
+            raise CodecError("the codec configuration is damaged or of another version; encode the recording again")
         self._contexts: Sequence[Any] = self._fresh_contexts()
         self._next_sequence: int | None = 0
         self._samples_since_gap = library.settling_samples + _RISE_SAMPLES
@@ -198,7 +199,7 @@ class LibavDecoder:
         return samples
 
     def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last sound, backwards and faded out, then silence."""
+        """Replace one missing packet: the last sound, backwards and faded out, then silence."""
         samples = faded_backwards(self._last, _FADE_SAMPLES)
         self._last = np.zeros_like(self._last)
         self._next_sequence = None
@@ -221,7 +222,7 @@ class LibavDecoder:
         return frames
 
     def _decode_frames(self, frames: list[bytes]) -> Decoded:
-        """Return what frames of all channels decode to; behind those of a last, shorter packet comes silence."""
+        """Return the decoded samples of all channels' frames; silence follows those of a shorter last packet."""
         count = len(frames) // self.channels
         samples = np.zeros((self.packet_samples, self.channels), dtype=np.int16)
         scale = 2 ** (16 - self._library.full_scale_bits)
@@ -242,7 +243,7 @@ def _damaged(flaw: str) -> CodecError:
 
 
 def _av() -> Any:
-    """Return the package `av`, imported at first need: it takes as long as all the rest. Raises CodecError."""
+    """Return the package `av`, imported on first use because that is slow. Raises CodecError."""
     if advice := extras.advice("peers"):
         raise CodecError(advice)
     try:
@@ -255,7 +256,7 @@ def _av() -> Any:
 
 
 def _open(name: str, mode: str, options: Mapping[str, str], sample_format: str | None = None) -> Any:
-    """Return an open libav context of one channel. Raises CodecError where this build does not have the codec."""
+    """Return an open libav context of one channel. Raises CodecError if this build lacks the codec."""
     av = _av()
     try:
         context = av.CodecContext.create(name, mode)
@@ -272,7 +273,7 @@ def _open(name: str, mode: str, options: Mapping[str, str], sample_format: str |
 
 
 def _decoded(context: Any, frame: bytes) -> list[NDArray[np.int16]]:
-    """Return the samples in one codec frame. Raises CodecError where libav finds it malformed."""
+    """Return the samples in one codec frame. Raises CodecError if libav finds it malformed."""
     av = _av()
     if not frame:
         raise CodecError("a packet with an empty frame; it was damaged")

@@ -1,7 +1,7 @@
-"""Linear predictors for `slp`: sparse fits, reflection coefficients, and quantisers that keep filters stable or do not.
+"""Linear predictors for `slp`: sparse fits, reflection coefficients, and quantisers, stable and unstable.
 
-A predictor a (order) stands for x[n] ~ a[0] x[n-1] + a[1] x[n-2] + ...; its synthesis filter is 1 / A(z) with
-A(z) = 1 - a[0] z^-1 - a[1] z^-2 - ...
+A predictor a (order) stands for x[n] ~ a[0] x[n-1] + a[1] x[n-2] + ...; its synthesis filter is 1 / A(z) with A(z) = 1
+- a[0] z^-1 - a[1] z^-2 - ...
 """
 
 from collections.abc import Callable, Mapping
@@ -13,18 +13,17 @@ from vibrocast.codec.interface import CodecError, Signal
 
 MAX_REFLECTION_CODE = 15
 SPARSITY = 120.0
-"""Weight gamma of the predictor's 1-norm against the residual's in units of the RMS value; docs/reference/codecs.md has
-the rates of other weights."""
+"""Weight gamma of the predictor's 1-norm relative to the residual's, in units of the RMS value."""
 _ITERATIONS = 5
 _MIN_RESIDUAL = 0.01
 _MIN_COEFFICIENT = 0.01
 
 
 def windows(signal: Signal, samples: int, hop: int, order: int) -> tuple[Signal, Signal]:
-    """Cut a signal (n) into windows that a predictor is fitted to, `samples` long and `hop` apart.
+    """Cut a signal (n,) into windows for fitting predictors, `samples` long and `hop` apart.
 
-    Returns what predicts, (windows, samples, order), and what is predicted, (windows, samples). The first window is the
-    samples from `hop + order` on.
+    Returns the samples that predict, (windows, samples, order), and the samples to predict, (windows, samples). The
+    first window begins at sample `hop + order`.
     """
     held = np.lib.stride_tricks.sliding_window_view(signal, samples + order)[hop::hop]
     return np.stack([held[:, order - lag : -lag] for lag in range(1, order + 1)], axis=2), held[:, order:]
@@ -35,9 +34,9 @@ def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
 
     s is the RMS value of x. The problem is that of Giacobello, Christensen, Murthi, Jensen and Moonen, "Sparse Linear
     Prediction and Its Applications to Speech Processing", IEEE Trans. Audio, Speech and Language Processing 20, 2012.
-    It is solved by iteratively reweighted least squares: weights 1 / |residual| and gamma / |a|, of the solution
-    before, turn both norms into sums of squares (Daubechies, DeVore, Fornasier and Gunturk, "Iteratively reweighted
-    least squares minimization for sparse recovery", 2010). Returns (windows, order).
+    Iteratively reweighted least squares solve it (Daubechies, DeVore, Fornasier and Gunturk, "Iteratively reweighted
+    least squares minimization for sparse recovery", 2010). The weights 1 / |residual| and gamma / |a| of the last
+    solution turn both norms into sums of squares. Returns (windows, order).
     """
     count, _, order = rows.shape
     scale: Signal = np.sqrt(np.mean(np.square(targets), axis=1))[:, None] + 1e-9
@@ -48,7 +47,7 @@ def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
     for _ in range(_ITERATIONS):
         weighted = np.swapaxes(rows * weights[:, :, None], 1, 2)
         normal: Signal = weighted @ rows
-        # What keeps the equations solvable in silence, and the filters of pure tones off the unit circle.
+        # This keeps the equations solvable in silence, and the poles of pure tones off the unit circle.
         regularisation = 1e-4 * np.trace(normal, axis1=1, axis2=2)[:, None] / order + 1e-12
         normal[:, diagonal, diagonal] += regularisation + penalty
         predictors = np.asarray(np.linalg.solve(normal, weighted @ targets[:, :, None])[:, :, 0], dtype=np.float64)
@@ -59,10 +58,10 @@ def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
 
 
 def reflections_of(predictors: Signal) -> tuple[Signal, NDArray[np.bool_]]:
-    """Return the reflection coefficients of predictors (n, order), and which of these have no stable filter (n).
+    """Return the reflection coefficients of predictors (n, order), and which predictors have no stable filter (n,).
 
     The step-down recursion (Markel and Gray, "Linear Prediction of Speech", 1976): the synthesis filter is stable if
-    and only if every coefficient is below 1 in magnitude. Where one is not, those returned are of no use.
+    and only if every coefficient is below 1 in magnitude. The coefficients of an unstable filter are of no use.
     """
     order = predictors.shape[1]
     errors = np.concatenate([np.ones((len(predictors), 1)), -predictors], axis=1)
@@ -87,10 +86,10 @@ def predictors_of(reflections: Signal) -> Signal:
 
 
 def stabilised(predictors: Signal) -> Signal:
-    """Return the reflection coefficients of predictors (n, order), poles outside the unit circle mirrored into it.
+    """Return the reflection coefficients of predictors (n, order), with poles outside the unit circle mirrored into it.
 
-    The 1-norm fit may be unstable, unlike the autocorrelation method. A mirrored pole, 1 / conj(p), leaves the shape of
-    the magnitude response as it was.
+    Unlike the autocorrelation method, the 1-norm fit may be unstable. Mirroring a pole, to 1 / conj(p), keeps the shape
+    of the magnitude response.
     """
     reflections, unstable = reflections_of(predictors)
     for index in np.flatnonzero(unstable):
@@ -103,7 +102,7 @@ def stabilised(predictors: Signal) -> Signal:
 
 
 def reflection_codes(reflections: Signal, largest: int = MAX_REFLECTION_CODE) -> NDArray[np.int16]:
-    """Quantise reflection coefficients: code pi / (2 (largest + 1)) is the arcsine; none reaches 1.
+    """Quantise reflection coefficients: code * pi / (2 (largest + 1)) is the arcsine, and none reaches 1.
 
     Equal steps of the arcsine are finer near 1, where the spectrum is more sensitive (Gray and Markel, "Quantization
     and bit allocation in speech processing", IEEE Trans. Acoustics, Speech and Signal Processing 24, 1976).
@@ -119,22 +118,22 @@ def pole_radii(predictors: Signal) -> Signal:
 
 
 def _through_reflections(predictors: Signal, bits: int) -> Signal:
-    """As `slp` does, whose codes have 5 bits."""
+    """Quantise reflection coefficients, as `slp` does with 5 bits."""
     largest = 2 ** (bits - 1) - 1
     codes = reflection_codes(reflections_of(predictors)[0], largest)
     return predictors_of(np.sin(codes * np.pi / (2 * (largest + 1))))
 
 
 def _through_line_spectral_frequencies(predictors: Signal, bits: int) -> Signal:
-    """Equal steps of the frequencies from 0 to pi, at least one step apart, so that they stay in their order.
+    """Quantise the frequencies in equal steps from 0 to pi, at least one step apart to keep their order.
 
-    Itakura, "Line spectrum representation of linear predictor coefficients of speech signals", 1975: the roots of
-    A(z) +- z^-(order + 1) A(1 / z) lie on the unit circle and take turns; while they do, the filter is stable.
+    Itakura, "Line spectrum representation of linear predictor coefficients of speech signals", 1975: the roots of A(z)
+    +- z^-(order + 1) A(1 / z) lie on the unit circle and alternate. While they do, the filter is stable.
     """
     order = predictors.shape[1]
     steps = 2**bits
     if steps < order:
-        raise CodecError(f"{bits} bits cannot keep {order} line spectral frequencies apart")
+        raise CodecError(f"{bits} bits cannot keep {order} line spectral frequencies apart; give more bits")
     fixed = ([1.0], [1.0, 0.0, -1.0]) if order % 2 else ([1.0, 1.0], [1.0, -1.0])  # roots at 1 and -1
     rising = np.arange(order)
     quantised = np.empty_like(predictors)
@@ -157,7 +156,7 @@ def _through_line_spectral_frequencies(predictors: Signal, bits: int) -> Signal:
 
 
 def _direct_form(predictors: Signal, bits: int) -> Signal:
-    """One fixed-point format, just wide enough for all of these: nothing keeps the filter stable. To compare only."""
+    """Quantise in one fixed-point format, just wide enough for all. Filters may become unstable: only to compare."""
     step = 2 * float(np.max(np.abs(predictors), initial=1e-9)) / (2**bits - 1)
     return np.asarray(np.rint(predictors / step) * step, dtype=np.float64)
 
@@ -170,9 +169,9 @@ QUANTISERS: Mapping[str, Callable[[Signal, int], Signal]] = {
 
 
 def quantised_pole_radii(predictors: Signal, quantiser: str, bits: int) -> Signal:
-    """Return the largest pole's magnitude (n) of predictors (n, order) behind a quantiser of `bits` a coefficient.
+    """Return the magnitude of each predictor's largest pole (n,), after quantisation with `bits` a coefficient.
 
-    `quantiser`: one of QUANTISERS. `slp` has reflection coefficients; the direct form is what it must not have. Raises
-    CodecError where the bits are too few for the order. The predictors must be stable before.
+    `predictors`: (n, order), stable. `quantiser`: one of QUANTISERS; `slp` uses reflection coefficients, because the
+    direct form may become unstable. Raises CodecError if the bits are too few for the order.
     """
     return pole_radii(QUANTISERS[quantiser](predictors, bits))

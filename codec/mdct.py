@@ -34,9 +34,9 @@ HOPS = (16, 32, 64, 128)
 MAX_PACKET_BLOCKS = 4095
 STEP_CODES = 21 * 64
 STEP_CODES_OF_QUANTISER_OFFSET = 4
-"""By how many codes the steps of a packet are larger for each unit of its quantiser offset."""
+"""Step codes in one unit of the quantiser offset."""
 RATE_CONTROLLED = b"\x01"
-"""What ends the configuration of a stream whose packets carry their quantiser offset."""
+"""End of the configuration of a stream whose packets state their quantiser offsets."""
 MAX_NOISE_FILLING = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
@@ -53,7 +53,7 @@ MAX_STEP = 2.0**6
 
 
 def hop_samples(rate_hz: float) -> int:
-    """Return the hop of live streams: 32 samples, 64 from 5600 Hz up, where a block of twice that still lasts 23 ms."""
+    """Return the hop of live streams: 32 samples, or 64 from 5600 Hz on, where a block of 128 lasts 23 ms at most."""
     return 64 if rate_hz >= 5600 else 32
 
 
@@ -80,7 +80,7 @@ def built_in_tables() -> bytes:
 
 
 def untrained_tables() -> bytes:
-    """Return initial tables that know nothing: even odds everywhere, each input weighed 0.3, silence at one in ten."""
+    """Return initial tables without training: even odds, a weight of 0.3 for each input, silence at one in ten."""
     weights = np.tile(np.array([0.3, 0.3, 0.3, 0.3, 0.0]), 48) * 4096
     silence = bytes([26] * 16)
     cells = bytes(int(library().vc_mdct_tables_size()) - 2 * len(weights) - len(silence))
@@ -123,11 +123,10 @@ class MdctEncoder(PacketwiseEncoder):
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
         `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
-        `hop`: one of HOPS, None = that of live streams. `noise_filling`: magnitude that stands in for coefficients
+        `hop`: one of HOPS, None = the one of live streams. `noise_filling`: magnitude that replaces coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
-        of the steps; None = all have the steps as they are. `analysis`: the transform at a hop, (samples of a window,
-        hop). Raises CodecError on a channel count, step, packet length, hop, noise filling or tables that the codec
-        does not have.
+        of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop). Raises
+        CodecError for a channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
@@ -158,20 +157,20 @@ class MdctEncoder(PacketwiseEncoder):
         self._core = CoreEncoder(NAME, self.configuration, self._channels, *parameters)
 
     def adapted_tables(self) -> bytes:
-        """Return the adapted state as initial tables for a model image: how tables are trained on recordings."""
+        """Return the adapted state as initial tables for a model image. Training on recordings uses this."""
         core = library()
         tables = ffi.new("uint8_t[]", core.vc_mdct_tables_size())
         core.vc_mdct_encoder_tables(self._core.pointer, tables)
         return bytes(ffi.buffer(tables))
 
     def record(self, capacity: int) -> None:
-        """Keep what a network is trained on, of up to `capacity` coefficients coded from now on."""
+        """Record examples for training a network, from the next coefficients coded, at most `capacity`."""
         self._examples = np.empty((capacity, library().vc_mdct_example_values()), np.int16)
         rows = ffi.cast("int16_t *", self._examples.ctypes.data)
         library().vc_mdct_encoder_record(self._core.pointer, rows, capacity)
 
     def examples(self) -> NDArray[np.int16]:
-        """Return what was kept (n, inputs + 2): the network's inputs in 1/16, the quantiser and the index."""
+        """Return the recorded examples (n, inputs + 2): the network's inputs in 1/16, the quantiser and the index."""
         return self._examples[: library().vc_mdct_encoder_recorded(self._core.pointer)]
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
@@ -214,7 +213,7 @@ def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
 
 
 def check_tables(tables: bytes) -> None:
-    """Raise CodecError where the payload of a model image is no tables of this codec."""
+    """Raise CodecError for the payload of a model image that does not hold tables of this codec."""
     _tables_arguments(tables)
 
 
@@ -231,7 +230,7 @@ def best_hop(
 ) -> Setting:
     """Choose the hop for a whole signal (n, channels) in its physical unit, by coding its beginning with each.
 
-    The one of the least squared error + lambda * bits, as the encoder's search weighs them, at a step of the RMS value.
+    The best hop has the least squared error + lambda * bits, as in the encoder's search, at a step of the RMS value.
     """
     normalised = samples[:_RESOLVING_SAMPLES] / np.array(signal_format.gains)
     steps = np.array(signal_format.rms)
@@ -265,7 +264,7 @@ def make_encoder(
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
     delay_samples = len(analysis(hop)) - hop
     if framing.refresh_packets == 0 and delay_samples > live_hop:
-        # The framing of a file leaves room for one block of a live stream behind the end; this one needs more.
+        # A file's framing has room for one block of a live stream after the end; this hop needs more.
         framing = Framing(framing.packet_samples + delay_samples - live_hop, 0)
     return MdctEncoder(
         steps,
@@ -287,14 +286,18 @@ CODEC = Codec(
     parameters={
         "step": Parameter("quantiser step relative to the RMS value", 0.25, low=MIN_STEP, per_channel=True),
         "rd_weight": Parameter(
-            "weight of bits against error in rounding, 1 = the best for its rate", 1.0, low=0, high=1
+            "weight of bits against error in rounding; 1 = the best quality for the rate", 1.0, low=0, high=1
         ),
-        "hop": Parameter("samples from block to block", AUTO, choices=(AUTO, *map(str, HOPS))),
+        "hop": Parameter(
+            "samples from block to block; auto = by rate for live streams, by signal for files",
+            AUTO,
+            choices=(AUTO, *map(str, HOPS)),
+        ),
         "noise_filling": Parameter(
-            "noise in place of zeros, in quantiser steps", 1 / 32, low=0, high=MAX_NOISE_FILLING
+            "noise in place of zeros, in quantiser steps; 0 = none", 1 / 32, low=0, high=MAX_NOISE_FILLING
         ),
     },
-    # From some 2 dB of SNR to some 42; the second with the delay of a live stream at 2800 Hz.
+    # From 2 dB of SNR to 42 dB, roughly. The second set has the delay of a live stream at 2800 Hz.
     rate_point_sets={
         NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1)),
         f"{NAME}-live": tuple({"step": 2 ** (exponent / 2), "hop": "32"} for exponent in range(4, -14, -1)),

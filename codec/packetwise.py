@@ -1,4 +1,4 @@
-"""Encoders gather their input until it fills whole packets; decoders in Python fade out alike where one is missing."""
+"""Shared parts of codecs: an encoder that gathers input into packets, and the fade-out for a missing packet."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -21,22 +21,22 @@ _CHUNK_SAMPLES = 1 << 16
 
 
 class PacketwiseEncoder(ABC):
-    """The part of codec.interface.Encoder that gathers; samples beyond full scale are clipped to it."""
+    """Base class of encoders: gathers input into packets, and clips samples to full scale."""
 
     delay_samples = 0
     _history = 0
-    """Samples before those of a packet that it is coded from, too; zeros before the first."""
+    """Samples before a packet on which it also depends; zeros before the first."""
     _chunk_samples = _CHUNK_SAMPLES
     _rate_control: RateControl | None = None
-    """Chooses the quantiser offset of each packet, one of `_quantiser_offsets`; None = all have 0."""
+    """Chooses the quantiser offset of each packet, one of `_quantiser_offsets`; None = always 0."""
     _quantiser_offsets = range(1)
     _quantiser_offset = 0
-    """That of the last packet."""
+    """The last packet's."""
 
     def __init__(self, channels: int, framing: Framing, block: int, max_blocks: int) -> None:
         """Gather into packets of whole blocks of `block` samples, at most `max_blocks` of them.
 
-        Raises CodecError on a channel count or packet length outside what the codec has.
+        Raises CodecError for a channel count or packet length that the codec cannot have.
         """
         check_channels(channels)
         self._packet_blocks = -(-framing.packet_samples // block)
@@ -56,7 +56,7 @@ class PacketwiseEncoder(ABC):
         return packets
 
     def finish(self) -> list[bytes]:
-        """Pad with zeros and return the packets that remain, until every sample given can be decoded."""
+        """Pad with zeros and return the remaining packets, so that every input sample can be decoded."""
         if not self._begun:
             return []
         self._begun = False
@@ -73,10 +73,10 @@ class PacketwiseEncoder(ABC):
     def _chosen(
         self, samples: Signal, code: Callable[[int], bytes], attempt: Callable[[int], bytes] | None = None
     ) -> bytes:
-        """Return the packet that `code` codes at the quantiser offset chosen for it, padded as asked.
+        """Return the packet from `code` at the quantiser offset that the rate control chooses, padded as it chooses.
 
-        `samples`: what the packet decodes to, without loss. `attempt`: as `code`, but the encoder stays as it was; None
-        = so does `code`. Raises CodecError on a choice that no packet can have.
+        `samples`: the input that the packet stands for. `attempt`: like `code`, but leaves the encoder's state as it
+        is; None = `code` does so too. Raises CodecError for a choice that no packet can have.
         """
         if self._rate_control is None:
             return code(0)
@@ -84,19 +84,19 @@ class PacketwiseEncoder(ABC):
         choice = self._rate_control(PacketTrial(samples, offsets, self._quantiser_offset, attempt or code))
         if choice.quantiser_offset not in offsets or choice.min_bytes > MAX_PACKET_BYTES:
             raise CodecError(
-                f"a quantiser offset of {choice.quantiser_offset} in {choice.min_bytes} bytes cannot be chosen: it "
-                f"must be {offsets[0]} to {offsets[-1]}, in at most {MAX_PACKET_BYTES} bytes"
+                f"the rate control chose a quantiser offset of {choice.quantiser_offset} in {choice.min_bytes} bytes; "
+                f"it must choose {offsets[0]} to {offsets[-1]}, in at most {MAX_PACKET_BYTES} bytes"
             )
         self._quantiser_offset = choice.quantiser_offset
         return code(choice.quantiser_offset).ljust(choice.min_bytes, b"\0")
 
     @abstractmethod
     def _code_packets(self, samples: Signal) -> list[bytes]:
-        """Return the packets that samples (n, channels), behind those of the history, fill to the last."""
+        """Return the packets of samples (n, channels), which begin with the history and fill the last packet."""
 
 
 def faded_backwards(last: Decoded, fade_samples: int) -> Decoded:
-    """Return what stands in for a missing packet: the last one, backwards and faded out, then silence."""
+    """Return a substitute for a missing packet: the last one, backwards and faded out, then silence."""
     samples = np.zeros_like(last)
     fade = np.linspace(1, 0, min(fade_samples, len(last)))[:, None]
     samples[: len(fade)] = np.rint(last[::-1][: len(fade)] * fade)

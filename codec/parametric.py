@@ -27,7 +27,7 @@ from vibrocast.codec.packetwise import PacketwiseEncoder
 NAME = "parametric"
 IDENTIFIER = 11
 BANDS = ("octave", "half octave", "third octave", "sixth octave")
-"""Widths of bands, roughly: a band is at least a bin wide, and 1, 1/2, 1/4 or 1/8 of the frequency where it begins."""
+"""Rough widths of bands: at least a bin, and 1, 1/2, 1/4 or 1/8 of the frequency at which the band begins."""
 LEVEL_STEPS_DB = ("6", "3", "1.5", "0.75")
 MAX_FRAME = 64
 """Blocks in a frame."""
@@ -37,26 +37,27 @@ PITCHES = 512
 
 _OCTAVES = 21
 _MIN_AMPLITUDE = 64
-"""Of level 1, in the core's unit."""
+"""Amplitude of level 1, in the core's unit."""
 _HYSTERESIS = 0.75
-"""How far, in steps, a level is from that of the frame before when it changes: 1/2 would be plain rounding."""
+"""Distance in steps from the level of the frame before at which a level changes; plain rounding has 1/2."""
 _RIDGE_WINDOW = 1024
-"""Samples that ridges are looked for in: three turns of the longest, at 1/340 of a turn per sample."""
+"""Samples that are searched for ridges: three turns of the slowest, 1/340 of a turn per sample."""
 _MIN_TURN, _MAX_TURN = 3 / _RIDGE_WINDOW, 0.25
 _LINE_EXCESS = 12.0
-"""Power of a spectral line over the median about it, which noise exceeds in one bin of 4000: exp(-12 ln 2)."""
+"""Least power of a spectral line over the median around it. Noise exceeds it in one bin of 4000: exp(-12 ln 2)."""
 _SUBHARMONIC_WEIGHT = 0.84
-"""Of each harmonic beside the one before: D. J. Hermes, "Measurement of pitch by subharmonic summation", 1988."""
+"""Weight of each harmonic relative to the one before: D. J. Hermes, "Measurement of pitch by subharmonic summation",
+1988."""
 _MIN_FIT = 512
-"""Samples that the harmonics' levels are fitted to, or as many as a frame has."""
+"""Samples to which the harmonics' levels are fitted, or as many as a frame has, if more."""
 _RIDGE_SHARE = 0.25
-"""Of the signal's energy that ridges must hold to be coded."""
+"""Part of the signal's energy that ridges must hold to be coded."""
 _BATCH = 64
-"""Frames that are searched for ridges at a time, so that no work needs much memory."""
+"""Frames that are searched for ridges at a time, to limit memory."""
 
 
 def band_edges(hop: int, bands: str) -> NDArray[np.intp]:
-    """Return the first bin of each band and, behind the last, the hop."""
+    """Return the first bin of each band and, after the last one, the hop."""
     edges, spacing = [0], BANDS.index(bands)
     while edges[-1] < hop:
         following = edges[-1] + max(edges[-1] >> spacing, 1)
@@ -65,7 +66,7 @@ def band_edges(hop: int, bands: str) -> NDArray[np.intp]:
 
 
 def amplitudes(level_bits: int) -> Signal:
-    """Return what the levels from 1 on stand for, in the core's unit: float64 (levels,)."""
+    """Return the amplitudes of the levels from 1 on, in the core's unit: float64 (levels,)."""
     codes = np.arange(_OCTAVES << level_bits) << (6 - level_bits)
     each: Signal = np.ldexp(_MIN_AMPLITUDE + codes % 64.0, codes // 64)
     return each
@@ -80,7 +81,7 @@ def turns() -> Signal:
 
 @dataclass(frozen=True)
 class Shape:
-    """What a description holds: see the parameters of CODEC. `frame`, `interval`: in blocks."""
+    """The structure of a description: see the parameters of CODEC. `frame`, `interval`: in blocks."""
 
     hop: int
     bands: str
@@ -107,12 +108,12 @@ class ParametricEncoder(PacketwiseEncoder):
     """Encoder of `parametric`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
     def __init__(self, shape: Shape, channels: int, framing: Framing) -> None:
-        """Make an encoder of descriptions of a shape. Raises CodecError on what the codec does not have."""
+        """Make an encoder of descriptions. Raises CodecError for an invalid channel count or packet length."""
         super().__init__(channels, framing, shape.frame_samples, MAX_PACKET_SAMPLES // shape.frame_samples)
         self._shape = shape
         self.delay_samples = shape.hop
         self.configuration = shape.configuration(self._packet_blocks)
-        # As often in time where a frame is longer than the packets that were asked for.
+        # Refreshes keep their distance in time if a frame is longer than the requested packets.
         refresh_packets = framing.refresh_packets * framing.packet_samples // self.packet_samples
         if framing.refresh_packets > 0:
             refresh_packets = max(refresh_packets, 1)
@@ -131,7 +132,7 @@ class _Analysis:
 
     def __init__(self, shape: Shape) -> None:
         self._shape = shape
-        self._segment = shape.frame_samples + shape.hop  # what a frame's blocks reach over
+        self._segment = shape.frame_samples + shape.hop  # samples that a frame's blocks cover
         self._window = max(_RIDGE_WINDOW, self._segment)
         self._before: Signal = np.zeros(self._window)
         self._edges = band_edges(shape.hop, shape.bands)
@@ -139,7 +140,7 @@ class _Analysis:
         self._last = np.zeros(len(self._edges) - 1, dtype=np.int16)
         n = np.arange(2 * shape.hop)[:, None]
         k = np.arange(shape.hop)[None, :]
-        # Cosine and sine transform together have the power of a tone whatever its phase (the MCLT of H. S. Malvar, "A
+        # Cosine and sine transform together have the power of a tone at any phase (the MCLT of H. S. Malvar, "A
         # modulated complex lapped transform and its applications to audio processing", ICASSP 1999).
         cosines = analysis_matrix(shape.hop)
         angles = np.pi / shape.hop * (n + 0.5 + shape.hop / 2) * (k + 0.5)
@@ -172,7 +173,7 @@ class _Analysis:
         ).astype(np.int16)
 
     def _powers(self, segments: Signal) -> Signal:
-        """Return the mean square of both transforms (frames, blocks, bins) of segments of a frame and a hop before."""
+        """Return the mean square of both transforms (frames, blocks, bins); a segment is a hop, then a frame."""
         hop = self._shape.hop
         blocks = np.lib.stride_tricks.sliding_window_view(segments, 2 * hop, axis=1)[:, ::hop]
         cosines, sines = (np.square(blocks @ transform) for transform in self._transforms)
@@ -180,7 +181,7 @@ class _Analysis:
         return powers
 
     def _times(self, powers: Signal) -> NDArray[np.int16]:
-        """Return the levels over time (frames, times): of each interval's energy beside the frame's mean."""
+        """Return the levels over time (frames, times): each interval's energy relative to the frame's mean."""
         frames, times = len(powers), self._shape.frame // self._shape.interval
         energies = np.mean(powers.sum(axis=2).reshape(frames, times, self._shape.interval), axis=2)
         relative = _log2(np.sqrt(energies)) - _log2(np.sqrt(np.mean(energies, axis=1)))[:, None]
@@ -194,7 +195,7 @@ class _Analysis:
         return np.where(logarithms < lowest, 0, 1 + np.searchsorted(middles, logarithms)).astype(np.int16)
 
     def _steady(self, logarithms: Signal) -> NDArray[np.int16]:
-        """Return levels (frames, bands) that stay where they are as long as they are near enough."""
+        """Return levels (frames, bands) that change only when the exact level is far enough away."""
         levels = self._nearest(logarithms)
         for frame, exact in zip(levels, logarithms, strict=True):
             near = np.abs(exact - self._levels[np.maximum(self._last, 1) - 1]) < _HYSTERESIS / (
@@ -205,7 +206,7 @@ class _Analysis:
         return levels
 
     def _ridges(self, spans: Signal) -> tuple[NDArray[np.int16], Signal, Signal]:
-        """Return pitch codes (frames,), -1 = no ridges, harmonics' amplitudes, and what of the segments they make."""
+        """Return pitch codes (frames,), -1 = no ridges; the harmonics' amplitudes; the ridges in the segments."""
         harmonics = self._shape.harmonics
         pitches = np.full(len(spans), -1, dtype=np.int16)
         amplitudes = np.zeros((len(spans), harmonics))
@@ -230,10 +231,10 @@ class _Analysis:
 
 
 def turns_of(spans: Signal, harmonics: int) -> Signal:
-    """Return the turns per sample of the ridges in each span (spans, samples): 0 where none stand out of the noise.
+    """Return the turns per sample of the ridges in each span (spans, samples): 0 if none rise above the noise.
 
-    float64 (spans,). The pitch is that of the greatest weighted sum of harmonics (Hermes 1988), then moved to where the
-    peaks of those harmonics are.
+    float64 (spans,). The pitch has the greatest weighted sum of harmonics (Hermes 1988). It is then refined by the
+    peaks of those harmonics.
     """
     samples = spans.shape[1]
     padded = 4 * samples
@@ -253,14 +254,15 @@ def turns_of(spans: Signal, harmonics: int) -> Signal:
 
 
 def _refined(lines: Signal, turn: float, numbers: NDArray[np.intp]) -> float:
-    """Return the turn per sample whose multiples lie nearest to the lines within 1.5 % of those of `turn`."""
+    """Return the turns per sample whose multiples fit best to the lines within 1.5 % of the multiples of `turn`."""
     bins_per_turn = 2 * (len(lines) - 1)
     powers = products = 0.0
     for harmonic, middle in zip(numbers, numbers * turn * bins_per_turn, strict=True):
         first, last = math.ceil(0.985 * middle - 1), math.floor(1.015 * middle + 1)
         around = np.power(lines[first : last + 1], 4)
         if np.any(around):
-            # A fit to each peak's place counts by its power: where a turn is wrong by d, it is off by harmonic * d.
+            # A least-squares fit, weighted by power: if a turn is wrong by d, the peak of a harmonic is off by harmonic
+            # * d.
             peak = first + np.sum(around * np.arange(len(around))) / np.sum(around)
             power = math.sqrt(np.max(around))
             powers += power * harmonic**2
@@ -269,7 +271,7 @@ def _refined(lines: Signal, turn: float, numbers: NDArray[np.intp]) -> float:
 
 
 def _log2(values: Signal) -> Signal:
-    """Return logarithms; of nothing one far below all levels."""
+    """Return logarithms to base 2; for zero, one far below all levels."""
     return np.log2(np.maximum(values, 2.0**-60))
 
 
@@ -296,7 +298,9 @@ def make_encoder(
         harmonics=int(number(setting, "harmonics")),
     )
     if shape.interval > shape.frame:
-        raise CodecError(f"an interval of {shape.interval} blocks in frames of {shape.frame}; give one that fits")
+        raise CodecError(
+            f"interval={shape.interval} is longer than frame={shape.frame}; choose a shorter interval or a longer frame"
+        )
     return ParametricEncoder(shape, signal_format.channels, framing)
 
 
@@ -316,16 +320,18 @@ def _rate_point(bands: str, step_db: str, frame: int, interval: int, harmonics: 
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
-    summary="a description from which the texture is synthesised: band levels, their course, ridges; no waveform",
+    summary="band levels, their course over time and ridges, to synthesise a similar texture; keeps no waveform",
     parameters={
         "bands": Parameter("width of the bands of the spectral envelope", "half octave", choices=BANDS),
         "step_db": Parameter("step of all levels, in dB", "3", choices=LEVEL_STEPS_DB),
-        "hop": Parameter("samples of a block", "64", choices=tuple(map(str, HOPS))),
+        "hop": Parameter("samples in a block", "64", choices=tuple(map(str, HOPS))),
         "frame": Parameter("blocks from one envelope to the next", "8", choices=_POWERS),
-        "interval": Parameter("blocks for each level over time", "2", choices=_POWERS),
-        "harmonics": Parameter("of ridges, 0 = none", MAX_HARMONICS, low=0, high=MAX_HARMONICS, whole=True),
+        "interval": Parameter("blocks for each level over time, at most a frame", "2", choices=_POWERS),
+        "harmonics": Parameter(
+            "harmonics of ridges; 0 = no ridges", MAX_HARMONICS, low=0, high=MAX_HARMONICS, whole=True
+        ),
     },
-    # From some 35 to some 400 bit/s at 2800 Hz.
+    # From 35 bit/s to 400 bit/s at 2800 Hz, roughly.
     rate_point_sets={
         NAME: (
             _rate_point("octave", "6", 32, 32, 0),

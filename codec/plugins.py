@@ -1,4 +1,4 @@
-"""Codecs of other packages: classes that need NumPy alone, found through the entry point group `vibrocast.codecs`."""
+"""Codecs of other packages: classes that need only NumPy, found through the entry point group `vibrocast.codecs`."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ from vibrocast.device_protocol.encoding import pack_varint
 
 GROUP = "vibrocast.codecs"
 IDENTIFIER = 15
-"""Number in stream headers that all codecs of other packages share; the name stands in the codec's configuration."""
+"""Number in stream headers that all codecs of other packages share; the codec's configuration holds the name."""
 MAX_PACKET_SAMPLES = 1 << 16
 _MAX_NAME_BYTES = 64
 _CONFIGURATION = struct.Struct("<dI")
@@ -38,7 +38,7 @@ _FADE_SAMPLES = 32
 class BlockCodec(Protocol):
     """A codec of your own: its packets stand alone. Register the class or an object of it."""
 
-    # Properties, so that a type checker takes attributes of narrower types, such as a range.
+    # Properties, so that a type checker accepts attributes of narrower types, such as a range.
     @property
     def name(self) -> str:
         """The name of the codec, as in `--codec`."""
@@ -92,7 +92,7 @@ def registered() -> EntryPoints:
 
 
 def load(built_in: Mapping[str, Codec]) -> tuple[dict[str, Codec], dict[str, str]]:
-    """Return the codecs of the installed packages by name, and why others cannot be used, by their entry point."""
+    """Return the codecs of installed packages by name, and the errors of the others by their entry point."""
     codecs: dict[str, Codec] = {}
     failures: dict[str, str] = {}
     for point in registered():
@@ -101,13 +101,13 @@ def load(built_in: Mapping[str, Codec]) -> tuple[dict[str, Codec], dict[str, str
             if codec.name in built_in or codec.name in codecs:
                 raise CodecError(f"there is a codec {codec.name} already; rename it")
             codecs[codec.name] = codec
-        except Exception as error:  # whatever another package does, the other codecs stay usable
+        except Exception as error:  # whatever another package raises, the other codecs stay usable
             failures[point.name] = f"{point.value}: {type(error).__name__}: {error}"
     return codecs, failures
 
 
 def as_codec(found: object) -> Codec:
-    """Return a BlockCodec, its class or a Codec as a Codec. Raises CodecError where something of it is missing."""
+    """Return a BlockCodec, its class or a Codec as a Codec. Raises CodecError if a part is missing."""
     if isinstance(found, Codec):
         return found
     try:
@@ -122,19 +122,19 @@ def as_codec(found: object) -> Codec:
 
 
 def adapted(plugin: BlockCodec) -> Codec:
-    """Return a codec of another package as vibrocast's own are. Raises CodecError where something is missing."""
+    """Return the Codec that wraps a BlockCodec of another package. Raises CodecError if a part is missing."""
     name = plugin.name
     try:
         qualities = [float(quality) for quality in plugin.qualities]
     except (TypeError, ValueError):
         qualities = []
     if not (isinstance(name, str) and name.isprintable() and 1 <= len(name.encode()) <= _MAX_NAME_BYTES):
-        raise CodecError(f"its name has to be 1 to {_MAX_NAME_BYTES} bytes of printable text")
+        raise CodecError(f"its name must be 1 to {_MAX_NAME_BYTES} bytes of printable text")
     if not qualities or not np.all(np.isfinite(qualities)):
-        raise CodecError("its qualities have to be finite numbers, at least one")
+        raise CodecError("its qualities must be finite numbers, at least one")
     if not (isinstance(plugin.block_samples, int) and 1 <= plugin.block_samples <= MAX_PACKET_SAMPLES):
         raise CodecError(
-            f"its block_samples is {plugin.block_samples}; an integer of 1 to {MAX_PACKET_SAMPLES} is needed"
+            f"its block_samples is {plugin.block_samples}; it must be an integer of 1 to {MAX_PACKET_SAMPLES}"
         )
 
     def make_encoder(
@@ -151,7 +151,7 @@ def adapted(plugin: BlockCodec) -> Codec:
         return PluginDecoder(plugin, configuration, channels)
 
     middle = qualities[len(qualities) // 2]
-    quality = Parameter("more is better", middle, low=min(qualities), high=max(qualities))
+    quality = Parameter("quality; more is better", middle, low=min(qualities), high=max(qualities))
     return Codec(
         name=name,
         identifier=IDENTIFIER,
@@ -171,7 +171,7 @@ def name_in(configuration: bytes) -> str:
     except UnicodeDecodeError:
         text = ""
     if not text or len(configuration) != 1 + len(name) + _CONFIGURATION.size:
-        raise CodecError("the codec configuration is damaged or of another version")
+        raise CodecError("the codec configuration is damaged or of another version; encode the recording again")
     return text
 
 
@@ -179,7 +179,7 @@ class PluginEncoder(PacketwiseEncoder):
     """Encoder of another package's codec; see codec.interface.Encoder."""
 
     def __init__(self, plugin: BlockCodec, quality: float, channels: int, framing: Framing) -> None:
-        """Make an encoder. Raises CodecError on packets that are too long."""
+        """Make an encoder. Raises CodecError for packets that are too long."""
         block = plugin.block_samples
         super().__init__(channels, framing, block, MAX_PACKET_SAMPLES // block)
         name = plugin.name.encode()
@@ -195,7 +195,7 @@ class PluginEncoder(PacketwiseEncoder):
             coded = bytes(self._plugin.encode(samples, self._quality))
         except Exception as error:
             raise CodecError(f"the codec {self._plugin.name} failed: {type(error).__name__}: {error}") from error
-        # Every packet is a refresh packet: bit 0.
+        # Every packet is a refresh: bit 0.
         head = pack_varint(2 * self._sequence + 1)
         self._sequence += 1
         return head + coded
@@ -213,14 +213,14 @@ class PluginDecoder:
         self._plugin, self.channels = plugin, channels
         self._quality, self.packet_samples = _CONFIGURATION.unpack(configuration[-_CONFIGURATION.size :])
         if not (1 <= self.packet_samples <= MAX_PACKET_SAMPLES and np.isfinite(self._quality)):
-            raise CodecError("the codec configuration is damaged or of another version")
+            raise CodecError("the codec configuration is damaged or of another version; encode the recording again")
         self._last: Decoded = np.zeros((self.packet_samples, channels), dtype=np.int16)
 
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet to int16 (packet_samples, channels). Raises CodecError on a malformed packet."""
         head = next((index for index, byte in enumerate(packet) if byte < 0x80), None)
         if head is None:
-            raise CodecError("a packet is cut short; it was damaged")
+            raise CodecError("a packet is cut short; copy or encode the stream again")
         samples, channels = self.packet_samples, self.channels
         try:
             decoded: Any = np.asarray(self._plugin.decode(packet[head + 1 :], samples, channels, self._quality))
@@ -233,7 +233,7 @@ class PluginDecoder:
         return self._last
 
     def conceal(self) -> Decoded:
-        """Stand in for one missing packet: the last sound, backwards and faded out, then silence."""
+        """Replace one missing packet: the last sound, backwards and faded out, then silence."""
         samples = faded_backwards(self._last, _FADE_SAMPLES)
         self._last = np.zeros_like(self._last)
         return samples

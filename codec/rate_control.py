@@ -1,8 +1,8 @@
-"""Policies of rate control: a constant rate over a leaky bucket, a constant quality, or a quality up to a rate.
+"""Policies of rate control: a constant rate (leaky bucket), a constant quality, or a quality up to a rate.
 
-A policy is a codec.interface.RateControl: it is asked for the quantiser offset of each packet when all of that
-packet's input is there, and nothing beyond it. `rate_controlled_encoder` joins a codec with a policy;
-docs/benchmarks/rate_control.md shows what they do.
+A policy is a codec.interface.RateControl. It chooses the quantiser offset of each packet from all of that packet's
+input, and no later input. `rate_controlled_encoder` joins a codec with a policy. docs/benchmarks/rate_control.md shows
+the results.
 """
 
 import math
@@ -29,21 +29,21 @@ from vibrocast.codec.quality_meters import QualityMeter
 from vibrocast.codec.trial import Attempts, DecoderProbe, within
 
 DEFAULT_RATE_BUFFER_S = 0.018
-"""The rate buffer's size, as time at the rate: 1 % of 2 s, and a tenth less, as whole packets seldom last just 2 s."""
+"""Size of the rate buffer, as time at the rate: 1 % of 2 s, less a tenth, because packets seldom add up to just 2 s."""
 FRAMES_ADD = 0.135
-"""What frames may add to the packets in them, relative to these: with what begins and ends a stream of 5 s at 4 kbit/s,
-the wire then adds at most 15 %."""
+"""Most bytes that frames may add, relative to the packets in them. With the beginning and end of a stream of 5 s at 4
+kbit/s, the wire then adds at most 15 %."""
 MAX_PACKET_S = 2.0
-"""A rate is held over any 2 s, so a packet must not last longer."""
+"""Longest packet: a rate is held over any 2 s."""
 REFRESH_S = 2.0
-"""From one refresh to the next, where the rate is rate-controlled."""
+"""Time from one refresh to the next in a rate-controlled stream."""
 
 FrameBytes: TypeAlias = Callable[[bytes], int]
-"""Bytes that the frame of a packet adds to it on the way. Raises CodecError for a packet that no frame carries."""
+"""Counts the bytes that a packet's frame adds to it. Raises CodecError for a packet that no frame carries."""
 
-# A constant rate aims at the mean quality of the last _MEMORY_RATE_BUFFERS times of the rate buffer, and up to half
-# _SWING_DB more as the rate buffer is empty, less as it is full; the swing is less where it holds few packets, or it
-# overshoots.
+# A constant rate aims at the mean quality of the last _MEMORY_RATE_BUFFERS times of the rate buffer. It aims up to half
+# of _SWING_DB higher as the rate buffer empties, and as much lower as it fills. If the rate buffer holds few packets,
+# the swing is smaller, because it would overshoot.
 _MEMORY_RATE_BUFFERS = 4.0
 _SWING_DB = 4.0
 _PACKETS_FOR_FULL_SWING = 4.0
@@ -53,24 +53,24 @@ _SEQUENCE_GROWTH_BYTES = 3
 
 
 class RateBuffer:
-    """What was sent and not yet drained at a constant rate, as in ITU-T H.264, C.1: its fullness stays in 0 ... size.
+    """The bytes sent and not yet drained at a constant rate, as in ITU-T H.264, C.1. Their number stays in 0 ... size.
 
     With fullness F, a packet of s bytes that lasts T seconds leaves F + s - R T / 8 at R bit/s. So over any run of
-    packets the bytes differ from R T / 8 by no more than the rate buffer's size, R * rate_buffer_s / 8 and at least one
-    byte; and on a link of R bit/s nothing waits longer than rate_buffer_s.
+    packets, the bytes differ from R T / 8 by at most the size: R * rate_buffer_s / 8, and at least one byte. On a link
+    of R bit/s no packet waits longer than rate_buffer_s.
     """
 
     def __init__(self, bits_per_second: float, rate_buffer_s: float, full: float) -> None:
-        """Make a rate buffer that begins as full as `full`, a part of its size. Raises CodecError for a wrong rate."""
+        """Make a rate buffer, at first filled to the part `full`. Raises CodecError for an invalid rate or size."""
         if not (math.isfinite(rate_buffer_s) and rate_buffer_s > 0):
-            raise CodecError(f"a rate buffer of {rate_buffer_s} s; it must hold a positive time")
+            raise CodecError(f"a rate buffer of {rate_buffer_s} s; give a positive time")
         self.bits_per_second = bits_per_second
         self.rate_buffer_s = rate_buffer_s
         self.fullness_bytes = full * self.size_bytes
 
     @property
     def bits_per_second(self) -> float:
-        """The rate; it may be set at any time, and what is in the rate buffer stays there."""
+        """The rate. You may set it at any time; the content of the rate buffer stays."""
         return self._bits_per_second
 
     @bits_per_second.setter
@@ -81,24 +81,24 @@ class RateBuffer:
 
     @property
     def size_bytes(self) -> float:
-        """What the rate buffer holds."""
+        """The capacity."""
         return max(1.0, self.bits_per_second * self.rate_buffer_s / 8)
 
     @property
     def full(self) -> float:
-        """How full the rate buffer is, relative to its size; above 1 only after the rate was lowered."""
+        """The fullness relative to the size; above 1 only after the rate was lowered."""
         return self.fullness_bytes / self.size_bytes
 
     def min_bytes(self, seconds: float) -> int:
-        """Return with how many bytes a packet of that duration does not let the rate buffer run dry."""
+        """Return the fewest bytes with which a packet of this duration keeps the rate buffer from running dry."""
         return max(0, math.ceil(self._drained_bytes(seconds) - self.fullness_bytes))
 
     def max_bytes(self, seconds: float) -> int:
-        """Return with how many bytes a packet of that duration does not let it run over; negative if none would."""
+        """Return the most bytes with which a packet of this duration fits; negative if no packet does."""
         return math.floor(self._drained_bytes(seconds) - self.fullness_bytes + self.size_bytes)
 
     def fill(self, sent_bytes: int, seconds: float) -> None:
-        """Take in a packet."""
+        """Add a packet."""
         self.fullness_bytes += sent_bytes - self._drained_bytes(seconds)
 
     def _drained_bytes(self, seconds: float) -> float:
@@ -106,24 +106,22 @@ class RateBuffer:
 
 
 class Policy(ABC):
-    """A rate control with a memory: `begin` a stream, then ask it for each packet; a stream begun later takes its
-    place.
-    """
+    """A rate control with a memory: `begin` a stream, then call it for each packet. A later stream replaces it."""
 
     _probe: DecoderProbe | None = None
 
     def __init__(self, frame_bytes: FrameBytes | int = 0) -> None:
-        """`frame_bytes`: what the frame of a packet adds to it on the way."""
+        """`frame_bytes`: bytes that the frame of a packet adds to it, or a function that counts them."""
         self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
         self._seconds = math.nan
         self.min_bytes = 0
-        """What a packet of the stream takes at the coarsest, as `begin` was told."""
+        """Bytes of a packet at its coarsest, as given to `begin`."""
 
     def begin(self, decoder: Decoder, min_bytes: int, seconds: float) -> None:
-        """Begin a stream of packets of so many seconds, which `decoder` decodes from its first one on.
+        """Begin a stream of packets of `seconds` each, which `decoder` decodes from the first one on.
 
-        `min_bytes`: what a packet takes at the coarsest, whatever the signal, its frame included. Raises CodecError
-        where the codec's packets cannot be measured, TargetUnreachable where they do not fit the rate.
+        `min_bytes`: bytes that suffice for a packet at its coarsest, whatever the signal, with its frame. Raises
+        CodecError if the codec's packets cannot be measured, TargetUnreachable if they do not fit the rate.
         """
         if self._probe is not None:
             self._probe.begin(decoder)
@@ -131,28 +129,28 @@ class Policy(ABC):
         self.min_bytes = min_bytes
 
     def sent_bytes(self, packet: bytes) -> int:
-        """Return what a packet and its frame take on the way."""
+        """Return the bytes of a packet and its frame."""
         return len(packet) + self._frame_bytes(packet)
 
     @abstractmethod
     def __call__(self, trial: Trial) -> Choice:
-        """Choose how the next packet is coded. Raises TargetUnreachable where nothing will do."""
+        """Choose how to code the next packet. Raises TargetUnreachable if no choice fits."""
 
 
 class RatePolicy(Policy):
-    """A policy whose packets, frames included, a leaky bucket holds."""
+    """A policy that keeps its packets, frames included, within a rate buffer (leaky bucket)."""
 
     def __init__(self, rate_buffer: RateBuffer, frame_bytes: FrameBytes | int) -> None:
         super().__init__(frame_bytes)
         self.rate_buffer = rate_buffer
         self.min_bits_per_second = 0.0
-        """The least rate that holds whatever signal comes; known when a stream has begun."""
+        """The least rate that suffices for any signal; known once a stream has begun."""
         self.padding_bytes = 0
-        """Bytes so far that only keep the rate."""
+        """Bytes of padding so far."""
 
     @property
     def bits_per_second(self) -> float:
-        """The rate, which may be set at any time. Raises TargetUnreachable, and CodecError for what is none."""
+        """The rate. You may set it at any time. Raises TargetUnreachable if it is too low, CodecError if invalid."""
         return self.rate_buffer.bits_per_second
 
     @bits_per_second.setter
@@ -172,12 +170,12 @@ class RatePolicy(Policy):
 
     def _target_unreachable(self, bits_per_second: float, least: float) -> TargetUnreachable:
         return TargetUnreachable(
-            f"{bits_per_second:g} bit/s cannot be held: packets of {1000 * self._seconds:.1f} ms take "
-            f"{math.ceil(least)} bit/s however coarse, with their frames; ask for that, or for longer packets"
+            f"{bits_per_second:g} bit/s cannot be held: packets of {1000 * self._seconds:.1f} ms and their frames take "
+            f"at least {math.ceil(least)} bit/s; choose that rate, or longer packets"
         )
 
     def _finest_that_fits(self, attempts: Attempts, start: int) -> int:
-        """Return the finest that the rate buffer holds; the coarsest where a lower rate has left too much in it."""
+        """Return the finest offset that fits the rate buffer; the coarsest if a lowered rate has overfilled it."""
         max_bytes = self.rate_buffer.max_bytes(self._seconds)
         found = attempts.finest(lambda each: attempts.size_bytes(each) <= max_bytes, start)
         if found is not None:
@@ -189,12 +187,12 @@ class RatePolicy(Policy):
         raise self._target_unreachable(self.bits_per_second, 8 * min_bytes / self._seconds)
 
     def _send(self, packets: Sequence[bytes]) -> None:
-        """Take packets into the rate buffer, padded as they are."""
+        """Add packets, with their padding, to the rate buffer."""
         self.rate_buffer.fill(sum(map(self.sent_bytes, packets)), self._seconds)
 
 
 class CappedRate(RatePolicy):
-    """A constant quality as far as the rate buffer holds it, and else the finest that it holds."""
+    """A constant quality while the rate buffer holds it; else the finest quality that fits."""
 
     _probe: DecoderProbe
 
@@ -211,7 +209,7 @@ class CappedRate(RatePolicy):
         self._probe = DecoderProbe(meter)
 
     def __call__(self, trial: Trial) -> Choice:
-        """Choose the coarsest packet that has the quality, or a coarser one that fits. Raises TargetUnreachable."""
+        """Choose the coarsest packet with the quality, or a coarser one that fits. Raises TargetUnreachable."""
         attempts = Attempts([trial], self.sent_bytes)
         quantiser_offset = self._probe.coarsest_with(attempts, self.quality_db)
         if attempts.size_bytes(quantiser_offset) > self.rate_buffer.max_bytes(self._seconds):
@@ -223,9 +221,9 @@ class CappedRate(RatePolicy):
 
 
 class ConstantQuality(CappedRate):
-    """Every packet as coarse as the asked quality allows, whatever bytes that takes.
+    """Every packet as coarse as the target quality allows, in as many bytes as that takes.
 
-    `bits_per_second`: more than it ever takes. Live, it falls to what the link carries, as that of a capped rate does.
+    `bits_per_second`: more than it ever takes. Live, it falls to the rate of the link, like the cap of a capped rate.
     """
 
     def __init__(
@@ -235,11 +233,11 @@ class ConstantQuality(CappedRate):
 
 
 class ConstantRate(RatePolicy):
-    """A constant rate: no packet lets the rate buffer run over, and padding never lets it run dry.
+    """A constant rate: no packet overfills the rate buffer, and padding keeps it from running dry.
 
-    In between, a meter makes the quality as even as the rate buffer allows: each packet aims at the mean of those
-    before it, and at up to 2 dB more or less as the rate buffer is emptier or fuller than half. Without a meter each
-    packet aims at its share of the rate, which is all that the default rate buffer leaves to choose.
+    Between these limits, a meter makes the quality as even as the rate buffer allows. Each packet aims at the mean
+    quality of those before it, and up to 2 dB higher or lower, as the rate buffer is emptier or fuller than half.
+    Without a meter each packet aims at its share of the rate; the default rate buffer leaves no other choice.
     """
 
     def __init__(
@@ -251,14 +249,14 @@ class ConstantRate(RatePolicy):
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.5), frame_bytes)
         self._probe = None if meter is None else DecoderProbe(meter)
-        self._mean_db, self._measured = 0.0, 0  # the mean quality, and of how many packets
+        self._mean_db, self._measured = 0.0, 0  # the mean quality, and the number of packets in it
 
     def __call__(self, trial: Trial) -> Choice:
-        """Choose the packet's quantiser offset and padding. Raises TargetUnreachable where none fits."""
+        """Choose the packet's quantiser offset and padding. Raises TargetUnreachable if none fits."""
         return self.choose([trial])[0]
 
     def choose(self, trials: Sequence[Trial]) -> list[Choice]:
-        """Choose for packets of several streams that are due together: one quantiser offset, and their sum fits."""
+        """Choose for packets of several streams that are due together: one quantiser offset, so that their sum fits."""
         attempts = Attempts(trials, self.sent_bytes)
         min_bytes, max_bytes = self.rate_buffer.min_bytes(self._seconds), self.rate_buffer.max_bytes(self._seconds)
         quantiser_offset = self._aim(attempts)
@@ -267,7 +265,7 @@ class ConstantRate(RatePolicy):
         elif attempts.size_bytes(quantiser_offset) < min_bytes:
             quantiser_offset = self._coarsest_that_fills(attempts, quantiser_offset, min_bytes, max_bytes)
         packets = attempts.coded(quantiser_offset)
-        # What had more bytes than it could use tells nothing of the quality that the rate has.
+        # A packet that needs padding does not show which quality the rate allows.
         if self._probe is not None:
             if attempts.size_bytes(quantiser_offset) >= min_bytes:
                 self._remember(self._probe.quality_db(attempts, quantiser_offset))
@@ -282,9 +280,7 @@ class ConstantRate(RatePolicy):
         ]
 
     def _aim(self, attempts: Attempts) -> int:
-        """Return the quantiser offset of the quality aimed at; that of the packet's share of the rate where none is
-        known.
-        """
+        """Return the offset for the target quality or, if none is known, for the packet's share of the rate."""
         if self._probe is None or self._measured == 0:
             share_bytes = self.bits_per_second * self._seconds / 8
             aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.previous)
@@ -293,20 +289,20 @@ class ConstantRate(RatePolicy):
         return self._probe.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
 
     def _coarsest_that_fills(self, attempts: Attempts, start: int, min_bytes: int, max_bytes: int) -> int:
-        """Return the coarsest that needs no padding, or the finest that fits where the least padding is needed."""
+        """Return the coarsest offset without padding or, if that does not fit, the one with the least padding."""
         short = attempts.finest(lambda each: attempts.size_bytes(each) < min_bytes, start)
-        assert short is not None, "the one that is aimed at is too short"
+        assert short is not None, "the packets at the aim are too short"
         finer = within(attempts.quantiser_offsets, short - 1)
         return finer if attempts.size_bytes(finer) <= max_bytes else short
 
     def _remember(self, quality_db: float) -> None:
-        """Take a quality into the mean."""
+        """Add a quality to the mean."""
         self._measured += 1
         kept = math.exp(-self._seconds / (_MEMORY_RATE_BUFFERS * self.rate_buffer.rate_buffer_s))
         self._mean_db += max(1 / self._measured, 1 - kept) * (quality_db - self._mean_db)
 
     def _padded(self, packets: Sequence[bytes], min_bytes: int, max_bytes: int) -> bytes:
-        """Return the last of the packets, padded with zero bytes to bring all of them to the least."""
+        """Return the last packet, padded with zeros so that all packets together have the fewest bytes allowed."""
         *others, last = packets
         others_bytes = sum(map(self.sent_bytes, others))
         padded = last.ljust(len(last) + min_bytes - others_bytes - self.sent_bytes(last), b"\0")
@@ -319,10 +315,10 @@ class ConstantRate(RatePolicy):
 def rate_controlled_encoder(
     codec: Codec, setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None, policy: Policy
 ) -> Encoder:
-    """Make an encoder as `codec.make_encoder` does, rate-controlled by a policy, which begins with it.
+    """Make an encoder as `codec.make_encoder` does, rate-controlled by a policy, and begin the policy's stream.
 
-    What the coarsest packets take at most is found by coding full-scale noise, silence and a click first. Raises
-    CodecError as `make_encoder`, also for a codec that does not control the rate, and as `policy.begin`.
+    It first codes full-scale noise, silence and a click, to find the most bytes that the coarsest packets take. Raises
+    CodecError as `make_encoder`, also for a codec that cannot control its rate, and as `policy.begin`.
     """
     encoder = codec.make_encoder(setting, signal_format, framing, model, policy)
     probe = codec.make_encoder(
@@ -340,11 +336,12 @@ def rate_controlled_encoder(
 
 
 def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
-    """Return what of a setting gives all channels the same steps in their physical unit, and so the same error.
+    """Return the part of a setting that gives all channels equal steps in their physical unit, and so an equal error.
 
-    At one quantiser offset the bits then go to the channels by need, and one below the error gets none: reverse
-    water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3). It is the least error in all for
-    the rate; by default all channels have the same SNR. Raises CodecError for a codec whose steps are not of a channel.
+    At one quantiser offset, bits then go to the channels that need them, and a channel below the error gets none:
+    reverse water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3). The total error is the
+    least for the rate. By default all channels have the same SNR. Raises CodecError for a codec whose steps do not
+    differ by channel.
     """
     name = codec.step_parameter
     if name is None:
@@ -357,12 +354,12 @@ def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
 def rate_controlled_framing(
     bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, max_s: float = math.inf
 ) -> Framing:
-    """Return the framing for a rate: the shortest packets to which the wire adds at most 15 %, but none too long.
+    """Return the framing for a rate: the shortest packets to which the wire adds at most 15 % at the full rate.
 
-    `bits_per_second`: of all channels, frames included. `max_s`: what the asked delay leaves for a packet. Encoders
-    round up to whole blocks. A refresh comes every 2 s: a lost packet then silences the actuator for half of that on
-    average, and refreshes cost some 0.15 dB (every 0.25 s, 0.7 dB; docs/benchmarks/rate_control.md). Raises
-    TargetUnreachable for a rate whose packets would last longer than the time over which it is held.
+    `bits_per_second`: of all channels, frames included. `max_s`: longest packet that the target delay allows. Encoders
+    round up to whole blocks. A refresh comes every 2 s, so a lost packet silences the actuator for 1 s on average.
+    Refreshes cost some 0.15 dB (0.7 dB at one every 0.25 s; docs/benchmarks/rate_control.md). Raises TargetUnreachable
+    for a rate whose packets would last longer than 2 s.
     """
     packet = b"\xff"
     while frame_bytes(packet) > FRAMES_ADD * len(packet):
@@ -371,7 +368,7 @@ def rate_controlled_framing(
     seconds = min(sent_bits / bits_per_second, max_s)
     if seconds > MAX_PACKET_S:
         raise TargetUnreachable(
-            f"{bits_per_second:g} bit/s cannot be held over {MAX_PACKET_S:g} s: one packet, with its frame, takes "
-            f"{seconds:.1f} s; ask for {math.ceil(sent_bits / MAX_PACKET_S)} bit/s or more, or for shorter packets"
+            f"{bits_per_second:g} bit/s cannot be held over {MAX_PACKET_S:g} s: one packet with its frame takes "
+            f"{seconds:.1f} s; choose {math.ceil(sent_bits / MAX_PACKET_S)} bit/s or more, or shorter packets"
         )
     return Framing(max(1, math.ceil(seconds * rate_hz)), max(1, round(REFRESH_S / seconds)))

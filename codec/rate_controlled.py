@@ -1,4 +1,4 @@
-"""Recordings coded as live streams are, by a policy: what is asked, and how evenly and exactly it was met."""
+"""Encodes recordings as live streams with rate control, and measures how evenly and exactly they meet the target."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -23,14 +23,14 @@ from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, FrameError, writ
 from vibrocast.device_protocol.messages import StreamData, pack
 
 WINDOW_S = 2.0
-"""A rate is held over any run of whole packets that lasts so long."""
+"""A rate is held over any run of whole packets of this length."""
 _QUIET_DB = 20.0
-# Twice what it has before it is coded: beyond that no quality is finer.
+# Twice the bits of an uncoded sample: no quality is finer.
 _MAX_BITS_A_SAMPLE = 32.0
 
 
 def added_bytes(packet: bytes) -> int:
-    """Return how many bytes a packet's frame, of its own, adds to it: 8 for up to 127 bytes, as policies count them.
+    """Return the bytes that a frame of its own adds to a packet: 8 for up to 127 bytes, as policies count them.
 
     Raises TargetUnreachable for a packet that no frame carries.
     """
@@ -38,20 +38,20 @@ def added_bytes(packet: bytes) -> int:
         return len(write_frame(pack(StreamData(0, 0, (packet,))))) - len(packet)
     except FrameError as error:
         raise codec.TargetUnreachable(
-            f"a packet of {len(packet)} bytes cannot be sent, a frame carries {MAX_PAYLOAD_BYTES}: "
-            "ask for a lower rate or quality, or for shorter packets"
+            f"a packet of {len(packet)} bytes cannot be sent, because a frame carries {MAX_PAYLOAD_BYTES}; "
+            "choose a lower rate or quality, or shorter packets"
         ) from error
 
 
 @dataclass(frozen=True)
 class RateTarget:
-    """What is to be held: a constant rate; or a quality of every packet, up to a capped rate if there is one.
+    """A target for rate control: a constant rate; or a quality of every packet, up to a capped rate if there is one.
 
     `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`, `error_db`: the quality; the
-    latter is the error's level relative to the detection threshold. `rate_buffer_s`: size of the rate buffer, None =
-    that which holds a rate within 1 % over any 2 s; with a larger one SNR is more even. `packet_s`: length of packets,
-    None = the shortest to which the wire adds at most 15 %, or 4 blocks without a rate. `equal_error`: in place of an
-    equal SNR.
+    latter is the error's level relative to the detection threshold. `rate_buffer_s`: size of the rate buffer. None =
+    the size that holds a rate within 1 % over any 2 s; a larger one makes the SNR more even. `packet_s`: length of
+    packets. None = the shortest to which the wire adds at most 15 % at the full rate, or 4 blocks without a rate.
+    `equal_error`: an equal error in all channels, in place of an equal SNR.
     """
 
     constant_rate_bps: float | None = None
@@ -64,14 +64,14 @@ class RateTarget:
 
     @property
     def rate_bps(self) -> float | None:
-        """The rate that is not exceeded; None = any."""
+        """The rate that a stream does not exceed; None = no limit."""
         return self.capped_rate_bps if self.constant_rate_bps is None else self.constant_rate_bps
 
     def policy(self, signal_format: SignalFormat) -> codec.Policy:
-        """Return the policy, for one stream. Raises CodecError for what cannot be held."""
+        """Return the policy, for one stream. Raises CodecError for an impossible target."""
         rate_buffer_s = DEFAULT_RATE_BUFFER_S if self.rate_buffer_s is None else self.rate_buffer_s
         if self.constant_rate_bps is not None:
-            # The default rate buffer leaves a quality nothing to choose.
+            # The default rate buffer leaves a meter nothing to choose.
             meter = None if self.rate_buffer_s is None else codec.SnrMeter(signal_format.rate_hz)
             return codec.ConstantRate(self.constant_rate_bps, added_bytes, rate_buffer_s, meter)
         quality_db, quality_meter = self._quality(signal_format)
@@ -81,7 +81,7 @@ class RateTarget:
         return codec.CappedRate(quality_db, quality_meter, self.capped_rate_bps, added_bytes, rate_buffer_s)
 
     def framing(self, rate_hz: int) -> codec.Framing:
-        """Return how a stream of that sample rate is cut into packets."""
+        """Return how a stream of this sample rate is cut into packets."""
         if self.packet_s is not None:
             return codec.Framing(max(1, round(self.packet_s * rate_hz)), max(1, round(REFRESH_S / self.packet_s)))
         if self.rate_bps is not None:
@@ -98,13 +98,12 @@ class RateTarget:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a target was met.
+    """How a stream met its target.
 
-    `sent_bps`: packets and their frames; `packets_bps`: packets alone. `furthest`: by how much, relative to the rate,
-    the run of packets of 2 s that is furthest from it differs; None without a rate, or where all lasts less.
-    `peak_bps`: of the run of 2 s with the most bytes; None where all lasts less.
-    `padding`: part of the bytes sent that only keep the rate. `packet_snrs_db`: of all packets but those 20 dB below
-    the recording. `packet_s`: how long a packet lasts.
+    `sent_bps`: packets and their frames; `packets_bps`: packets alone. `furthest`: largest deviation from the rate over
+    any run of packets of 2 s, relative to the rate; None without a rate, or if the stream is shorter. `peak_bps`:
+    highest rate over such a run; None if the stream is shorter. `padding`: part of the bytes sent that is padding.
+    `packet_snrs_db`: of all packets except those 20 dB below the recording. `packet_s`: duration of a packet.
     """
 
     sent_bps: float
@@ -117,17 +116,17 @@ class Outcome:
 
     @property
     def frames_add(self) -> float:
-        """What the frames add to the packets, relative to these."""
+        """Bytes that the frames add, relative to the packets."""
         return self.sent_bps / self.packets_bps - 1
 
     @property
     def snr_db(self) -> float:
-        """Mean SNR over the packets; NaN where all are silent."""
+        """Mean SNR over the packets; NaN if all are silent."""
         return float(np.mean(self.packet_snrs_db)) if self.packet_snrs_db else math.nan
 
     @property
     def snr_range_db(self) -> tuple[float, float]:
-        """Between which SNRs nine packets of ten are; NaN where all are silent."""
+        """The 5th and the 95th percentile of the packets' SNR; NaN if all are silent."""
         if not self.packet_snrs_db:
             return math.nan, math.nan
         low, high = np.percentile(self.packet_snrs_db, (5, 95))
@@ -135,7 +134,7 @@ class Outcome:
 
     @property
     def snr_deviation_db(self) -> float:
-        """Standard deviation of the packets' SNR; NaN where all are silent."""
+        """Standard deviation of the packets' SNR; NaN if all are silent."""
         return float(np.std(self.packet_snrs_db)) if self.packet_snrs_db else math.nan
 
 
@@ -152,11 +151,9 @@ def encode(
 ) -> tuple[Stream, Outcome]:
     """Resample a recording to the stream's rate and code it as a live stream to a rate target.
 
-    `highpass_hz` as in `coding.encode`.
-
-    `codec_name`: None = that of the model, or DEFAULT_CODEC. `model`: None = the tables built in or, for a codec
-    without such, what `first_reachable` chooses of those that ship. Raises CodecError, also where the target is out of
-    reach, and as `host.coding.encode`.
+    `codec_name`: None = the model's codec, or DEFAULT_CODEC. `model`: None = the built-in tables. A codec without such
+    takes the choice of `first_reachable` among the models that ship. `highpass_hz` as in
+    `codec.encoding.encode_recording`. Raises CodecError, also if the target is out of reach, and as `encode_recording`.
     """
     resampled = textures.resample(textures.highpass(recording, highpass_hz).recording, stream_rate_hz)
     samples = resampled.samples
@@ -174,7 +171,7 @@ def encode(
         return stream, outcome(stream, samples, target.rate_bps, policy)
 
     def excess(candidate: models.Model) -> float:
-        # The rate decides where there is one: a quality up to it is what is left over.
+        # If there is a rate, it decides, and the quality follows from it.
         return unsearched_excess(source(candidate), candidate, given, target.rate_bps, target.snr_db)
 
     def cost(made: tuple[Stream, Outcome]) -> float:
@@ -186,9 +183,9 @@ def encode(
 
 
 def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: codec.Policy) -> Outcome:
-    """Return how a policy held its target on a stream of samples (n, channels). Raises CodecError.
+    """Return how a stream of samples (n, channels) met the target of its policy. Raises CodecError.
 
-    `rate_bps`: None = without a rate.
+    `rate_bps`: None = no rate.
     """
     decoder = stream.decoder()
     packet_s = decoder.packet_samples / stream.header.rate_hz
@@ -207,7 +204,7 @@ def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: cod
 
 
 def _window_bps(sizes: Sequence[int], packet_s: float) -> list[float]:
-    """Return the rate of every run of packets that lasts 2 s; empty where all packets last less."""
+    """Return the rate of every run of packets that lasts 2 s; empty if all packets last less."""
     run = math.ceil(WINDOW_S / packet_s - 1e-9)
     if run > len(sizes):
         return []
@@ -215,8 +212,8 @@ def _window_bps(sizes: Sequence[int], packet_s: float) -> list[float]:
 
 
 def _packet_snrs_db(samples: Signal, decoded: Signal, decoder: codec.Decoder) -> list[float]:
-    """Return the SNR over all channels of what each packet decodes to, quiet ones left out."""
-    # The last packet is seldom full, and then has bits to spare.
+    """Return the SNR of each packet over all channels, without quiet packets."""
+    # Leave out the last packet: it is seldom full, so it has bits to spare.
     first_end = decoder.packet_samples - decoder.delay_samples % decoder.packet_samples
     *cuts, end = [0, *range(first_end, len(samples) + 1, decoder.packet_samples)]
     if not cuts:

@@ -1,4 +1,4 @@
-"""The codecs by name, and whole signals to packets and back at a given quantiser step."""
+"""All codecs by name; encodes whole signals with a given setting, and decodes them."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -27,7 +27,7 @@ from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
 _FILE_PACKET_BLOCKS = 128
-# Every packet fits into one frame of the wire protocol, so that a file can be played as it is.
+# Every packet fits into one frame of the wire protocol, so a file can be played as it is.
 _MAX_PACKET_BYTES = 4000
 _PART_SAMPLES = 1 << 20
 _MAX_GAIN = 2.0**127
@@ -45,14 +45,14 @@ DEFAULT_CODEC = mdct.NAME
 class Codecs(Mapping[str, Codec]):
     """All codecs by name: the built-in ones, those of other packages (codec/plugins.py), those added in this process.
 
-    The packages are loaded at first use. `failures`: why codecs of packages cannot be used, by entry point.
+    The packages are loaded at first use. `failures`: errors of packages' codecs that cannot be used, by entry point.
     """
 
     def __init__(self) -> None:
         self._added: dict[str, Codec] = {}
 
     def add(self, codec: Codec) -> None:
-        """Add a codec, or replace one added before. Raises CodecError where a package or vibrocast has the name."""
+        """Add a codec, or replace an added one. Raises CodecError if a package or vibrocast has the name."""
         if codec.name in self._loaded[0]:
             raise CodecError(f"there is a codec {codec.name} already; rename yours")
         self._added[codec.name] = codec
@@ -90,9 +90,9 @@ def codec_by_name(name: str) -> Codec:
 
 
 def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:
-    """Return the codec of that number in stream headers. Raises CodecError when there is none.
+    """Return the codec of this number in stream headers. Raises CodecError when there is none.
 
-    `configuration`: the header's, in which a codec of another package has its name.
+    `configuration`: the header's, which names a codec of another package.
     """
     if identifier == plugins.IDENTIFIER:
         name = plugins.name_in(configuration)
@@ -102,7 +102,7 @@ def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:
     for codec in BUILT_IN.values():
         if codec.identifier == identifier:
             return codec
-    raise CodecError(f"codec number {identifier} is needed, which this version does not have")
+    raise CodecError(f"the stream needs codec number {identifier}, which this version lacks; update vibrocast")
 
 
 def decoder(
@@ -110,7 +110,7 @@ def decoder(
 ) -> Decoder:
     """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit a codec.
 
-    `runtime`: one of RUNTIMES, for tables that can be decoded by either; None = as they say.
+    `runtime`: one of RUNTIMES, for tables that either can decode; None = as the tables say.
     """
     codec = codec_by_identifier(identifier, configuration)
     _check_model(codec, tables is not None)
@@ -120,7 +120,7 @@ def decoder(
 
 
 def check_tables(identifier: int, tables: bytes) -> None:
-    """Raise CodecError where the payload of a model image is not what a codec's decoders take."""
+    """Raise CodecError for the payload of a model image that a codec's decoders reject."""
     codec = codec_by_identifier(identifier)
     _check_model(codec, given=True)
     assert codec.check_tables is not None, f"{codec.name} takes a model"
@@ -171,18 +171,18 @@ def encode(
     progress: Progress | None = None,
     framing: Framing | None = None,
 ) -> CodedSignal:
-    """Code samples (n, channels) in a physical unit by a codec's setting; what it leaves out has its default.
+    """Code samples (n, channels) in a physical unit with a codec's setting; missing parameters have their defaults.
 
-    `live`: in short packets with regular refreshes, as for streaming; otherwise in the fewest bytes, as for a file.
-    `framing`: how the packets of a live stream are cut, None = as `live_framing` says.
-    `progress` is called with the part done, from 0 to 1. Raises CodecError on an empty signal, NaN, infinity, a
-    setting that the codec does not have, or a channel count, level or unit that cannot be coded.
+    `live`: in short packets with regular refreshes, for streaming; otherwise in the fewest bytes, for a file.
+    `framing`: how the packets of a live stream are cut; None = as `live_framing`. `progress` is called with the
+    finished part, from 0 to 1. Raises CodecError for an empty signal, NaN, infinity, an invalid setting, or a channel
+    count, level or unit that cannot be coded.
     """
     return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
 
 
 def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
-    """Decode every packet: int16 (packets * packet_samples, channels), the codec's delay still in front.
+    """Decode every packet: int16 (packets * packet_samples, channels), including the codec's delay at the beginning.
 
     Raises CodecError on a malformed packet or configuration.
     """
@@ -194,7 +194,7 @@ def decode_integers(coded: CodedSignal, tables: bytes | None = None) -> Decoded:
 
 
 def decode(coded: CodedSignal, tables: bytes | None = None) -> Signal:
-    """Decode to float64 (samples, channels) in the physical unit, the codec's delay removed.
+    """Decode to float64 (samples, channels) in the physical unit, without the codec's delay.
 
     Raises CodecError on a malformed packet or configuration, and when packets are missing at the end.
     """
@@ -208,7 +208,7 @@ def decode(coded: CodedSignal, tables: bytes | None = None) -> Signal:
 
 
 def parts(samples: int) -> Iterator[slice]:
-    """Yield slices that cover a long signal, so that no work on it needs a copy of all of it."""
+    """Yield slices that cover a long signal, so that work on it needs no copy of the whole."""
     for start in range(0, samples, _PART_SAMPLES):
         yield slice(start, start + _PART_SAMPLES)
 
@@ -228,7 +228,7 @@ def _check_model(codec: Codec, given: bool) -> None:
 class Source:
     """A signal ready to be coded at any setting, as a file or as a live stream.
 
-    `format`: what the encoder is told of it. `silent`: every channel is.
+    `format`: its properties for the encoder. `silent`: whether every channel is.
     """
 
     def __init__(
@@ -266,7 +266,7 @@ class Source:
         self._trials = 0
 
     def encode(self, setting: Setting) -> CodedSignal:
-        """Code with a setting, in shorter packets where they grow too long. Raises CodecError as `codec.encode`."""
+        """Code with a setting; shorten packets that grow too long. Raises CodecError as `codec.encode`."""
         setting = self.resolved(setting)
         framing = self._framing
         tried_samples = 0
@@ -280,7 +280,7 @@ class Source:
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
 
     def encode_rate_controlled(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
-        """Code in one pass, as a live stream would be, rate-controlled by a policy.
+        """Code in one pass, like a live stream, with a policy that controls the rate.
 
         Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as
         `rate_controlled_encoder`.
@@ -289,13 +289,13 @@ class Source:
         packets = self._packets(encoder)
         if max(map(len, packets)) > _MAX_PACKET_BYTES:
             raise CodecError(
-                f"a packet of {max(map(len, packets))} bytes, and no controller need take more than "
-                f"{_MAX_PACKET_BYTES}: ask for shorter packets, or for less"
+                f"a packet of {max(map(len, packets))} bytes, and a controller need not take more than "
+                f"{_MAX_PACKET_BYTES}; choose shorter packets, or a lower rate or quality"
             )
         return self._coded(encoder, packets)
 
     def takes(self, setting: Setting) -> bool:
-        """Return whether the codec has this setting with this model."""
+        """Return whether the codec accepts this setting with this model."""
         try:
             self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self.model, None)
         except CodecError:
@@ -303,7 +303,7 @@ class Source:
         return True
 
     def resolved(self, setting: Setting) -> Setting:
-        """Return the complete setting that `encode` uses, with what the codec itself chooses. Raises CodecError."""
+        """Return the complete setting that `encode` uses, with the codec's own choices. Raises CodecError."""
         setting = self.codec.complete(setting)
         if self._live or self.codec.resolve is None or AUTO not in setting.values():
             return setting
@@ -311,7 +311,7 @@ class Source:
 
     @cached_property
     def _choice(self) -> Setting:
-        """What the codec chooses by the signal: the same at every setting, so that a search meets no jump."""
+        """The codec's choices for this signal: the same at every setting, so that a search meets no jump."""
         assert self.codec.resolve is not None, f"{self.codec.name} has parameters that may be {AUTO}"
         return self.codec.resolve(self.samples, self.format, self.model)
 
@@ -329,7 +329,7 @@ class Source:
         packets: list[bytes] = []
         for part in parts(len(self.samples)):
             packets += encoder.encode(self.samples[part] / np.array(self.format.gains))
-            # How many trials a search takes is not known before: each is given half of what is left of the bar.
+            # The number of a search's trials is not known before: each gets half of the rest of the progress bar.
             within = min(part.stop, len(self.samples)) / len(self.samples)
             self._progress(1 - 0.5**self._trials * (1 - within / 2))
         self._trials += 1

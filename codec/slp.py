@@ -1,8 +1,8 @@
-"""The codec `slp`: sparse linear prediction, closed loop, its residual as a DCT; layout: docs/reference/bitstream.md.
+"""The codec `slp`: closed-loop sparse linear prediction, DCT of the residual; layout: docs/reference/bitstream.md.
 
-Written from public descriptions of PVC-SLP (Hassen, Guelecyuez and Steinbach, "PVC-SLP: Perceptual
-Vibrotactile-Signal Compression Based-on Sparse Linear Prediction", IEEE Trans. Multimedia, 2021); it is not the codec
-of the standard, and reads none of its streams.
+Written from public descriptions of PVC-SLP (Hassen, Guelecyuez and Steinbach, "PVC-SLP: Perceptual Vibrotactile-Signal
+Compression Based-on Sparse Linear Prediction", IEEE Trans. Multimedia, 2021). It is not the codec of the standard, and
+reads none of its streams.
 """
 
 import math
@@ -36,11 +36,11 @@ MAX_ORDER = 16
 MAX_PACKET_FRAMES = 4095
 STEP_CODES = 21 * 8
 QUANTISER_OFFSETS_OF_STEP_CODE = 2
-"""By how much the quantiser offset of a packet is more where its steps are larger by one code."""
+"""Units of the quantiser offset in one step code."""
 LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
 _ANALYSIS_SAMPLES = 512
-"""Samples that a predictor is fitted to: those up to the end of its frame."""
+"""Samples to which a predictor is fitted: those up to the end of its frame."""
 _CHUNK_FRAMES = 256
 
 
@@ -71,7 +71,7 @@ class SlpEncoder(PacketwiseEncoder):
 
         `frame`: samples per frame. `order`: of the predictor. `shaping`: weight of the detection threshold in the
         steps, 0 to 1. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave of the steps; None =
-        all have the steps as they are. Raises CodecError on what the codec does not have.
+        no offsets. Raises CodecError for a frame, channel count or packet length that the codec cannot have.
         """
         if frame not in FRAMES:
             raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
@@ -79,7 +79,7 @@ class SlpEncoder(PacketwiseEncoder):
         self._frame, self._order = frame, order
         step_codes = [step_code(step * rms) for rms in signal_format.rms]
         self._rate_control = rate_control
-        # What is loud has levels at the largest steps too; one more is silence, which fits any rate.
+        # Loud signals have levels even at the largest steps. One offset more is silence, which fits any rate.
         self._silent = QUANTISER_OFFSETS_OF_STEP_CODE * (STEP_CODES - 1 - min(step_codes)) + 1
         self._quantiser_offsets = range(-QUANTISER_OFFSETS_OF_STEP_CODE * max(step_codes), self._silent + 1)
         self.configuration = bytes(
@@ -106,7 +106,7 @@ class SlpEncoder(PacketwiseEncoder):
         return packets
 
     def _analysed(self, signal: Signal) -> NDArray[np.int8]:
-        """Return the reflection codes (frames, order) of one channel; `signal`: what came before, then the frames."""
+        """Return one channel's reflection codes (frames, order); `signal`: the samples before, then the frames."""
         frames = (len(signal) - len(self._before)) // self._frame
         codes = np.zeros((frames, self._order), dtype=np.int8)
         for start in range(0, frames if self._order else 0, _CHUNK_FRAMES):
@@ -117,11 +117,11 @@ class SlpEncoder(PacketwiseEncoder):
         return codes
 
     def _packet_of(self, units: NDArray[np.int32], codes: NDArray[np.int8], samples: Signal) -> bytes:
-        """Return the packet of samples: in the core's unit by frame and channel, their predictors, and as given."""
+        """Return a packet: samples in the core's unit by frame and channel, their predictors, the samples as given."""
 
         def code(encoder: CoreEncoder, quantiser_offset: int) -> bytes:
-            told = library().VC_SLP_SILENT if quantiser_offset == self._silent else quantiser_offset
-            return encoder.packet(self.packet_samples, units, codes, told)
+            stated = library().VC_SLP_SILENT if quantiser_offset == self._silent else quantiser_offset
+            return encoder.packet(self.packet_samples, units, codes, stated)
 
         return self._chosen(samples, partial(code, self._core), lambda offset: code(self._core.copy(), offset))
 
@@ -153,12 +153,12 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None = Non
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
-    summary="sparse linear prediction in closed loop, perceptual steps for the residual's DCT, range coding",
+    summary="closed-loop sparse linear prediction, DCT of the residual with perceptual steps, range coding",
     parameters={
-        "quality": Parameter("level, the coarsest 0", 16, low=0, high=LEVELS - 1, whole=True),
+        "quality": Parameter("quality level; 0 is the coarsest", 16, low=0, high=LEVELS - 1, whole=True),
         "frame": Parameter("samples per frame", "64", choices=tuple(map(str, FRAMES))),
-        "order": Parameter("of the predictor, 0 = none", 8, low=0, high=MAX_ORDER, whole=True),
-        "shaping": Parameter("weight of the detection threshold in the steps, 0 = white noise", 0.1, low=0, high=1),
+        "order": Parameter("order of the predictor; 0 = no prediction", 8, low=0, high=MAX_ORDER, whole=True),
+        "shaping": Parameter("how far the error follows the detection threshold; 0 = white error", 0.1, low=0, high=1),
     },
     rate_point_sets={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
     make_encoder=make_encoder,

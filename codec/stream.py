@@ -1,4 +1,4 @@
-"""Coded streams in memory: what they hold and decode to. device_protocol/coded_stream.py has their bytes."""
+"""Coded streams in memory: their properties and their decoding. device_protocol/coded_stream.py has their bytes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ from vibrocast.textures import arguments
 from vibrocast.textures.memory import shortage
 
 MAX_SAMPLES = 2**29
-"""Of all channels together, in one stream: 53 hours of one channel at 2800 Hz, 5 GiB while they are decoded."""
+"""Most samples of all channels together in one stream: 53 hours of one channel at 2800 Hz, 5 GiB while decoded."""
 
 MAX_FILE_BYTES = 2**30
 MAX_GAIN_DB = 400
@@ -70,7 +70,7 @@ class Stream:
     def __post_init__(self) -> None:
         if self.image is not None and image_hash(self.image) != self.header.image_hash:
             raise codec.CodecError(
-                "the stream was not coded for this model image; leave out `model`, or give the other"
+                "the stream was not coded for this model image; leave out `model`, or give the right one"
             )
         decoder = self.decoder()
         if not self.packets or self.samples < 1:
@@ -157,8 +157,8 @@ class Stream:
             return ModelImage.unpack(self.image).payload
         if self.header.image_hash:
             raise codec.CodecError(
-                f"the stream was coded for the model image {self.header.image_hash.hex()}, which is none of those that "
-                "ship; give its folder or its file as `model`"
+                f"the stream was coded for the model image {self.header.image_hash.hex()}, which does not ship; give "
+                "its folder or its file as `model`"
             )
         return None
 
@@ -188,7 +188,7 @@ class Stream:
             StreamError: There is not enough memory.
         """
         header = self.header
-        # As integers and, when all are there, as float64 in the header's unit.
+        # First integers; when all are there, also float64 in the header's unit.
         if lack := shortage(self.samples * header.channels * (2 + 8)):
             raise StreamError(f"decoding {self.samples} samples {lack}")
         decoder = codec.decoder(
@@ -237,7 +237,9 @@ class Stream:
             CodecError: The codec is unknown, or it needs an image that is not here.
         """
         if not self.header.spatial or self.header.channels != 1:
-            raise StreamError("no height profile of one channel; decode it with `Stream.recording`, or into a WAV file")
+            raise StreamError(
+                "it is no height profile of one channel; decode it with `Stream.recording`, or into a WAV file"
+            )
         return textures.Profile(self.decode(progress)[:, 0], 1e6 / self.header.rate_hz, name)
 
     def with_gain(self, gain_db: float) -> "Stream":
@@ -297,9 +299,9 @@ class Stream:
 
 
 def as_stream(coded: codec.CodedSignal, unit: str, image: bytes | None = None) -> Stream:
-    """Return a coded signal in this unit as a stream; `image`: the packed model image that it was coded for.
+    """Return a coded signal in this unit as a stream; `image`: the packed model image for which it was coded.
 
-    Raises StreamError where the layout cannot hold it.
+    Raises StreamError if the layout cannot hold it.
     """
     header = StreamHeader(
         codec.codec_by_name(coded.codec).identifier,
@@ -319,15 +321,15 @@ def image_hash(image: bytes) -> bytes:
 
 
 def check_length(samples: int) -> None:
-    """Raise StreamError for more samples, of all channels together, than one stream holds."""
+    """Raise StreamError if a stream cannot hold so long a signal; `samples` counts all channels."""
     if samples > MAX_SAMPLES:
         raise StreamError(
-            f"{samples} samples in all channels, at most {MAX_SAMPLES} make one stream; cut it into parts"
+            f"{samples} samples in all channels, and a stream holds at most {MAX_SAMPLES}; cut the recording into parts"
         )
 
 
 def read_stream(path: Path, image: bytes | None = None) -> Stream:
-    """Read a .vct file, coded for the built-in tables or for a packed model image; None = of a model that ships.
+    """Read a .vct file. `image`: its packed model image; None = the built-in tables, or an image that ships.
 
     Raises InputFileError when it is no such file, StreamError when it is damaged, CodecError for another image or
     codec, OSError when it cannot be read.
@@ -340,7 +342,7 @@ def read_stream(path: Path, image: bytes | None = None) -> Stream:
 
 
 def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] | None = None) -> textures.Profile:
-    """Decode a spatial stream into a CSV file of position_um and height_um; return it.
+    """Decode a spatial stream into a CSV file of position_um and height_um; return the profile.
 
     `progress` as in `Stream.decode`. Raises StreamError for any other stream or several channels, CodecError, OSError.
     """
@@ -353,7 +355,7 @@ def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] 
 def write_recording(
     path: Path, stream: Stream, sixteen_bit: bool = False, progress: Callable[[float], None] | None = None
 ) -> float:
-    """Decode a stream into a file of any format that `textures.save` writes, and return its full scale as that does.
+    """Decode a stream into a file of any format that `textures.save` writes; return its full scale, as `save` does.
 
     `progress` as in `Stream.decode`. Raises StreamError for a height profile, CodecError, TextureError or OSError.
     """
@@ -362,5 +364,5 @@ def write_recording(
         try:
             return textures.save(partial, recording, sixteen_bit)
         except textures.TextureError as error:
-            # It names the partial file.
+            # The message names the partial file.
             raise textures.TextureError(str(error).replace(str(partial), str(path))) from error

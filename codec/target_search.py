@@ -1,4 +1,4 @@
-"""Coding to an asked quality or rate: searches for the setting that meets an SNR or a bit rate."""
+"""Searches for the setting that meets a target SNR or bit rate."""
 
 import bisect
 import itertools
@@ -25,17 +25,16 @@ _RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 _BALANCING_TRIALS = 20
 _STEP_BACK = 0.9
 _NEIGHBOURS = 3
-"""Settings tried on each side of where the excess changes its sign, as quality may fall on the way up a set of rate
-points.
+"""Settings tested on each side of the place where the excess changes its sign, because quality may fall on the way up.
 """
 _STEPS_BETWEEN = 8
-"""Steps from one rate point of a set of rate points to the next, where the setting is a fraction."""
+"""Steps from one rate point to the next, if the setting is a fraction."""
 
 
 def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
-    """Signal-to-noise ratio in dB of each channel of two arrays (n, channels): 10 log10(sum x^2 / sum (x - y)^2).
+    """Return the SNR in dB of each channel of two arrays (n, channels): 10 log10(sum x^2 / sum (x - y)^2).
 
-    None where the reference is silent, infinity where both are equal.
+    None if the reference is silent, infinity if both are equal.
     """
     if reference.shape != decoded.shape:
         raise ValueError(f"a reference of shape {reference.shape}, decoded {decoded.shape}")
@@ -61,7 +60,7 @@ def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float 
     """Return the SNR in dB within TACTILE_BAND_HZ, over all channels of arrays (n, channels).
 
     Both powers are integrals of Welch's estimate over frames of 1 s (P. D. Welch, IEEE Trans. Audio Electroacoust. 15,
-    1967). None where the reference holds nothing there, or nothing was lost.
+    1967). None if the reference has no energy there, or if nothing was lost.
     """
     from scipy import signal
 
@@ -75,24 +74,24 @@ def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float 
 
 
 def encode_to_snr(source: Source, target_db: float, setting: Setting | None = None) -> CodedSignal:
-    """Code every channel at `target_db` of SNR, to within 0.2 dB; above it where no setting comes nearer.
+    """Code every channel at `target_db` of SNR, to within 0.2 dB; above it if no setting comes nearer.
 
-    `setting`: what is given of the codec's setting and not searched for. Raises CodecError as `encode`,
-    TargetUnreachable with the best that there is. A silent signal meets every target.
+    `setting`: the part of the codec's setting that is given, not searched for. A silent signal meets every target.
+    Raises CodecError as `encode`, TargetUnreachable with the best SNR that this signal reaches.
     """
     if not math.isfinite(target_db):
         raise CodecError(f"an SNR of {target_db} dB cannot be met; ask for a finite number")
     if not source.codec.keeps_waveform:
         raise TargetUnreachable(
-            f"an SNR of {target_db:g} dB cannot be met: {source.codec.name} keeps no waveform; ask for a rate, or "
-            "choose another codec"
+            f"an SNR of {target_db:g} dB cannot be met, because {source.codec.name} keeps no waveform; ask for a "
+            "rate, or choose another codec"
         )
     if source.silent:
         return source.encode(_rate_points(source, setting)[0])
     tables = source.model.tables if source.model is not None else None
 
     def excesses_db(coded: CodedSignal) -> list[float]:
-        """Excess of each channel over the target; 0 for silent ones, which have none."""
+        """Return the excess of each channel over the target; 0 for silent ones, which have none."""
         ratios = channel_snrs_db(source.samples, decode(coded, tables))
         return [0.0 if ratio is None else ratio - target_db for ratio in ratios]
 
@@ -120,7 +119,7 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
 def _balance(
     source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]
 ) -> tuple[CodedSignal, list[float]]:
-    """Bring every channel to the target by a step of its own; return the coded signal and the excesses left."""
+    """Bring every channel to the target by its own step; return the coded signal and the remaining excesses."""
     best, least = found.coded, excesses_db(found.coded)
     balanced = [_ChannelStep(found.step) for _ in least]
     excesses = least
@@ -140,7 +139,7 @@ def _balance(
 
 
 def _setting(source: Source, step: float | tuple[float, ...], rd_weight: float) -> Setting:
-    """Return the setting of steps, one or each channel's, with a weight of bits against error where there is one."""
+    """Return the setting of one step or of each channel's, with a weight of bits against error if there is one."""
     assert source.codec.step_parameter and source.codec.step_range, "its steps can be searched"
     weight = {"rd_weight": rd_weight} if "rd_weight" in source.codec.parameters else {}
     low, high = source.codec.step_range(source.format)
@@ -149,20 +148,20 @@ def _setting(source: Source, step: float | tuple[float, ...], rd_weight: float) 
 
 
 def _imbalance(excesses_db: list[float]) -> tuple[bool, float]:
-    """Order by which the steps of channels are chosen: none below the tolerance first, then the smallest excess."""
+    """Return the rank of a result, less is better: no channel below the tolerance, then the smallest excess."""
     return min(excesses_db) < -SNR_TOLERANCE_DB, max(map(abs, excesses_db))
 
 
 @dataclass
 class _ChannelStep:
-    """The step of one channel among several that each need their own: between what is enough and what is too coarse."""
+    """The step of one channel, if each has its own: it lies between a step that is enough and one too coarse."""
 
     step: float
     enough: float = 0.0
     too_coarse: float = math.inf
 
     def move(self, excess_db: float) -> None:
-        """Choose the next step to try, from the channel's excess over its target at this one: 6 dB an octave."""
+        """Choose the next step to test, from the channel's excess over its target at this one: 6 dB an octave."""
         if excess_db >= 0:
             self.enough = max(self.enough, self.step)
         else:
@@ -171,11 +170,11 @@ class _ChannelStep:
             self.enough, self.too_coarse = 0.0, math.inf
         if abs(excess_db) <= SNR_TOLERANCE_DB / 2:
             return
-        wanted = self.step * 2 ** (excess_db / _DB_PER_OCTAVE)
-        if not self.enough < wanted < self.too_coarse:
+        target = self.step * 2 ** (excess_db / _DB_PER_OCTAVE)
+        if not self.enough < target < self.too_coarse:
             bracketed = self.enough > 0 and math.isfinite(self.too_coarse)
-            wanted = math.sqrt(self.enough * self.too_coarse) if bracketed else self.step / 2
-        self.step = wanted
+            target = math.sqrt(self.enough * self.too_coarse) if bracketed else self.step / 2
+        self.step = target
 
 
 def encode_to_rate(
@@ -184,10 +183,10 @@ def encode_to_rate(
     size_bytes: Callable[[CodedSignal], int],
     setting: Setting | None = None,
 ) -> CodedSignal:
-    """Code at up to `bits_per_second`, never above, and within 2 % below where a setting comes as near.
+    """Code at up to `bits_per_second`, never above, and within 2 % below it if a setting comes as near.
 
-    `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: what of it is given and
-    not searched for. Raises CodecError as `encode`, TargetUnreachable with the least rate that the signal takes.
+    `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: the part of it that is
+    given, not searched for. Raises CodecError as `encode`, TargetUnreachable with the least rate that the signal takes.
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
@@ -211,25 +210,25 @@ def encode_to_rate(
 
 
 def _differs_by_channel(source: Source, setting: Setting | None) -> bool:
-    """Return whether every parameter that is left to search may differ between channels, of which there are several."""
+    """Return whether there are several channels, and every parameter left to search may differ between them."""
     rate_point_set = next(iter(source.codec.rate_point_sets.values()))
     varied = {name for rate_point in rate_point_set for name in rate_point} - set(setting or {})
     return source.format.channels > 1 and all(source.codec.parameters[name].per_channel for name in varied)
 
 
 def settings(source: Source, setting: Setting | None = None) -> list[Setting]:
-    """Return what a search for a quality tries: the rate points of the codec's first set of rate points and between,
-    the coarsest first.
+    """Return the settings that a search for a quality tests, the coarsest first.
 
-    `setting`: what is given of the codec's setting and not searched for. Raises CodecError.
+    They are the rate points of the codec's first set, and steps between them. `setting`: the part of the codec's
+    setting that is given, not searched for. Raises CodecError.
     """
     return _steps_between(source, _rate_points(source, setting))[0]
 
 
 def _rate_points(source: Source, setting: Setting | None) -> list[Setting]:
-    """Return the settings of the codec's first set of rate points, what is given of a setting put in place of theirs.
+    """Return the rate points of the codec's first set, with the given part of a setting in place of theirs.
 
-    Those that the model does not have are left out, unless it has none: then the first says why.
+    Leaves out those that the model rejects. If it rejects all, returns all: the first one then raises the error.
     """
     rate_point_set = next(iter(source.codec.rate_point_sets.values()))
     rate_points: list[Setting] = []
@@ -240,9 +239,9 @@ def _rate_points(source: Source, setting: Setting | None) -> list[Setting]:
 
 
 def _steps_between(source: Source, rate_points: list[Setting]) -> tuple[list[Setting], int]:
-    """Return the rate points with settings between them, and how many steps lead from one rate point to the next.
+    """Return the rate points with settings between them, and the number of steps from one rate point to the next.
 
-    There are none between where what differs from rate point to rate point is no fraction.
+    There is nothing between them if a parameter that varies is no fraction.
     """
     parameters = source.codec.parameters
     varied = {name for low, high in itertools.pairwise(rate_points) for name in low if low[name] != high[name]}
@@ -263,10 +262,9 @@ def _choose(
     excess: Callable[[CodedSignal], float],
     goal: "_Goal",
 ) -> CodedSignal:
-    """Code where the excess, rising on the whole from rate point to rate point, changes its sign; at every rate point
-    if nothing there will do.
+    """Code where the excess changes its sign; at every rate point if no setting there is good enough.
 
-    Return the one preferred as in `_search`.
+    The excess rises on the whole from rate point to rate point. Returns the result that the goal prefers.
     """
     settings, steps = _steps_between(source, _rate_points(source, setting))
     tried: dict[int, tuple[CodedSignal, float]] = {}
@@ -291,8 +289,10 @@ def _choose(
 def _choose_for_each(
     source: Source, setting: Setting | None, excesses_db: Callable[[CodedSignal], list[float]]
 ) -> CodedSignal:
-    """Code each channel at the coarsest setting that brings it to the target: found with all channels at that setting,
-    then made finer where it is not enough beside the others'.
+    """Code each channel at the coarsest setting that brings it to the target.
+
+    Finds it with all channels at the same setting first. Then makes it finer for a channel that falls short next to the
+    others.
     """
     settings, _ = _steps_between(source, _rate_points(source, setting))
     varied = {name for name in settings[0] if settings[0][name] != settings[-1][name]}
@@ -324,8 +324,9 @@ def _choose_for_each(
 
 @dataclass(frozen=True)
 class _Goal:
-    """Which excess over a target meets it: from `low` to `high`. `ceiling`: an excess above `high` is an error, else
-    one below `low`; the other side is second best.
+    """The excess over a target that meets it: from `low` to `high`.
+
+    `ceiling`: an excess above `high` is on the wrong side; otherwise one below `low` is. The other side is second best.
     """
 
     low: float
@@ -341,7 +342,7 @@ class _Goal:
         return part * self.low <= excess <= part * self.high
 
     def preference(self, excess: float) -> tuple[bool, float]:
-        """Order by which trials are chosen: those on the wrong side last, then the nearest to zero first."""
+        """Return the rank of an excess, less is better: not on the wrong side, then the nearest to zero."""
         return self.misses(excess), abs(excess)
 
 
@@ -352,7 +353,7 @@ _RATE = _Goal(math.log1p(-RATE_TOLERANCE), 0.0, ceiling=True)
 
 @dataclass(frozen=True)
 class _Found:
-    """What a search found: the coded signal, its excess, and the step and rd_weight that made it."""
+    """The result of a search: the coded signal, its excess, and the step and rd_weight that made it."""
 
     coded: CodedSignal
     excess: float
@@ -363,17 +364,18 @@ class _Found:
 def _search(source: Source, excess: Callable[[CodedSignal], float], goal: _Goal) -> _Found:
     """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
 
-    The codec has a `step_range`. The one preferred by the goal lies on its wrong side only where every step does.
+    The codec must have a `step_range`. The result, which the goal prefers, lies on its wrong side only if every step
+    does.
     """
     best: _Found | None = None
     step_range = source.codec.step_range
     assert step_range is not None, "its steps can be searched"
 
-    # Rounding for the best rate makes the excess jump, most of all in signals of few coefficients, and the sign may
-    # change in a jump: then other weights of bits against error, whose jumps lie elsewhere, are tried.
+    # Rounding for the best rate makes the excess jump, most of all for signals of few coefficients. If the sign changes
+    # in a jump, the search tests other weights of bits against error: their jumps lie elsewhere.
     for rd_weight in _RD_WEIGHTS if "rd_weight" in source.codec.parameters else _RD_WEIGHTS[:1]:
         finest, coarsest = (round(_STEPS_PER_OCTAVE * math.log2(limit)) for limit in step_range(source.format))
-        above = below = math.nan  # excess beside the finest and the coarsest step that are left
+        above = below = math.nan  # excess next to the finest and the coarsest step that are left
         interpolates = False
         while finest <= coarsest:
             width = coarsest - finest
@@ -391,7 +393,7 @@ def _search(source: Source, excess: Callable[[CodedSignal], float], goal: _Goal)
                 finest, above = exponent + 1, found.excess
             else:
                 coarsest, below = exponent - 1, found.excess
-            # Straight lines lead there soon, unless one end stays where it is, or the excess jumps: then halve.
+            # Interpolation converges fast, unless one end stays where it is, or the excess jumps: then halve.
             halved = 2 * (coarsest - finest) <= width
             interpolates = rd_weight == _RD_WEIGHTS[0] and halved and math.isfinite(above - below)
         if best is not None and (goal.meets(best.excess) or goal.misses(best.excess)):

@@ -1,4 +1,4 @@
-"""The detection threshold b(F) of vibration at the fingertip: replaceable data, as displacement or as acceleration."""
+"""The detection threshold b(F) of vibration at the fingertip: replaceable data, in displacement or acceleration."""
 
 import csv
 import math
@@ -13,10 +13,10 @@ from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 TACTILE_BAND_HZ = (40.0, 800.0)
 """The Pacinian channel: S. J. Bolanowski et al., "Four channels mediate the mechanical aspects of touch", 1988."""
 BLOCK_S = 0.2
-"""Components are 1 / BLOCK_S = 5 Hz apart, as in the DCT paper, and the skin sums vibration over about that time
-(Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37, 1965)."""
+"""Components are 1 / BLOCK_S = 5 Hz apart, as in the DCT paper. The skin sums vibration over about this time (Verrillo,
+"Temporal summation in vibrotactile sensitivity", JASA 37, 1965)."""
 MIN_HZ, MAX_HZ = 10.0, 1000.0
-"""Where textures are felt; below, the hand moves as a whole, above, no channel of touch answers."""
+"""The band in which textures are felt. Below it, the hand moves as a whole; above it, no channel of touch answers."""
 BANDS_PER_OCTAVE = 12
 _BLOCKS_AT_ONCE = 256
 DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
@@ -25,7 +25,7 @@ DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
 def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
     """Return rows of frequency in Hz, rising, and least felt displacement in dB re 1 um peak: float64 (n, 2).
 
-    The file, one that takes its place included, names its source in lines that begin with #. Raises CodecError.
+    A file states its source in lines that begin with #. Raises CodecError.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -41,7 +41,7 @@ def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
         and np.all(np.diff(values[:, 0]) > 0)
     ):
         raise CodecError(
-            f"{path} is no detection threshold; it needs rows of a rising frequency in Hz and a level in dB"
+            f"{path} is no detection threshold; write rows of a frequency in Hz, rising, and a level in dB"
         )
     return values
 
@@ -51,7 +51,7 @@ def band_parts(
 ) -> NDArray[np.float64]:
     """Return which part of each bin of a spectrum lies in each band: float64 (bins, bands).
 
-    The bins are `spacing_hz` apart, the first at 0 Hz; what a bin holds lies evenly between its neighbours'. A power
+    The bins are `spacing_hz` apart, the first at 0 Hz; a bin's power lies evenly between its neighbours'. A power
     spectrum (..., bins) @ these parts is the power in the bands.
     """
     bins_hz = spacing_hz * np.arange(bins)[:, None]
@@ -63,15 +63,17 @@ def band_parts(
 def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.float64], unit: str) -> NDArray[np.float64]:
     """Return the least felt amplitude, in `unit` ("um" or "m/s^2"), of vibrations at each frequency.
 
-    `rows` as from `read_threshold`: between them the level is linear over log frequency, beyond them it is that of the
-    nearest row. An amplitude a of displacement is (2 pi F)^2 a of acceleration. Raises CodecError for a signal
-    without a physical unit.
+    `rows` as from `read_threshold`. Between them the level is linear over log frequency; beyond them it is that of the
+    nearest row. An amplitude a of displacement is (2 pi F)^2 a of acceleration. Raises CodecError for a signal without
+    a physical unit.
     """
     if unit == PROFILE_UNIT:
-        raise CodecError("the detection threshold is one over time, and a spatial stream has none; leave it off")
+        raise CodecError(
+            "the detection threshold needs a signal over time, and this stream is spatial; leave the threshold off"
+        )
     if unit not in ("um", "m/s^2"):
         raise CodecError(
-            "the detection threshold is one of displacement, which a signal relative to full scale does not state; "
+            "the detection threshold is a displacement, and this signal is relative to full scale; "
             "give `unit` and `full_scale`, or leave the threshold off"
         )
     nearest_hz = np.clip(frequency_hz, rows[0, 0], rows[-1, 0])
@@ -84,12 +86,12 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
 def over_threshold_db(
     displacement_um: NDArray[np.float64], rate_hz: float, threshold: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies, and the level of the third octave about each re the detection threshold, where it is loudest.
+    """Return frequencies, and the loudest level of the third octave about each, in dB re the detection threshold.
 
-    `displacement_um`: float64 (n, channels). `threshold`: rows as from `read_threshold`. Hann windows of BLOCK_S that
-    overlap by half; the amplitude of a sine of the same power as all components of the third octave (IEC 61260: edges
-    at 2^(+-1/6)), and at least of the nearest one, so that noise counts as the skin sums it. The loudest block and
-    channel count: what is felt once is felt.
+    `displacement_um`: float64 (n, channels). `threshold`: rows as from `read_threshold`. Hann windows of BLOCK_S
+    overlap by half. The amplitude is that of a sine with the power of all components of the third octave (IEC 61260:
+    edges at 2^(+-1/6)), or of the nearest one if that is more. So noise counts as the skin sums it. The loudest block
+    and channel count, because a finger feels one block.
     """
     block = max(4, round(BLOCK_S * rate_hz))
     # Silence before and after, so that windows cover the very first and last sample too.
@@ -99,14 +101,14 @@ def over_threshold_db(
     spacing_hz = rate_hz / block
     highest_hz = min(MAX_HZ, rate_hz / 2 / 2 ** (1 / 6))
     lowest_hz = max(MIN_HZ, spacing_hz)
-    # The same middles at every rate, so that what has one can be compared with what has another.
+    # The same middles at every rate, so that results at different rates can be compared.
     steps = np.arange(1 + math.floor(BANDS_PER_OCTAVE * math.log2(MAX_HZ / MIN_HZ)))
     middle_hz = MIN_HZ * 2 ** (steps / BANDS_PER_OCTAVE)
     middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
     parts = band_parts(block // 2 + 1, spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
     nearest = np.rint(middle_hz / spacing_hz).astype(int)
     loudest = np.zeros(len(middle_hz))
-    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # so that no work on a long signal needs much memory
+    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # to limit memory for long signals
         # (blocks, channels, components) of power as mean square.
         spectra = np.fft.rfft(blocks[start : start + _BLOCKS_AT_ONCE] * window)
         power = 2 * np.abs(spectra) ** 2 / (block * np.sum(window**2))

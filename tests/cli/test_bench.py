@@ -85,7 +85,7 @@ def test_failures_are_listed_and_the_exit_code_says_so(folder: Path, tmp_path: P
     textures.save(folder / "stereo.wav", textures.Recording(np.zeros((99, 2)), 2800.0, "full scale", "stereo"))
     said = fails(1, folder, "--codecs", FAST, "--out", tmp_path / "out", "--repeats", "0")
     assert "failed: nan: " in said and "is nan" in said
-    assert "failed: dct-threshold: stereo" in said and "and 10 more: the detection threshold is one" in said
+    assert "failed: dct-threshold: stereo" in said and "and 10 more: the detection threshold is a" in said
     assert "12 recordings or cells failed" in said
     failures = read_rows(tmp_path / "out" / "results" / "failures.csv", Failure)
     assert {failure.trace for failure in failures} == {"nan", "stereo"}

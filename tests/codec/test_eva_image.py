@@ -62,5 +62,5 @@ def test_a_runtime_without_what_it_needs_is_rejected() -> None:
 
 @pytest.mark.parametrize("payload", [b"\x01" + PACKED[1:], b"\x01", b"\x03" + PACKED[1:]])
 def test_another_layout_is_named_whatever_follows(payload: bytes) -> None:
-    with pytest.raises(CodecError, match=f"layout {payload[0]}; this version reads layout 2: export the model again"):
+    with pytest.raises(CodecError, match=f"layout {payload[0]}, and this version reads layout 2"):
         EvaImage.unpack(payload)

@@ -125,11 +125,11 @@ def test_any_windows_and_packets_decode_safely(pattern: bytes, hop: int, payload
 @pytest.mark.parametrize("size", [0, 1, 959, 960, 961, len(MODEL) - 1, len(MODEL) + 1])
 def test_models_of_another_size_are_rejected(size: int) -> None:
     payload = (MODEL + bytes(8))[:size]
-    with pytest.raises(CodecError, match=r"lapped needs|tables"):
+    with pytest.raises(CodecError, match=r"windows of lapped take|tables"):
         lapped.LappedDecoder(mdct.configuration(32, 4, [500]), 1, payload)
-    with pytest.raises(CodecError, match=r"lapped needs|tables"):
+    with pytest.raises(CodecError, match=r"windows of lapped take|tables"):
         codec.encode(texture(100), RATE_HZ, {}, codec="lapped", model=Model(payload))
-    with pytest.raises(CodecError, match=r"lapped needs|tables"):
+    with pytest.raises(CodecError, match=r"windows of lapped take|tables"):
         codec.check_tables(lapped.IDENTIFIER, payload)
 
 

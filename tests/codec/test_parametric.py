@@ -129,7 +129,7 @@ def test_phase_goes_on_over_frames_packets_and_refreshes() -> None:
 
 
 def test_settings_that_do_not_fit_are_rejected() -> None:
-    with pytest.raises(CodecError, match="interval of 8 blocks in frames of 4"):
+    with pytest.raises(CodecError, match="interval=8 is longer than frame=4"):
         coded(texture(100), Framing(64, 0), frame="4", interval="8")
     for configuration in (
         bytes(5),

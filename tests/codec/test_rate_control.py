@@ -171,7 +171,7 @@ def test_the_finest_that_fits_is_found_in_few_trials() -> None:
 
 def test_a_rate_below_the_coarsest_packets_is_rejected_with_the_least() -> None:
     with pytest.raises(
-        TargetUnreachable, match=r"500 bit/s cannot be held: packets of 100\.0 ms take 800 bit/s .* longer pack"
+        TargetUnreachable, match=r"500 bit/s cannot be held: packets of 100\.0 ms .* at least 800 bit/s; .* longer pack"
     ):
         begun(ConstantRate(500), min_bytes=10)
     policy = ConstantRate(900)
@@ -179,7 +179,7 @@ def test_a_rate_below_the_coarsest_packets_is_rejected_with_the_least() -> None:
     with pytest.raises(TargetUnreachable, match="800 bit/s"):
         policy.bits_per_second = 799
     policy.bits_per_second = 801
-    with pytest.raises(TargetUnreachable, match=r"packets of 100\.0 ms take 4080 bit/s"):
+    with pytest.raises(TargetUnreachable, match=r"packets of 100\.0 ms .* at least 4080 bit/s"):
         policy(FakeTrial((60, 50)))
 
 
@@ -187,7 +187,7 @@ def test_a_rate_below_the_coarsest_packets_is_rejected_with_the_least() -> None:
 def test_what_is_no_rate_is_rejected(rate: float) -> None:
     with pytest.raises(CodecError, match="ask for a positive number"):
         ConstantRate(rate)
-    with pytest.raises(CodecError, match="must hold a positive time"):
+    with pytest.raises(CodecError, match="give a positive time"):
         ConstantRate(1000, rate_buffer_s=rate)
 
 
@@ -293,7 +293,7 @@ def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
 
 
 def test_a_codec_whose_decoder_cannot_be_tried_holds_no_quality() -> None:
-    with pytest.raises(CodecError, match="cannot be held to a quality"):
+    with pytest.raises(CodecError, match="cannot hold a quality"):
         codec.Source(texture(1), RATE_HZ, codec="wavpack", live=True).encode_rate_controlled(
             {}, ConstantQuality(15, SnrMeter(RATE_HZ)), Framing(140, 0)
         )
@@ -349,7 +349,7 @@ def test_a_group_has_packets_of_one_duration() -> None:
 
 
 def test_a_rate_whose_packets_outlast_what_it_is_held_over_is_rejected_by_name() -> None:
-    with pytest.raises(TargetUnreachable, match=r"20 bit/s cannot be held over 2 s.*ask for 272 bit/s"):
+    with pytest.raises(TargetUnreachable, match=r"20 bit/s cannot be held over 2 s.*choose 272 bit/s"):
         rate_controlled_framing(20, RATE_HZ, lambda packet: FRAME_BYTES)
 
 

@@ -52,7 +52,7 @@ def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> No
         (["--constant-quality", "--snr-db", "4", "--rate-buffer-s", "1"], "--rate-buffer-s is for a rate"),
         (["--packet-ms", "20"], "--packet-ms is for rate control; add one of --constant-rate-bps"),
         (["--constant-rate-bps", "1000", "--packet-ms", "20"], "longer packets"),
-        (["--constant-rate-bps", "9000", "--codec", "opus"], "are of one quality"),
+        (["--constant-rate-bps", "9000", "--codec", "opus"], "have one quality"),
         (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "choose another codec"),
     ],
 )

@@ -111,7 +111,7 @@ def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monke
     stream = encode_recording(texture(), codec_name="eva").stream
     stream.save(tmp_path / "rough.vct")
     monkeypatch.setattr(models, "shipped", lambda: ())
-    with pytest.raises(CodecError, match=f"{stream.header.image_hash.hex()}, which is none of those that ship"):
+    with pytest.raises(CodecError, match=f"{stream.header.image_hash.hex()}, which does not ship"):
         read_stream(tmp_path / "rough.vct")
 
 
