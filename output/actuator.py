@@ -11,7 +11,7 @@ Samples: TypeAlias = NDArray[np.float64]
 Codes: TypeAlias = NDArray[np.int16]
 Filter: TypeAlias = tuple[Samples, Samples]
 
-# Textures are felt up to 400 Hz, and little above 800 Hz, where the Pacinian band ends: no boost is wasted there.
+# Fingers feel textures up to 400 Hz, and little above 800 Hz, where the Pacinian band ends; a boost there is wasted.
 COMPENSATED_HZ = 800.0
 
 
@@ -96,13 +96,12 @@ class Actuator:
         """Return (b, a): the compensation filter at the DAC's rate.
 
         First order: the exact inverse of `response`, one DAC sample late, times a second-order Butterworth low-pass at
-        COMPENSATED_HZ. So PIEZO_STACK follows up to 400 Hz within 0.12 dB, and within 2 % of the amplitude, phase
-        included, 1.7 DAC samples late; the boost is at most 2.14, where the inverse alone reaches 3.63.
+        COMPENSATED_HZ. With it, PIEZO_STACK follows up to 400 Hz within 0.12 dB. Including phase, it follows within 2 %
+        of the amplitude, 1.7 DAC samples late. The boost is at most 2.14; the inverse alone reaches 3.63.
 
-        Resonance: it is exchanged for one that is `maximum_boost` times as broad,
-        (Q / Q') (s^2 + w s / Q + w^2) / (s^2 + w s / Q' + w^2) with Q' = Q / maximum_boost, by the bilinear transform
-        matched at w. Its gain is 1 there and the boost at most everywhere else, where a plain inverse would grow with
-        the square of the frequency.
+        Resonance: the filter is (Q / Q') (s^2 + w s / Q + w^2) / (s^2 + w s / Q' + w^2), by the bilinear transform
+        matched at w. Q' = Q / maximum_boost makes the resonance `maximum_boost` times as broad. The gain is 1 at w, and
+        at most the boost elsewhere. The gain of a plain inverse would grow with the square of the frequency.
         """
         from scipy import signal
 
@@ -110,7 +109,7 @@ class Actuator:
             numerator, denominator = self.response(self.dac_rate_hz)
             b, a = signal.butter(2, self._low_pass_hz, fs=self.dac_rate_hz)
             return np.convolve(denominator / numerator[1], b), np.asarray(a)
-        # w in units of 2 x rate, pre-warped so that the bilinear transform leaves the resonance where it is.
+        # w in units of 2 x rate, pre-warped so that the bilinear transform keeps the resonance in place.
         w = math.tan(math.pi * self.corner_hz / self.dac_rate_hz)
         boost = max(1.0, self.maximum_boost)
         broad = self.quality / boost
@@ -120,9 +119,9 @@ class Actuator:
     def inverse_section(self) -> tuple[float, float, tuple[float, float, float, float]]:
         """Return `inverse` as a state variable filter: g = tan(pi corner / rate), Q, and the weights of its outputs.
 
-        Those are high-pass, band-pass s / (s^2 + s / Q + 1), low-pass, and the band-pass one sample before. The
-        first-order response's inverse is (1 - p / z) / (1 - p) = 1 + p / (1 - p) (1 - 1 / z), and a low-pass grows by
-        g (band-pass + band-pass one sample before) from sample to sample.
+        The outputs are high-pass, band-pass s / (s^2 + s / Q + 1), low-pass, and the band-pass one sample before. The
+        first-order response's inverse is (1 - p / z) / (1 - p) = 1 + p / (1 - p) (1 - 1 / z). A low-pass grows by g
+        (band-pass + band-pass one sample before) from sample to sample.
         """
         if self.quality is None:
             tangent = math.tan(math.pi * self._low_pass_hz / self.dac_rate_hz)
@@ -135,9 +134,10 @@ class Actuator:
 
     @property
     def low_pass_delay_seconds(self) -> float:
-        """Delay at low frequencies of the low-pass in `inverse`; 0 for a resonance, which has none.
+        """Delay at low frequencies of the low-pass in `inverse`; 0 for a resonance, which has no low-pass.
 
-        sqrt(2) / (2 tan(pi f / rate)) samples: that of the Butterworth prototype 1 / (s^2 + sqrt(2) s + 1), bilinear.
+        It is sqrt(2) / (2 tan(pi f / rate)) samples, that of the Butterworth prototype 1 / (s^2 + sqrt(2) s + 1),
+        bilinear.
         """
         if self.quality is not None:
             return 0.0
@@ -151,7 +151,8 @@ class Actuator:
     def displacement_um(self, codes: Codes, oversampling: int = 1) -> Samples:
         """Return the displacement at the skin, um from rest, for DAC codes (n, channels) that begin at rest.
 
-        The result (n * oversampling, channels) has `oversampling` samples per DAC sample, the code held in between.
+        The result (n * oversampling, channels) has `oversampling` samples per DAC sample; the code is held between
+        them.
         """
         from scipy import signal
 
@@ -165,8 +166,8 @@ def resonant(
 ) -> Actuator:
     """Return a resonant actuator, an LRA or a voice coil, by its resonance, Q, stroke and voltage range (peak to peak).
 
-    The mean power limit is a fifth of full drive, as the heat of a coil asks for. The slew limit lets a sine of full
-    scale pass up to 1 kHz.
+    The mean power limit is a fifth of full drive, because a coil heats up. The slew limit allows a sine of full scale
+    up to 1 kHz.
     """
     slew_volts_per_second = 2 * math.pi * 1000 * volts / 2
     return Actuator(
@@ -175,8 +176,8 @@ def resonant(
 
 
 # The piezo stack of the DCT paper on material-like textures: 80 um at 150 V, linear, -3 dB at 270 Hz, no resonance up
-# to 400 Hz, driven at 3 kHz. Full scale at 400 Hz needs 190 kV/s; the amplifier is taken to bear 300 kV/s. A sine of
-# full scale has a mean square of 0.5, which passes; a square wave of full scale does not.
+# to 400 Hz, driven at 3 kHz. Full scale at 400 Hz needs 190 kV/s; the amplifier is assumed to allow 300 kV/s. A sine of
+# full scale has a mean square of 0.5 and passes the power limit; a square wave does not.
 PIEZO_STACK = Actuator(
     name="piezo-stack",
     stroke_um=80.0,
@@ -188,7 +189,7 @@ PIEZO_STACK = Actuator(
     power_limit=0.65,
 )
 
-# Typical values, to be replaced by those of the part at hand: LRA 150-235 Hz, Q 10-20; voice coil 60-125 Hz, Q 2-5.
+# Typical values; replace them by those of your part: LRA 150-235 Hz, Q 10-20; voice coil 60-125 Hz, Q 2-5.
 LRA = resonant("lra", corner_hz=175.0, quality=15.0, stroke_um=200.0, volts=5.6)
 VOICE_COIL = resonant("voice-coil", corner_hz=90.0, quality=3.0, stroke_um=400.0, volts=8.0)
 

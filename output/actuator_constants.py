@@ -28,12 +28,12 @@ _MAX_DAC_BITS = 16
 
 
 def constants(actuator: Actuator) -> dict[str, Any]:
-    """Return the fields of vc_actuator. Raises ValueError on what they have no room for, and says what that is."""
+    """Return the fields of vc_actuator. Raises ValueError, which names the number that does not fit."""
     name = actuator.name.encode()
     if len(name) > _NAME_BYTES:
         raise ValueError(f"the actuator's name {actuator.name!r} is longer than {_NAME_BYTES} bytes")
     if not 2 <= actuator.dac_bits <= _MAX_DAC_BITS:
-        raise ValueError(f"a DAC of {actuator.dac_bits} bits; 2 to {_MAX_DAC_BITS} are possible")
+        raise ValueError(f"a DAC of {actuator.dac_bits} bits, and it must have 2 to {_MAX_DAC_BITS}")
     lower_hz, upper_hz = actuator.band_hz
     fraction, exponent = math.frexp(actuator.full_scale / actuator.excursion_um)
     return {
@@ -63,7 +63,7 @@ def float_bits(value: float) -> int:
 def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[str, Any]:
     """Return the fields of vc_section."""
     divisor = 1 + tangent / quality + tangent**2
-    # A bound on the sums of magnitudes that vc_section names: all three ring longer the higher the Q.
+    # A bound on the sums of magnitudes that vc_section names: all three ring longer at a higher Q.
     shift = max(0, math.ceil(math.log2((2 + 1.3 * quality) * abs(divisor) / 12)))
     damping, scaled = 1 / quality + tangent, [2.0**shift * weight for weight in weights]
     if not 0 < tangent < 4 or damping >= 32 or sum(map(abs, scaled)) >= 128:

@@ -15,7 +15,7 @@ class ActuatorFileError(InputFileError):
 
 
 class ActuatorTable(Table, frozen=True, kw_only=True):
-    """An entry of `[[actuators]]`: `model` with the numbers that differ from it, or all numbers; and where it is."""
+    """An entry of `[[actuators]]`: `model` and the numbers that differ from it, or all numbers; and its channel."""
 
     model: Annotated[str, one_of(ACTUATORS)] | None = None
     name: Text | None = None
@@ -33,7 +33,7 @@ class ActuatorTable(Table, frozen=True, kw_only=True):
     channel: Annotated[int, within(1, 16, "channel of the controller")] | None = None
 
     def actuator(self) -> Actuator:
-        """Return the actuator. Raises ValueError where a number is missing, or no controller can drive it."""
+        """Return the actuator. Raises ValueError if a number is missing, or if no controller can drive it."""
         given = {key.name: value for key in fields(Actuator) if (value := getattr(self, key.name)) is not None}
         values = {"quality": None, **(asdict(ACTUATORS[self.model]) if self.model else {}), **given}
         if missing := [key.name for key in fields(Actuator) if key.default is MISSING and key.name not in values]:
@@ -50,7 +50,7 @@ def find(name_or_path: str | Path) -> Actuator:
     """Return the actuator of a name in ACTUATORS, or of a TOML file (docs/how-to/measure_a_bench.md).
 
     The file has the keys of an entry of `[[actuators]]` at its top, or one such entry, as `vibrocast measure` writes
-    it. Raises ActuatorFileError, and OSError where the file cannot be read.
+    it. Raises ActuatorFileError, and OSError if the file cannot be read.
     """
     if str(name_or_path) in ACTUATORS:
         return ACTUATORS[str(name_or_path)]

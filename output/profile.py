@@ -1,4 +1,4 @@
-"""A height profile rendered by the position of the hand, by firmware/core/profile.h: integers, the same everywhere."""
+"""Renders a height profile by the position of the hand, by firmware/core/profile.h: the same integers everywhere."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -11,32 +11,32 @@ from vibrocast.firmware.native_core import Structure, ffi, library
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import Dac, Drive
 
-# By how much later than they were taken positions from a host are rendered, and time constant of each of the two
-# low-passes that smooth them: firmware/core/profile.h.
+# Delay with which positions from a host are rendered, and time constant of each of the two low-passes that smooth them:
+# firmware/core/profile.h.
 HAND_DELAY_US = 20_000
 HAND_SMOOTHING_US = 4_000
 
 
 def min_samples(samples_per_metre: int, dac_rate_hz: int) -> int:
-    """Return the least samples that a profile must have to be rendered by such a DAC; 0 where none can be."""
+    """Return the fewest samples of a profile that such a DAC can render; 0 if it can render none."""
     return int(library().vc_profile_least_samples(samples_per_metre, dac_rate_hz))
 
 
 def octaves_step(samples_per_metre: int, dac_rate_hz: int) -> int:
-    """Return how many samples of a profile a sample of its coarsest octave stands for: its period is a multiple."""
+    """Return how many samples of a profile make one sample of its coarsest octave; its period is a multiple of this."""
     return 1 << (min_samples(samples_per_metre, dac_rate_hz).bit_length() - 1)
 
 
 def rendered(header: StreamHeader, actuator: Actuator) -> StreamHeader:
-    """Return what a profile's header says of the heights that are rendered from it: um, at the DAC's rate."""
+    """Return the header of the heights that are rendered from a profile: um, at the DAC's rate."""
     return replace(header, unit="um", rate_hz=actuator.dac_rate_hz)
 
 
 class Profile:
-    """What is under the hand at every DAC sample.
+    """The height under the hand at every DAC sample.
 
-    A profile of `samples` (at least `min_samples`) per channel is loaded once, positions of the hand come with their
-    times, heights go out, in the profile's own integers.
+    First, load a profile of `samples` (at least `min_samples`) per channel. Then pass positions of the hand with their
+    times; heights come out, in the profile's own integers.
     """
 
     def __init__(self, samples_per_metre: int, samples: int, channels: int, dac_rate_hz: int) -> None:
@@ -51,14 +51,14 @@ class Profile:
         library().vc_profile_load(self._profile.pointer, pointer, len(decoded))
 
     def position(self, time_us: int, position_nm: int) -> bool:
-        """Take where the hand was at a time; dropped unless later than the last one and within 2^40 nm.
+        """Take the position of the hand at a time. It is dropped unless later than the last one and within 2^40 nm.
 
-        Return whether it came too late: the hand had moved on, and has been rendered as at rest.
+        Return whether it came too late: the hand had moved on, and was rendered at rest.
         """
         return bool(library().vc_profile_position(self._profile.pointer, time_us, position_nm))
 
     def render(self, times_us: Iterable[int]) -> NDArray[np.int16]:
-        """Return the heights int16 (n, channels) at the times of DAC samples that follow each other."""
+        """Return the heights int16 (n, channels) at the times of consecutive DAC samples."""
         times = list(times_us)
         heights = np.empty((len(times), self._channels), np.int16)
         for time_us, row in zip(times, heights, strict=True):
@@ -80,9 +80,9 @@ def render(
 ) -> tuple[NDArray[np.int16], Codes]:
     """Return the heights and the DAC codes, both int16 (samples, channels), of a profile under a moving hand.
 
-    `decoded`: int16, every packet; `delay_samples`: the decoder's. `positions`: time in us and place in nm, each
-    there when it is needed; `start_us`: time of the first DAC sample. Bit for bit what a
-    controller with this actuator puts out.
+    `decoded`: int16, every packet; `delay_samples`: the decoder's. `positions`: time in us and place in nm, each in
+    time for its use; `start_us`: time of the first DAC sample. Bit for bit the output of a controller with this
+    actuator.
     """
     assert header.samples is not None, "a profile has a length"
     profile = Profile(header.rate_hz, header.samples, header.channels, actuator.dac_rate_hz)

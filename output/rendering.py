@@ -1,6 +1,6 @@
 """From decoded samples to DAC codes, compensation and limits included, by firmware/core/output.h: the same integers.
 
-The host computes the same with `render` and compares it with what the controller played: every step gives the same bits
+The host computes them with `render`, and compares them with the controller's output. Every step gives the same bits,
 however the samples are cut into pieces.
 """
 
@@ -19,9 +19,9 @@ from vibrocast.output.actuator_constants import constants, float_bits
 
 DriveSamples: TypeAlias = NDArray[np.int32]
 
-# Acceleration becomes displacement above this frequency: fourth-order Butterworth high-pass, then double integration.
+# Above this frequency, acceleration becomes displacement: fourth-order Butterworth high-pass, then double integration.
 HIGH_PASS_HZ = 20.0
-# A ramp of 5 ms is short to the touch, and its spectrum lies below the band of textures: no click.
+# A ramp of 5 ms feels short, and its spectrum lies below the band of textures: no click.
 FADE_SECONDS = 0.005
 
 _RAMP_SAMPLES = 256
@@ -31,8 +31,8 @@ def displacement_filter(rate_hz: int) -> Filter:
     """Return (b, a): from acceleration, m/s^2, to displacement, um, above HIGH_PASS_HZ, one sample late.
 
     Double integration by Numerov's rule, y[n+1] - 2 y[n] + y[n-1] = T^2 (x[n+1] + 10 x[n] + x[n-1]) / 12 (Hairer,
-    Norsett, Wanner, Solving Ordinary Differential Equations I, III.10), exact to .03 dB at a seventh of the rate. Its
-    double pole at z = 1 is cancelled by two of the four zeros of the high-pass, so the whole is stable.
+    Norsett, Wanner, Solving Ordinary Differential Equations I, III.10), exact to 0.03 dB at a seventh of the rate. Two
+    of the four zeros of the high-pass cancel its double pole at z = 1, so the whole is stable.
     """
     from scipy import signal
 
@@ -44,7 +44,7 @@ def displacement_filter(rate_hz: int) -> Filter:
 
 @lru_cache(maxsize=64)
 def _actuator_structure(actuator: Actuator) -> Any:
-    """Return an actuator as the core's vc_actuator. Raises ValueError on one that it has no room for."""
+    """Return an actuator as the core's vc_actuator. Raises ValueError if its numbers do not fit."""
     library()  # declares the structure
     return ffi.new("vc_actuator *", constants(actuator))
 
@@ -60,10 +60,10 @@ def _stream_structure(header: StreamHeader) -> Any:
 class Drive:
     """Turns decoded int16 samples into the drive at the DAC's rate, before gain and limits: int32, 2^25 = full scale.
 
-    Unit "full scale": full scale drives the actuator fully. "um": displacement from rest. "m/s^2": acceleration, made
-    displacement by `displacement_filter`, in units of the gain / (2 pi HIGH_PASS_HZ)^2. Then the DAC's rate, and the
-    actuator's inverse if `compensation` is on. `decoder_delay_samples`: decoded samples before the recording begins.
-    Raises ValueError where the output cannot play such a stream, and says why.
+    Unit "full scale": full scale drives the actuator fully. "um": displacement from rest. "m/s^2": acceleration, which
+    `displacement_filter` turns into displacement in units of the gain / (2 pi HIGH_PASS_HZ)^2. Then follow the
+    resampling to the DAC's rate and, with `compensation`, the actuator's inverse. `decoder_delay_samples`: decoded
+    samples before the recording begins. Raises ValueError, with the reason, if the output cannot play such a stream.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Drive:
         if not size:
             raise ValueError(
                 f"a stream of {header.unit} at {header.rate_hz} Hz cannot be played by a DAC at {actuator.dac_rate_hz} "
-                "Hz: resample it first"
+                "Hz; resample it first"
             )
         self._drive = Structure(size, "vc_drive *")
         library().vc_drive_init(self._drive.pointer, self._actuator, stream, compensation, decoder_delay_samples)
@@ -98,16 +98,16 @@ class Drive:
         library().vc_drive_join(self._drive.pointer)
 
     def finish(self) -> DriveSamples:
-        """Return what is still in the resampler; the last value is held, so that nothing jumps at the end."""
+        """Return the rest from the resampler; the last value is held, so that nothing jumps at the end."""
         drive = self._room(library().vc_drive_delay_samples(self._drive.pointer))
         return drive[: library().vc_drive_finish(self._drive.pointer, _drive_pointer(drive), len(drive))]
 
     def drive_samples(self, decoded_samples: int) -> int:
-        """Return the drive samples before the one with which the decoded sample of this number comes out."""
+        """Return the number of drive samples before the one at which this decoded sample comes out."""
         return int(library().vc_drive_samples(self._drive.pointer, decoded_samples))
 
     def _room(self, decoded_samples: int) -> DriveSamples:
-        """Return room for all the drive that so many decoded samples complete."""
+        """Return room for all the drive that this number of decoded samples completes."""
         return np.empty((-(-decoded_samples * self._dac_rate_hz // self._rate_hz), self._channels), np.int32)
 
 
@@ -121,7 +121,7 @@ def _codes_pointer(codes: Codes) -> Any:
 
 @dataclass
 class LimitCounts:
-    """DAC samples of all channels that each limit changed."""
+    """Number of DAC samples, over all channels, that each limit changed."""
 
     compensation_clipped: int = 0
     voltage_limited: int = 0
@@ -132,8 +132,8 @@ class LimitCounts:
 class Dac:
     """Turns the drive of a stream into DAC codes: gain, fade in, then limits on voltage, mean power and slew.
 
-    Starts at rest with `hold_samples` at rest, then fades in. Nothing overrides the limits. A code beyond the voltage
-    limit counts as clipped compensation while `compensation` is on. A gain above 65 536 is taken as that.
+    Starts with `hold_samples` at rest, then fades in. Nothing overrides the limits. While `compensation` is on, a code
+    beyond the voltage limit counts as clipped compensation. A gain above 65 536 counts as 65 536.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class Dac:
 
     @property
     def counts(self) -> LimitCounts:
-        """What the limits have changed so far."""
+        """Samples that the limits have changed so far."""
         counts = library().vc_dac_counts(self._dac.pointer)
         return LimitCounts(
             counts.compensation_clipped, counts.voltage_limited, counts.slew_limited, counts.power_limited
@@ -155,7 +155,7 @@ class Dac:
 
     @property
     def recovery_samples(self) -> int:
-        """DAC samples at rest after which another stream may begin as if none had been before."""
+        """DAC samples at rest after which another stream may begin as if there had been none before."""
         return int(library().vc_dac_recovery_samples(self._dac.pointer))
 
     def set_gain(self, gain: float) -> None:
@@ -170,7 +170,7 @@ class Dac:
         return codes
 
     def ramp_down(self) -> Codes:
-        """Return DAC codes int16 (n, channels) from the last one to rest, none at rest; `play` fades in after them."""
+        """Return DAC codes int16 (n, channels) from the last one to rest, none at rest; `play` then fades in again."""
         library().vc_dac_begin_ramp(self._dac.pointer)
         pieces: list[Codes] = []
         while not pieces or len(pieces[-1]) == _RAMP_SAMPLES:
@@ -182,7 +182,7 @@ class Dac:
 def recording_end(header: StreamHeader, delay_samples: int) -> int | None:
     """Return the decoded samples of one iteration up to the recording's end, None for a live stream.
 
-    Past it comes only padding: the output ramps down from here on.
+    Only padding follows: the output ramps down from there.
     """
     return None if header.samples is None else delay_samples + header.samples
 
@@ -197,10 +197,10 @@ def render(
     gain: float = 1.0,
     loops: int = 1,
 ) -> tuple[Codes, LimitCounts]:
-    """Return all DAC codes int16 (n, channels) of a stream played `loops` times without a pause, and what limits did.
+    """Return all DAC codes int16 (n, channels) of a stream played `loops` times without a pause, and the limit counts.
 
-    `decoded`: int16 (samples, channels), every packet of one pass; `delay_samples`: the decoder's. Bit for bit what
-    a controller with this actuator puts out and its capture returns.
+    `decoded`: int16 (samples, channels), every packet of one pass; `delay_samples`: the decoder's. Bit for bit the
+    output of a controller with this actuator, which its capture returns.
     """
     drive = Drive(header, actuator, compensation, delay_samples)
     dac = Dac(header, actuator, gain, compensation, drive.drive_samples(delay_samples))

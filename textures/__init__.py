@@ -1,4 +1,4 @@
-"""Recordings and height profiles in and out: files, data sets, units, resampling; and a texture generator."""
+"""Reads and writes recordings and height profiles: files, data sets, units, resampling; generates textures."""
 
 from vibrocast.textures.axes import AXES, REDUCTIONS
 from vibrocast.textures.files import (

@@ -1,4 +1,4 @@
-"""Checks the types of arguments: a wrong one gets an error that names the parameter."""
+"""Checks the types of arguments; the error for a wrong type names the parameter."""
 
 import os
 from pathlib import Path
@@ -8,13 +8,13 @@ from vibrocast.textures.recording import TextureError
 
 
 def of_type(name: str, value: Any, types: type | tuple[type, ...], required: str) -> None:
-    """Raise TextureError unless the value is None or of one of the types. `required`: these types in words."""
+    """Raise TextureError unless the value is None or of one of the types. `required`: the types in words."""
     if value is not None and not isinstance(value, types):
         raise TextureError(f"`{name}` is of type {type(value).__name__}; pass {required}")
 
 
 def number(name: str, value: Any) -> float:
-    """Return a number of any type as a float. Raises TextureError for anything else, text included."""
+    """Return a number of any type as a float. Raises TextureError for anything else, including text."""
     try:
         if isinstance(value, str | bytes | bool):
             raise TypeError
@@ -24,7 +24,7 @@ def number(name: str, value: Any) -> float:
 
 
 def optional_number(name: str, value: Any) -> float | None:
-    """Return None as it is, and else as `number` does."""
+    """Return None unchanged, anything else as `number` does."""
     return None if value is None else number(name, value)
 
 
@@ -37,7 +37,7 @@ def whole_number(name: str, value: Any, low: int, high: int) -> int:
 
 
 def file_path(name: str, value: Any) -> Path:
-    """Return the path of a file. Raises TextureError for what is none."""
+    """Return the path of a file. Raises TextureError for any other type."""
     if not isinstance(value, str | os.PathLike):
         raise TextureError(f"`{name}` is of type {type(value).__name__}; pass the path of a file")
     return Path(value)

@@ -1,4 +1,4 @@
-"""Reads NPY and NPZ files, and says what the arrays of any file mean: the chosen one, its rate and its unit."""
+"""Reads NPY and NPZ files, and interprets the arrays of any file: the chosen one, its rate and its unit."""
 
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ from vibrocast.textures.recording import Contents, TextureError
 from vibrocast.textures.text import known_unit
 
 SAMPLES_KEY, RATE_KEY, UNIT_KEY = "samples", "rate_hz", "unit"
-# Names of what states the rate and the unit, in any case.
+# Names of arrays and attributes that state the rate and the unit, in any case.
 RATE_NAMES = (RATE_KEY, "fs", "sample_rate", "sample_rate_hz", "sampling_rate")
 UNIT_NAMES = (UNIT_KEY, "units")
 MAX_CHARACTERS = 100  # of a unit
@@ -45,7 +45,7 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
 
 @contextmanager
 def parsing(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever a library's parser raises on a damaged or foreign file into a TextureError, except OSError."""
+    """Turn any error of a library's parser on a damaged or foreign file into a TextureError, except OSError."""
     try:
         yield
     except (TextureError, OSError, MemoryError):
@@ -56,7 +56,7 @@ def parsing(path: Path, kind: str) -> Iterator[None]:
 
 
 def reject_too_large(shape: Sequence[int], dtype: np.dtype[Any], path: Path, besides_bytes: int = 0) -> None:
-    """Raise TextureError where an array does not fit into memory as it is in the file, `besides_bytes`, and float64."""
+    """Raise TextureError if memory cannot hold the array as in the file, `besides_bytes` and the float64 copy."""
     each_bytes = 8 if dtype == np.float64 else 8 + dtype.itemsize
     if lack := shortage(prod(shape) * each_bytes + besides_bytes):
         raise TextureError(f"{path}: an array of shape {tuple(shape)} {lack}")
@@ -68,9 +68,9 @@ def states_something(name: str) -> bool:
 
 
 def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mapping[str, str] | None = None) -> str:
-    """Return the name of the array to read: that of `key`, `samples` or the only one. Raises TextureError.
+    """Return the name of the array to read: `key`, `samples` or the only one. Raises TextureError.
 
-    `others`: what the file holds besides arrays of numbers, and of which kind it is.
+    `others`: the file's contents other than arrays of numbers, with their kinds.
     """
     if key is None and SAMPLES_KEY in names:
         return SAMPLES_KEY
@@ -80,7 +80,7 @@ def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mappin
         unusable = {key: others[key]} if key is not None and others and key in others else others
         if unusable and (key in unusable or not names):
             listed = _listed([f"{name} is a {kind}" for name, kind in unusable.items()])
-            raise TextureError(f"{path}: {listed}, not an array of numbers; save the numbers in it by themselves")
+            raise TextureError(f"{path}: {listed}, not an array of numbers; save its numbers as an array")
         problem = "choose an array with `key`" if key is None else f"no array of numbers `key`={key}"
         raise TextureError(f"{path}: {problem}; there are {_listed(names)}")
     return key
@@ -89,10 +89,10 @@ def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mappin
 def contents_of(
     array: NDArray[Any], path: Path, stated: Mapping[str, Any] | None = None, rate_hz: float | None = None
 ) -> Contents:
-    """Return an array as the channels of a recording, with what `stated` says of it.
+    """Return an array as the channels of a recording, with the rate and unit that `stated` has.
 
-    `stated`: values by name, all of names that `states_something` knows. `rate_hz`: what the user says, which chooses
-    where several rates are stated. Raises TextureError.
+    `stated`: values by name, for all names that `states_something` knows. `rate_hz`: the user's rate, which decides if
+    several rates are stated. Raises TextureError.
     """
     if array.dtype.kind not in "iuf" or array.ndim not in (1, 2):
         raise TextureError(
@@ -101,7 +101,7 @@ def contents_of(
         )
     full_scale: float | None = 1.0
     if array.dtype.kind != "f":
-        # The range of longer or unsigned integers says nothing of the signal's.
+        # The range of longer or unsigned integers does not tell the signal's full scale.
         pcm = array.dtype.kind == "i" and array.dtype.itemsize <= 4
         full_scale = float(2 ** (8 * array.dtype.itemsize - 1)) if pcm else None
     samples = array.astype(np.float64, copy=False)
@@ -113,7 +113,7 @@ def contents_of(
 
 
 def _read_array(file: IO[bytes], path: Path) -> NDArray[Any]:
-    """Read an array in NPY format, unless it is too large. Raises ValueError and whatever else NumPy raises."""
+    """Read an array in NPY format, unless it is too large. Raises ValueError and all other errors of NumPy."""
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
     shape, _, dtype = header(file)
@@ -144,6 +144,6 @@ def _number(name: str, value: Any, path: Path) -> float:
 
 
 def _text(value: Any) -> str:
-    """Return a text that a file holds as such, as bytes or as an array of one."""
+    """Return a text that a file stores as text, as bytes or as an array of one."""
     item = np.asarray(value).item() if np.size(value) == 1 else ""
     return item.decode(errors="replace") if isinstance(item, bytes) else str(item)

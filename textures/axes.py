@@ -1,4 +1,4 @@
-"""Three axes of one texture: how columns are known as such, and how the three become one signal."""
+"""Three axes of one texture: recognises their columns, and reduces them to one signal."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,9 +14,9 @@ REDUCTIONS = (DFT321, NORM, NONE)
 
 
 def order_of_axes(names: Sequence[str]) -> list[int] | None:
-    """Return which of three columns is X, Y and Z; None where their names do not say that they are axes.
+    """Return which of three columns is X, Y and Z; None if their names do not say that they are axes.
 
-    The names differ in that letter only, in any case: x, y, z; ax, ay, az; acc_x, acc_y, acc_z.
+    The names differ only in that letter, in any case: x, y, z; ax, ay, az; acc_x, acc_y, acc_z.
     """
     lowered = [name.lower() for name in names]
     if len(lowered) != len(AXES):
@@ -30,9 +30,9 @@ def order_of_axes(names: Sequence[str]) -> list[int] | None:
 
 
 def reduced(contents: Contents, axis: str | None, reduce: str | None, path: Path) -> Contents:
-    """Return one axis of three channels, or the three as `reduce` says; without either, the contents as they are.
+    """Return one axis of three channels, or the three as `reduce` says; without either, the contents unchanged.
 
-    `axis`: one of AXES. `reduce`: one of REDUCTIONS. Raises TextureError where there are not three channels.
+    `axis`: one of AXES. `reduce`: one of REDUCTIONS. Raises TextureError unless there are three channels.
     """
     if axis is None and reduce is None:
         return contents

@@ -1,4 +1,4 @@
-"""A folder of recordings, or a manifest that lists them, as single entries; the split into training and test parts."""
+"""Data sets: a folder of recordings, or a manifest that lists them; the split into training and test parts."""
 
 import csv
 import hashlib
@@ -21,19 +21,20 @@ from vibrocast.textures.text import known_unit
 SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
 PARTS = ("all", "train", "test")
 SPLITS = ("auto", "trace", "material", "subject")
-"""What a split keeps whole. "auto": the manifest's column `split`, else materials, else single entries ("trace")."""
+"""The unit that a split keeps whole. "auto": the manifest's column `split`, else materials, else single entries
+("trace")."""
 TEST_PART = 0.2
-"""Of all entries: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
+"""Share of the entries in the test part: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
 NUMBERS = ("rate_hz", "full_scale", "hand_speed_mm_s")
 COLUMNS = ("file", "unit", *NUMBERS, "axis", "reduce", "key", "material", "subject", "split")
-"""Of a manifest; only the first is needed."""
+"""Columns of a manifest; only the first is required."""
 RATE_TOLERANCE = 1e-6
-"""Of a whole number of hertz: a height profile's rate is a quotient of two numbers with few digits."""
+"""Tolerance around a whole number of hertz: a height profile's rate is a quotient of two numbers with few digits."""
 LISTED = 3
-"""Skipped files that a summary names."""
+"""Most skipped files that a summary names."""
 MAX_HEADER_CHARACTERS = 10_000
 
-# <interaction>_-_<tool>_-_<material>_-_<speed>, then perhaps the axis, as IEEE P1918.1.1 names its traces.
+# <interaction>_-_<tool>_-_<material>_-_<speed>, then perhaps the axis: names of recordings in IEEE P1918.1.1.
 _REFERENCE_NAME = re.compile(r".+?_-_.+?_-_(.+)_-_.+", re.DOTALL)
 
 
@@ -43,9 +44,9 @@ class DatasetError(ValueError):
 
 @dataclass(frozen=True)
 class DatasetEntry:
-    """One recording: a name of its own, and the path by which `textures.load` knows it.
+    """One recording: its own name, and its path for `textures.load`.
 
-    What a manifest states of it: `options` of `textures.load`, material, subject, and `part` ("train", "test" or "").
+    A manifest may state `options` of `textures.load`, material, subject, and `part` ("train", "test" or "").
     """
 
     name: str
@@ -57,17 +58,17 @@ class DatasetEntry:
 
     @property
     def material(self) -> str:
-        """The material in lower case: the manifest's, or that in the name of an IEEE P1918.1.1 trace.
+        """The material in lower case, from the manifest or from a name as in IEEE P1918.1.1.
 
-        Raises DatasetError where neither states it.
+        Raises DatasetError if neither states it.
         """
         if self.stated_material:
             return self.stated_material.casefold()
         match = _REFERENCE_NAME.fullmatch(self.name.rpartition("/")[2])
         if match is None:
             raise DatasetError(
-                f"{self.name}: its name does not state the material; give a manifest with a column material, split by "
-                "trace, or name all files INTERACTION_-_TOOL_-_MATERIAL_-_SPEED"
+                f"{self.name}: its name does not state the material; give a manifest with a column material, split "
+                'by "trace", or name all files INTERACTION_-_TOOL_-_MATERIAL_-_SPEED'
             )
         return match[1].casefold()
 
@@ -82,7 +83,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings by name. `skipped`: other files of their folder. `notes`: what a person should know of a manifest."""
+    """Recordings by name. `skipped`: other files of their folder. `notes`: remarks on the manifest, for people."""
 
     entries: list[DatasetEntry]
     skipped: list[Skipped] = field(default_factory=list)
@@ -90,7 +91,7 @@ class Dataset:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for a person: the notes, and how many files were skipped, the first of them by name."""
+        """Lines for people: the notes, and the number of skipped files with the names of the first ones."""
         if not self.skipped:
             return self.notes
         named = ", ".join(f"{each.file} ({each.reason})" for each in self.skipped[:LISTED])
@@ -101,11 +102,12 @@ class Dataset:
 def read(path: Path, leave_out: Path | None = None) -> Dataset:
     """Return the recordings of a folder and its sub-folders, or those that a manifest (CSV) lists; none is opened.
 
-    Of a folder: files named ..._X.txt, ..._Y.txt and ..._Z.txt are one entry, a single one of them is an entry by
-    itself, all others of SUFFIXES are one each. Hidden files, hidden folders and the folder `leave_out` are passed
-    over, other files are skipped. The name is the path within the folder without its suffix, or with it where two are
-    alike.
-    Raises DatasetError where there are none or where the manifest is wrong, OSError where it cannot be read.
+    In a folder, the files ..._X.txt, ..._Y.txt and ..._Z.txt of one name are one entry; so is such a file alone. Every
+    other file with one of SUFFIXES is an entry. Hidden files, hidden folders and the folder `leave_out` are ignored,
+    other files are skipped. The name of an entry is its path within the folder, without the suffix unless two names are
+    equal.
+
+    Raises DatasetError if there are no recordings or the manifest is wrong, OSError if it cannot be read.
     """
     if path.is_dir():
         return _of_folder(path, leave_out)
@@ -122,12 +124,12 @@ def entries(path: Path) -> list[DatasetEntry]:
 
 
 def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "auto") -> list[DatasetEntry]:
-    """Return the part, one of PARTS, of the entries, in their order.
+    """Return one of PARTS of the entries, in their order.
 
-    `by`, one of SPLITS: what is never in both parts. A manifest's column `split` decides where `by` is "auto".
-    Otherwise the test part is TEST_PART of the entries, or as near to that as whole materials or subjects come; equal
-    names and seeds give equal parts everywhere. Raises DatasetError where nothing is left for one part, where an entry
-    states no material or subject, and where a split by trace would tear the materials that a manifest states.
+    `by`, one of SPLITS: the unit that is never in both parts. With "auto", a manifest's column `split` decides.
+    Otherwise the test part is TEST_PART of the entries, or as near to that as whole materials or subjects allow. Equal
+    names and seeds give equal parts on every machine. Raises DatasetError if one part would be empty, if an entry
+    states no material or subject, or if "trace" would divide a material that a manifest states.
     """
     if part == "all":
         return everything
@@ -139,7 +141,8 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
         return chosen
     if by == "trace" and stated:
         raise DatasetError(
-            "the manifest states materials, and a split by trace puts one material into both parts; split by material"
+            'the manifest states materials, and a split by "trace" puts one material into both parts; split by '
+            '"material"'
         )
     target = max(1, round(TEST_PART * len(everything)))
     if by in ("material", "subject") or stated:
@@ -156,9 +159,8 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
 def load(entry: DatasetEntry, stream_rate_hz: int | None = None, **options: Any) -> textures.Recording:
     """Load an entry and resample it to a whole number of hertz, as a stream needs.
 
-    `options`: of `textures.load`; each is only for files that leave it open, and a manifest goes before them. A file
-    that states no unit, and gets none, is in "full scale". `stream_rate_hz`: None leaves the rate as it is. Raises
-    TextureError with what to do.
+    `options`: of `textures.load`. Each applies only to files that leave it open; a manifest takes precedence. A file
+    that states no unit, and gets none, is in "full scale". `stream_rate_hz`: None keeps the rate. Raises TextureError.
     """
     return load_highpassed(entry, None, stream_rate_hz, **options).recording
 
@@ -166,9 +168,9 @@ def load(entry: DatasetEntry, stream_rate_hz: int | None = None, **options: Any)
 def load_highpassed(
     entry: DatasetEntry, highpass_hz: float | None, stream_rate_hz: int | None = None, **options: Any
 ) -> textures.HighPassed:
-    """Load an entry as `load` does, without the band below `highpass_hz`, which goes before anything is resampled.
+    """Load an entry as `load` does, and remove the band below `highpass_hz` before resampling.
 
-    As `textures.highpass`, for every unit but "drive"; None = the whole band. Raises as `load` and that.
+    As `textures.highpass`, for every unit except "drive"; None = the whole band. Raises their errors.
     """
     chosen = _options_for(entry, options)
     recording = textures.load(entry.path, **chosen)
@@ -176,19 +178,19 @@ def load_highpassed(
         recording = replace(recording, rate_hz=float(round(recording.rate_hz)))
     elif stream_rate_hz is None:
         raise TextureError(
-            f"{entry.path}: {recording.rate_hz:g} Hz is no whole number; give the rate to code it at: `stream_rate_hz`"
+            f"{entry.path}: {recording.rate_hz:g} Hz is no whole number; give the stream's rate as `stream_rate_hz`"
         )
     passed = textures.highpass(recording, textures.highpass_of(chosen.get("unit"), highpass_hz))
     return replace(passed, recording=textures.resample(passed.recording, stream_rate_hz or recording.rate_hz))
 
 
 def printable(text: str) -> str:
-    """Return a text, such as a file's name, with an escape in place of each byte that is no character."""
+    """Return a text, such as a file's name, with an escape for each byte that is no character."""
     return text.encode(errors="backslashreplace").decode()
 
 
 def _options_for(entry: DatasetEntry, offered: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of an entry: its manifest's, and of those offered the ones that its file leaves open."""
+    """Return the options of an entry: its manifest's, and those of `offered` that its file leaves open."""
     path, own = entry.path, entry.options
     chosen = {**{name: value for name, value in offered.items() if value is not None}, **own}
 
@@ -197,13 +199,13 @@ def _options_for(entry: DatasetEntry, offered: Mapping[str, Any]) -> dict[str, A
             if name not in own:
                 chosen.pop(name, None)
 
-    of_axes = path.is_dir() or not path.exists()  # a trace of IEEE P1918.1.1, of a file for each axis
+    of_axes = path.is_dir() or not path.exists()  # a recording of IEEE P1918.1.1, with a file for each axis
     if path.suffix.lower() not in KEYED_SUFFIXES:
         withdraw("key")
     try:
-        # Axes are of no matter yet, but a trace of several files has to be found.
+        # The axes do not matter yet, but a recording of several files must be found.
         contents = files.read_contents(path, None, chosen.get("axis") if of_axes else None, None, chosen.get("key"))
-    except (TextureError, OSError, MemoryError):  # `textures.load` will say it better
+    except (TextureError, OSError, MemoryError):  # `textures.load` has a better message
         return chosen
     if isinstance(contents, Profile):
         withdraw("rate_hz", "unit", "full_scale", "axis", "reduce")
@@ -218,7 +220,7 @@ def _options_for(entry: DatasetEntry, offered: Mapping[str, Any]) -> dict[str, A
             chosen.setdefault("unit", "full scale")
     elif contents.unit != "full scale":
         withdraw("unit", "full_scale")
-    elif "full_scale" not in chosen:  # without the value of full scale, its unit says nothing
+    elif "full_scale" not in chosen:  # without the value of full scale, its unit has no meaning
         withdraw("unit")
     return chosen
 
@@ -232,7 +234,7 @@ def _of_folder(folder: Path, leave_out: Path | None) -> Dataset:
             continue
         of_axis = path.suffix.lower() == ".txt" and p1918.axis_of(path)
         grouped.setdefault(path.with_name(path.stem[:-2]) if of_axis else path, []).append(path)
-    # textures.load knows a trace of several files by their common name.
+    # textures.load knows a recording of several files by their common name.
     paths = [paths[0] if len(paths) == 1 else together for together, paths in grouped.items()]
     if not paths:
         raise DatasetError(f"{folder}: no recordings ({', '.join(SUFFIXES)}) in it or its sub-folders; give another")
@@ -286,14 +288,12 @@ def _of_manifest(manifest: Path) -> Dataset:
         raise DatasetError(f"{missing[0]} does not exist{more}; paths start at the manifest's folder")
     named = _named(found, manifest.parent)
     if alike := [name for name, times in Counter(entry.name for entry in named).items() if times > 1]:
-        raise DatasetError(
-            f"{manifest}: {alike[0]} stands in several rows; keep one, or tell them apart by axis or key"
-        )
+        raise DatasetError(f"{manifest}: {alike[0]} is in several rows; keep one, or give them different axes or keys")
     return Dataset(named, notes=_notes(manifest, named, columns))
 
 
 def _rows(manifest: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
-    """Return the rows of a manifest by their place, without blanks around values, and its columns.
+    """Return the rows of a manifest by their place, without blanks around values, and the columns.
 
     Raises DatasetError.
     """
@@ -323,7 +323,7 @@ def _rows(manifest: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
 
 
 def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
-    """Return what a row states for `textures.load`. Raises DatasetError."""
+    """Return the options of a row for `textures.load`. Raises DatasetError."""
     options: dict[str, Any] = {name: row[name] for name in ("axis", "reduce", "key") if row.get(name)}
     for name, known in (("axis", textures.AXES), ("reduce", textures.REDUCTIONS)):
         if name in options and options[name] not in known:
@@ -353,15 +353,18 @@ def _notes(manifest: Path, named: Sequence[DatasetEntry], columns: Sequence[str]
         if entry.stated_material and entry.part:
             parts.setdefault(entry.material, set()).add(entry.part)
     if torn := sorted(material for material, own in parts.items() if len(own) > 1):
-        notes.append(f"{manifest}: the column split has material {torn[0]} in both parts, {len(torn)} materials in all")
+        several = "s" * (len(torn) > 1)
+        notes.append(
+            f"{manifest}: the column split puts {len(torn)} material{several} into both parts: {torn[0]} first"
+        )
     return notes
 
 
 def _named(found: Sequence[DatasetEntry], folder: Path) -> list[DatasetEntry]:
-    """Return the entries, each with its name, in the order of the names.
+    """Return the entries in the order of their names, each with its name.
 
-    The name is the path within the folder without its suffix, or with it where two are alike; then the key and axis of
-    a manifest.
+    The name is the path within the folder, without the suffix unless two names are equal; then a manifest's key and
+    axis.
     """
     stems = [_within(_stem(entry.path), folder) + _chosen_part(entry) for entry in found]
     times = Counter(stems)
@@ -386,7 +389,7 @@ def _stem(path: Path) -> Path:
 
 
 def _group(entry: DatasetEntry, kind: str) -> str:
-    """Return the material or the subject of an entry. Raises DatasetError where it states none."""
+    """Return the material or the subject of an entry. Raises DatasetError if the entry states none."""
     if kind == "material":
         return entry.material
     if not entry.subject:
@@ -395,9 +398,9 @@ def _group(entry: DatasetEntry, kind: str) -> str:
 
 
 def _whole_groups(groups: Mapping[str, str], target: int, seed: int) -> set[str]:
-    """Return the names in some groups, as near to `target` as can be; none where there is but one group."""
+    """Return the names in some whole groups, as near to `target` as possible; none if there is only one group."""
     counts = Counter(groups.values())
-    # What sizes some of the groups have together, and the first such groups in the order of the seed.
+    # The sizes that some groups have together, each with the first such groups in the order of the seed.
     together: dict[int, frozenset[str]] = {0: frozenset()}
     for group in sorted(counts, key=lambda name: _draw_rank(name, seed)):
         for size, chosen in list(together.items()):
@@ -408,5 +411,5 @@ def _whole_groups(groups: Mapping[str, str], target: int, seed: int) -> set[str]
 
 
 def _draw_rank(name: str, seed: int) -> bytes:
-    """Return a number, in bytes, that decides a name's place in the order drawn with a seed."""
+    """Return bytes that decide a name's place in the order drawn with a seed."""
     return hashlib.sha256(f"{seed}:{name}".encode()).digest()

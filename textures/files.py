@@ -92,21 +92,21 @@ def load(
     samples = contents.samples
     if scale != 1:
         samples *= scale
-    # An error of the samples names the path; a recording is called by the file's name.
+    # An error in the samples names the path; the recording has the file's name.
     checked = Recording(samples, rate_hz, output_unit, str(path), contents.axes)
     return replace(checked, name=path.stem if path.is_file() else path.name)
 
 
 def load_for_actuators(path: str | Path, reduce: str | None = None, **options: Any) -> Recording:
-    """Load a recording as `load` does, each channel for an actuator of its own.
+    """Load a recording as `load` does, where each channel gets its own actuator.
 
-    Raises TextureError too where the channels are the axes of one texture, unless `reduce` asks for "none".
+    Raises TextureError also if the channels are the axes of one texture, unless `reduce` is "none".
     """
     recording = load(path, reduce=reduce, **options)
     if recording.axes and reduce is None:
         raise TextureError(
             f"{path}: three axes of one texture; pass `reduce` dft321, norm or none (one actuator for each axis), "
-            "or choose one with `axis`"
+            "or choose one axis with `axis`"
         )
     return recording
 
@@ -114,9 +114,9 @@ def load_for_actuators(path: str | Path, reduce: str | None = None, **options: A
 def from_array(
     samples: ArrayLike, rate_hz: float, unit: str, full_scale: float | None = None, name: str = "samples"
 ) -> Recording:
-    """Return samples (n,) or (n, channels) of integers or floats of any size as a recording.
+    """Return samples (n,) or (n, channels), integers or floats of any size, as a recording.
 
-    `rate_hz`, `unit` (one of INPUT_UNITS), `full_scale`: as `load` takes them of an NPY file. Raises TextureError.
+    `rate_hz`, `unit` (one of INPUT_UNITS), `full_scale`: as for an NPY file in `load`. Raises TextureError.
     """
     try:
         array = np.asarray(samples)
@@ -151,14 +151,15 @@ def save_profile(path: str | Path, profile: Profile) -> None:
 
 
 def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> float:
-    """Save a recording in the format that the suffix names, one of SAVED_SUFFIXES; return its full scale.
+    """Save a recording in the format of the suffix, one of SAVED_SUFFIXES; return its full scale.
 
-    Full scale is the value, in the recording's unit, of 1.0 in the file: 1, unless `sixteen_bit`, which is for WAV
-    only; then it is the largest magnitude, or 1 for a signal in "full scale" that fits. WAV holds 16-bit integers or
-    32-bit floats, with the unit in its comment; CSV, with rate, unit and axes in its first lines, NPY and MAT (version
-    5: `samples`, `rate_hz`, `unit`) hold float64 exactly. `load` knows rate and unit again, except of NPY, which
-    holds samples (n, channels) only. Raises TextureError where the format cannot hold the recording or the file cannot
-    be written.
+    - WAV holds 32-bit floats or, if `sixteen_bit`, 16-bit integers, with the unit in its comment.
+    - CSV (rate, unit and axes in its first lines), NPY and MAT (version 5: `samples`, `rate_hz`, `unit`) hold float64
+      exactly. `load` finds rate and unit again, except in NPY, which holds only samples (n, channels).
+
+    Full scale is the value of 1.0 in the file, in the recording's unit. It is 1, except with `sixteen_bit`: then it is
+    the largest magnitude, or 1 for a signal in "full scale" that fits. Raises TextureError if the format cannot hold
+    the recording, or the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -177,7 +178,7 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> f
             with path.open("wb") as file:
                 np.save(file, recording.samples)
     except (OSError, soundfile.SoundFileError) as error:
-        # libsndfile keeps to itself what was wrong.
+        # libsndfile does not say what was wrong.
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise TextureError(f"{path}: cannot be written ({reason}); free some space, or write elsewhere") from error
     return 1.0
@@ -186,7 +187,7 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> f
 def read_contents(
     path: Path, rate_hz: float | None, axis: str | None, reduce: str | None, key: str | None
 ) -> Contents | Profile:
-    """Read what a file, or a P1918.1.1 trace of several, holds and says; options as of `load`. Raises TextureError."""
+    """Read the contents of a file, or of a P1918.1.1 recording; options as for `load`. Raises TextureError."""
     if path.is_dir() or not path.exists():
         contents = p1918.read_folder(path, axis, rate_hz)
         return contents if axis else reduced(contents, None, reduce or DFT321, path)
@@ -239,7 +240,7 @@ def _scale(contents: Contents, unit: str | None, full_scale: float | None, path:
     if output_unit != "full scale" and full_scale is None:
         return output_unit, factor
     if contents.full_scale is None:
-        raise TextureError(f"{path}: its integers do not say what full scale is; store them as int16, int32 or float")
+        raise TextureError(f"{path}: its type of integers states no full scale; store them as int16, int32 or float")
     return output_unit, factor * (full_scale or 1.0) / contents.full_scale
 
 

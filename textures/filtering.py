@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from vibrocast.textures.recording import Recording, Signal, TextureError
 
 HIGHPASS_HZ = 20.0
-"""Below, the hand moves as a whole; acceleration there is gravity, posture and drift (the actuator output of
-firmware/core drops it as well)."""
+"""Below it, the hand moves as a whole, and acceleration is gravity, posture and drift. The actuator output of
+firmware/core drops that band, too."""
 TRANSITION = 0.1
 """Width of the filter's transition, relative to its corner: from 18 to 20 Hz."""
 STOP_BAND_DB = 60.0
 LIVE_ORDER = 4
 ROUNDING = 1e-12
-"""Of the peak: a filtered signal below it is the error of float64 arithmetic."""
+"""Relative to the peak: a filtered signal below it is the rounding error of float64."""
 
 
 def highpass_of(unit: str | None, highpass_hz: float | None = HIGHPASS_HZ) -> float | None:
@@ -27,7 +27,7 @@ def highpass_of(unit: str | None, highpass_hz: float | None = HIGHPASS_HZ) -> fl
 class HighPassed:
     """A recording without the band below `highpass_hz`; None = nothing was removed.
 
-    `removed_energy`: the part of the recording's energy that was removed, 0 to 1; 0 for a silent recording.
+    `removed_energy`: removed part of the recording's energy, 0 to 1; 0 for a silent recording.
     """
 
     recording: Recording
@@ -36,7 +36,7 @@ class HighPassed:
 
 
 def is_vibration(unit: str) -> bool:
-    """Return whether an offset in this unit means nothing to touch: of acceleration, and where no unit is known.
+    """Return whether touch ignores an offset in this unit: for acceleration, and if no unit is known.
 
     A displacement and a drive signal may hold a position on purpose.
     """
@@ -44,12 +44,12 @@ def is_vibration(unit: str) -> bool:
 
 
 def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> HighPassed:
-    """Return the recording without what lies below `highpass_hz`; None = as it is, and so with another unit.
+    """Return the recording without the band below `highpass_hz`; unchanged for None, and unless it `is_vibration`.
 
-    A linear-phase FIR filter (Kaiser window, 60 dB) without delay: the band from `highpass_hz` on keeps its amplitude
-    to 0.1 %, what lies 10 % lower is 60 dB down, and a constant or a ramp vanishes. Before and after the recording, the
-    slow movement of its ends is taken to go on (`_mirrored`). Raises TextureError unless 0 < `highpass_hz` < half the
-    rate.
+    A linear-phase FIR filter (Kaiser window, 60 dB) without delay. The band from `highpass_hz` on keeps its amplitude
+    to 0.1 %; 10 % below it the filter is 60 dB down. A constant or a ramp vanishes. Before and after the recording, the
+    slow movement of its ends is assumed to continue (`_mirrored`). Raises TextureError unless 0 < `highpass_hz` < half
+    the rate.
     """
     if highpass_hz is None or not is_vibration(recording.unit):
         return HighPassed(recording, None, 0.0)
@@ -69,7 +69,7 @@ def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> H
         level, mirrored = _mirrored(samples, taps // 2, round(recording.rate_hz / highpass_hz))
         filtered[:, channel] = level - signal.oaconvolve(mirrored, low_pass, mode="valid")
         if np.max(np.abs(filtered[:, channel])) <= ROUNDING * np.max(np.abs(samples)):
-            filtered[:, channel] = 0.0  # nothing but the rounding of a constant or a ramp is left
+            filtered[:, channel] = 0.0  # only the rounding of a constant or a ramp is left
     energy = float(np.sum(np.square(recording.samples)))
     kept = float(np.sum(np.square(filtered)))
     removed = min(1.0, max(0.0, 1 - kept / energy)) if energy > 0 else 0.0
@@ -77,10 +77,10 @@ def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> H
 
 
 def _mirrored(samples: Signal, added: int, period: int) -> tuple[Signal, Signal]:
-    """Return samples (n,) less the line between their ends, and the same with `added` samples before and after.
+    """Return samples (n,) minus the line between their ends, and the same with `added` samples before and after.
 
-    An end is where the parabola through the first or last `period` of samples arrives one sample further out. About
-    these two points the samples are mirrored: their slow movement goes on, and no single sample decides its level.
+    An end is the parabola through the first or last `period` of samples, extrapolated by one sample. The samples are
+    mirrored about these two points. So their slow movement continues, and no single sample decides its level.
     """
     fitted = min(period, len(samples))
     places = np.arange(fitted) / period
@@ -94,11 +94,13 @@ def _mirrored(samples: Signal, added: int, period: int) -> tuple[Signal, Signal]
 
 
 class LiveHighPass:
-    """The same for blocks of a live source: a causal Butterworth filter, which begins at rest on the first sample."""
+    """The same for blocks of a live source: a causal Butterworth filter, at rest on the first sample."""
 
     def __init__(self, rate_hz: float, highpass_hz: float = HIGHPASS_HZ) -> None:
         if not 0 < highpass_hz < rate_hz / 2:
-            raise TextureError(f"at {rate_hz:g} Hz no high-pass of {highpass_hz:g} Hz is possible; give another")
+            raise TextureError(
+                f"at {rate_hz:g} Hz no high-pass of {highpass_hz:g} Hz is possible; give less than half the rate"
+            )
         from scipy import signal
 
         self._sections = signal.butter(LIVE_ORDER, highpass_hz, "highpass", fs=rate_hz, output="sos")

@@ -1,7 +1,7 @@
 """Makes textures from physical models, seeded: gratings, ridges, rough surfaces, wood, stick-slip and taps.
 
-Every generator takes a hand speed in mm/s: one number, or an array (n,) with the speed at every sample, negative
-where the hand moves back. Equal arguments give equal recordings. All raise TextureError on values out of range.
+Every generator takes the speed of the hand in mm/s: one number, or an array (n,) with one speed per sample, negative
+where the hand moves back. Equal arguments give equal recordings. All raise TextureError for values out of range.
 """
 
 from collections.abc import Callable
@@ -14,8 +14,8 @@ from vibrocast.textures.recording import Recording, Signal, TextureError
 HandSpeed = float | Signal
 
 MAX_SAMPLES = 20_000_000
-BAND = 0.45  # of the sample rate: no sweep holds a higher frequency at its greatest speed
-POINTS_PER_WAVE = 8  # of the shortest wave on a surface, for cubic splines in between
+BAND = 0.45  # of the sample rate: the highest frequency of a sweep at its greatest speed
+POINTS_PER_WAVE = 8  # of the shortest wave on a surface; cubic splines lie between the points
 MAX_HARMONIC = 99
 
 
@@ -42,13 +42,14 @@ def grating(
 ) -> Recording:
     """Return the height, in um, under a probe that sweeps over a periodic grating of trapezoid ridges.
 
-    `height_um` is the height of a ridge, `slope_fraction` the part of the pitch that each flank takes (0.5: a
-    triangle). The sum of the Fourier series of that wave below BAND * rate_hz, so nothing aliases. The seed sets the
-    phase.
+    `height_um`: height of a ridge. `slope_fraction`: part of the pitch that each flank takes (0.5: a triangle). The
+    seed sets the phase. The result is the sum of the wave's Fourier series below BAND * rate_hz, so nothing aliases.
     """
     _check_positive(pitch_mm=pitch_mm, height_um=height_um, slope_fraction=slope_fraction)
     if slope_fraction > 0.5:
-        raise TextureError(f"slope_fraction {slope_fraction}: two flanks of more than half a pitch do not fit")
+        raise TextureError(
+            f"slope_fraction {slope_fraction}: two flanks of more than half a pitch do not fit; give at most 0.5"
+        )
     position_mm, min_wave_mm = _sweep(seconds, hand_speed_mm_s, rate_hz, pitch_mm)
     phase = 2 * np.pi * (position_mm / pitch_mm + _random(seed).uniform())
     height = np.zeros(len(position_mm))
@@ -70,9 +71,9 @@ def ridges(
 ) -> Recording:
     """Return the height, in um, under a probe that sweeps over rounded ridges at irregular distances.
 
-    Ridges are Gaussian with standard deviation `width_mm`, widened where rate and speed cannot show so much detail,
-    at distances of pitch * (1 + jitter * uniform(-1, 1)), jitter 0 to 1, with heights of height_um * uniform(0.5, 1).
-    The mean is removed.
+    Ridges are Gaussian with standard deviation `width_mm`, or wider if rate and speed cannot show such detail. Their
+    distances are pitch * (1 + jitter * uniform(-1, 1)), jitter 0 to 1, their heights height_um * uniform(0.5, 1). The
+    mean is removed.
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -103,7 +104,7 @@ def rough(
 ) -> Recording:
     """Return the height, in um, under a probe that sweeps over a self-affine rough surface; see `rough_profile`.
 
-    Waves shorter than what BAND * rate_hz can show at the greatest speed are left out.
+    The surface has no waves that would exceed BAND * rate_hz at the greatest speed.
     """
     _check_positive(rms_um=rms_um)
     position_mm, min_wave_mm = _sweep(seconds, hand_speed_mm_s, rate_hz)
@@ -125,7 +126,7 @@ def rough_profile(
 
     Over the wavenumber q = 1 / wavelength, the power spectral density is constant up to 1 / roll_off_mm and falls as
     q^-(1 + 2 hurst) above, 0 < hurst < 1: B. Persson et al., "On the nature of surface roughness", J. Phys.: Condens.
-    Matter 17 (2005) R1; for one dimension T. Jacobs, T. Junge, L. Pastewka, "Quantitative characterization of surface
+    Matter 17 (2005) R1. For one dimension: T. Jacobs, T. Junge, L. Pastewka, "Quantitative characterization of surface
     topography using spectral analysis", Surf. Topogr. 5 (2017) 013001.
     """
     _check_positive(length_mm=length_mm, spacing_um=spacing_um, rms_um=rms_um)
@@ -149,9 +150,9 @@ def wood(
 ) -> Recording:
     """Return the acceleration, in m/s^2, of a stylus dragged across the grain of wood.
 
-    The tip follows `wood_surface`, and the stylus the tip as a mass on spring and damper whose foot is moved:
-    X/H = (2 d w s + w^2) / (s^2 + 2 d w s + w^2) with w = 2 pi resonance_hz, d = damping_ratio: S. Rao, "Mechanical
-    Vibrations", response to the motion of the base. By the bilinear transform, then differenced twice.
+    The tip follows `wood_surface`. The stylus is a mass on a spring and damper whose foot is the tip: X/H = (2 d w s +
+    w^2) / (s^2 + 2 d w s + w^2) with w = 2 pi resonance_hz, d = damping_ratio (S. Rao, "Mechanical Vibrations",
+    response to the motion of the base). The bilinear transform of it is then differenced twice.
     """
     from scipy.signal import bilinear, lfilter
 
@@ -195,13 +196,12 @@ def stick_slip(
     natural_hz: float = 300.0,
     height_um: float = 40.0,
 ) -> Recording:
-    """Return the deflection, in um, of a fingertip that sticks to a surface and slips, again and again.
+    """Return the deflection, in um, of a fingertip that repeatedly sticks to a surface and slips.
 
-    A slider on a spring: while it sticks, the deflection grows with the way of the hand; after a way of
-    slip_mm * (1 + jitter * uniform(-1, 1)), jitter 0 to 1, friction gives and the deflection falls by that way along
-    half a cosine of the natural period: E. Rabinowicz, "Friction and Wear of Materials" (1965), chapter on stick-slip,
-    for friction that is constant during the slip. Scaled so that a slip of `slip_mm` falls by `height_um`; the mean
-    is removed.
+    A slider on a spring: while it sticks, the deflection grows with the path of the hand. After a path of slip_mm * (1
+    + jitter * uniform(-1, 1)), jitter 0 to 1, it slips: the deflection falls by that path along half a cosine of the
+    natural period (E. Rabinowicz, "Friction and Wear of Materials" (1965), chapter on stick-slip, for constant friction
+    during the slip). It is scaled so that a slip of `slip_mm` falls by `height_um`; the mean is removed.
     """
     from scipy.signal import fftconvolve
 
@@ -214,7 +214,7 @@ def stick_slip(
     slipped = slip_samples < count
     falls_mm = np.bincount(slip_samples[slipped], slips_mm[slipped], count)
     half_period = max(2, round(rate_hz / (2 * natural_hz)))
-    slope = np.sin(np.pi * (np.arange(min(half_period, count)) + 0.5) / half_period)  # that of half a cosine
+    slope = np.sin(np.pi * (np.arange(min(half_period, count)) + 0.5) / half_period)  # the slope of half a cosine
     fallen_mm = np.cumsum(fftconvolve(falls_mm, slope / slope.sum())[:count])
     deflection = (way_mm - fallen_mm) * height_um / slip_mm
     return Recording((deflection - deflection.mean()).reshape(-1, 1), rate_hz, "um", "stick-slip")
@@ -233,17 +233,19 @@ def taps(
 ) -> Recording:
     """Return the acceleration, in m/s^2, of a tool that taps on a surface.
 
-    Each tap is a decaying sine A exp(-B t) sin(w t) with A in proportion to the hand's speed at impact: A. Okamura,
-    M. Cutkosky, J. Dennerlein, "Reality-based models for vibration feedback in virtual environments", IEEE/ASME
-    Trans. Mechatronics 6 (2001) 245. Here A is `peak_m_s2` at 50 mm/s; frequency and decay, which that paper fits to
-    materials, default to a hard tip on wood. Taps follow each other after interval * (1 + jitter * uniform(-1, 1)),
-    jitter 0 to 1.
+    Each tap is a decaying sine A exp(-B t) sin(w t), where A is proportional to the hand's speed at impact: A. Okamura,
+    M. Cutkosky, J. Dennerlein, "Reality-based models for vibration feedback in virtual environments", IEEE/ASME Trans.
+    Mechatronics 6 (2001) 245. Here A is `peak_m_s2` at 50 mm/s. That paper fits frequency and decay to materials; the
+    defaults are a hard tip on wood. Taps follow each other after interval * (1 + jitter * uniform(-1, 1)), jitter 0 to
+    1.
     """
     from scipy.signal import fftconvolve
 
     _check_positive(interval_s=interval_s, frequency_hz=frequency_hz, decay_per_s=decay_per_s, peak_m_s2=peak_m_s2)
     if frequency_hz > BAND * rate_hz or interval_s * rate_hz < 1:
-        raise TextureError(f"taps of {frequency_hz} Hz every {interval_s} s cannot be shown at {rate_hz} Hz")
+        raise TextureError(
+            f"taps of {frequency_hz} Hz every {interval_s} s cannot be shown at {rate_hz} Hz; give a higher rate"
+        )
     _sweep(seconds, hand_speed_mm_s, rate_hz)
     count = _sample_count(seconds, rate_hz)
     intervals_s = _jittered(_random(seed), interval_s, jitter, seconds)
@@ -276,9 +278,9 @@ SURFACES: dict[str, Callable[..., Recording]] = {
 def surface_profile(
     kind: str, seed: int = 0, seconds: float = 4.0, hand_speed_mm_s: float = 50.0, rate_hz: float = 2800.0
 ) -> Profile:
-    """Return the surface that a generator of SURFACES sweeps over at one speed: a height every speed / rate."""
+    """Return the surface over which a generator of SURFACES sweeps at one speed: a height every speed / rate."""
     if kind not in SURFACES:
-        raise TextureError(f"{kind}: a height profile can be made of {', '.join(SURFACES)}")
+        raise TextureError(f"{kind}: no generator of a height profile; choose one of {', '.join(SURFACES)}")
     recording = SURFACES[kind](seed, seconds, hand_speed_mm_s, rate_hz)
     return Profile(recording.samples[:, 0], 1000 * hand_speed_mm_s / rate_hz, kind)
 
@@ -296,7 +298,7 @@ def _random(seed: int) -> np.random.Generator:
 
 
 def _jittered(random: np.random.Generator, mean: float, jitter: float, total: float) -> Signal:
-    """Return intervals around a mean, each off by at most `jitter` of it, that add up to more than a total."""
+    """Return intervals around a mean, each off by at most `jitter` of it, whose sum exceeds a total."""
     if not 0 <= jitter <= 1:
         raise TextureError(f"jitter {jitter}: it must be 0 to 1")
     mean_count = total / mean
@@ -306,7 +308,7 @@ def _jittered(random: np.random.Generator, mean: float, jitter: float, total: fl
 def _sample_count(seconds: float, rate_hz: float) -> int:
     _check_positive(seconds=seconds, rate_hz=rate_hz)
     if not 1 <= seconds * rate_hz <= MAX_SAMPLES:
-        raise TextureError(f"{seconds} s at {rate_hz} Hz: from 1 to {MAX_SAMPLES} samples can be made")
+        raise TextureError(f"{seconds} s at {rate_hz} Hz: a recording has 1 to {MAX_SAMPLES} samples")
     return round(seconds * rate_hz)
 
 
@@ -315,7 +317,7 @@ def _sweep(
 ) -> tuple[Signal, float]:
     """Return the hand's position, in mm, float64 (n,) from 0 up, and the shortest wave that the sweep can show.
 
-    Raises TextureError where `pitch_mm` is shorter than that.
+    Raises TextureError if `pitch_mm` is shorter than that wave.
     """
     count = _sample_count(seconds, rate_hz)
     speed_mm_s = np.asarray(hand_speed_mm_s, np.float64)
@@ -350,7 +352,7 @@ def _self_affine_surface(
     hurst: float,
     roll_off_mm: float,
 ) -> Signal:
-    """Return heights (n,), rms 1, at least `length_mm` long: every Fourier coefficient drawn from a normal density."""
+    """Return heights (n,), rms 1, at least `length_mm` long; each Fourier coefficient has a normal density."""
     from scipy.fft import irfft, next_fast_len, rfftfreq
 
     _check_positive(roll_off_mm=roll_off_mm)

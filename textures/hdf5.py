@@ -1,4 +1,4 @@
-"""Reads HDF5 files, and MATLAB's .mat files of version 7.3, which are HDF5 with attributes of MATLAB's."""
+"""Reads HDF5 files, and MATLAB's .mat files of version 7.3, which are HDF5 with MATLAB's attributes."""
 
 from collections.abc import Collection, Iterable, Mapping
 from math import prod
@@ -11,7 +11,7 @@ from vibrocast.textures.recording import Contents, TextureError
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MATLAB_START_BYTES = 512  # before the magic of a .mat file
 MATLAB_CLASS = "MATLAB_class"
-MATLAB_REFERENCED = "#refs#"  # the group of all that cells refer to
+MATLAB_REFERENCED = "#refs#"  # the group with the contents of all cells
 
 
 def is_hdf5(path: Path) -> bool:
@@ -22,11 +22,11 @@ def is_hdf5(path: Path) -> bool:
 
 
 def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
-    """Read a dataset of numbers; `key`, its path in the file, and `rate_hz` as `textures.load` takes them.
+    """Read a dataset of numbers; `key`, its path in the file, and `rate_hz` as in `textures.load`.
 
     Rate and unit are attributes or datasets of one value: of the dataset, else of its group, else of the file. MATLAB
-    stores arrays with their axes in the other order; they are turned, and a row is one channel, as a column is.
-    Raises TextureError, OSError.
+    stores axes in reverse order, so its arrays are transposed. A row is one channel, as a column is. Raises
+    TextureError, OSError.
     """
     import h5py
 
@@ -43,7 +43,7 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         chosen = arrays.chosen_key(signals, key and key.strip("/"), path, others)
         dataset = datasets[chosen]
         if dataset.external or dataset.is_virtual:
-            raise TextureError(f"{path}: {chosen} keeps its numbers in other files; save them in this one")
+            raise TextureError(f"{path}: {chosen} has its numbers in other files; save them in this one")
         chunk_bytes = prod(dataset.chunks) * dataset.dtype.itemsize if dataset.chunks else 0
         arrays.reject_too_large(dataset.shape, dataset.dtype, path, chunk_bytes)
         group = chosen.rpartition("/")[0]
@@ -66,13 +66,13 @@ def _is_of_numbers(dataset: Any) -> bool:
 
 
 def _kind(dataset: Any) -> str:
-    """Return what a person calls a dataset of this type."""
+    """Return the name of this type of dataset, for people."""
     matlab_class = dataset.attrs.get(MATLAB_CLASS)
     return f"dataset of type {dataset.dtype}" if matlab_class is None else matlab_class.decode()
 
 
 def _values_in(group: str, datasets: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the datasets of one value, or of a text of MATLAB's, in a group state, by their names in it."""
+    """Return the values that a group states, by name: datasets of one value, and texts of MATLAB."""
     values: dict[str, Any] = {}
     for path, dataset in datasets.items():
         place, _, name = path.rpartition("/")
@@ -86,7 +86,7 @@ def _values_in(group: str, datasets: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _nearest(places: Iterable[Mapping[str, Any]], names: Collection[str]) -> dict[str, Any]:
-    """Return what the first place that has any of these names, in any case, says by them."""
+    """Return the values of the first place that has any of these names, in any case."""
     for place in places:
         if found := {name: place[name] for name in place if name.lower() in names}:
             return found

@@ -1,4 +1,4 @@
-"""Reads MATLAB's .mat files of version 4 to 7, hands 7.3 to the reader of HDF5, and writes version 5."""
+"""Reads MATLAB's .mat files of version 4 to 7, passes 7.3 to the reader of HDF5, and writes version 5."""
 
 from math import prod
 from pathlib import Path
@@ -9,21 +9,21 @@ from vibrocast.textures import arrays, hdf5
 from vibrocast.textures.recording import Contents, Recording, TextureError
 
 NUMBERS = ("single", "double", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
-"""MATLAB's classes of numbers, which NumPy calls the same."""
+"""MATLAB's classes of numbers; NumPy has the same names."""
 MAX_BYTES = 2**31 - 2**10  # of a variable in version 5, its tags included
 
 
 def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
-    """Read a variable of numbers; `key` and `rate_hz` as `textures.load` takes them. Raises TextureError, OSError.
+    """Read a variable of numbers; `key` and `rate_hz` as in `textures.load`. Raises TextureError, OSError.
 
-    A row is taken as one channel, as a column is.
+    A row is one channel, as a column is.
     """
     if hdf5.is_hdf5(path):
         return hdf5.read(path, key, rate_hz)
     from scipy.io import loadmat, whosmat
 
     with arrays.parsing(path, "a .mat file"):
-        # A compressed file costs up to 0.3 GB here: scipy inflates 128 kB of it at once.
+        # A compressed file takes up to 0.3 GB here: scipy inflates 128 kB of it at once.
         variables = {name: (shape, kind) for name, shape, kind in whosmat(str(path), appendmat=False)}
         sizes = {name: prod(shape) for name, (shape, _) in variables.items()}
         stated = [
@@ -39,7 +39,7 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         arrays.reject_too_large(shape, np.dtype(kind), path)
         loaded = loadmat(str(path), appendmat=False, variable_names=[chosen, *stated])
         array = loaded[chosen]
-        if array.dtype.kind in "iuf":  # MATLAB stores doubles that are whole numbers as integers
+        if array.dtype.kind in "iuf":  # MATLAB stores whole-number doubles as integers
             array = array.astype(kind, copy=False)
         array = array.T if len(array) == 1 else array
         return arrays.contents_of(array, path, {name: loaded[name] for name in stated}, rate_hz)

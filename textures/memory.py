@@ -1,4 +1,4 @@
-"""Tells how much memory is free, so that what cannot fit is rejected before it is read."""
+"""Finds how much memory is free, to reject data that cannot fit before reading it."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,25 +9,25 @@ _GIB = 2**30
 
 
 def available_bytes() -> int:
-    """Return how much memory a program may still take: free, in caches, and within the limit of its control group."""
+    """Return how much memory a program may still take: free, in caches, within the limit of its control group."""
     import psutil
 
     return min(int(psutil.virtual_memory().available), *_left_in_control_groups())
 
 
 def shortage(needed_bytes: int) -> str | None:
-    """Return how an error goes on after the name of what needs so much memory; None where there is enough."""
+    """Return the end of an error whose subject needs this much memory; None if there is enough."""
     free_bytes = available_bytes()
     if needed_bytes <= free_bytes:
         return None
     return (
-        f"needs {needed_bytes / _GIB:.3g} GiB of memory, of which {free_bytes / _GIB:.3g} GiB are free; cut it into "
+        f"needs {needed_bytes / _GIB:.3g} GiB of memory, and only {free_bytes / _GIB:.3g} GiB are free; cut it into "
         "parts"
     )
 
 
 def _left_in_control_groups() -> Iterator[int]:
-    """Yield what the limits of Linux's control groups, of version 2 and 1, leave; caches count as free."""
+    """Yield the bytes that Linux's control groups, of version 2 and 1, leave; caches count as free."""
     yield 2**63
     try:
         lines = GROUPS_OF_PROCESS.read_text().splitlines()
@@ -41,7 +41,7 @@ def _left_in_control_groups() -> Iterator[int]:
             root, limit_name, used_name = CONTROL_GROUPS / "memory", "memory.limit_in_bytes", "total_rss"
         else:
             continue
-        # Inside a container its own group may be mounted as the root.
+        # Inside a container, the program's own group may be mounted as the root.
         for folder in (root, root / group.lstrip("/")):
             try:
                 limit_bytes = int((folder / limit_name).read_text())

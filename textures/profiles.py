@@ -1,4 +1,4 @@
-"""Height profiles of surfaces, and the recording that a probe sweeping over one would give."""
+"""Height profiles of surfaces, and the recording of a probe that sweeps over one."""
 
 from dataclasses import dataclass
 

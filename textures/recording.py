@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 Signal = NDArray[np.float64]
 
 UNITS = ("full scale", "m/s^2", "um")
-MAX_CHANNELS = 16  # what one coded stream carries
-MAX_MAGNITUDE = 1e30  # of a sample, in any unit; float32 holds it, and its square is still a number
-MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 1e7  # beyond any texture; such a rate is a slip of units or of a damaged file
+MAX_CHANNELS = 16  # the most in one coded stream
+MAX_MAGNITUDE = 1e30  # of a sample, in any unit; float32 holds it, and its square is finite
+MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 1e7  # beyond any texture: other rates come from a wrong unit or a damaged file
 
 # Unit as people write it: the unit of UNITS that it becomes, and the factor. Standard gravity: CGPM 1901, exact.
 INPUT_UNITS: dict[str, tuple[str, float]] = {
@@ -30,11 +30,11 @@ class TextureError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What a file holds and says.
+    """The samples of a file, and the facts that it states.
 
-    `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of INPUT_UNITS): None where the
-    file does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None
-    where the file's integers are of a type that says nothing of it. `axes`: as in Recording.
+    `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of INPUT_UNITS): None if the file
+    does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None if the
+    file's type of integers states none. `axes`: as in Recording.
     """
 
     samples: Signal
@@ -72,7 +72,7 @@ class Recording:
             raise TextureError(f"{self.name}: holds no samples")
         if self.channels > MAX_CHANNELS:
             raise TextureError(
-                f"{self.name}: {self.channels} channels, at most {MAX_CHANNELS} can be played; "
+                f"{self.name}: {self.channels} channels, and at most {MAX_CHANNELS} can be played; "
                 "rows must be samples and columns channels"
             )
         if self.axes and len(self.axes) != self.channels:
@@ -80,7 +80,7 @@ class Recording:
         check_rate(self.rate_hz, self.name)
         if self.unit not in UNITS:
             raise TextureError(f"{self.name}: unit {self.unit!r} is not one of {', '.join(UNITS)}")
-        # The extremes are nan where any sample is; to find them takes no memory, which a recording of a day would.
+        # An extreme is nan if any sample is. Finding it takes no memory; a mask of a day's recording would.
         if not (self.samples.min() >= -MAX_MAGNITUDE and self.samples.max() <= MAX_MAGNITUDE):
             usable = np.abs(self.samples) <= MAX_MAGNITUDE
             sample, channel = np.unravel_index(np.argmin(usable), usable.shape)
@@ -101,7 +101,7 @@ class Recording:
 
 
 def check_rate(rate_hz: float, name: str) -> None:
-    """Raise TextureError, naming the recording, on a sample rate that no recording has."""
+    """Raise TextureError, which names the recording, for a sample rate that no recording has."""
     if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
         raise TextureError(
             f"{name}: sample rate {rate_hz:g} Hz; it must be {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: correct the rate, "

@@ -8,24 +8,24 @@ import soxr
 from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import Recording, TextureError, check_rate
 
-MAX_RATIO = 1e5  # of the rates: far above, the filters of soxr take minutes and gigabytes
+MAX_RATIO = 1e5  # of the rates: far above, soxr's filters take minutes and gigabytes
 
 
 def resample(recording: Recording, rate_hz: float) -> Recording:
     """Return the recording at another rate: round(n * new / old) samples; the same one at equal rates.
 
-    The resampler is soxr in quality "HQ", linear phase, no delay. Below, Nyquist is half of the lower rate. Up to
-    0.91 Nyquist (1274 Hz for 2800 Hz) the gain is within 0.02 dB of one; what lies above Nyquist is at least 120 dB
-    down. The signal is taken as silent before its start and after its end. Raises TextureError on a rate that no
-    recording has, that is more than MAX_RATIO away, or that makes less than one sample or more than fit into memory.
+    The resampler is soxr in quality "HQ", with linear phase and no delay. Relative to the Nyquist frequency of the
+    lower rate, the gain is within 0.02 dB of one up to 0.91 Nyquist (1274 Hz for 2800 Hz), and at most -120 dB above
+    Nyquist. Before its start and after its end the signal counts as silent. Raises TextureError for a rate that no
+    recording has, for one more than MAX_RATIO away, and if the result is shorter than one sample or exceeds the memory.
     """
     check_rate(rate_hz, recording.name)
     if rate_hz == recording.rate_hz:
         return recording
     if not 1 / MAX_RATIO <= rate_hz / recording.rate_hz <= MAX_RATIO:
         raise TextureError(
-            f"{recording.name}: {recording.rate_hz:g} Hz are too far from the {rate_hz:g} Hz to make of them; "
-            "correct one of the rates"
+            f"{recording.name}: {recording.rate_hz:g} Hz are too far from {rate_hz:g} Hz to resample; correct one of "
+            "the rates"
         )
     count = round(len(recording.samples) * rate_hz / recording.rate_hz)
     if count < 1:

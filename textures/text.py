@@ -1,4 +1,4 @@
-"""Reads text files of numbers, CSV and TXT, with what they say of columns, rates and units."""
+"""Reads text files of numbers, CSV and TXT, and the columns, rates and units that they state."""
 
 import csv
 import re
@@ -13,7 +13,8 @@ from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, Signal, TextureError
 
 TIME_NAMES = ("t", "time", "timestamp")
-INDEX_NAMES = ("", "index", "n", "sample", "unnamed: 0")  # the first and the last as pandas writes and reads its index
+# the first and the last: pandas' names for its index, written and read
+INDEX_NAMES = ("", "index", "n", "sample", "unnamed: 0")
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 OTHER_SPELLINGS = {
     "full_scale": "full scale",
@@ -26,9 +27,9 @@ OTHER_SPELLINGS = {
 }
 ENCODING = "utf-8-sig"
 MAX_LINE_CHARACTERS = 100_000
-GRID_TOLERANCE = 0.25  # of a step: how far a time or position may lie from the uniform grid
-RATE_TOLERANCE = 1e-9  # what the arithmetic of times leaves uncertain
-PLAUSIBLE_RATES_HZ = (200.0, 200_000.0)  # of a texture, where a column of times states no unit
+GRID_TOLERANCE = 0.25  # of a step: the most by which a time or position may miss the uniform grid
+RATE_TOLERANCE = 1e-9  # rounding error of the arithmetic of times
+PLAUSIBLE_RATES_HZ = (200.0, 200_000.0)  # of a texture, if a column of times states no unit
 
 _STATEMENT = re.compile(r"[#\s]*(rate_hz|unit)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
 _DECIMAL_COMMA = r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?"
@@ -38,9 +39,9 @@ _BRACKETED = re.compile(r"(.*?)[\s_]*[(\[]\s*(.*?)\s*[)\]]")
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers of a text file with what the file says of them.
+    """Numbers of a text file, and the facts that it states.
 
-    `values`: float64 (rows, columns). `names`: one for each column, in lower case, empty where the file has none.
+    `values`: float64 (rows, columns). `names`: one for each column, in lower case, empty if the file has none.
     `own_units`: of each column by its name, spelt as in INPUT_UNITS or SECONDS, or None. `unit` and `rate_hz`: of all
     channels, from lines such as `# unit: m/s^2` and `# rate_hz: 2800`, or None.
     """
@@ -61,11 +62,11 @@ class Table:
 def read_table(path: Path) -> Table:
     """Read numbers in columns separated by tab, semicolon, comma or blanks, below any comments and column names.
 
-    Numbers may be quoted, and lines may end in a separator. Lines that start with #, empty lines and a column that is
-    named an index and counts the lines are left out.
-    Raises TextureError with what to do, also where commas may be decimal ones; OSError when the file cannot be read.
+    Numbers may be quoted, and lines may end in a separator. The reader drops lines that start with #, empty lines, and
+    a column named as an index that counts the lines. Raises TextureError, also if commas may be decimal ones, OSError
+    when the file cannot be read.
     """
-    # A number of text takes about as many bytes as its float64.
+    # A number as text takes about as many bytes as its float64.
     if lack := shortage(path.stat().st_size):
         raise TextureError(f"{path}: {lack}")
     try:
@@ -87,11 +88,11 @@ def write_table(path: Path, recording: Recording) -> None:
 
 
 def signal_of(table: Table, path: Path, rate_hz: float | None = None) -> Contents:
-    """Return the channels of a table: every column but the time, whose steps give the rate.
+    """Return the channels of a table: every column except the time, whose steps give the rate.
 
-    `rate_hz`: what the user says; it wins among the rates that the times allow. Columns x, y and z are put into this
-    order. Raises TextureError where the columns contradict each other, a comment or `rate_hz`, or a time or an index
-    may be among the channels.
+    `rate_hz`: the user's rate; it decides if the times allow several. Columns x, y and z are put into this order.
+    Raises TextureError if the columns contradict each other, a comment or `rate_hz`, and if a time or an index may be
+    among the channels.
     """
     times = [index for index, name in enumerate(table.names) if name in TIME_NAMES]
     channels = [index for index in range(len(table.names)) if index not in times]
@@ -122,7 +123,7 @@ def signal_of(table: Table, path: Path, rate_hz: float | None = None) -> Content
 
 
 def known_unit(text: str, place: str) -> str:
-    """Return a unit as spelt in INPUT_UNITS. Raises TextureError, naming the `place`, on an unknown one."""
+    """Return a unit as spelt in INPUT_UNITS. Raises TextureError, which names the `place`, for an unknown one."""
     unit = OTHER_SPELLINGS.get(text, text)
     if unit not in INPUT_UNITS:
         raise TextureError(f"{place}: unknown unit {text!r}; known are {', '.join(INPUT_UNITS)}")
@@ -132,7 +133,7 @@ def known_unit(text: str, place: str) -> str:
 def uniform_step(values: Signal, place: str) -> float:
     """Return the step of rising values (n,) that lie on a uniform grid, to GRID_TOLERANCE of a step.
 
-    Raises TextureError, naming the `place`, the line and the size of the flaw, where they do not.
+    Otherwise raises TextureError, which names the `place`, the line and the size of the flaw.
     """
     if len(values) < 2:
         raise TextureError(f"{place}: a single line, which has no step; give two lines or more")
@@ -162,7 +163,7 @@ def uniform_step(values: Signal, place: str) -> float:
 
 @dataclass(frozen=True)
 class _TimeColumn:
-    """A column of times. `unit`: one of SECONDS where the name states it, None where it states none."""
+    """A column of times. `unit`: one of SECONDS if the name states it, else None."""
 
     path: Path
     name: str
@@ -170,9 +171,9 @@ class _TimeColumn:
     values: Signal
 
     def rate_hz(self, commented_hz: float | None, given_hz: float | None) -> float:
-        """Return the rate, in hertz, that a comment or the user says, if the times allow it, else that of the times.
+        """Return the rate in Hz from a comment or the user, if the times allow it, else that of the times.
 
-        Raises TextureError where they contradict each other, and where the unit is not stated nor plain to see.
+        Raises TextureError if they contradict each other, or if the unit is neither stated nor obvious.
         """
         if self.unit is not None and self.unit not in SECONDS:
             raise TextureError(f"{self.path}: times in {self.unit}; name the column time_s, time_ms or time_us")
@@ -200,9 +201,9 @@ class _TimeColumn:
         return said
 
     def _rates_hz(self) -> dict[str, tuple[float, float]]:
-        """Return for each unit that the times may have: the rate, whole if they allow it, and how far off it may be.
+        """Return the rate for each unit that the times may have, whole if they allow it, and its possible error.
 
-        Times printed with few digits scatter about their grid, and so may the first and the last, which give the rate.
+        Times with few digits scatter about their grid. So may the first and the last one, which give the rate.
         """
         try:
             step = uniform_step(self.values, f"{self.path}: column of times")
@@ -283,7 +284,7 @@ def _delimiter(line: str) -> str | None:
 
 
 def _fields(line: str, delimiter: str | None) -> list[str]:
-    """Split a line at the delimiter or at blanks; quotes around a field are taken off."""
+    """Split a line at the delimiter or at blanks, and remove quotes around fields."""
     if delimiter is None:
         return [field.strip('"') for field in line.split()]
     return next(csv.reader([line.strip(" \r\n")], delimiter=delimiter))
@@ -300,13 +301,13 @@ def _is_numeric(line: str) -> bool:
 
 
 def _may_be_decimal_commas(file: TextIO) -> bool:
-    """Return whether all lines that follow may hold numbers with decimal commas and commas between them."""
+    """Return whether all remaining lines may hold numbers with decimal commas and commas between them."""
     lines = (line.partition("#")[0].strip().replace('"', "") for line in file)
     return all(_DECIMAL_COMMAS.fullmatch(line) for line in lines if line)
 
 
 def _values(file: TextIO, delimiter: str | None, first_fields: list[str], path: Path) -> Signal:
-    """Return the lines that follow as float64 (rows, columns); a delimiter at the end of all makes no column."""
+    """Return the remaining lines as float64 (rows, columns); a delimiter at the end of all lines makes no column."""
     surplus = len(first_fields) - 1 if not first_fields[-1] else None
     try:
         values = np.loadtxt(
@@ -338,7 +339,7 @@ def _column_names(header: str, delimiter: str | None, count: int) -> list[str]:
         return []
     if delimiter is None and count == 1:
         fields = [header]
-    elif delimiter is None:  # between columns of blanks, "x (m/s^2)" is one name
+    elif delimiter is None:  # where blanks separate columns, "x (m/s^2)" is one name
         fields = re.findall(r"\S+(?:\s*[(\[][^)\]]*[)\]])?", header)
     else:
         fields = _fields(header, delimiter)

@@ -9,9 +9,9 @@ import soundfile
 from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import UNITS, Contents, Recording, TextureError
 
-# What libsndfile notes, in bytes, where a header states more than the file holds: of the data, of all in an RF64 file.
+# libsndfile's note, in bytes, if a header states more than the file holds: in the data, or in all of an RF64 file.
 _CUT_OFF = re.compile(r"(?:data|Riff size) : (\d+) \(should be (\d+)\)")
-# Programs that write into a pipe state about 2 or 4 GiB, for they cannot go back to the header at the end.
+# Programs that write into a pipe state about 2 or 4 GiB, because they cannot correct the header at the end.
 UNKNOWN_LENGTHS_BYTES = (2**31, 2**32)
 UNKNOWN_LENGTH_MARGIN_BYTES = 2**16
 _COMMENT = re.compile(r"unit=(.+); full_scale=(.+)")
@@ -40,8 +40,8 @@ def read(path: Path) -> Contents:
 def write(path: Path, recording: Recording, sixteen_bit: bool) -> float:
     """Write a WAV file; return its full scale: the value, in the recording's unit, of 1.0 in the file.
 
-    As 16 bit, full scale is the largest magnitude, or 1 for a signal in "full scale" that fits; as 32-bit float the
-    file holds the values themselves, and full scale is 1. Raises TextureError when the rate is not a whole number,
+    With 16 bits, full scale is the largest magnitude, or 1 for a signal in "full scale" that fits. With 32-bit floats
+    the file holds the values themselves, and full scale is 1. Raises TextureError when the rate is not a whole number,
     OSError or soundfile.SoundFileError when the file cannot be written.
     """
     if recording.rate_hz != int(recording.rate_hz):
@@ -67,7 +67,7 @@ def write(path: Path, recording: Recording, sixteen_bit: bool) -> float:
 
 
 def _reject_cut_off(notes: str, path: Path) -> None:
-    """Raise TextureError where libsndfile's notes on a WAV file say that its end is missing."""
+    """Raise TextureError if libsndfile's notes on a WAV file say that its end is missing."""
     for stated, held in re.findall(_CUT_OFF, notes):
         missing = int(stated) - int(held)
         unknown = any(abs(int(stated) - length) <= UNKNOWN_LENGTH_MARGIN_BYTES for length in UNKNOWN_LENGTHS_BYTES)
@@ -79,7 +79,7 @@ def _reject_cut_off(notes: str, path: Path) -> None:
 
 
 def _stated_by_comment(comment: str) -> tuple[str, float]:
-    """Return unit and full scale as `write` writes them into the comment, otherwise those of a plain WAV file."""
+    """Return unit and full scale from a comment that `write` wrote, otherwise those of a plain WAV file."""
     if match := _COMMENT.fullmatch(comment):
         try:
             full_scale = float(match[2])

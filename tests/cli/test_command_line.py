@@ -292,7 +292,7 @@ def test_generate_a_height_profile(tmp_path: Path) -> None:
     assert "39.9857 mm" in succeeds("generate", "wood", path, "--seconds", 1, "--hand-speed-mm-s", 40)
     assert path.read_text().startswith("position_um,height_um\n0,")
     succeeds("encode", path, tmp_path / "out.vct", "--hand-speed-mm-s", 60)
-    assert "made of grating, ridges" in fails(2, "generate", "taps", tmp_path / "taps.csv")
+    assert "choose one of grating, ridges" in fails(2, "generate", "taps", tmp_path / "taps.csv")
     assert "--speed-variation" in fails(2, "generate", "wood", path, "--speed-variation", 0.3)
 
 

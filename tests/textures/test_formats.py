@@ -177,7 +177,7 @@ CELL[:] = [NOISE, NOISE]
     [
         ({"a": NOISE, "b": NOISE}, {}, "choose an array with `key`; there are a, b"),
         ({"a": NOISE, "b": NOISE}, {"key": "c"}, "no array of numbers `key`=c; there are a, b"),
-        ({"trial": {"acc": NOISE}}, {}, "trial is a struct, not an array of numbers; save the numbers in it by"),
+        ({"trial": {"acc": NOISE}}, {}, "trial is a struct, not an array of numbers; save its numbers as an array"),
         ({"trial": {"acc": NOISE}, "b": NOISE}, {"key": "trial"}, "trial is a struct, not"),
         ({"trials": CELL, "name": "oak"}, {}, "trials is a cell, name is a char, not"),
         ({"on": np.array([True, False])}, {}, "on is a logical, not"),
@@ -242,7 +242,7 @@ def test_hdf5_whose_numbers_are_elsewhere_is_rejected(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("samples", (50,), "f8", external=[("/dev/zero", 0, 400)])
         file["link"] = h5py.ExternalLink("/dev/zero", "samples")
-    with pytest.raises(TextureError, match="samples keeps its numbers in other files; save them in this one"):
+    with pytest.raises(TextureError, match="samples has its numbers in other files; save them in this one"):
         load(tmp_path / "a.h5", rate_hz=100, unit="um")
 
 
@@ -286,7 +286,7 @@ def test_a_file_that_does_not_fit_into_memory_is_rejected_unread(
     write(tmp_path / file)
     monkeypatch.setattr("vibrocast.textures.memory.available_bytes", lambda: 10_000_000)
     tracemalloc.start()
-    with pytest.raises(TextureError, match=r"needs .* GiB of memory, of which 0.00931 GiB are free; cut it into parts"):
+    with pytest.raises(TextureError, match=r"needs .* GiB of memory, and only 0.00931 GiB are free; cut it into parts"):
         load(tmp_path / file, rate_hz=100, unit="um")
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()

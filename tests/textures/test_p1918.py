@@ -1,4 +1,4 @@
-"""Tests of IEEE P1918.1.1 traces in their folders, and of the reduction of three axes to one."""
+"""Tests of IEEE P1918.1.1 recordings in their folders, and of the reduction of three axes to one."""
 
 from pathlib import Path
 
@@ -12,20 +12,20 @@ from vibrocast.textures import TextureError, load
 from vibrocast.textures.axes import dft321
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
-TRACE = "Direct_-_1spike_Probe_-_cork_-_slow"
+NAME = "Direct_-_1spike_Probe_-_cork_-_slow"
 AXES = np.random.default_rng(0).normal(size=(300, 3))
 
 
-def write_trace(folder: Path, trace: str = TRACE, axes: str = "XYZ", samples: int = 300) -> Path:
+def write_recording(folder: Path, name: str = NAME, axes: str = "XYZ", samples: int = 300) -> Path:
     for letter in axes:
         values = AXES[:samples, "XYZ".index(letter)]
-        (folder / f"{trace}_{letter}.txt").write_bytes(b"".join(b"   %.15e\r\n" % value for value in values))
-    return folder / trace
+        (folder / f"{name}_{letter}.txt").write_bytes(b"".join(b"   %.15e\r\n" % value for value in values))
+    return folder / name
 
 
-def test_a_folder_of_one_trace_is_reduced(tmp_path: Path) -> None:
-    write_trace(tmp_path)
-    (tmp_path / "readme.txt").write_text("not a trace")
+def test_a_folder_of_one_recording_is_reduced(tmp_path: Path) -> None:
+    write_recording(tmp_path)
+    (tmp_path / "readme.txt").write_text("not a recording")
     recording = load(tmp_path, unit="g")
     assert (recording.rate_hz, recording.unit, recording.channels) == (2800, "m/s^2", 1)
     np.testing.assert_allclose(recording.samples, dft321(AXES) * 9.80665)
@@ -39,24 +39,24 @@ def test_a_folder_of_one_trace_is_reduced(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
 def test_one_axis_is_chosen(tmp_path: Path, axis: str) -> None:
-    stem = write_trace(tmp_path)
+    stem = write_recording(tmp_path)
     expected = AXES[:, ["XYZ".index(axis)]]
     np.testing.assert_allclose(load(tmp_path, unit="m/s^2", axis=axis).samples, expected)
     np.testing.assert_allclose(load(stem, unit="m/s^2", axis=axis).samples, expected)
-    np.testing.assert_allclose(load(tmp_path / f"{TRACE}_{axis}.txt", unit="m/s^2").samples, expected)
+    np.testing.assert_allclose(load(tmp_path / f"{NAME}_{axis}.txt", unit="m/s^2").samples, expected)
 
 
-def test_one_of_several_traces_is_named(tmp_path: Path) -> None:
-    write_trace(tmp_path, TRACE)
-    stem = write_trace(tmp_path, TRACE.replace("slow", "fast"), samples=200)
-    with pytest.raises(TextureError, match=r"holds 2 traces; give one of them, such as .*fast.*slow"):
+def test_one_of_several_recordings_is_named(tmp_path: Path) -> None:
+    write_recording(tmp_path, NAME)
+    stem = write_recording(tmp_path, NAME.replace("slow", "fast"), samples=200)
+    with pytest.raises(TextureError, match=r"holds 2 recordings; give one of them, such as .*fast.*slow"):
         load(tmp_path, unit="g")
     assert load(stem, unit="g").samples.shape == (200, 1)
     assert load(stem, unit="g").name == stem.name
 
 
 def test_other_names_do_not_state_a_rate(tmp_path: Path) -> None:
-    write_trace(tmp_path, "mine")
+    write_recording(tmp_path, "mine")
     with pytest.raises(TextureError, match="give `rate_hz`"):
         load(tmp_path, unit="g")
     assert load(tmp_path, unit="g", rate_hz=1000).rate_hz == 1000
@@ -64,11 +64,11 @@ def test_other_names_do_not_state_a_rate(tmp_path: Path) -> None:
 
 def test_the_unit_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(TextureError, match="give `unit`"):
-        load(write_trace(tmp_path))
+        load(write_recording(tmp_path))
 
 
 def test_a_missing_axis(tmp_path: Path) -> None:
-    stem = write_trace(tmp_path, axes="XZ")
+    stem = write_recording(tmp_path, axes="XZ")
     with pytest.raises(TextureError, match=r"no file for axis Y; .* `axis`=X or Z"):
         load(tmp_path, unit="g")
     with pytest.raises(TextureError, match="no file for axis Y"):
@@ -77,36 +77,36 @@ def test_a_missing_axis(tmp_path: Path) -> None:
 
 
 def test_two_files_of_one_axis(tmp_path: Path) -> None:
-    write_trace(tmp_path)
-    (tmp_path / f"{TRACE}_x.txt").write_text("1\n" * 300)
-    if (tmp_path / f"{TRACE}_X.txt").read_text() == "1\n" * 300:
+    write_recording(tmp_path)
+    (tmp_path / f"{NAME}_x.txt").write_text("1\n" * 300)
+    if (tmp_path / f"{NAME}_X.txt").read_text() == "1\n" * 300:
         pytest.skip("this file system takes x for X")
     with pytest.raises(TextureError, match=r"slow_x.txt: the same axis as .*slow_X.txt"):
         load(tmp_path, unit="g")
 
 
 def test_axes_that_do_not_fit_together(tmp_path: Path) -> None:
-    write_trace(tmp_path)
-    write_trace(tmp_path, axes="Z", samples=299)
+    write_recording(tmp_path)
+    write_recording(tmp_path, axes="Z", samples=299)
     with pytest.raises(TextureError, match=r"differ in length \(300, 300, 299 samples\)"):
         load(tmp_path, unit="g")
 
 
 def test_files_that_are_not_one_axis(tmp_path: Path) -> None:
-    write_trace(tmp_path)
+    write_recording(tmp_path)
     with pytest.raises(TextureError, match=r"holds axis X; for `axis`=Y give .*slow$"):
-        load(tmp_path / f"{TRACE}_X.txt", unit="g", axis="Y")
+        load(tmp_path / f"{NAME}_X.txt", unit="g", axis="Y")
     with pytest.raises(TextureError, match=r"holds axis X; for `reduce`=norm give .*slow$"):
-        load(tmp_path / f"{TRACE}_X.txt", unit="g", reduce="norm")
-    (tmp_path / f"{TRACE}_Y.txt").write_text("1 2\n" * 300)
+        load(tmp_path / f"{NAME}_X.txt", unit="g", reduce="norm")
+    (tmp_path / f"{NAME}_Y.txt").write_text("1 2\n" * 300)
     with pytest.raises(TextureError, match="several columns"):
         load(tmp_path, unit="g")
 
 
-def test_folders_that_hold_no_trace(tmp_path: Path) -> None:
-    with pytest.raises(TextureError, match="a folder without traces"):
+def test_folders_that_hold_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(TextureError, match="a folder without files named"):
         load(tmp_path)
-    with pytest.raises(TextureError, match="no such file or trace"):
+    with pytest.raises(TextureError, match="no such file or recording"):
         load(tmp_path / "cork")
 
 
@@ -126,7 +126,7 @@ def test_reduction_of_one_moving_axis_is_that_axis() -> None:
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the development recordings are not here")
-def test_the_reference_trace_loads() -> None:
+def test_the_reference_recording_loads() -> None:
     (path,) = (SHARED / "data" / "p1918_reference").iterdir()
     recording = load(path, unit="g")
     assert recording.rate_hz == 2800
