@@ -120,7 +120,7 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
             {"url": "https://a.example/v", "vcs_info": {"vcs": "git", "commit_id": "12ab"}},
             "'vibrocast[bench] @ git+https://a.example/v@12ab'",
         ),
-        (None, "'vibrocast[bench]'"),
+        (None, "'.[bench]'"),
     ],
 )
 def test_the_command_installs_from_where_vibrocast_came_from(
@@ -132,7 +132,9 @@ def test_the_command_installs_from_where_vibrocast_came_from(
             return None if origin is None else json.dumps(origin)
 
     monkeypatch.setattr(metadata, "distribution", lambda name: Installed())
-    assert extras.install_command("bench").endswith(f" -m pip install {requirement}")
+    command = extras.install_command("bench")
+    assert command.endswith(f" -m pip install {requirement}")
+    assert command.startswith("in vibrocast's sources, ") == (origin is None)
 
 
 def test_the_command_installs_a_checkout_that_is_only_on_the_path(monkeypatch: pytest.MonkeyPatch) -> None:

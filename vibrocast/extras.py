@@ -64,12 +64,15 @@ def install_command(extra: str) -> str:
     import subprocess
 
     python = "python" if shutil.which("python") == sys.executable else sys.executable
-    command = [python, "-m", "pip", "install", *_requirement(extra)]
-    return subprocess.list2cmdline(command) if sys.platform == "win32" else shlex.join(command)
+    requirement = _requirement(extra)
+    command = [python, "-m", "pip", "install", *(requirement or [f".[{extra}]"])]
+    text = subprocess.list2cmdline(command) if sys.platform == "win32" else shlex.join(command)
+    # vibrocast is on no package index: its name alone would find nothing, or another package.
+    return text if requirement else f"in vibrocast's sources, {text}"
 
 
 def _requirement(extra: str) -> list[str]:
-    """Return the arguments of pip that name vibrocast with an extra: a folder, an archive, or the package's name."""
+    """Return the arguments of pip that name vibrocast's folder or archive with an extra; empty if pip noted neither."""
     # Only an error needs these modules, which take as long to load as all of `vibrocast --help`.
     import json
     from importlib.metadata import PackageNotFoundError, distribution
@@ -86,4 +89,4 @@ def _requirement(extra: str) -> list[str]:
         return [*editable, f"{url2pathname(urlsplit(url).path)}[{extra}]"]
     if "vcs_info" in origin:
         url = f"{origin['vcs_info']['vcs']}+{url}@{origin['vcs_info']['commit_id']}"
-    return [f"vibrocast[{extra}] @ {url}" if url else f"vibrocast[{extra}]"]
+    return [f"vibrocast[{extra}] @ {url}"] if url else []
