@@ -23,9 +23,11 @@ FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
 def plan(scene_path: Path, out: Path | None, plays: bool, as_json: bool) -> None:
     """Choose the cheapest codec settings that meet your requirements.
 
-    Prints the choice for each texture with its reason, and the three nearest alternatives. With --out, writes the plan
-    (plan.toml), all candidates (candidates.csv, plan.png) and the bands (bands.csv); with --play also forecast.csv and
-    forecast.json. A figure that differs from its forecast by more than 10 % then fails the command.
+    Prints the choice for each texture with its reason, and the three nearest alternatives. --out writes the plan
+    (plan.toml), all candidates (candidates.csv, plan.png) and the bands worth coding (bands.csv).
+
+    --play prints each forecast next to its measurement; --out then also writes both to forecast.csv and forecast.json.
+    If one differs from the other by more than 10 %, the command fails. --json with --play prints the measurements only.
     """
     extras.require("bench")
     from vibrocast.host import planner
@@ -41,14 +43,11 @@ def plan(scene_path: Path, out: Path | None, plays: bool, as_json: bool) -> None
         page.draw(out / page.PICTURE, scene, choices)
     answers = list(zip(choices, planned.textures, strict=True))
     if as_json and not plays:
-        click.echo(json.dumps({texture.name: page.document(choice, texture) for choice, texture in answers}, indent=2))
+        click.echo(json.dumps([page.document(choice, texture) for choice, texture in answers], indent=2))
     if not as_json:
-        for choice, texture in answers:
-            for line in page.summary(choice, texture).splitlines():
-                click.echo(plain(line))
+        click.echo("\n\n".join(page.summary(scene.asked, choice, texture) for choice, texture in answers))
         if out is not None:
-            click.echo(f"{out / page.PLAN}: the plan; all {sum(len(each.candidates) for each in choices)} candidates")
-            click.echo(f"are in {page.CANDIDATES} and {page.PICTURE} next to it")
+            click.echo(f"\n{plain(str(out))}: {page.PLAN}, {page.PICTURE}, {page.CANDIDATES}, {page.BANDS}")
     if plays:
         with ExitStack() as stack:
             folder = out or Path(stack.enter_context(TemporaryDirectory()))

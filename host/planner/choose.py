@@ -9,7 +9,8 @@ from vibrocast.files import InputFileError
 from vibrocast.host.planner.band import MARGIN_DB, BandError
 from vibrocast.host.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator
 from vibrocast.host.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
-from vibrocast.host.planner.scene import Asked, Scene
+from vibrocast.host.planner.scene import Asked, Scene, Weights
+from vibrocast.pages import listed
 
 Progress = Callable[[float, str], None]
 FIRST_PACKET_BLOCKS = 4
@@ -17,24 +18,24 @@ FIRST_PACKET_BLOCKS = 4
 _FINER, _FINER_ON_THE_WHOLE = 3, 16
 """Finer settings that the search tries after the one found, in other packets, and on the whole of a long texture."""
 NEAREST = 3
-"""Alternatives that a person sees; the file of candidates has all."""
+"""Alternatives in the answer; candidates.csv has all candidates."""
 QUALITIES = {
     "snr_db": ("SNR", " dB"),
     "spqi": ("SPQI", ""),
     "third_octave_distance_db": ("third-octave distance", " dB"),
 }
-"""Name and unit of each measure for a person."""
+"""Name and unit of each measure in the answer."""
 _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
-"""Keys of the limits that a capped rate may keep where no setting does."""
+"""Keys of the limits that a capped rate may keep if no setting does."""
 
 
 class PlanningError(InputFileError):
-    """A scene whose requirements cannot be met; the message names the limits that are exceeded and the action."""
+    """A scene whose requirements no codec meets. The message names the requirement, the best result and the action."""
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why an option was not chosen. `best`: its candidate nearest to the targets; None where it has no setting."""
+    """Why an option was rejected. `best`: its candidate nearest to the targets; None if it has no setting."""
 
     option: CodingOption
     best: Candidate | None
@@ -43,10 +44,14 @@ class Reason:
 
 @dataclass(frozen=True)
 class TextureChoice:
-    """The choice for a texture, `why` it was chosen, all candidates, and why each other option was not chosen."""
+    """The choice for a texture, `why` it was chosen, all candidates, and why each other option was rejected.
+
+    `compared`: the choice on the part of the texture on which options are compared.
+    """
 
     evaluator: Evaluator
     chosen: Candidate
+    compared: Candidate
     why: str
     candidates: tuple[Candidate, ...]
     reasons: tuple[Reason, ...]
@@ -58,16 +63,17 @@ class TextureChoice:
 
     @property
     def alternatives(self) -> tuple[Reason, ...]:
-        """The NEAREST other options: first those that meet the targets, then those that miss, each by their cost."""
-
-        def distance(reason: Reason) -> tuple[bool, float]:
-            return not reason.best.meets, abs(reason.best.cost - self.chosen.cost)  # type: ignore[union-attr]
-
-        return tuple(sorted((each for each in self.reasons if each.best is not None), key=distance)[:NEAREST])
+        """The NEAREST other options in cost: first those that meet the targets, then those that miss one."""
+        measured = [(each, each.best) for each in self.reasons if each.best is not None]
+        measured.sort(key=lambda pair: (not pair[1].meets, abs(pair[1].cost - self.compared.cost)))
+        return tuple(reason for reason, _ in measured[:NEAREST])
 
 
 def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[TextureChoice, ...]]:
-    """Plan every texture of a scene. Raises PlanningError, also for a texture that nobody can feel."""
+    """Plan every texture of a scene. Raises PlanningError, also for a texture that nobody can feel.
+
+    `progress`: called with the share that is done, 0 to 1, and a text.
+    """
     choices = []
     for place, texture in enumerate(scene.textures):
 
@@ -87,26 +93,31 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
 def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part, details: None) -> TextureChoice:
     """Choose for one texture. Raises PlanningError.
 
-    The rate is capped where it has to be: to code by a setting takes fewer bits, but more of them in a loud second.
+    It caps the rate only if no setting keeps the limits, because a capped rate takes more bits on average.
     """
     search = _Search(evaluator, scene, progress)
     options = evaluator.options(scene.controller(evaluator.texture.controller).core)
     chosen = search.cheapest(options) or search.cheapest(search.capped(options))
-    if chosen is None:
+    if chosen is None or search.compared is None:
         raise search.error()
     reasons = tuple(
-        Reason(option, best, search.why_not(option, best, chosen))
+        Reason(option, best, search.why_not(option, best, search.compared))
         for option, best in search.bests.items()
         if option != chosen.measured.option
     )
-    return TextureChoice(evaluator, chosen, search.why(chosen), search.candidates(), reasons)
+    return TextureChoice(evaluator, chosen, search.compared, search.why(search.compared), search.candidates(), reasons)
 
 
 class _Search:
-    """The search for the cheapest candidate of one texture. `bests`: the best candidate of each option."""
+    """The search for the cheapest candidate of one texture.
+
+    `bests`: the best candidate of each option. `compared`: the chosen candidate where options are compared, on the
+    loudest part of a long texture; None before there is a choice.
+    """
 
     def __init__(self, evaluator: Evaluator, scene: Scene, progress: Progress) -> None:
         self.bests: dict[CodingOption, Candidate | None] = {}
+        self.compared: Candidate | None = None
         self._evaluator, self._scene, self._progress = evaluator, scene, progress
 
     def candidates(self) -> tuple[Candidate, ...]:
@@ -125,15 +136,18 @@ class _Search:
             found = list(self._of_option(option, bound))
             self.bests[option] = min((candidate for candidate, *_ in found), key=_preference, default=None)
             meeting += [(candidate, option, index, blocks) for candidate, index, blocks in found if candidate.meets]
-        for _, option, index, blocks in sorted(meeting, key=lambda each: each[0].cost):
+        meeting.sort(key=lambda each: each[0].cost)
+        for place, (candidate, option, index, blocks) in enumerate(meeting):
             whole = self._on_the_whole(option, index, blocks)
-            if whole is not None:
-                self.bests[option] = whole
+            if whole is not None and whole.meets:
+                self.bests[option], self.compared = whole, candidate
                 return whole
+            later = (other for other, same, *_ in meeting[place + 1 :] if same == option)
+            self.bests[option] = next(later, whole)
         return None
 
     def capped(self, options: list[CodingOption]) -> list[CodingOption]:
-        """Return, with their rate capped, those options that have the quality and exceed no limit but that of rate."""
+        """Return, with their rate capped, the options that have the quality and exceed only limits of the rate."""
         limit_bps = self._scene.asked.rate_limit_bps
         if limit_bps is None or self._evaluator.over_position:
             return []
@@ -144,71 +158,75 @@ class _Search:
         }
         return [replace(option, rate_limit_bps=limit_bps) for option in options if option in enough]
 
-    def why_not(self, option: CodingOption, best: Candidate | None, chosen: Candidate) -> str:
-        """Return in a line why an option was not chosen."""
+    def why_not(self, option: CodingOption, best: Candidate | None, compared: Candidate) -> str:
+        """Return in a line why an option was rejected. `compared`: the choice."""
         if best is None and option.rate_limit_bps is not None:
-            return "it cannot hold this rate"
+            return "cannot hold this rate"
         if best is None:
-            return "it cannot code this signal at this rate"
-        cost = self._compared_cost(chosen)
-        costs = f"{'higher' if best.cost >= cost else 'lower'} cost ({best.cost:.3g} vs {cost:.3g}"
+            return "cannot code this signal at this rate"
+        is_higher = best.cost >= compared.cost
+        cost = f"{'higher' if is_higher else 'lower'} cost ({_apart(best.cost, compared.cost)})"
         if not best.meets:
-            return f"{costs}) and misses the target: {self._missing(best)}"
-        if best.cost >= cost:
-            return f"{costs}; {_differences(best, chosen, self._scene)})"
-        return f"{costs}), but misses the target on the whole texture"
+            return f"{cost} {'and' if is_higher else 'but'} misses the target: {self._missing(best)}"
+        extra = _dominant_extra(best, compared, self._scene.weights)
+        return cost if extra is None else f"{cost}: {extra.text}"
 
-    def _compared_cost(self, chosen: Candidate) -> float:
-        """Return the choice's cost where options were compared: on the loudest part of a long texture."""
-        own = [each.cost for each in self.candidates() if each.measured.option == chosen.measured.option and each.meets]
-        return min(own)
-
-    def why(self, chosen: Candidate) -> str:
-        """Return in a sentence why a candidate was chosen, and why not a coarser setting of it."""
-        meeting = sum(best is not None and best.meets for best in self.bests.values())
-        asked = self._scene.asked
-        first = (
-            f"cheapest of the {meeting} options that meet {target(asked)} within all limits"
-            if meeting > 1
-            else f"the only option that meets {target(asked)} within all limits"
-        )
-        coarser = [
-            each
-            for each in self.candidates()
-            if each.measured.option == chosen.measured.option and each.shortfall > 0 and each.cost < chosen.cost
-        ]
-        if not coarser:
-            return f"{first}; it has no coarser setting"
-        nearest = min(coarser, key=lambda each: each.shortfall)
-        return f"{first}; a coarser setting has {reached(nearest, asked)}"
+    def why(self, compared: Candidate) -> str:
+        """Return in a sentence why an option was chosen, and how much more the next one costs."""
+        options = len([best for best in self.bests.values() if best is not None])
+        chosen = compared.measured.option
+        others = [best for option, best in self.bests.items() if option != chosen and best is not None and best.meets]
+        required = requirements(self._scene.asked)
+        if not others:
+            return f"the only one of {options} options that meets {required}"
+        following = min(others, key=lambda best: best.cost)
+        first = f"cheapest of {len(others) + 1} options that meet {required}; the next costs "
+        extra = _dominant_extra(following, compared, self._scene.weights)
+        if extra is None:
+            return f"{first}the same"
+        percent = 100 * (following.cost / compared.cost - 1) if compared.cost else math.inf
+        more = "more" if percent == math.inf else f"{percent:.0f} % more" if percent >= 1 else "less than 1 % more"
+        return f"{first}{more}, mainly {extra.name}"
 
     def error(self) -> PlanningError:
-        """Return the error that names the limits which the nearest candidate exceeds, or the best quality."""
-        texture, candidates = self._evaluator.texture, self.candidates()
+        """Return the error: the requirement that cannot be met, the best that can be reached, and what to change."""
+        texture, candidates, asked = self._evaluator.texture, self.candidates(), self._scene.asked
         where = f"{self._scene.path}: {texture.name}"
         if not candidates:
             return PlanningError(
-                f"{where}: no codec that {texture.controller} decodes takes this signal; give another controller"
+                f"{where}: no codec that {texture.controller} decodes takes this signal; choose another controller"
             )
-        enough = [candidate for candidate in candidates if candidate.shortfall <= 0 and candidate.broken]
-        if enough:
-            nearest, action = min(enough, key=_octaves_over), "raise this limit, or require less"
-        else:
-            nearest, action = min(candidates, key=lambda candidate: candidate.shortfall), "require less"
+        within = [each for each in candidates if not each.broken and each.quality is not None]
+        best = min(within, key=lambda each: each.shortfall, default=None)
+        enough = [each for each in candidates if each.shortfall <= 0 and each.broken]
+        if not enough:
+            place = "the best is" if best is None else "the best within all limits is"
+            best = best or min(candidates, key=lambda each: each.shortfall)
+            return PlanningError(
+                f"{where}: no codec reaches {target(asked)}; {place} {reached(best, asked)} "
+                f"({best.measured.option.name}); {_lowered(best, asked) or 'choose another measure of quality'}"
+            )
+        nearest = min(enough, key=_octaves_over)
+        exceeded = " and ".join(
+            f"{limit.place(texture.controller)} = {limit.available:.9g}" for limit in nearest.broken
+        )
+        needed = " and ".join(f"{limit.key} = {_rounded_up(limit.needed)}" for limit in nearest.broken)
+        within_limits = (
+            "no setting keeps all limits"
+            if best is None
+            else f"the best within all limits is {reached(best, asked)} ({best.measured.option.name})"
+        )
+        limits = "the limit to this value" if len(nearest.broken) == 1 else "the limits to these values"
+        lower = None if best is None else _lowered(best, asked)
         return PlanningError(
-            f"{where} cannot be planned: {nearest.measured.option.name} comes nearest: {self._missing(nearest)}; "
-            f"{action}"
+            f"{where}: no codec reaches {target(asked)} with {exceeded}; {nearest.measured.option.name} comes nearest "
+            f"and needs {needed}; {within_limits}; raise {limits}{'' if lower is None else f', or {lower}'}"
         )
 
     def _missing(self, candidate: Candidate) -> str:
-        """Return the quality where a candidate falls short of it, and the limits that it exceeds."""
-        controller = self._evaluator.texture.controller
-        asked = self._scene.asked
-        quality = [f"{reached(candidate, asked)}, required {target(asked)}"] * (candidate.shortfall > 0)
-        limits = [
-            f"needs {limit.place(controller)} = {limit.needed:.4g}, the scene has {limit.available:.4g}"
-            for limit in candidate.broken
-        ]
+        """Return the quality of a candidate if it is too low, and the limits that it exceeds."""
+        quality = [reached(candidate, self._scene.asked)] * (candidate.shortfall > 0)
+        limits = [f"{limit.key} {limit.needed:.4g}, limit {limit.available:.4g}" for limit in candidate.broken]
         return "; ".join([*quality, *limits])
 
     def _of_option(self, option: CodingOption, bound: float) -> Iterator[tuple[Candidate, int, int]]:
@@ -261,12 +279,17 @@ class _Search:
         return sorted(usual - {blocks})
 
     def _on_the_whole(self, option: CodingOption, index: int, blocks: int) -> Candidate | None:
-        """Return the candidate measured on the whole texture, finer where needed; None where it fails."""
+        """Return the candidate measured on the whole texture, with a finer setting if needed.
+
+        If no setting has the quality, return the finest one; None if the codec rejects the texture.
+        """
+        last = None
         for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(self._evaluator.qualities(option)))):
             candidate = self._candidate(option, finer, blocks, whole=True)
+            last = candidate or last
             if candidate is not None and candidate.shortfall <= 0:
-                return candidate if candidate.meets else None
-        return None
+                return candidate
+        return last
 
     def _candidate(self, option: CodingOption, index: int, blocks: int, whole: bool = False) -> Candidate | None:
         measured = self._evaluator.evaluate(option, index, blocks, whole)
@@ -283,22 +306,65 @@ def _octaves_over(candidate: Candidate) -> float:
     return sum(math.log2(limit.needed / limit.available) for limit in candidate.broken if limit.available)
 
 
-def _differences(best: Candidate, chosen: Candidate, scene: Scene) -> str:
-    """Return what differs most, by weight."""
-    a, b, weights = best.forecast, chosen.forecast, scene.weights
+@dataclass(frozen=True)
+class _Extra:
+    """A cost of which one candidate has more than another: its name, and how much more, with its unit."""
+
+    name: str
+    text: str
+
+
+def _dominant_extra(best: Candidate, compared: Candidate, weights: Weights) -> _Extra | None:
+    """Return the cost that adds most to the weighted cost of `best`; None if none adds to it."""
+    a, b = best.forecast, compared.forecast
     memory = [((each.flash_bytes or 0) + (each.ram_bytes or 0)) / 1e3 for each in (a, b)]
-    parts = (
-        (weights.per_kilobit_per_second, (a.wire_bps - b.wire_bps) / 1e3, "kbit/s"),
+    instructions = [(each.instructions_per_second or 0) / 1e6 for each in (a, b)]
+    weight, difference, name, unit = max(
+        (weights.per_kilobit_per_second, (a.wire_bps - b.wire_bps) / 1e3, "bits", "kbit/s more"),
         (
             weights.per_million_instructions_per_second,
-            ((a.instructions_per_second or 0) - (b.instructions_per_second or 0)) / 1e6,
-            "million instructions/s",
+            instructions[0] - instructions[1],
+            "instructions",
+            "million instructions/s more",
         ),
-        (weights.per_kilobyte, memory[0] - memory[1], "kB"),
-        (weights.per_millisecond, a.delay_ms - b.delay_ms, "ms"),
+        (weights.per_kilobyte, memory[0] - memory[1], "memory", "kB more memory"),
+        (weights.per_millisecond, a.delay_ms - b.delay_ms, "delay", "ms more delay"),
+        key=lambda part: part[0] * part[1],
     )
-    largest = sorted(parts, key=lambda part: -abs(part[0] * part[1]))[:2]
-    return ", ".join(f"{difference:+.3g} {unit}" for _, difference, unit in largest)
+    return _Extra(name, f"{difference:.{2 if difference < 10 else 3}g} {unit}") if weight * difference > 0 else None
+
+
+def _apart(a: float, b: float) -> str:
+    """Return "a vs b" with the fewest decimals, at least 2, that tell them apart."""
+    digits = next((digits for digits in range(2, 9) if f"{a:.{digits}f}" != f"{b:.{digits}f}"), 2)
+    return f"{a:.{digits}f} vs {b:.{digits}f}"
+
+
+def _rounded_up(value: float) -> str:
+    """Return a number above 0 with four significant digits, rounded up, so that it is enough."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return f"{math.ceil(value / step) * step:.9g}"
+
+
+def _lowered(best: Candidate, asked: Asked) -> str | None:
+    """Return how to require no more than the quality of `best`, rounded to the safe side; None if that cannot be."""
+    if best.quality is None or asked.measure == "imperceptible":
+        return None
+    if asked.measure == "third_octave_distance_db":
+        return f"raise {asked.measure} to {math.ceil(10 * best.quality) / 10:g}"
+    scale = 100 if asked.measure == "spqi" else 10
+    lower = math.floor(scale * best.quality) / scale
+    return f"lower {asked.measure} to {lower:g}" if lower > 0 else None
+
+
+def requirements(asked: Asked) -> str:
+    """Return all requirements: the quality, and the limits of rate and delay."""
+    given = [target(asked)]
+    if asked.rate_limit_bps is not None:
+        given.append(f"{asked.rate_limit_bps:.9g} bit/s")
+    if asked.delay_limit_ms is not None:
+        given.append(f"{asked.delay_limit_ms:g} ms")
+    return listed(given)
 
 
 def reached(candidate: Candidate, asked: Asked) -> str:
