@@ -1,4 +1,4 @@
-"""The band worth coding: what of a texture the actuator renders within its limits, and a finger may feel."""
+"""The band worth coding: the frequencies that the actuator can render and a finger may feel."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,30 +18,30 @@ from vibrocast.textures import Profile, Recording
 Samples = NDArray[np.float64]
 
 MARGIN_DB = -8.0
-"""What is above the detection threshold less this margin is kept. In the listening test of the DCT paper on
-material-like textures nobody told wood from the original with components dropped below b0 = -8 dB (sandpaper -4,
-leather +4), while b0 = 0, at the threshold itself, was noticed: the strictest of the three holds for all."""
+"""Level re the detection threshold from which a component is worth coding. In the listening test of the DCT paper on
+material-like textures, nobody noticed on wood that components below b0 = -8 dB were missing (sandpaper -4, leather +4).
+b0 = 0, the threshold itself, was noticed. The strictest of the three values holds for all."""
 PASS_BAND = 0.91
-"""Of half the stream's rate: as far as textures.resample leaves the band alone."""
+"""Part of half the stream's rate in which textures.resample keeps the level."""
 PROFILE_PASS_BAND = 0.68
-"""Of half the rate of a profile over position: what is rendered of it (firmware/core/profile.h)."""
+"""Part of half the rate of a profile over position that controllers render (firmware/core/profile.h)."""
 RATE_STEP = MIN_RATE_HZ = 100
-"""Rates of streams; no controller plays slower ones."""
+"""Step between rates of streams, and the lowest rate that controllers play."""
 SPEEDS = 5
-"""Hand speeds that a profile over position is looked at with, from the least to the greatest."""
+"""Number of hand speeds, from the lowest to the highest, whose bands a profile over position joins."""
 SLOWEST_MM_S = 10.0
-"""A hand that is slower explores no texture: what it would make a profile's finest parts be is not coded for it."""
+"""A slower hand explores no texture: the finest parts of a profile are not coded for it."""
 
 
 class BandError(ValueError):
-    """Nothing of a texture is worth coding; the message says why and what to do."""
+    """A texture without a band worth coding. The message says why, and what to do."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """One third octave of a texture at the skin. `level_db`: dB re the detection threshold, where it is loudest.
+    """One third octave of a texture at the skin, in dB re the detection threshold.
 
-    `reach_db`: the most that the actuator makes there within its limits, likewise.
+    `level_db`: of the loudest block and channel. `reach_db`: the highest level that the actuator reaches there.
     """
 
     frequency_hz: float
@@ -59,7 +59,7 @@ class Band:
     """The band worth coding of one texture.
 
     `lowest`, `highest`: in Hz, or in periods per metre over position. `rate`: of the stream that follows from it, in
-    samples per second, or per metre. `levels`: of the texture, at the greatest hand speed.
+    samples per second, or per metre. `levels`: of the texture, at the highest hand speed.
     """
 
     lowest: float
@@ -97,12 +97,12 @@ def band_of(
 
 
 def slowest_mm_s(hand_speed_mm_s: tuple[float, float]) -> float:
-    """Return the least speed at which a hand still explores."""
+    """Return the lowest speed at which a hand still explores."""
     return min(max(hand_speed_mm_s[0], SLOWEST_MM_S), hand_speed_mm_s[1])
 
 
 def levels_of(recording: Recording, actuator: Actuator, threshold: Samples) -> tuple[Level, ...]:
-    """Return a recording's third octaves at the skin, of the channel that is loudest in each."""
+    """Return a recording's third octaves at the skin, each of its loudest channel."""
     frequencies_hz, felt_db = over_threshold_db(at_the_skin(recording, actuator), recording.rate_hz, threshold)
     reach_um = max_um(actuator, frequencies_hz)
     reach_db = 20 * np.log10(reach_um / threshold_amplitude(threshold, frequencies_hz, "um"))
@@ -113,10 +113,10 @@ def levels_of(recording: Recording, actuator: Actuator, threshold: Samples) -> t
 
 
 def at_the_skin(recording: Recording, actuator: Actuator) -> Samples:
-    """Return the displacement at the skin, um (n, channels), without a delay, limits left aside.
+    """Return the displacement at the skin, um (n, channels), without a delay and without limits.
 
-    What the recording asks for (host.end_to_end.displacement_um), times the gain from there: compensation, DAC, held
-    over each of its samples, and actuator.
+    It is the recording's displacement (host.end_to_end.displacement_um), times the gain of compensation, DAC, whose
+    output is constant over a sample, and actuator.
     """
     displacement = displacement_um(recording.samples, recording.unit, recording.rate_hz, actuator)
     samples = len(displacement)
@@ -149,7 +149,7 @@ def max_um(actuator: Actuator, frequencies_hz: Samples) -> Samples:
 
 
 def _response(actuator: Actuator, frequencies_hz: Samples) -> Samples:
-    """Return the gain from a DAC sample, held, to displacement in parts of the excursion."""
+    """Return the gain from a DAC sample to displacement, in parts of the excursion."""
     s = 1j * frequencies_hz / actuator.corner_hz
     quality = actuator.quality
     response = 1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s)
@@ -169,7 +169,7 @@ def played_codes(stream: Stream, decoded: Codes, actuator: Actuator) -> Codes:
 
 
 def rendering_s(stream: Stream, actuator: Actuator) -> float:
-    """Return how long a sample that is due takes to the skin: decoding, output stage, DAC."""
+    """Return the delay in s from a sample's due time to the skin: decoding, output stage, DAC."""
     drive_s: float = Drive(stream.header, actuator, compensation=True).delay_seconds
     return stream.decoder().delay_samples / stream.header.rate_hz + drive_s + 1 / actuator.dac_rate_hz
 
@@ -184,8 +184,8 @@ def played_error_over_threshold_db(
 ) -> float:
     """Return the level of the error at the skin in its loudest third octave, dB re the detection threshold.
 
-    The error is what the skin gets of the DAC's `codes`, less what it would get of the recording without a codec: both
-    through the output stage, limits included, of a controller that works with `driven`, and through `skin_model`.
+    The error is the displacement by the DAC's `codes`, minus the displacement by the recording without a codec. Both
+    pass the output stage of a controller that works with `driven`, limits included, and `skin_model`.
     """
     decoder = stream.decoder()
     delay = decoder.delay_samples
@@ -201,7 +201,7 @@ def played_error_over_threshold_db(
 
 
 def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:
-    """Return the outer edges of the third octaves that are worth coding; 0 below where the lowest one is."""
+    """Return the outer edges of the third octaves worth coding; 0 Hz if the lowest third octave is one of them."""
     worth = [level.frequency_hz for level in levels if level.worth]
     if not worth:
         raise _nothing(levels, name)
@@ -212,26 +212,27 @@ def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:
 
 def _nothing(levels: tuple[Level, ...], name: str) -> BandError:
     best = max(levels, key=lambda level: min(level.level_db, level.reach_db))
-    what = "the actuator makes" if best.reach_db < best.level_db else "the texture holds"
+    source = "the actuator's reach" if best.reach_db < best.level_db else "the texture"
     return BandError(
-        f"{name}: the band worth coding is empty: the most that {what} lies {-min(best.level_db, best.reach_db):.0f} "
-        f"dB below the detection threshold, at {best.frequency_hz:.0f} Hz; check unit and full_scale, or give another "
-        "actuator"
+        f"{name}: no part of it can be felt: at best, {source} lies {-min(best.level_db, best.reach_db):.0f} dB below "
+        f"the detection threshold, at {best.frequency_hz:.0f} Hz; check unit and full_scale, or give another actuator"
     )
 
 
 def _check_recorded(recorded: float, name: str) -> None:
     if recorded < MIN_RATE_HZ:
-        raise BandError(f"{name}: recorded at {recorded:g} Hz; controllers play {MIN_RATE_HZ} Hz at least")
+        raise BandError(
+            f"{name}: recorded at {recorded:g} Hz, but controllers play at least {MIN_RATE_HZ} Hz; record faster"
+        )
 
 
 def _rate(highest: float, recorded: float, pass_band: float = PASS_BAND) -> int:
-    """Return the rate of a stream: in whole RATE_STEPs, and no more than was recorded."""
+    """Return the rate of a stream: a multiple of RATE_STEP, at most the recording's rate."""
     needed = math.ceil(2 * highest / pass_band / RATE_STEP) * RATE_STEP
     return max(1, min(needed, math.floor(recorded)))
 
 
 def _within_reach(recording: Recording) -> Recording:
-    """Return a recording at a rate that holds MAX_HZ, so that what takes up a whole surface stays short."""
+    """Return a recording at a rate that holds MAX_HZ, so that a profile of a whole surface has few samples."""
     rate_hz = 2 * MAX_HZ / PASS_BAND
     return textures.resample(recording, rate_hz) if recording.rate_hz > rate_hz else recording

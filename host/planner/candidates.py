@@ -1,4 +1,4 @@
-"""The options to code a texture, and what each costs and gives, measured on the texture itself, each only once."""
+"""The options to code a texture: cost and quality of each, measured on the texture itself, each only once."""
 
 import math
 from dataclasses import dataclass, replace
@@ -35,28 +35,28 @@ from vibrocast.textures import Profile, Recording
 
 PACKET_BLOCKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 DEFAULT_BLOCK_SAMPLES = 32
-"""Where the codec has one length only; its packets are rounded up to whole blocks of its own."""
+"""Of codecs with one block length; their packets are rounded up to whole blocks of their own."""
 MAX_PACKET_S = LIVE_REFRESH_S
 MEASURED_SAMPLES = 1 << 14
-"""Of all channels, on which candidates are compared: the stretch of most energy of a longer texture."""
+"""Samples of all channels on which candidates are compared: those of most energy in a longer texture."""
 PACKET_SNRS_DB = tuple(step / 2 for step in range(1, 121))
-"""Which a capped rate may aim at."""
+"""SNRs of a packet that a capped rate may aim at."""
 SPQI_RATE_HZ = 2800
-"""SPQI counts its blocks and thresholds in samples: it is always measured at this rate, that of the reference data."""
+"""SPQI counts blocks and thresholds in samples, so it is always measured at the rate of the reference data."""
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
 """Playout delays, the usual one first; docs/benchmarks/latency.md has the shortest stable one of each controller."""
 
-# A capped rate goes beyond the cap by what its rate buffer holds, in whole packets that last a second but for half of
-# one. A larger rate buffer would need a lower cap, and so lose more than it brings.
+# In any second, a capped rate may exceed the cap by its rate buffer; half a packet may round that second. A larger
+# rate buffer would need a lower cap, and lose more than it brings.
 _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
 
 
 @dataclass(frozen=True)
 class CodingOption:
-    """An option to code: all but the quality. `family`: of models, None = no model. `block`: samples, None where the
+    """A way to code a texture, without the quality. `family`: of models, None = no model. `block`: samples, None if the
     codec has one length only.
 
-    `rate_limit_bps`: what the rate is capped to keep, over any second; None = every packet is by the setting.
+    `rate_limit_bps`: limit over any second that a capped rate keeps; None = every packet has the setting.
     """
 
     codec: str
@@ -66,19 +66,19 @@ class CodingOption:
 
     @property
     def name(self) -> str:
-        """What a person calls it."""
+        """Name in the answer, such as "mdct, hop 32"."""
         block = "".join(f", {name} {value}" for name, value in self._known.block_setting(self.block).items())
         capped = "" if self.rate_limit_bps is None else f", capped to {self.rate_limit_bps:g} bit/s"
         return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + capped
 
     @property
     def decoder(self) -> str:
-        """Its name in the tables of what decoding costs."""
+        """Name in the tables of decoding costs."""
         return self.family or self.codec
 
     @property
     def given(self) -> Setting:
-        """What of the setting is fixed beforehand."""
+        """The part of the setting that the option fixes."""
         return {**self._known.planned_setting, **self._known.block_setting(self.block)}
 
     @property
@@ -88,11 +88,11 @@ class CodingOption:
 
 @dataclass(frozen=True)
 class MeasuredCoding:
-    """One coding of a texture, measured; what the asked quality does not need may be None.
+    """One coding of a texture, measured. Figures that the required quality does not need may be None.
 
-    `peak_bps`: of the frames on the wire, the most in any second. `max_frame_bytes`: of all frames.
+    `peak_bps`: the highest rate of the frames over any second. `max_frame_bytes`: of the longest frame.
     `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the detection threshold.
-    `quiet`: as costs.quiet_part. `target`: what it was rate-controlled to hold, None = every packet is by the setting.
+    `quiet`: as costs.quiet_part. `target`: of rate control, None = every packet has the setting.
     """
 
     option: CodingOption
@@ -115,15 +115,15 @@ class MeasuredCoding:
 
     @property
     def rate_buffer_bytes(self) -> float:
-        """What a capped rate lets wait on a link that carries no more; 0 for others, which have no such bound."""
+        """The most data of a capped rate that may wait on a link of that rate; 0 without a cap."""
         return 0.0 if self.target is None else (self.target.rate_bps or 0.0) * DEFAULT_RATE_BUFFER_S / 8
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit of the scene: what a candidate needs, and what there is, None = no limit.
+    """A limit of the scene: the value that a candidate needs, and the available one, None = no limit.
 
-    `table`, `key`: where the scene says it; of a controller, it is the one that plays the texture.
+    `table`, `key`: its place in the scene. Limits of a controller are those of the one that plays the texture.
     """
 
     table: str
@@ -132,23 +132,23 @@ class Limit:
     available: float | None
 
     def place(self, controller: str) -> str:
-        """Return where the scene says it; `controller`: the one that plays the texture."""
+        """Return its place in the scene. `controller`: name of the one that plays the texture."""
         return (
             f"[[controllers]] {controller}: {self.key}" if self.table == "controllers" else f"[{self.table}] {self.key}"
         )
 
     @property
     def kept(self) -> bool:
-        """Whether there is enough."""
+        """Whether the candidate keeps the limit."""
         return self.available is None or self.needed <= self.available
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A coding as the scene sees it.
+    """A coding, compared with the scene.
 
-    `quality`: in the asked measure, None for silence. `shortfall`: how far it is from what is asked, 0 or less where
-    that is met. `limits`: of the scene, all but the quality. `cost`: weighted sum.
+    `quality`: in the required measure, None for silence. `shortfall`: difference from the required quality, at most 0
+    if it is reached. `limits`: of the scene, without the quality. `cost`: weighted sum.
     """
 
     measured: MeasuredCoding
@@ -161,12 +161,12 @@ class Candidate:
 
     @property
     def broken(self) -> tuple[Limit, ...]:
-        """The limits that are not kept."""
+        """The limits that it exceeds."""
         return tuple(limit for limit in self.limits if not limit.kept)
 
     @property
     def meets(self) -> bool:
-        """Whether it has the asked quality within all limits."""
+        """Whether it has the required quality within all limits."""
         return self.shortfall <= 0 and not self.broken
 
 
@@ -193,8 +193,8 @@ class Evaluator:
             least = min_samples(self.band.rate, self.actuator.dac_rate_hz)
             if not 0 < least <= len(self.whole.samples):
                 raise BandError(
-                    f"{texture.name}: {1e3 * len(self.whole.samples) / self.band.rate:.3g} mm are too short to be "
-                    f"rendered by position, {1e3 * least / self.band.rate:.3g} mm are needed; measure a longer profile"
+                    f"{texture.name}: its {1e3 * len(self.whole.samples) / self.band.rate:.3g} mm are too short to "
+                    f"render by position, which needs {1e3 * least / self.band.rate:.3g} mm; measure a longer profile"
                 )
         self.excerpt = self.whole if self.over_position else _strongest(self.whole)
         self.drive_s = self._drive_s()
@@ -203,18 +203,18 @@ class Evaluator:
 
     @property
     def measured(self) -> list[MeasuredCoding]:
-        """All codings so far."""
+        """All codings measured so far."""
         return [each for each in self._measured.values() if each is not None]
 
     @property
     def samples_per_second(self) -> float:
-        """Of the stream; of one over position while the hand moves fastest."""
+        """Rate of the stream in Hz; over position, at the highest hand speed."""
         return self.band.rate * self.hand_speed_mm_s / 1000 if self.over_position else float(self.band.rate)
 
     def _drive_s(self) -> float:
-        """Delay of the controller's output: resampling to the DAC's rate, compensation, and one DAC sample.
+        """Return the delay of the controller's output: resampling to the DAC's rate, compensation, and one DAC sample.
 
-        Over position, of the heights that are rendered at the DAC's rate, and of the hand's positions before.
+        Over position, heights are rendered at the DAC's rate, and the delay of the hand's positions is added.
         """
         rate_hz = self.actuator.dac_rate_hz if self.over_position else self.band.rate
         header = StreamHeader(1, rate_hz, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
@@ -226,7 +226,7 @@ class Evaluator:
         return output + 1 / self.actuator.dac_rate_hz + hand_us / 1e6
 
     def options(self, core: str | None) -> list[CodingOption]:
-        """Return the options that a controller can decode, those first that are cheapest as a rule."""
+        """Return the options that a controller can decode, usually the cheapest first. `core`: None = a computer."""
         found = []
         for name, each in codec.CODECS.items():
             if self._waveform and not each.keeps_waveform:
@@ -239,9 +239,9 @@ class Evaluator:
         return [option for option in found if core is None or costs.decoder_cost(option.decoder, core) is not None]
 
     def settings(self, option: CodingOption) -> list[tuple[str | None, Setting]]:
-        """Return the settings of an option, each with the model of the family that it is for, the coarsest first.
+        """Return the settings of an option, each with its model's name, the coarsest first.
 
-        Empty where it has none for this texture.
+        Empty if the codec rejects this texture.
         """
         if option not in self._settings:
             chosen = codec.codec_by_name(option.codec)
@@ -261,7 +261,7 @@ class Evaluator:
         return self._settings[option]
 
     def qualities(self, option: CodingOption) -> list[tuple[str | None, Setting, float | None]]:
-        """Return models and settings of an option, the coarsest first; of a capped one, with each SNR of a packet."""
+        """Return models and settings of an option, the coarsest first; with a capped rate, for each SNR of a packet."""
         every = self.settings(option if option.rate_limit_bps is None else replace(option, rate_limit_bps=None))
         if option.rate_limit_bps is None:
             return [(model, setting, None) for model, setting in every]
@@ -269,7 +269,7 @@ class Evaluator:
         return [(self._model_for(option, snr_db), setting, snr_db) for snr_db in PACKET_SNRS_DB]
 
     def _model_for(self, option: CodingOption, snr_db: float) -> str | None:
-        """Return the model of an option's family whose own step comes nearest to an SNR from above; else the finest."""
+        """Return the coarsest model of an option's family that reaches an SNR by itself; else the finest."""
         own = replace(option, rate_limit_bps=None)
         every = [model for model, _ in self.settings(own)]
         if len(set(every)) < 2:
@@ -286,9 +286,9 @@ class Evaluator:
     def evaluate(
         self, option: CodingOption, index: int, packet_blocks: int, whole: bool = False
     ) -> MeasuredCoding | None:
-        """Code by a setting of an option, in packets of so many blocks; None where the codec rejects.
+        """Code with a setting of an option, in packets of `packet_blocks` blocks; None if the codec rejects it.
 
-        `whole`: all of the texture, and every quality measured.
+        `whole`: code all of the texture, and measure every quality.
         """
         key = option, index, packet_blocks, whole
         if key not in self._measured:
@@ -368,7 +368,7 @@ class Evaluator:
         )
 
     def assessed(self, measured: MeasuredCoding, scene: Scene) -> Candidate:
-        """Return a coding as a scene sees it, which may have other limits and targets than that of the evaluator."""
+        """Return a coding, compared with a scene. Its limits and targets may differ from the evaluator's scene."""
         controller, asked = scene.controller(self.texture.controller), scene.asked
         channels, rate_hz = self.texture.channels, self.samples_per_second
         decoding = (
@@ -386,13 +386,13 @@ class Evaluator:
             rest_flash_bytes, rest_ram_bytes = costs.rest_memory(channels)
             flash_bytes = rest_flash_bytes + decoding.flash_bytes
             ram_bytes = rest_ram_bytes + decoding.ram_bytes(channels)
-            if self.over_position:  # decoded once, and kept
+            if self.over_position:  # the controller decodes it once, and keeps it
                 ram_bytes += int(library().vc_profile_size(len(self.whole.samples), channels))
             else:
                 instructions += decoding.instructions_per_second(bits_per_sample, measured.quiet, rate_hz, channels)
             load_percent = 100 * instructions / controller.clock_hz
         fixed_ms, buffer_ms = scene.link.delay_ms + 1e3 * self.drive_s, 0.0
-        if not self.over_position:  # then no packet is under way: the hand's position alone
+        if not self.over_position:  # a profile is on the controller before, so only the hand's position has a delay
             samples = measured.packet_samples + measured.delay_samples
             carried = scene.link.bytes_per_second or math.inf
             fixed_ms += 1e3 * (samples / rate_hz + measured.max_frame_bytes / carried)
@@ -414,7 +414,7 @@ class Evaluator:
             error_over_threshold_db=measured.error_db,
             delay_ms=fixed_ms + buffer_ms,
         )
-        peak_bps = 0.0 if self.over_position else measured.peak_bps  # a profile is loaded before
+        peak_bps = 0.0 if self.over_position else measured.peak_bps  # a profile is uploaded before
         quality, shortfall = quality_of(measured, asked)
         senders = len({texture.controller for texture in scene.textures})
         limits = (
@@ -429,7 +429,7 @@ class Evaluator:
 
 
 def quality_of(measured: MeasuredCoding, asked: Asked) -> tuple[float | None, float]:
-    """Return the quality in the asked measure, and how far it is from what is asked: 0 or less where it is met."""
+    """Return the quality in the required measure, and its shortfall: at most 0 if it is reached."""
     if asked.snr_db is not None:
         return measured.snr_db, 0.0 if measured.snr_db is None else asked.snr_db - measured.snr_db
     if asked.spqi is not None:
@@ -437,12 +437,12 @@ def quality_of(measured: MeasuredCoding, asked: Asked) -> tuple[float | None, fl
     if asked.third_octave_distance_db is not None:
         distance_db = measured.third_octave_distance_db
         return distance_db, 0.0 if distance_db is None else distance_db - asked.third_octave_distance_db
-    assert measured.error_db is not None, "it is measured where it is asked"
+    assert measured.error_db is not None, "the required quality is always measured"
     return measured.error_db, measured.error_db - MARGIN_DB
 
 
 def weighted(forecast: Forecast, weights: Weights) -> float:
-    """Return the weighted cost of what has been measured of it."""
+    """Return the weighted cost; figures that are None count nothing."""
     memory_bytes = (forecast.flash_bytes or 0) + (forecast.ram_bytes or 0)
     return (
         weights.per_kilobit_per_second * forecast.wire_bps / 1e3
@@ -460,7 +460,7 @@ def spqi(reference: Recording, decoded: Signal) -> float | None:
 
 
 def _strongest(recording: Recording) -> Recording:
-    """Return the stretch of most energy of MEASURED_SAMPLES, or all of a shorter recording."""
+    """Return the MEASURED_SAMPLES of most energy, or all of a shorter recording."""
     samples = recording.samples
     count = max(1, MEASURED_SAMPLES // recording.channels)
     if len(samples) <= count:
@@ -472,7 +472,7 @@ def _strongest(recording: Recording) -> Recording:
 
 
 def _peak_bps(frames: list[int], packet_s: float) -> float:
-    """Return the bits of the most frames that any second holds, whole packets counted."""
+    """Return the highest rate of the frames over any second of whole packets, in bit/s."""
     count = min(len(frames), max(1, round(1 / packet_s)))
     sums = np.concatenate([[0], np.cumsum(frames)])
     return float(8 * np.max(sums[count:] - sums[:-count]) / (count * packet_s))

@@ -1,4 +1,4 @@
-"""Holds what a plan forecast against what was measured when it was played: a table, a verdict."""
+"""Compares forecasts of a plan with measurements of its playback: a table, and the failures."""
 
 import csv
 import math
@@ -13,12 +13,12 @@ from vibrocast.files import atomic_write
 from vibrocast.host.planner.playing import Played
 
 TOLERANCE = 0.1
-"""How far what is held to the forecast may be off."""
+"""Largest relative deviation of a measurement from its forecast."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One of the figures of a Forecast. `held`: whether it must be within TOLERANCE. `digits`: behind the point."""
+    """One of the figures of a Forecast. `held`: whether it must be within TOLERANCE. `digits`: decimals."""
 
     name: str
     title: str
@@ -27,7 +27,7 @@ class Quantity:
     digits: int
 
     def deviation(self, forecast: float, measured: float) -> float:
-        """Return how far off the measured value is, relative to the forecast; levels as amplitudes, 1 dB being 12 %."""
+        """Return the deviation relative to the forecast; levels as amplitudes, so 1 dB is 12 %."""
         if self.unit == "dB":
             return math.pow(10.0, (measured - forecast) / 20) - 1
         return measured / forecast - 1 if forecast else float(measured != forecast)
@@ -46,13 +46,14 @@ QUANTITIES = (
     Quantity("flash_bytes", "flash", "bytes", False, 0),
     Quantity("ram_bytes", "RAM", "bytes", False, 0),
 )
-"""All figures; what delays are depends on the computer and the link, and memory is not measured here."""
+"""All figures. Delays depend on the computer and the link; memory is not measured here."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of one texture. `measured`, `deviation`: None where nothing measured it; `within`: None likewise, and
-    for what is not held to the forecast."""
+    """One figure of one texture. `measured`, `deviation`: None if nothing measured it.
+
+    `within`: whether it is within TOLERANCE; None if nothing measured it, or it need not be."""
 
     texture: str
     quantity: Quantity
@@ -63,7 +64,7 @@ class Row:
 
 
 def rows(played: Sequence[Played]) -> list[Row]:
-    """Return every figure that was forecast beside what was measured."""
+    """Return every forecast with its measurement."""
     return [
         _row(each, quantity, forecast)
         for each in played
@@ -80,26 +81,29 @@ def _row(played: Played, quantity: Quantity, forecast: float) -> Row:
 
 
 def failures(played: Sequence[Played], compared: Sequence[Row]) -> list[str]:
-    """Return a line for all that went wrong: what came too late, differs from what was sent, or from the forecast."""
-    told = []
+    """Return a line for each failure: late packets, samples that differ from those sent, and wrong forecasts."""
+    found = []
     for each in played:
         if not each.in_time:
-            told.append(
-                f"{each.texture.name}: {each.underruns} underruns, {each.lost_packets} lost packets: the computer or "
-                "the link is too busy, or buffer_ms too short"
+            found.append(
+                f"{each.texture.name}: {each.underruns} underruns, {each.lost_packets} lost packets; the computer or "
+                "the link is too busy, or the playout delay too short; raise buffer_ms in the plan"
             )
         if False in (each.as_decoded, each.as_computed):
-            told.append(f"{each.texture.name}: the controller played something else than what was sent")
-    told += [
-        f"{row.texture}: {row.quantity.title} is {100 * row.deviation:+.1f} % off the forecast"
+            found.append(
+                f"{each.texture.name}: the controller's samples differ from those that the host computes; test it with "
+                "`vibrocast conformance`"
+            )
+    found += [
+        f"{row.texture}: {row.quantity.title} deviates by {100 * row.deviation:+.1f} % from its forecast"
         for row in compared
         if row.within is False and row.deviation is not None
     ]
-    return told
+    return found
 
 
 def lines(compared: Sequence[Row]) -> list[str]:
-    """Return a table of all figures for a person, without colours."""
+    """Return a table of all figures as lines of text."""
     header = ("texture", "", "forecast", "measured", "deviation")
     cells = [header]
     for row in compared:
@@ -121,7 +125,7 @@ def lines(compared: Sequence[Row]) -> list[str]:
 
 
 def write_csv(path: Path, compared: Sequence[Row]) -> None:
-    """Write the figures as CSV, one a line. Raises OSError."""
+    """Write the figures as CSV, a line each. Raises OSError."""
     with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("texture", "quantity", "forecast", "measured", "deviation", "within"))

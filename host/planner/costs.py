@@ -1,4 +1,4 @@
-"""What decoding costs a controller, from the tables that `python -m studies.firmware` measures."""
+"""The cost of decoding on a controller, from the tables that `python -m studies.firmware` measures."""
 
 import csv
 from collections.abc import Iterator
@@ -15,20 +15,19 @@ _TABLES = Path(__file__).parent / "data"
 _KERNELS = "DSP instructions"
 _MEASURED_CORE = "M4F"
 BOARD_CORES = {"cortex-m4": "M4F", "cortex-m7": "M7", "cortex-m33": "M33", "stm32f405": "M4F"}
-"""Controllers of which the whole load was measured, by their address, and their processors; the first of a kind stands
-for others."""
+"""Processors of the controllers whose whole load was measured, by address. The first of a kind stands for others."""
 MAX_LOAD_PERCENT = 60.0
-"""Of a processor, by instructions: on a Cortex-M4 an instruction of these decoders takes some 1.3 cycles, flash memory
-adds wait states, and frames come when they come."""
+"""Highest load of a processor, by instructions. On a Cortex-M4 an instruction of these decoders takes some 1.3 cycles,
+flash memory adds wait states, and frames may arrive at any time."""
 
 
 QUIET_SAMPLES = 16
 
 
 def quiet_part(decoded: NDArray[np.int16]) -> float:
-    """Return the part of the stretches of QUIET_SAMPLES of decoded samples (n, channels) that are all 0.
+    """Return the share of runs of QUIET_SAMPLES decoded samples (n, channels) that are all 0.
 
-    Decoders pass over blocks without a signal quickly.
+    Decoders skip blocks without a signal quickly.
     """
     whole = len(decoded) // QUIET_SAMPLES * QUIET_SAMPLES
     stretches = decoded[:whole].reshape(-1, QUIET_SAMPLES, decoded.shape[1])
@@ -37,11 +36,11 @@ def quiet_part(decoded: NDArray[np.int16]) -> float:
 
 @dataclass(frozen=True)
 class DecoderCost:
-    """Of one decoder on one core.
+    """The cost of one decoder on one core.
 
-    `instructions`: per sample of one channel, what a quiet sample takes, what another takes, and each bit, fitted to
-    what was measured on textures. `flash_bytes`: code and model. `state_bytes`: RAM of a decoder for 1, 2 and 4
-    channels. `stack_bytes`: the most that was used.
+    `instructions`: for a quiet sample of one channel, for another sample, and for each bit; fitted to measurements on
+    textures. `flash_bytes`: code and model. `state_bytes`: RAM of a decoder for 1, 2 and 4 channels. `stack_bytes`: the
+    most that was used.
     """
 
     instructions: tuple[float, float, float]
@@ -50,27 +49,27 @@ class DecoderCost:
     stack_bytes: int
 
     def instructions_per_second(self, bits_per_sample: float, quiet: float, rate_hz: float, channels: int) -> float:
-        """Return what decoding takes, where a sample of each channel takes so many bits; `quiet`: as quiet_part."""
+        """Return the instructions per second. `bits_per_sample`: of each channel; `quiet`: as quiet_part."""
         of_quiet, of_other, of_bit = self.instructions
         return (of_quiet * quiet + of_other * (1 - quiet) + of_bit * bits_per_sample) * rate_hz * channels
 
     def ram_bytes(self, channels: int) -> int:
-        """Return state and stack; state grows by what each channel adds."""
+        """Return state and stack; the state is linear in the channels."""
         return round(_line((1, 2, 4), self.state_bytes, channels)) + self.stack_bytes
 
 
 @cache
 def decoder_cost(decoder: str, core: str, block: str | None = None) -> DecoderCost | None:
-    """Return the cost of a codec or model by its name, None where it has not been measured on that core.
+    """Return the cost of a codec or model by its name, None if it has not been measured on that core.
 
-    `block`: the length of its blocks, None = of all that were measured together.
+    `block`: the length of its blocks, None = all measured lengths together.
     """
     loads = {core: [row for row in _rows("loads") if _is(row, decoder, core)] for core in (core, _MEASURED_CORE)}
     sizes = [row for row in _rows("sizes") if (row["decoder"], row["kernels"]) == (decoder, _KERNELS)]
     decoding = [row for row in _rows("decoding") if row["decoder"] == decoder and block in (None, row["block"])]
     if not loads[core] or not sizes or not decoding:
         return None
-    # Blocks of all lengths were measured on one core; another takes so much more for the same.
+    # Blocks of all lengths were measured on one core only. The ratio of the mean loads converts them to another.
     ratio = _mean_instructions(loads[core]) / _mean_instructions(loads[_MEASURED_CORE])
     one, two, four = (int(sizes[0][f"state_{channels}_bytes"]) for channels in (1, 2, 4))
     return DecoderCost(
@@ -90,7 +89,7 @@ def _mean_instructions(rows: list[dict[str, str]]) -> float:
 
 
 def _fitted(rows: list[dict[str, str]], ratio: float) -> tuple[float, float, float]:
-    """Return what a quiet sample, another, and each bit takes: the least squares of relative errors, none below 0."""
+    """Return the instructions of a quiet sample, another, and a bit: least squares of relative errors, none below 0."""
     from scipy.optimize import nnls
 
     measured, quiet, bits = (
@@ -103,7 +102,7 @@ def _fitted(rows: list[dict[str, str]], ratio: float) -> tuple[float, float, flo
 
 @cache
 def rest_memory(channels: int) -> tuple[int, int]:
-    """Return flash and RAM that the firmware takes besides its decoders; a line over the channels."""
+    """Return bytes of flash and RAM of the firmware without its decoders; both are linear in the channels."""
     rows = list(_rows("controller"))
     measured = [int(row["channels"]) for row in rows]
     flash_bytes, ram_bytes = (
@@ -115,10 +114,10 @@ def rest_memory(channels: int) -> tuple[int, int]:
 def rest_instructions(
     board: str, core: str, unit: str, channels: int, rate_hz: float, packets_per_second: float
 ) -> float:
-    """Return the instructions a second that the firmware takes besides decoding: messages, buffer, output stage.
+    """Return the firmware's instructions per second without decoding: messages, buffer, output stage.
 
-    `board`: the controller's address; one that was not measured takes what that of BOARD_CORES with its core does.
-    `unit`: PROFILE_UNIT for a profile over position, which has one channel, and of which the rest is of no matter.
+    `board`: the controller's address; one that was not measured counts as the board of BOARD_CORES with its core.
+    `unit`: PROFILE_UNIT for a profile over position, for which the later arguments do not matter.
     """
     if board not in BOARD_CORES:
         board = next(name for name, its_core in BOARD_CORES.items() if its_core == core)
@@ -128,7 +127,7 @@ def rest_instructions(
 
 @cache
 def _rest_fitted(board: str, over_position: bool) -> NDArray[np.float64]:
-    """Return what each of _rest_terms takes a controller: the least squares of relative errors, none below 0."""
+    """Return the instructions of each of _rest_terms: least squares of relative errors, none below 0."""
     from scipy.optimize import nnls
 
     rows = [row for row in _rows("controller") if (row["board"], row["unit"] == PROFILE_UNIT) == (board, over_position)]
@@ -142,7 +141,7 @@ def _rest_fitted(board: str, over_position: bool) -> NDArray[np.float64]:
 
 
 def _rest_terms(unit: str, channels: int, rate_hz: float, packets_per_second: float) -> tuple[float, ...]:
-    """Return of what the rest is a sum: always, per channel of the output, sample, integrated sample, and packet."""
+    """Return the terms of the rest: constant, channels, samples, integrated samples, and packets per second."""
     if unit == PROFILE_UNIT:
         return (1.0,)
     samples = rate_hz * channels

@@ -1,4 +1,4 @@
-"""The plan file of `vibrocast plan`: how each texture of a scene is coded, sent and played (docs/how-to/plan.md)."""
+"""The plan file of `vibrocast plan`: how to code, send and play each texture (docs/reference/toml_files.md)."""
 
 import json
 import os
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -44,21 +45,21 @@ RATE_MODES = (SETTING_MODE, CAPPED_MODE)
 
 
 class PlanError(InputFileError):
-    """A plan file that is wrong, or does not fit what is there; the message says what to do."""
+    """A mistake in a plan, or one that does not fit files or controllers. The message says what to do."""
 
 
 Figure = Annotated[float, within(-1e300, 1e300)]
 
 
 class Forecast(Table, frozen=True, kw_only=True):
-    """What a plan says of a texture; measured when it was planned, on the texture itself, unless told otherwise.
+    """The forecast for a texture. Rates and quality were measured on the texture itself.
 
     `payload_bps`, `wire_bps`: packets alone, and in their frames. `instructions_per_second`, `load_percent`,
-    `flash_bytes`, `ram_bytes`: of the decoder, from this project's tables (docs/benchmarks/firmware.md), None where
+    `flash_bytes`, `ram_bytes`: of the controller, from this project's tables (docs/benchmarks/firmware.md), None where
     they were not measured; load is of the whole processor. `snr_db`, `spqi`, `third_octave_distance_db`: as
     evaluation.metrics measures the decoded signal in the band worth coding. `error_over_threshold_db`: the loudest
     part of the error at the skin, relative to the detection threshold. `delay_ms`: from a sample at the host to the
-    skin, packet, codec, buffer, link and compensation together.
+    skin, the sum of packet, codec, buffer, link and compensation.
     """
 
     payload_bps: Figure
@@ -75,15 +76,14 @@ class Forecast(Table, frozen=True, kw_only=True):
 
 
 class PlannedTexture(Table, frozen=True, kw_only=True):
-    """How one texture is coded and sent.
+    """How to code and send one texture.
 
-    `hand_speed_mm_s`: under which a height profile is swept; of a profile over position, the greatest.
+    `hand_speed_mm_s`: at which a height profile is swept; of a profile over position, the highest.
     `over_position`: the stream is a profile, its `rate` in samples per metre; otherwise in Hz. `lowest`, `highest`:
     the band worth coding, in Hz, or in periods per metre. `packet_samples`, `refresh_packets`: as codec.Framing.
     `rate_mode`: one of RATE_MODES; "setting": every packet by the setting; "capped": every packet with an SNR of
-    `packet_snr_db`, or as near to it as `capped_rate_bps` lets it, frames included (codec.CappedRate). `buffer_ms`: how
-    long packets lie on the controller before they are needed. `sha256`: of the texture's files, as Source gives it;
-    None = of no matter.
+    `packet_snr_db`, or as near to it as `capped_rate_bps` allows, frames included (codec.CappedRate). `buffer_ms`: how
+    long packets wait on the controller. `sha256`: of the texture's files, as Source gives it; None = not checked.
     """
 
     name: Text
@@ -100,7 +100,7 @@ class PlannedTexture(Table, frozen=True, kw_only=True):
     packet_samples: Annotated[int, within(1, 1 << 20, "samples of a packet")]
     refresh_packets: Annotated[int, within(0, 1 << 20, "packets between two refreshes")]
     rate_mode: Annotated[str, one_of(RATE_MODES)]
-    buffer_ms: Annotated[float, within(0, MAX_BUFFER_MS, "margin of packets in ms")]
+    buffer_ms: Annotated[float, within(0, MAX_BUFFER_MS, "playout delay in ms")]
     forecast: Forecast
     sha256: Text | None = None
     capped_rate_bps: Annotated[float, within(1, 1e9, "bits per second on the wire")] | None = None
@@ -108,16 +108,18 @@ class PlannedTexture(Table, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.lowest >= self.rate / 2:
-            raise ValueError(f"lowest = {self.lowest:g} must be below half of rate = {self.rate}")
+            raise ValueError(f"lowest = {self.lowest:g} must be below half of rate = {self.rate}; lower it")
         capped = self.rate_mode == CAPPED_MODE
         if {self.capped_rate_bps is not None, self.packet_snr_db is not None} != {capped}:
-            raise ValueError(f"capped_rate_bps and packet_snr_db are of rate_mode = {CAPPED_MODE!r}, which needs both")
+            raise ValueError(
+                f"rate_mode = {CAPPED_MODE!r} needs both capped_rate_bps and packet_snr_db, others neither"
+            )
         if capped and self.over_position:
-            raise ValueError(f"a profile over position has no rate to cap: rate_mode = {SETTING_MODE!r}")
+            raise ValueError(f"a profile over position has no rate to cap; set rate_mode = {SETTING_MODE!r}")
 
     @property
     def target(self) -> RateTarget | None:
-        """What the stream is rate-controlled to hold; None where every packet is by the setting."""
+        """The target of rate control; None if every packet has the setting."""
         if self.rate_mode == SETTING_MODE:
             return None
         return RateTarget(capped_rate_bps=self.capped_rate_bps, snr_db=self.packet_snr_db)
@@ -130,13 +132,13 @@ class PlannedTexture(Table, frozen=True, kw_only=True):
         )
 
     def _check_files(self) -> None:
-        """Raise PlanError where the texture's files are gone, or are not what was planned for."""
+        """Raise PlanError if the texture's files are missing, or have changed since they were planned."""
         for file in self.source.files:
             if not file.is_file():
-                raise PlanError(f"{self.name}: {file} does not exist; bring it back, or plan the scene again")
+                raise PlanError(f"{self.name}: {file} does not exist; restore it, or plan the scene again")
         if self.sha256 is not None and self.sha256 != self.source.sha256():
             files = ", ".join(map(str, self.source.files))
-            raise PlanError(f"{self.name}: {files} changed after this was planned; plan the scene again")
+            raise PlanError(f"{self.name}: {files} changed since the plan was made; plan the scene again")
 
     def encode(self, recording: Recording | None = None) -> Encoding:
         """Code the texture as planned; `recording`: as `recording` returns it, where that has been done.
@@ -187,16 +189,16 @@ class Plan:
 def prepared(
     loaded: Recording | Profile, hand_speed_mm_s: float, over_position: bool, rate: int, lowest: float
 ) -> Recording:
-    """Return a texture at the stream's rate, and without what lies below its band. Raises TextureError.
+    """Return a texture at the stream's rate, without the signal below its band. Raises TextureError.
 
-    What is above the band goes with the resampling. Below `lowest`, a Butterworth high-pass of order LOW_CUT_ORDER
-    run in both directions, without delay, whose corner (-6 dB) lies an octave lower: it takes 0.03 dB at `lowest`; 0 =
-    nothing is taken away. A profile over position has its rate per metre for hertz.
+    Resampling removes the signal above the band. Below `lowest`, a Butterworth high-pass of order LOW_CUT_ORDER runs in
+    both directions, without delay. Its corner (-6 dB) lies an octave lower, so it takes 0.03 dB at `lowest`; 0 = no
+    high-pass. The rate of a profile over position is per metre.
     """
     from scipy import signal
 
     if isinstance(loaded, Profile):
-        # Over position, a metre takes the place of a second: as if swept at 1000 mm/s.
+        # At 1000 mm/s, a metre takes a second, so that rates per metre are rates in hertz.
         loaded = loaded.recording(1000.0 if over_position else hand_speed_mm_s)
     recording = textures.resample(loaded, rate)
     if lowest <= 0:
@@ -216,9 +218,9 @@ def encode(
     over_position: bool,
     target: RateTarget | None = None,
 ) -> Encoding:
-    """Code a recording by a setting, cut into packets for a live stream, or for a profile. Raises CodecError.
+    """Code a recording with a setting, in packets of a live stream or of a profile. Raises CodecError.
 
-    `target`: what a live stream is rate-controlled to hold; None = every packet is by the setting.
+    `target`: of the rate control of a live stream; None = every packet has the setting.
     """
     unit = PROFILE_UNIT if over_position else recording.unit
     samples, rate = recording.samples, round(recording.rate_hz)
@@ -232,16 +234,16 @@ def encode(
 
 
 def write_plan(path: Path, plan: Plan) -> None:
-    """Write a plan as TOML; files are named from its folder. Raises OSError."""
+    """Write a plan as TOML. Paths of files start at its folder. Raises OSError."""
     folder = path.parent
 
     def from_folder(file: Path) -> str:
         return os.path.relpath(file, folder)
 
-    # The one that ships is found wherever it is installed.
+    # The threshold that ships has no path: the plan stays valid on another computer.
     threshold = None if plan.threshold_path == DETECTION_THRESHOLD else from_folder(plan.threshold_path)
     parts = [
-        "# Made by `vibrocast plan`; what each key means is in docs/how-to/plan.md.",
+        "# Written by `vibrocast plan`. docs/reference/toml_files.md describes every key.",
         _lines({"format": FORMAT, "scene": from_folder(plan.scene), "threshold": threshold}),
     ]
     for controller in plan.controllers:
@@ -257,25 +259,49 @@ def write_plan(path: Path, plan: Plan) -> None:
             "generate": source.kind,
             **{key: getattr(texture, key) for key in texture.__struct_fields__ if key not in _TABLES},
         }
-        parts.append("[[textures]]\n" + _lines(values))
-        for key, table in (("options", source.options), ("setting", texture.setting)):
-            parts.append(f"[textures.{key}]\n" + _lines(table))
+        parts.append("[[textures]]\n" + _lines(values, _OVER_POSITION if texture.over_position else _OVER_TIME))
+        if source.options:
+            parts.append("[textures.options] # properties that the file does not state\n" + _lines(source.options))
+        parts.append("[textures.setting] # of the codec\n" + _lines(texture.setting))
         forecast = {
             name: float(f"{value:.6g}") if isinstance(value, float) else value
             for name, value in structs.asdict(texture.forecast).items()
         }
-        parts.append("[textures.forecast]\n" + _lines(forecast))
+        parts.append("[textures.forecast] # `vibrocast play --plan` compares it with measurements\n" + _lines(forecast))
     with atomic_write(path) as partial:
         partial.write_text("\n".join(parts), encoding="utf-8")
 
 
 _TABLES = ("name", "source", "setting", "forecast")
 
+_COMMENTS = {
+    "packet_samples": "samples per channel in a packet",
+    "refresh_packets": "packets from one random-access packet to the next",
+    "buffer_ms": "playout delay",
+    "sha256": "of the files; a plan whose files have changed is rejected",
+    "capped_rate_bps": "of packets and frames",
+    "packet_snr_db": "of each packet, if the rate allows it",
+}
+_OVER_TIME = _COMMENTS | {
+    "rate": "samples per second",
+    "lowest": "Hz, of the band worth coding",
+    "highest": "Hz",
+}
+_OVER_POSITION = _COMMENTS | {
+    "rate": "samples per metre",
+    "lowest": "periods per metre, of the band worth coding",
+    "highest": "periods per metre",
+}
 
-def _lines(values: Mapping[str, Any]) -> str:
-    """Return key = value lines; None is left out."""
+
+def _lines(values: Mapping[str, Any], comments: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return key = value lines, with the comment of each key; None is left out."""
     # Texts, numbers, lists and truth values in JSON are the same in TOML.
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items() if value is not None)
+    return "".join(
+        f"{key} = {json.dumps(value)}{f'  # {comments[key]}' if key in comments else ''}\n"
+        for key, value in values.items()
+        if value is not None
+    )
 
 
 class _PlanFile(Table, frozen=True, kw_only=True):
@@ -288,7 +314,7 @@ class _PlanFile(Table, frozen=True, kw_only=True):
 
 
 def read_plan(path: Path) -> Plan:
-    """Read a plan file. Raises PlanError, and OSError where it cannot be read."""
+    """Read a plan file. Raises PlanError, and OSError if it cannot be read."""
     folder = path.parent
     with located(path, PlanError):
         file = convert(read_toml(path, "plan"), _PlanFile)

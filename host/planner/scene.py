@@ -1,4 +1,4 @@
-"""The scene file: textures, hand speeds, actuators, controllers, link and targets, in TOML (docs/how-to/plan.md)."""
+"""The scene file in TOML: textures, hand, actuators, controllers, link, targets (docs/reference/toml_files.md)."""
 
 import hashlib
 import math
@@ -37,18 +37,18 @@ USB_BYTES_PER_SECOND = {"usb-full-speed": 1_216_000.0, "usb-high-speed": 53_248_
 """The most that bulk transfers carry: 19 packets of 64 bytes in a frame of 1 ms, 13 of 512 in a microframe of 125 us
 (USB 2.0 specification, tables 5-9 and 5-10)."""
 LINK_DELAYS_MS = {"serial": 1.0, "usb-full-speed": 1.0, "usb-high-speed": 0.125, "simulated": 0.0}
-"""From the host's write to the controller: USB takes data once a frame or microframe, a serial adapter is on USB."""
+"""From the host's write to the controller: USB takes data once a frame or microframe; serial adapters are on USB."""
 _BITS_PER_SERIAL_BYTE = 10  # a start bit, eight bits of data, a stop bit
 
 HAND_SPEEDS_MM_S = (1.0, 2000.0)
-"""Hands explore surfaces at some 10 to 300 mm/s; faster and slower ones are taken, metres for millimetres are not."""
+"""Hands explore surfaces at some 10 to 300 mm/s. The range is wider, but rejects metres given as millimetres."""
 
 MAX_TRACKED_MM_S = 300.0
-"""To which hand speed profiles are rendered by position (firmware/core/profile.h)."""
+"""Highest hand speed at which controllers render profiles by position (firmware/core/profile.h)."""
 
 
 class SceneError(InputFileError):
-    """A scene that is wrong; the message names file, table and key, and says what to do."""
+    """A mistake in a scene. The message names file, table and key, and says what to do."""
 
 
 class SceneController(BenchController, frozen=True, kw_only=True):
@@ -70,7 +70,7 @@ class SceneController(BenchController, frozen=True, kw_only=True):
         if self.core is not None and self.clock_hz is None:
             raise ValueError(f"core {self.core} needs its clock_hz, such as clock_hz = 168_000_000")
         if self.core is None and self.clock_hz is not None:
-            raise ValueError(f"clock_hz needs the core that it drives: add core, one of {', '.join(CORES)}")
+            raise ValueError(f"clock_hz needs a core: add core, one of {', '.join(CORES)}")
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a texture comes from: files that are played together, one after another on the channels, or a generator.
+    """Where a texture comes from: files played together, whose channels follow one another, or a generator.
 
     `options`: keyword arguments of `textures.load`, or of the generator `kind`.
     """
@@ -96,8 +96,8 @@ class Source:
     def load(self, hand_speed_mm_s: float) -> Recording | Profile:
         """Load or make the texture; a lone height profile as such. Raises TextureError.
 
-        Of acceleration from files, the band below touch is removed, as `coding.encode` does: before anything resamples
-        or lengthens it, which would make an offset a step.
+        A high-pass removes the band below touch from acceleration in files, as `vibrocast encode` does. It comes before
+        resampling and padding, because these would turn an offset into a step.
         """
         if self.kind is not None:
             return textures.GENERATORS[self.kind](hand_speed_mm_s=hand_speed_mm_s, **self.options)
@@ -108,7 +108,7 @@ class Source:
     def _highpassed(self, path: Path) -> Recording:
         loaded = textures.load_for_actuators(path, **self.options)
         if loaded.rate_hz <= 2 * textures.HIGHPASS_HZ:
-            return loaded  # no controller plays it, as the planner says
+            return loaded  # `band_of` rejects this rate
         return textures.highpass(loaded, textures.highpass_of(self.options.get("unit"))).recording
 
     def sha256(self) -> str | None:
@@ -137,12 +137,13 @@ class SceneTexture:
 
 
 class Asked(Table, frozen=True, kw_only=True):
-    """What is asked of every texture. Of the first four, one is given.
+    """The requirements of every texture. Exactly one of the first four is given.
 
-    `snr_db`: of the decoded signal in the band worth coding, in its own unit, as `vibrocast play` tells it. `spqi`,
+    `snr_db`: of the decoded signal in the band worth coding, in its own unit, as `vibrocast play` prints it. `spqi`,
     `third_octave_distance_db`: as evaluation.metrics measures them. `imperceptible`: the error at the skin
-    is below the detection threshold by the margin of host.planner.band. `waveform`: whether a description will not do.
-    `rate_limit_bps`: of the bytes on the wire, of each stream. `delay_limit_ms`: to the skin.
+    is below the detection threshold by MARGIN_DB of host.planner.band. `waveform`: excludes parametric coding; None
+    in the file = unless `third_octave_distance_db` is required. `rate_limit_bps`: of the bytes on the wire, of each
+    stream. `delay_limit_ms`: to the skin.
     """
 
     snr_db: Annotated[float, within(0, 90, "signal-to-noise ratio in dB")] | None = None
@@ -159,24 +160,24 @@ class Asked(Table, frozen=True, kw_only=True):
         targets = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, key) is not None]
         targets += ["imperceptible"] * self.imperceptible
         if len(targets) != 1:
-            said = f"{' and '.join(targets)} are" if targets else "none is"
+            problem = f"{' and '.join(targets)} are given" if targets else "no quality is given"
             raise ValueError(
-                f"one quality must be asked, and {said} given: keep one of snr_db, spqi, third_octave_distance_db and "
-                "imperceptible = true (as little as nobody can feel)"
+                f"{problem}; give one of snr_db, spqi, third_octave_distance_db and imperceptible = true (nobody feels "
+                "the error)"
             )
-        # SPQI takes another take of the same noise for no better than silence (docs/reference/metrics.md).
+        # SPQI rates an independent realisation of the same noise no better than silence (docs/reference/metrics.md).
         blind = self.third_octave_distance_db is not None
         if self.waveform is None:
             structs.force_setattr(self, "waveform", not blind)
         if not self.waveform and not blind:
             raise ValueError(
-                f"waveform = false contradicts {targets[0]}, which no description meets: ask for "
+                f"waveform = false contradicts {targets[0]}, which parametric coding never meets; require "
                 "third_octave_distance_db, or leave waveform out"
             )
 
     @property
     def measure(self) -> str:
-        """Name of the quality that is asked: "snr_db", "spqi", "third_octave_distance_db" or "imperceptible"."""
+        """Name of the required quality: "snr_db", "spqi", "third_octave_distance_db" or "imperceptible"."""
         given = (name for name in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, name) is not None)
         return next(given, "imperceptible")
 
@@ -185,7 +186,7 @@ Weight = Annotated[float, within(0, 1e6, "weight of one such unit")]
 
 
 class Weights(Table, frozen=True):
-    """What one unit of each cost counts; kilobytes are those of flash and RAM together.
+    """The weight of one unit of each cost; kilobytes are those of flash and RAM together.
 
     By default 1 kbit/s counts as 10 million instructions a second, 100 kB, or 100 ms.
     """
@@ -197,7 +198,7 @@ class Weights(Table, frozen=True):
 
     def __post_init__(self) -> None:
         if not any(structs.astuple(self)):
-            raise ValueError("all weights are 0, so that nothing costs anything: give one above 0")
+            raise ValueError("all weights are 0, so all settings cost the same; give one above 0")
 
 
 @dataclass(frozen=True)
@@ -219,13 +220,13 @@ class Scene:
         return next(each for each in self.controllers if each.name == name)
 
     def actuator(self, texture: SceneTexture) -> Actuator:
-        """Return the actuator that a texture is planned for: of those that play it, the one with the widest band."""
+        """Return the actuator to plan a texture for: the one with the widest band of those that play it."""
         models = {each.channel: each.model for each in self.actuators if each.controller == texture.controller}
         played = [models.get(channel, models.get(None)) for channel in range(1, texture.channels + 1)]
         return max((model for model in played if model is not None), key=lambda model: model.band_hz[1])
 
 
-# What is known of the controllers that need no hardware: core, clock, flash, RAM, channels (firmware/build.py).
+# Core, clock, flash, RAM and channels of the controllers that need no hardware (firmware/build.py).
 _KNOWN: Mapping[str, dict[str, Any]] = {
     "sim": {"channels": 8},
     "sim-usb": {"channels": 8},
@@ -246,7 +247,7 @@ _SPEED = "speed of the hand in mm/s"
 
 
 class _Hand(Table, frozen=True):
-    # No tuple[float, float]: msgspec 0.22 crashes on a tuple of fixed length beside a number with limits.
+    # No tuple[float, float]: msgspec 0.22 crashes on a union of a fixed-length tuple and a number with limits.
     speed_mm_s: Annotated[
         Annotated[float, within(*HAND_SPEEDS_MM_S, _SPEED)]
         | Annotated[
@@ -260,7 +261,9 @@ class _Hand(Table, frozen=True):
         if low > high:
             raise ValueError(f"speed_mm_s: the lowest speed, {low:g}, is above the highest, {high:g}; swap them")
         if high < HAND_SPEEDS_MM_S[0]:
-            raise ValueError(f"speed_mm_s: the highest speed, {high:g}, is below {HAND_SPEEDS_MM_S[0]:g} mm/s")
+            raise ValueError(
+                f"speed_mm_s: the highest speed, {high:g}, is below {HAND_SPEEDS_MM_S[0]:g} mm/s; raise it"
+            )
 
     @property
     def range(self) -> tuple[float, float]:
@@ -276,18 +279,18 @@ class _Skin(Table, frozen=True):
 
 class _Link(Table, frozen=True):
     kind: Annotated[str, one_of(LINKS)] | None = None
-    baud: Annotated[float, within(1200, 2e7, "bits per second of the serial line")] | None = None
+    baud: Annotated[float, within(1200, 2e7, "bits per second of the serial link")] | None = None
     delay_ms: Annotated[float, within(0, 5_000, "delay one way in ms")] | None = None
     bytes_per_second: Annotated[float, within(10, 1e10, "bytes per second that the link carries")] | None = None
 
     def link(self, controllers: Sequence[SceneController]) -> Link:
-        """Return the link, with what is usual for these controllers. Raises ValueError."""
+        """Return the link; missing values are those usual for these controllers. Raises ValueError."""
         simulated = {controller.address for controller in controllers} <= set(_KNOWN)
         kind = self.kind or ("simulated" if simulated else "serial")
         if self.baud is not None and kind != "serial":
-            raise ValueError(f"[link]: baud is of a serial line, and this link is {kind}; leave one of them out")
+            raise ValueError(f"[link]: baud goes with kind = 'serial', not {kind!r}; leave one of them out")
         if self.baud is not None and self.bytes_per_second is not None:
-            raise ValueError("[link]: baud and bytes_per_second both say what the link carries; leave one out")
+            raise ValueError("[link]: baud and bytes_per_second both state the capacity of the link; leave one out")
         carried = USB_BYTES_PER_SECOND.get(kind)
         if kind == "serial":
             carried = (self.baud or BAUD) / _BITS_PER_SERIAL_BYTE
@@ -344,8 +347,8 @@ def together(recordings: list[Recording]) -> Recording:
     for other in recordings[1:]:
         if (other.rate_hz, other.unit) != (first.rate_hz, first.unit):
             raise TextureError(
-                f"{other.name}: {other.rate_hz:g} Hz in {other.unit}, {first.name} beside it {first.rate_hz:g} Hz in "
-                f"{first.unit}; what is played together must agree"
+                f"{other.name} is {other.rate_hz:g} Hz in {other.unit}, {first.name} {first.rate_hz:g} Hz in "
+                f"{first.unit}; bring files that are played together to one rate and one unit"
             )
     import numpy as np
 
@@ -360,7 +363,8 @@ def _check_channels(scene: Scene) -> None:
         channels = scene.controller(entry.controller).channels
         if entry.channel is not None and entry.channel > channels:
             raise ValueError(
-                f"[[actuators]] {number}: channel {entry.channel}, but {entry.controller} has {channels} channels"
+                f"[[actuators]] {number}: channel {entry.channel}, but {entry.controller} has {channels} channels; "
+                "give another channel"
             )
 
 
@@ -368,14 +372,14 @@ def _check_limits(asked: Asked, link: Link) -> None:
     """Raise ValueError for a limit that the link cannot keep."""
     if asked.delay_limit_ms is not None and asked.delay_limit_ms <= link.delay_ms:
         raise ValueError(
-            f"[asked]: delay_limit_ms = {asked.delay_limit_ms:g} cannot be kept on a link of {link.delay_ms:g} ms: ask "
-            "for more, or give another link"
+            f"[asked]: delay_limit_ms = {asked.delay_limit_ms:g} cannot be kept, because the link alone takes "
+            f"{link.delay_ms:g} ms; raise the limit, or give another link"
         )
     carried_bps = 8 * (link.bytes_per_second or math.inf)
     if asked.rate_limit_bps is not None and asked.rate_limit_bps > carried_bps:
         raise ValueError(
             f"[asked]: rate_limit_bps = {asked.rate_limit_bps:.9g} is above the {carried_bps:.9g} bit/s that the link "
-            "carries: ask for less, or give another link"
+            "carries; lower it, or give another link"
         )
 
 
@@ -400,7 +404,7 @@ def _textures(scene: Scene, table: _Texture) -> list[SceneTexture]:
         return [make(prefix + entry.name, Source((entry.path,), None, options)) for entry in entries(paths[0])]
     for path in paths:
         if not path.exists():
-            raise ValueError(f"file {path} does not exist; correct its name, which is found from the scene's folder")
+            raise ValueError(f"file {path} does not exist; correct its path, which starts at the scene's folder")
     return [make(table.name or "+".join(path.stem for path in paths), Source(tuple(paths), None, options))]
 
 
@@ -411,24 +415,24 @@ def _texture(scene: Scene, controller: str, name: str, source: Source) -> SceneT
     plays = scene.controller(controller)
     if texture.channels > plays.channels:
         raise ValueError(
-            f"{name} has {texture.channels} channels, {controller} drives {plays.channels}: leave some out, or give "
+            f"{name} has {texture.channels} channels, {controller} drives {plays.channels}; leave some out, or give "
             "another controller"
         )
     models = {each.channel for each in scene.actuators if each.controller == controller}
     if missing := [channel for channel in range(1, texture.channels + 1) if not {channel, None} & models]:
         raise ValueError(
-            f"{name} moves the actuator on channel {missing[0]} of {controller}, which the scene does not have: add it "
-            "to [[actuators]]"
+            f"{name} needs an actuator on channel {missing[0]} of {controller}, and the scene has none; add it to "
+            "[[actuators]]"
         )
     if isinstance(texture.loaded, Profile) and low != high and not plays.reads_position:
         raise ValueError(
-            f"{name} is a height profile, and the hand moves at {low:g} to {high:g} mm/s: only a controller that knows "
-            f"where the hand is can play it (reads_position = true of {controller}); or give one speed"
+            f"{name} is a height profile, and the hand moves at {low:g} to {high:g} mm/s, but {controller} does not "
+            "know where the hand is; set its reads_position = true, or give one speed"
         )
     if isinstance(texture.loaded, Profile) and plays.reads_position and high > MAX_TRACKED_MM_S:
         raise ValueError(
             f"{name} is rendered by the hand's position up to {MAX_TRACKED_MM_S:g} mm/s, and the hand moves at up to "
-            f"{high:g}: give a slower one"
+            f"{high:g}; lower speed_mm_s"
         )
     return texture
 

@@ -31,7 +31,7 @@ def test_a_tone_is_as_far_above_the_threshold_as_it_was_made(frequency_hz: float
     assert levels_db[at] == pytest.approx(6.0, abs=1.0)
 
 
-def test_what_is_below_the_margin_is_dropped_and_what_is_just_above_kept() -> None:
+def test_components_below_the_limit_are_dropped_and_those_just_above_kept() -> None:
     strong = tone(100.0, 20.0)
     for over_db, kept in ((MARGIN_DB + 2, True), (MARGIN_DB - 2, False)):
         both = Recording(strong.samples + tone(500.0, over_db).samples, 4000, "um", "both")
@@ -49,7 +49,7 @@ def test_what_the_actuator_cannot_make_is_not_worth_coding() -> None:
     felt = tone(40.0, 30.0)
     assert band_of(felt, PIEZO_STACK, THRESHOLD, (50, 50), False).highest > 40
     weak = type(LRA)(**{**vars(LRA), "stroke_um": 0.1})
-    with pytest.raises(BandError, match="the most that the actuator makes lies"):
+    with pytest.raises(BandError, match="at best, the actuator's reach lies"):
         band_of(felt, weak, THRESHOLD, (50, 50), False)
 
 
@@ -80,5 +80,5 @@ def test_a_profile_over_position_is_coded_for_its_slowest_and_its_fastest_hand()
 def test_what_is_too_short_or_too_slow_is_no_trouble() -> None:
     click = Recording(np.ones((1, 1)), 2800, "full scale", "click")
     assert band_of(click, PIEZO_STACK, THRESHOLD, (50, 50), False).rate >= 100
-    with pytest.raises(BandError, match="recorded at 25 Hz; controllers play 100 Hz at least"):
+    with pytest.raises(BandError, match="recorded at 25 Hz, but controllers play at least 100 Hz"):
         band_of(Recording(np.ones((9, 1)), 25, "full scale", "slow"), PIEZO_STACK, THRESHOLD, (50, 50), False)

@@ -178,9 +178,7 @@ def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_
 def test_a_texture_that_nobody_can_feel_is_an_error(tmp_path: Path) -> None:
     save(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
     read = scene(tmp_path, texture='[[textures]]\nfile = "weak.wav"\nunit = "nm"\nfull_scale = 0.001\n')
-    with pytest.raises(
-        PlanningError, match="weak: the band worth coding is empty: the most that the texture holds lies"
-    ):
+    with pytest.raises(PlanningError, match="weak: no part of it can be felt: at best, the texture lies"):
         plan(read)
 
 

@@ -1,4 +1,4 @@
-"""The plan file: what is written is read again, what is wrong is told, and a plan codes as it says."""
+"""The plan file: a written plan is read again, mistakes are errors, and a plan codes as it states."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -112,10 +112,10 @@ def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
         ('codec = "mdct"', 'codec = "mp3"', "[[textures]] 1: codec must be one of amr-nb"),
         ("rate = 1600", "rate = 0", "rate = 0 is out of range: rate of the stream, a whole number from 1 to"),
         ("step = 0.7", "step = -1", "step is -1; it must be a number from"),
-        ("packet_samples = 64\n", "", "packet_samples is missing"),
+        ("packet_samples = 64 ", "# ", "packet_samples is missing"),
         ('rate_mode = "setting"', 'rate_mode = "any"', "rate_mode must be one of setting"),
-        ('rate_mode = "setting"', 'rate_mode = "capped"', "are of rate_mode = 'capped', which needs both"),
-        ('rate_mode = "setting"', 'rate_mode = "setting"\npacket_snr_db = 9', "are of rate_mode = 'capped', which"),
+        ('rate_mode = "setting"', 'rate_mode = "capped"', "rate_mode = 'capped' needs both capped_rate_bps"),
+        ('rate_mode = "setting"', 'rate_mode = "setting"\npacket_snr_db = 9', "others neither"),
         ("payload_bps = 1000.5", 'payload_bps = "low"', "[forecast]: payload_bps must be a number"),
         ("format = 1", "format = 2", "format = 2 is out of range: version of the format"),
         ('controller = "one"\nhand', 'controller = "two"\nhand', "controller must be one of one, not 'two'"),
@@ -123,7 +123,7 @@ def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
         ("format = 1", "format = = 1", "not a TOML file"),
     ],
 )
-def test_a_plan_that_was_spoilt_is_told(before: str, after: str, message: str, tmp_path: Path) -> None:
+def test_a_mistake_in_a_plan_is_an_error_of_one_line(before: str, after: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     write_plan(path, plan(tmp_path))
     text = path.read_text()
@@ -140,10 +140,10 @@ def test_files_that_changed_after_planning_are_told(tmp_path: Path) -> None:
     source = Source((file,), None, {})
     texture = structs.replace(plan(tmp_path).textures[0], name="oak", source=source, sha256=source.sha256())
     file.write_text("1\n3\n")
-    with pytest.raises(PlanError, match=r"oak: .*oak.csv changed after this was planned; plan the scene again"):
+    with pytest.raises(PlanError, match=r"oak: .*oak.csv changed since the plan was made; plan the scene again"):
         texture.recording()
     file.unlink()
-    with pytest.raises(PlanError, match=r"oak: .*oak.csv does not exist; bring it back, or plan the scene again"):
+    with pytest.raises(PlanError, match=r"oak: .*oak.csv does not exist; restore it, or plan the scene again"):
         texture.recording()
 
 

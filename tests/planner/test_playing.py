@@ -113,7 +113,7 @@ def test_what_is_off_its_forecast_is_told_and_written(tmp_path: Path) -> None:
     )
     played = playing.play(replace(plan, textures=(structs.replace(wood, forecast=wrong),)))
     rows = comparison.rows(played)
-    assert comparison.failures(played, rows) == ["wood: on the wire is -16.7 % off the forecast"]
+    assert comparison.failures(played, rows) == ["wood: on the wire deviates by -16.7 % from its forecast"]
     assert sum("OFF" in line for line in comparison.lines(rows)) == 1
     comparison.write_csv(tmp_path / "forecast.csv", rows)
     lines = (tmp_path / "forecast.csv").read_text().splitlines()
