@@ -1,10 +1,12 @@
 """Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs/benchmarks`."""
 
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
+from typing import Any
 
 import click
 import numpy as np
@@ -37,7 +39,6 @@ WEIGHTS = {
 _ALL_COSTS = next(iter(WEIGHTS))
 FREE, HELD = "any", "as the default's"
 """Delays: weighed as any other cost; or no longer than that of the default, both with the least margin."""
-_PERCENTS = ("bits_percent", "instructions_percent")
 PAGE, ROWS = "planning_results.md", "planning.csv"
 
 
@@ -183,37 +184,64 @@ def _default_costs(default: Encoding) -> tuple[float, float, float]:
     )
 
 
-def page(rows: Sequence[Saving], left_out: Sequence[str]) -> str:
-    """Return the page."""
-    found = product((FREE, HELD), WEIGHTS, dict.fromkeys(row.group for row in rows))
-    groups = []
-    for delay, weights, group in found:
-        if of := [row for row in rows if (row.group, row.weights, row.delay) == (group, weights, delay)]:
-            groups.append(
-                {
-                    "weights": weights,
-                    "delay": delay,
-                    "name": group,
-                    "number": len(of),
-                    "rate_hz": median(row.rate_hz for row in of),
-                    "savings": [_spread([getattr(row, name) for row in of]) for name in _PERCENTS],
-                    "kilobytes": fmean(row.planned_kilobytes - row.default_kilobytes for row in of),
-                }
-            )
-    held = {(row.group, row.texture): row for row in rows if (row.delay, row.weights) == (HELD, _ALL_COSTS)}
-    free = [row for row in rows if (row.delay, row.weights) == (FREE, _ALL_COSTS)]
+def page(rows: Sequence[Saving], left_out: Sequence[str], command: str) -> str:
+    """Return the page. `command`: the one that measured."""
+    of: defaultdict[tuple[str, str, str], list[Saving]] = defaultdict(list)
+    for row in rows:
+        of[row.group, row.weights, row.delay].append(row)
+    groups = [
+        {
+            "name": group,
+            "number": len(of[group, _ALL_COSTS, FREE]),
+            "savings": {name: [_savings_of(of[group, name, delay]) for delay in (FREE, HELD)] for name in WEIGHTS},
+        }
+        for group in dict.fromkeys(row.group for row in rows)
+    ]
+    chosen = Counter((row.chosen.partition(",")[0], row.weights, row.delay) for row in rows)
     return render(
         "planning_results",
         default={"rate_hz": DEFAULT_STREAM_RATE_HZ, "snr_db": DEFAULT_SNR_DB},
         hand_speed_mm_s=HAND_SPEED_MM_S,
+        weights=list(WEIGHTS),
+        message={
+            name: _compared([group["savings"][_ALL_COSTS][place]["bits"]["mean"] for group in groups])
+            for place, name in enumerate(("free", "held"))
+        },
         groups=groups,
-        textures=[(row, held.get((row.group, row.texture))) for row in free],
+        codecs=[
+            (codec_name, [chosen[codec_name, *key] for key in product(WEIGHTS, (FREE, HELD))])
+            for codec_name in sorted({name for name, _, _ in chosen})
+        ],
         left_out=left_out,
+        command=command,
     )
+
+
+def command(folders: Sequence[Path], unit: str | None) -> str:
+    """Return the command that measures recordings of these folders, without the place of the folders."""
+    given = "" if unit is None else f" --unit {unit}"
+    return f"python -m studies.planning {' '.join(folder.name for folder in folders)}{given} --out docs/benchmarks"
+
+
+def _savings_of(rows: Sequence[Saving]) -> dict[str, Any]:
+    return {
+        "bits": _spread([row.bits_percent for row in rows]),
+        "instructions": _spread([row.instructions_percent for row in rows]),
+        "kilobytes": fmean(row.planned_kilobytes - row.default_kilobytes for row in rows),
+    }
 
 
 def _spread(values: Sequence[float]) -> dict[str, float]:
     return {"mean": fmean(values), "low": min(values), "high": max(values)}
+
+
+def _compared(percents: Sequence[float]) -> str:
+    """Return changes in percent as "4 to 9 % fewer", or "from 4 % fewer to 9 % more"."""
+    low, high = round(min(percents)), round(max(percents))
+    if low < 0 < high:
+        return f"from {-low} % fewer to {high} % more"
+    near, far = sorted((abs(low), abs(high)))
+    return f"{near} to {far} % {'fewer' if high <= 0 else 'more'}"
 
 
 @click.command()
@@ -237,7 +265,7 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
         raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))
     with errors_in_one_line():
         write_rows(results_folder(out) / ROWS, rows, Saving)
-        write(out / PAGE, page(rows, left_out))
+        write(out / PAGE, page(rows, left_out, command(folders, unit)))
     click.echo(str(out / PAGE))
 
 

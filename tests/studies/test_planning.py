@@ -26,7 +26,7 @@ def test_the_page_and_its_rows(tmp_path: Path) -> None:
     done = CliRunner().invoke(main, [str(folder), "--out", str(tmp_path / "docs")])
     assert done.exit_code == 0, done.output
     page = (tmp_path / "docs" / "planning_results.md").read_text()
-    assert "| rough | " in page and "bad.csv" in page
+    assert "| made | 1 | " in page and "bad.csv" in page
     with (tmp_path / "docs" / "results" / ROWS).open() as file:
         every = list(csv.DictReader(file))
     assert [(row["delay"], row["weights"]) for row in every] == list(product((FREE, HELD), WEIGHTS))
