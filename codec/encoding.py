@@ -182,7 +182,7 @@ def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Co
         codec_name = codec.DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
     chosen = codec.codec_by_name(codec_name)
     if model is not None and model.codec_identifier != chosen.identifier:
-        raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another")
+        raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another model or codec")
     return chosen
 
 

@@ -118,7 +118,7 @@ def word(setting: Setting, name: str) -> str:
 def check_channels(channels: int) -> None:
     """Raise CodecError for a channel count that no stream can have."""
     if not 1 <= channels <= MAX_CHANNELS:
-        raise CodecError(f"{channels} channels; 1 to {MAX_CHANNELS} make one stream")
+        raise CodecError(f"{channels} channels do not fit a stream; give 1 to {MAX_CHANNELS}")
 
 
 def checked_parts(samples: Signal, channels: int, part_samples: int) -> Iterator[Signal]:
@@ -127,7 +127,7 @@ def checked_parts(samples: Signal, channels: int, part_samples: int) -> Iterator
     Raises CodecError on a wrong shape, NaN or infinity.
     """
     if samples.ndim != 2 or samples.shape[1] != channels:
-        raise CodecError(f"samples of shape {samples.shape}; (n, {channels}) is needed")
+        raise CodecError(f"samples of shape {samples.shape} do not fit; give (n, {channels})")
     for start in range(0, len(samples), part_samples):
         part = np.asarray(samples[start : start + part_samples], dtype=np.float64)
         if not np.all(np.isfinite(part)):

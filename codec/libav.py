@@ -85,7 +85,9 @@ class LibavEncoder:
         self.packet_samples = self._packet_frames * plan.frame_samples
         self.delay_samples = plan.delay_samples
         if not 1 <= self.packet_samples <= _MAX_PACKET_SAMPLES:
-            raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {_MAX_PACKET_SAMPLES} are allowed")
+            raise CodecError(
+                f"packets of {framing.packet_samples} samples are not possible; give 1 to {_MAX_PACKET_SAMPLES}"
+            )
         fields = (plan.delay_samples, plan.frame_samples, self._packet_frames, plan.frame_bytes)
         self.configuration = b"".join(map(pack_varint, fields))
         self._contexts = [
@@ -218,7 +220,9 @@ class LibavDecoder:
                 break  # padding
             frames.append(reader.take(frame_bytes))
         if len(frames) % self.channels or len(frames) * self._frame_samples > self.packet_samples * self.channels:
-            raise CodecError(f"a packet of {len(frames)} frames for {self.channels} channels; it was damaged")
+            raise CodecError(
+                f"a packet is damaged: {len(frames)} frames for {self.channels} channels; copy the file again"
+            )
         return frames
 
     def _decode_frames(self, frames: list[bytes]) -> Decoded:
@@ -233,7 +237,7 @@ class LibavDecoder:
             parts = [part for frame in own for part in _decoded(context, frame)]
             kept = np.concatenate([np.empty(0, dtype=np.int16), *parts])[:: self._library.decimation]
             if len(kept) != count * self._frame_samples:
-                raise CodecError("a packet does not decode to as many samples as it covers; it was damaged")
+                raise CodecError("a packet is damaged: it decodes to fewer or more samples; copy the file again")
             samples[: len(kept), channel] = np.clip(kept.astype(np.int32) * scale, -32_768, 32_767)
         return samples
 
@@ -276,11 +280,11 @@ def _decoded(context: Any, frame: bytes) -> list[NDArray[np.int16]]:
     """Return the samples in one codec frame. Raises CodecError if libav finds it malformed."""
     av = _av()
     if not frame:
-        raise CodecError("a packet with an empty frame; it was damaged")
+        raise CodecError("a packet is damaged: it has an empty frame; copy the file again")
     try:
         decoded = context.decode(av.Packet(frame))
     except (av.FFmpegError, ValueError) as error:
-        raise CodecError(f"a frame that cannot be decoded ({error}); it was damaged") from error
+        raise CodecError(f"a frame is damaged and cannot be decoded ({error}); copy the file again") from error
     if any(part.format.name not in ("s16", "s16p") or part.layout.nb_channels != 1 for part in decoded):
-        raise CodecError("a frame of another sample format or channel count; it was damaged")
+        raise CodecError("a frame is damaged: another sample format or channel count; copy the file again")
     return [part.to_ndarray().ravel() for part in decoded]

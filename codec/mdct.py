@@ -130,15 +130,15 @@ class MdctEncoder(PacketwiseEncoder):
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
-            raise CodecError(f"hop {self._hop} is not one of {HOPS}")
+            raise CodecError(f"hop {self._hop} is not possible; give one of {HOPS}")
         if not all(math.isfinite(step) and step > 0 for step in steps):
-            raise CodecError("quantiser steps must be positive numbers")
+            raise CodecError("a quantiser step is not positive; give positive numbers")
         self._analysis = analysis(self._hop)
         self._history = self.delay_samples = len(self._analysis) - self._hop
         self._chunk_samples = max(1, _CHUNK_BLOCKS * self._hop // max(1, len(steps)))
         super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
         if not 0 <= noise_filling <= MAX_NOISE_FILLING:
-            raise CodecError(f"noise_filling {noise_filling} is not from 0 to {MAX_NOISE_FILLING}")
+            raise CodecError(f"noise_filling {noise_filling} is not possible; give 0 to {MAX_NOISE_FILLING}")
         step_codes = [step_code(step) for step in steps]
         self.configuration = configuration(
             self._hop,
@@ -207,7 +207,9 @@ def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
     alone = core.vc_mdct_tables_size()
     with_network = alone + core.vc_mdct_network_size()
     if len(tables) not in (alone, with_network):
-        raise CodecError(f"tables of the wrong size; mdct needs {alone} bytes, or {with_network} with a network")
+        raise CodecError(
+            f"the tables have {len(tables)} bytes, not {alone}, or {with_network} with a network; train them again"
+        )
     memory = ffi.new("uint8_t[]", tables)
     return memory, (memory, len(tables))
 

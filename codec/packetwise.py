@@ -41,7 +41,9 @@ class PacketwiseEncoder(ABC):
         check_channels(channels)
         self._packet_blocks = -(-framing.packet_samples // block)
         if not 1 <= self._packet_blocks <= max_blocks:
-            raise CodecError(f"packets of {framing.packet_samples} samples; 1 to {max_blocks * block} are allowed")
+            raise CodecError(
+                f"packets of {framing.packet_samples} samples are not possible; give 1 to {max_blocks * block}"
+            )
         self.packet_samples = self._packet_blocks * block
         self._channels = channels
         self._pending: Signal = np.zeros((self._history, channels))

@@ -228,7 +228,10 @@ class PluginDecoder:
         except Exception as error:
             raise CodecError(f"the codec {self._plugin.name} failed: {type(error).__name__}: {error}") from error
         if not usable:
-            raise CodecError(f"the codec {self._plugin.name} did not return finite numbers ({samples}, {channels})")
+            raise CodecError(
+                f"the codec {self._plugin.name} did not return finite numbers ({samples}, {channels}); "
+                "correct its decode"
+            )
         self._last = np.clip(np.rint(decoded * 32768), -32768, 32767).astype(np.int16)
         return self._last
 

@@ -244,9 +244,9 @@ class Source:
     ) -> None:
         """Take samples (n, channels) in a physical unit; the parameters are as in `encode`. Raises CodecError."""
         if samples.ndim != 2 or samples.shape[1] < 1:
-            raise CodecError(f"samples of shape {samples.shape}; (n, channels) is needed")
+            raise CodecError(f"samples of shape {samples.shape} do not fit; give (n, channels)")
         if len(samples) == 0:
-            raise CodecError("the signal is empty; there is nothing to code")
+            raise CodecError("the signal is empty; give at least one sample")
         if not all(np.all(np.isfinite(samples[part])) for part in parts(len(samples))):
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
         self.codec = codec_by_name(codec)

@@ -32,7 +32,9 @@ def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
             rows = list(csv.reader(line for line in file if not line.startswith("#")))
         values = np.array(rows[1:], dtype=np.float64)
     except (OSError, ValueError, csv.Error) as error:
-        raise CodecError(f"{str(path)!r} cannot be read as a detection threshold: {error}") from error
+        raise CodecError(
+            f"{str(path)!r} cannot be read as a detection threshold ({error}); give rows of Hz and dB"
+        ) from error
     if not (
         values.ndim == 2
         and values.shape[1] == 2

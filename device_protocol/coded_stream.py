@@ -104,10 +104,12 @@ class StreamHeader:
         """
         reader = Reader(data, _damaged)
         if reader.take(3) != MAGIC:
-            raise StreamError("not a coded stream: it does not start with 'VCT'")
+            raise StreamError("not a coded stream: it does not start with 'VCT'; give a .vct file")
         version, codec_identifier = divmod(reader.take(1)[0], 16)
         if version != VERSION:
-            raise StreamError(f"coded stream of version {version}; this program reads version {VERSION}")
+            raise StreamError(
+                f"coded stream of version {version}, and this program reads {VERSION}; encode the recording again"
+            )
         flags = reader.take(1)[0]
         channels = (flags >> 4) + 1
         rate_hz = reader.varint(VARINT_BITS)

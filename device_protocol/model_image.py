@@ -51,10 +51,12 @@ class ModelImage:
     def unpack(cls, data: bytes) -> Self:
         """Return the image in `data`. Raises ModelImageError unless all of it is one whole image."""
         if len(data) < _FIXED.size + _CRC_BYTES or data[: len(MAGIC)] != MAGIC:
-            raise ModelImageError("this is no model image: give a file that vibrocast packed as one")
+            raise ModelImageError("not a model image; give one that `vibrocast export` wrote")
         _, layout, codec_identifier, *text_bytes, payload_bytes = _FIXED.unpack_from(data)
         if layout != LAYOUT_VERSION:
-            raise ModelImageError(f"model image of layout {layout}; this version reads layout {LAYOUT_VERSION}")
+            raise ModelImageError(
+                f"model image of layout {layout}, and this version reads {LAYOUT_VERSION}; export the model again"
+            )
         expected = _FIXED.size + sum(text_bytes) + payload_bytes + _CRC_BYTES
         if len(data) != expected:
             raise ModelImageError(f"the model image has {len(data)} bytes instead of {expected}: get the file again")

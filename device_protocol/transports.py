@@ -93,8 +93,8 @@ class SerialTransport(Closing):
             self._serial = serial.serial_for_url(self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
         except (OSError, ValueError) as error:
             raise TransportError(
-                f"cannot open serial port {self._port}: {error}. Check the name (`vibrocast devices` lists the ports), "
-                "that no other program uses it and that you may read and write it."
+                f"cannot open serial port {self._port}: {error}; check the name (`vibrocast devices` lists the ports), "
+                "that no other program uses it, and that you may read and write it"
             ) from error
         # Windows, and some URLs, have nothing that one can wait for together with others.
         self.file: Any = None
@@ -104,13 +104,13 @@ class SerialTransport(Closing):
 
     def _broken(self, reason: object) -> TransportError:
         return TransportError(
-            f"serial port {self._port} broke off ({reason}). Check the cable and the controller, and that no other "
-            "program uses the port."
+            f"serial port {self._port} broke off ({reason}); check the cable and the controller, and that no other "
+            "program uses the port"
         )
 
     def _takes_nothing(self) -> TransportError:
         return TransportError(
-            f"serial port {self._port} took no data for {_WRITE_TIMEOUT_S:g} s. Is a controller behind it?"
+            f"serial port {self._port} took no data for {_WRITE_TIMEOUT_S:g} s; check that it belongs to a controller"
         )
 
     def write(self, data: bytes) -> None:
@@ -312,26 +312,27 @@ class UsbTransport(Closing):
             device = usb.core.find(backend=self._backend, **self._identifiers)
             if device is None:
                 raise TransportError(
-                    f"there is no {self._name}. Plug it in and check its identifiers (`vibrocast devices` lists them)."
+                    f"there is no {self._name}; plug it in and check its identifiers (`vibrocast devices` lists them)"
                 )
             interface = usb.util.find_descriptor(_configuration(device), bInterfaceClass=VENDOR_INTERFACE_CLASS)
             self._in = interface and _bulk_endpoint(interface, usb.util.ENDPOINT_IN)
             self._out = interface and _bulk_endpoint(interface, usb.util.ENDPOINT_OUT)
             if self._in is None or self._out is None:
-                raise TransportError(f"{self._name} lacks a vendor interface with bulk endpoints: no tactor controller")
+                raise TransportError(
+                    f"{self._name} is no controller: it lacks a vendor interface with bulk endpoints; give another "
+                    "address"
+                )
             usb.util.claim_interface(device, interface)
             # A stall, or the data toggle of a program that ended in the middle, must not outlive what left it there.
             self._in.clear_halt()
             self._out.clear_halt()
         except usb.core.USBError as error:
-            hint = (
-                "Give your user access to it (a udev rule on Linux)." if error.errno == errno.EACCES else "Replug it."
-            )
-            raise TransportError(f"{self._name} cannot be opened ({error}). {hint}") from error
+            hint = "give your user access to it (a udev rule on Linux)" if error.errno == errno.EACCES else "replug it"
+            raise TransportError(f"{self._name} cannot be opened ({error}); {hint}") from error
         self._device = device
 
     def _broken(self, error: Exception) -> TransportError:
-        return TransportError(f"{self._name} broke off ({error}). Check the cable and the controller.")
+        return TransportError(f"{self._name} broke off ({error}); check the cable and the controller")
 
     def write(self, data: bytes) -> None:
         """Send all of `data` to the bulk OUT endpoint."""
@@ -342,7 +343,7 @@ class UsbTransport(Closing):
             except usb.core.USBError as error:
                 self._clear_stall(self._out, error)
             if data and time.monotonic() > deadline:
-                raise TransportError(f"{self._name} took no data for {_WRITE_TIMEOUT_S:g} s. Reset the controller.")
+                raise TransportError(f"{self._name} took no data for {_WRITE_TIMEOUT_S:g} s; reset the controller")
 
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes of one transfer from the bulk IN endpoint."""

@@ -228,12 +228,17 @@ def _read_output(program: Program, folder: Path, samples: int, rate_hz: int) -> 
                     f"instead of one at {rate_hz} Hz; correct its arguments in {program.file}"
                 )
             if not samples * (1 - _MAX_SHORTFALL) <= file.frames <= samples + _MAX_EXCESS_SAMPLES:
-                raise ProgramError(f"{program.name}: decoded to {file.frames} samples instead of {samples}")
+                raise ProgramError(
+                    f"{program.name}: decoded to {file.frames} samples instead of {samples}; correct its arguments "
+                    f"in {program.file}"
+                )
             output: NDArray[np.float64] = file.read(dtype="float64")
     except soundfile.LibsndfileError as error:
-        raise ProgramError(f"{program.name}: the decoder's output is no WAV file: {error.error_string}") from error
+        raise ProgramError(
+            f"{program.name}: the decoder's output is no WAV file ({error.error_string}); correct its arguments"
+        ) from error
     if not np.all(np.isfinite(output)):
-        raise ProgramError(f"{program.name}: the decoder's output holds NaN or infinity")
+        raise ProgramError(f"{program.name}: the decoder's output holds NaN or infinity; correct its arguments")
     return output
 
 

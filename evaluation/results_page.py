@@ -317,7 +317,9 @@ def main(out: Path) -> None:
     try:
         described = read_rows(folder / "description.csv", Description)
         if len(described) != 1:
-            raise PointsError(f"{folder / 'description.csv'}: {len(described)} rows; it must have one")
+            raise PointsError(
+                f"{folder / 'description.csv'}: {len(described)} rows in place of one; run the benchmark again"
+            )
         tables: dict[str, Any] = {name: read_rows(folder / f"{name}.csv", kind) for name, kind in TABLES.items()}
         write_results(out, Measurements(**tables), described[0], read_held_out(folder))
     except OSError as error:

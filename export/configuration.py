@@ -65,7 +65,7 @@ class FolderSource(Table, frozen=True):
     folder: str
     about: About = ""
     part: Literal["all", "train", "test"] = "all"
-    split_by: Literal["auto", "trace", "material", "subject"] = "auto"
+    split_by: Literal["auto", "recording", "material", "subject"] = "auto"
     seed: Seed = 0
     drop_s: Dropped = 0.0
     high_pass_hz: HighPass = 0.0

@@ -64,7 +64,7 @@ def graphs_of(model: Eva, lengths: Sequence[int] = PARITY_LENGTHS) -> Graphs:
     if not np.all(largest <= PARITY):
         raise GraphError(
             f"ONNX Runtime and torch differ by {largest[0]:.1e} (analysis) and {largest[1]:.1e} (synthesis) of full "
-            f"scale, {PARITY:g} is allowed: the model holds weights far out of proportion; train it anew"
+            f"scale, {PARITY:g} is allowed: the model holds weights far out of proportion; train it again"
         )
     return Graphs(analysis, synthesis, *map(float, largest))
 

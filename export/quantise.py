@@ -51,7 +51,7 @@ def quantise(
     ranges = _ranges(model, excerpts[generator.permutation(len(excerpts))[:CALIBRATION_EXCERPTS]])
     if not all(np.all(np.isfinite(values) & (values > 0)) for values in ranges):
         raise ModelError(
-            "it gives NaN or infinity on the signals of its training; take an earlier one or train it anew"
+            "it gives NaN or infinity on the signals of its training; take an earlier one or train it again"
         )
     fraction_bits = np.clip(np.floor(np.log2(_LARGEST / ranges[0])), 0, MAX_FRACTION_BITS)
     return EvaImage(
@@ -123,7 +123,7 @@ def _network(model: Eva, ranges: Sequence[Values], input_units: Values) -> Integ
         quantised, input_units = _convolution(weights, units, wanted)
         if last and not np.array_equal(input_units, wanted):
             raise ModelError(
-                "its synthesis does not fit the integers: weights are far out of proportion; train it anew"
+                "its synthesis does not fit the integers: weights are far out of proportion; train it again"
             )
         convolutions.append(quantised)
     first, second, third = normalisations

@@ -134,7 +134,7 @@ class Training:
         if other := [name for name in names if state.training.get(name) != ours.get(name)]:
             raise ModelError(f"{path}: was trained with another {other[0]}; choose another --out, or undo the change")
         if state.shape != self.state.shape or state.optimiser is None:
-            raise ModelError(f"{path}: not a checkpoint of this training to go on from; choose another --out")
+            raise ModelError(f"{path}: not a checkpoint of this training; choose another --out")
         state.model.to(self._device)
         state.prior.to(self._device)
         state.training = ours
@@ -210,7 +210,7 @@ class Training:
         if not math.isfinite(value) or not math.isfinite(norm.item()) or value > _EXPLODED * average.means[0]:
             raise TrainingError(
                 f"the loss is {value:.3g} at step {step + 1}, {average.means[0]:.3g} on average before; the last "
-                "good checkpoint is kept: lower [training] learning_rate and go on with --resume"
+                "good checkpoint is kept: lower [training] learning_rate and continue with --resume"
             )
         self._optimiser.step()
         average.add(value, measured.bits.mean().item(), self._mean_snr_db(signals, measured))
@@ -249,7 +249,7 @@ class Training:
         if not math.isfinite(loss):
             raise TrainingError(
                 f"the loss on held-back materials is {loss:.3g} at step {progress['step']}; the last good checkpoint "
-                "is kept: lower [training] learning_rate and go on with --resume"
+                "is kept: lower [training] learning_rate and continue with --resume"
             )
         self.state.curves.append(
             {
@@ -327,7 +327,7 @@ def train(
     """
     checkpoint = out / CHECKPOINT
     if checkpoint.exists() and not resume:
-        raise TrainingError(f"{out}: holds a training; go on with it by --resume, or choose another --out")
+        raise TrainingError(f"{out}: holds a training; continue it with --resume, or choose another --out")
     if threads:
         torch.set_num_threads(threads)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")

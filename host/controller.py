@@ -138,7 +138,7 @@ class Controller(Closing):
         if description.major != PROTOCOL_MAJOR:
             raise ControllerError(
                 f"the controller speaks protocol {description.major}.{description.minor}, this host "
-                f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}: update the older one",
+                f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}; update the older one",
                 ErrorCode.UNSUPPORTED_VERSION,
             )
         if (
@@ -147,8 +147,8 @@ class Controller(Closing):
             or not 1 <= description.actuator.dac_rate_hz <= MAX_DAC_RATE_HZ
         ):
             raise ControllerError(
-                f"the controller announces what no host can keep to ({description.limits}, {description.actuator}): "
-                "update its firmware"
+                f"the controller announces limits that no host can keep ({description.limits}, "
+                f"{description.actuator}); update its firmware"
             )
         self.description = description
 
@@ -196,7 +196,7 @@ class Controller(Closing):
                     return answer
                 if answer is not None:
                     asked, answered = type(message).__name__, type(answer).__name__
-                    raise ControllerError(f"the controller answers {asked} with {answered}: update its firmware")
+                    raise ControllerError(f"the controller answers {asked} with {answered}; update its firmware")
         raise _no_answer()
 
     def request(

@@ -71,7 +71,9 @@ class DeviceClock:
         Least squares, as in the clock filter of NTP (RFC 5905, section 10), which trusts the shortest of recent trips.
         """
         if not self.trips:
-            raise ConnectionLost("the controller does not answer in time. Check the cable and what else uses it.")
+            raise ConnectionLost(
+                "the controller does not answer in time; check the cable, and that no other program uses it"
+            )
         sent_s, answered_s, device_s = np.array(
             [(sent_s, answered_s, status.device_time_us / 1e6) for sent_s, answered_s, status in self.trips.values()]
         ).T

@@ -141,7 +141,7 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
     if address not in FIRMWARE:
         return runtime
     if runtime == "onnx":
-        raise TransportError(f"{address} decodes by the integer core alone: leave out `runtime`, or play on sim")
+        raise TransportError(f"{address} decodes by the integer core alone; leave out `runtime`, or play on sim")
     return "core"
 
 
@@ -154,8 +154,8 @@ def _firmware(address: str) -> Iterator[str]:
 
     if address == "host" and not has_pseudo_terminals():
         raise TransportError(
-            "host cannot run: its serial port is a pseudo-terminal, which this system lacks. Use sim or an emulated "
-            "board."
+            "host cannot run: its serial port is a pseudo-terminal, which this system lacks; use sim or an emulated "
+            "board"
         )
     try:
         port = HostProcess() if address == "host" else serial_port(emulated(address))

@@ -223,7 +223,7 @@ def at_the_skin(stream: Stream, actuator: Actuator) -> Recording:
     Raises ControllerError where the actuator's DAC cannot play the stream, StreamError for a height profile.
     """
     if stream.header.spatial:
-        raise StreamError("a height profile moves the skin only under a hand; play it by position")
+        raise StreamError("a height profile moves the skin only under a hand; play it with --positions or --stroke-mm")
     decoder = stream.decoder()
     late_s = decoder.delay_samples / stream.header.rate_hz + _drive_s(stream.header, actuator)
     codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator)
@@ -282,7 +282,7 @@ def actuator_model(description: ActuatorDescription) -> Actuator:
         and 0 <= description.slew_volts_per_second < math.inf
         and 0 <= lower_hz < upper_hz < math.inf
     ):
-        raise ControllerError(f"the controller announces what no actuator can be ({description}): update its firmware")
+        raise ControllerError(f"the controller announces an impossible actuator ({description}); update its firmware")
     resonance_hz = math.sqrt(lower_hz * upper_hz)
     return Actuator(
         name=description.name,

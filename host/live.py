@@ -359,8 +359,8 @@ class LiveStream:
         self._floods = self._floods + 1 if sent_s > _FLOOD_FACTOR * took_s else 0
         if self._floods == _MAX_FLOODS:
             raise LiveError(
-                f"the source gave {sent_s:.1f} s in {took_s:.1f} s, again and again: a live one keeps its rate; play a "
-                "recording from its file"
+                f"the source is not live: it gave {sent_s:.1f} s of signal in {took_s:.1f} s; play a recording with "
+                "`vibrocast play`"
             )
 
     def poll(self, timeout_s: float) -> None:
@@ -428,7 +428,7 @@ class LiveStream:
             self.controller.poll(_POLL_S)
             self._session.news()
         raise ControllerError(
-            f"the stream's end has not been played {_END_S:g} s after its time. Restart the controller."
+            f"the stream's end has not been played {_END_S:g} s after its time; restart the controller"
         )
 
 

@@ -99,7 +99,7 @@ class LiveGroup:
         if status is not stream.status:
             self._heard[number] = stream.status, now_s
         elif now_s - heard_s > _SILENCE_S and stream.packets_sent:
-            raise ConnectionLost(f"the controller has been silent for {_SILENCE_S:g} s. Check that it has power.")
+            raise ConnectionLost(f"the controller has been silent for {_SILENCE_S:g} s; check that it has power")
 
     def _with(self, number: int, work: Callable[[LiveStream], _Done]) -> _Done | None:
         """Do something with a stream, unless it has failed; note when it does, and return None."""

@@ -179,7 +179,7 @@ class _Source:
         """Check the stream. Raises StreamError, and ControllerError for a stream that never fits the controller."""
         check_limits(controller, header.channels, header.rate_hz)
         if not packets or header.samples == 0:
-            raise StreamError("the stream has no packets or no samples: there is nothing to play")
+            raise StreamError("the stream has no packets or no samples; encode the recording again")
         check_packet(controller, packet_samples)
         self.header = header
         self.packets = packets
@@ -195,16 +195,19 @@ class _Source:
             sequence, refresh = packet_sequence(packet)
             if sequence != number:
                 raise StreamError(
-                    f"packet {number} says that it is {sequence}: the stream has lost packets, get it again"
+                    f"packet {number} has the number {sequence}: packets are missing; copy the file again"
                 )
             if len(packet) > max_bytes:
                 raise ControllerError(
-                    f"packet {number} has {len(packet)} bytes, the controller takes {max_bytes}: encode at a lower rate"
+                    f"packet {number} has {len(packet)} bytes, and the controller takes {max_bytes}; encode at a lower "
+                    "rate"
                 )
             if refresh:
                 self._refreshes.append(number)
         if self._refreshes[:1] != [0]:
-            raise StreamError("the stream does not begin with a refresh packet: it cannot be decoded")
+            raise StreamError(
+                "the stream cannot be decoded: it does not begin with a random-access packet; encode it again"
+            )
 
     def seconds(self, positions: int) -> float:
         """Return the time that samples take to play, as positions count them."""
@@ -295,9 +298,9 @@ class _Sender:
         while self.status.state not in (State.FINISHED, State.STOPPED):
             now_s = self._controller.clock()
             if now_s - self._noted_s > _SILENCE_S:
-                raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s. Check that it has power.")
+                raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s; check that it has power")
             if now_s - self._moved_s > _STALL_S:
-                raise ControllerError(f"the controller's position has not moved for {_STALL_S:g} s. Restart it.")
+                raise ControllerError(f"the controller's position has not moved for {_STALL_S:g} s; restart it")
             has_sent = self._send_frame()
             if now_s >= self._free_s:
                 self._ask(now_s)
@@ -336,8 +339,8 @@ class _Sender:
         refresh = self._source.next_refresh(-(-self.position // self._source.packet_samples))
         if refresh is None:
             raise ControllerError(
-                "the connection was lost for too long, and the stream has no further refresh packet to go on from: "
-                "play it again, encoded for streaming"
+                "the connection was lost for too long, and no later packet can be decoded alone; play the recording "
+                "itself, which is coded for such a link"
             ) from cause
         return refresh
 
@@ -401,7 +404,7 @@ class _Sender:
         source, status = self._source, self.status
         if source.end is not None and self._base + status.position / source.packet_samples > source.end:
             raise ControllerError(
-                "the controller goes on beyond the end of the stream: restart it, unless this program sent it a Loop"
+                "the controller plays beyond the end of the stream, by a Loop sent to it or a fault; restart it"
             )
         if status.state == State.PAUSED or status.position > self._furthest:
             self._furthest = status.position
@@ -409,7 +412,9 @@ class _Sender:
         self._noted_s = self._controller.clock()
         if status.state == State.WATCHDOG:
             watchdog_ms = self._controller.description.limits.watchdog_ms
-            raise ConnectionLost(f"the controller stopped because it heard nothing of this host for {watchdog_ms} ms")
+            raise ConnectionLost(
+                f"the controller stopped, because it heard nothing for {watchdog_ms} ms; use a less busy machine"
+            )
         if status.state == State.PLAYING:
             self.reports_playing += 1
             self.buffered_s_sum += source.seconds(status.buffered_samples)

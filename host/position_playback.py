@@ -54,7 +54,9 @@ def back_and_forth(stroke_mm: float, speed_mm_s: float, strokes: int) -> Movemen
     """Return a hand that strokes there and back along a cosine, this many `strokes`, at most at this speed."""
     seconds = strokes * math.pi * stroke_mm / speed_mm_s
     if not seconds <= _MAX_S:
-        raise InputFileError(f"a movement of {seconds:.0f} s: make it shorter, by --loop, --stroke-mm or a faster hand")
+        raise InputFileError(
+            f"a movement of {seconds:.0f} s is too long; shorten it, by --loop, --stroke-mm or a faster hand"
+        )
     times_s = np.arange(math.ceil(seconds * _POSITION_RATE_HZ) + 2) / _POSITION_RATE_HZ
     phase = np.minimum(2 * speed_mm_s / stroke_mm * times_s, 2 * math.pi * strokes)
     return Movement(times_s, stroke_mm / 2 * (1 - np.cos(phase)))
@@ -82,7 +84,7 @@ def read_movement(path: Path) -> Movement:
                 raise InputFileError(f"{path}: more than {_MAX_POSITIONS} positions; cut it into parts")
             rows.append((time_s, position_mm))
     if len(rows) < 2:
-        raise InputFileError(f"{path}: at least two positions make a movement")
+        raise InputFileError(f"{path}: a movement has at least two positions; add some")
     times_s, positions_mm = np.array(rows).T
     if not times_s[-1] - times_s[0] <= _MAX_S:
         raise InputFileError(f"{path}: a movement of more than {_MAX_S:.0f} s; cut it into parts")
@@ -96,10 +98,10 @@ def chosen_movement(
     if positions_path is None and stroke_mm and speed_mm_s:
         return back_and_forth(stroke_mm, speed_mm_s, strokes)
     if positions_path is None:
-        raise InputFileError("a stroke of which speed? Give --hand-speed-mm-s with --stroke-mm")
+        raise InputFileError("missing --hand-speed-mm-s; give the speed of the stroke")
     if stroke_mm or speed_mm_s or strokes != 1:
         raise InputFileError(
-            f"{positions_path} is a whole movement: drop --stroke-mm, --hand-speed-mm-s and --loop, or --positions"
+            f"{positions_path} is a whole movement; drop --stroke-mm, --hand-speed-mm-s and --loop, or --positions"
         )
     return read_movement(positions_path)
 
@@ -126,15 +128,15 @@ def load(controller: Controller, stream: Stream) -> StreamSession:
     limits, header = controller.description.limits, stream.header
     if stream.samples * header.channels > limits.profile_samples:
         raise ControllerError(
-            f"a profile of {stream.samples * header.channels} samples, the controller has room for "
-            f"{limits.profile_samples}: "
-            + ("it needs newer firmware" if not limits.profile_samples else "code a shorter one, or a coarser pitch")
+            f"the profile has {stream.samples * header.channels} samples, and the controller holds "
+            f"{limits.profile_samples}; "
+            + ("update its firmware" if not limits.profile_samples else "code a shorter one, or a coarser pitch")
         )
     packet_samples = stream.decoder().packet_samples
     session = controller.run(configure_steps(controller, header, 0, packets=len(stream.packets)))
     max_bytes = limits.sendable_packet_bytes
     if max(map(len, stream.packets)) > max_bytes:
-        raise ControllerError(f"the controller takes packets of {max_bytes} bytes: encode at a lower quality")
+        raise ControllerError(f"the controller takes packets of at most {max_bytes} bytes; encode at a lower quality")
     until_s = controller.clock() + _LOADING_S
     while (loaded := session.status.position // packet_samples) < len(stream.packets):
         for packet in stream.packets[loaded : session.credit_until // packet_samples]:
@@ -144,9 +146,11 @@ def load(controller: Controller, stream: Stream) -> StreamSession:
         if session.status.position // packet_samples > loaded:
             until_s = controller.clock() + _LOADING_S
         elif controller.clock() > until_s:
-            raise ControllerError("the profile does not get through to the controller: check the link")
+            raise ControllerError("the profile does not get through to the controller; check the link")
     if session.status.lost_packets:
-        raise ControllerError(f"the controller could not decode {session.status.lost_packets} packets of the profile")
+        raise ControllerError(
+            f"the controller could not decode {session.status.lost_packets} packets of the profile; encode it again"
+        )
     return session
 
 
@@ -193,7 +197,7 @@ def play(
             if (status := session.news()) is not None:
                 heard.append(status.device_time_us / 1e6 - controller.clock())
                 if status.state not in (State.ARMED, State.PLAYING):
-                    raise ControllerError(f"the controller stopped playing: {status.state.name}")
+                    raise ControllerError(f"the controller stopped playing (state {status.state.name}); play again")
             if progress is not None:
                 progress(max(0.0, passed_s / whole_s))
     finally:

@@ -35,10 +35,10 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
     """Raise StreamError, with the limit, if the controller cannot play a stream of these channels and this rate."""
     limits = controller.description.limits
     if channels > limits.channels:
-        raise StreamError(f"{channels} channels, the controller has {limits.channels}: leave some out of the recording")
+        raise StreamError(f"{channels} channels, the controller has {limits.channels}; leave some out of the recording")
     if not limits.min_rate_hz <= rate_hz <= limits.max_rate_hz:
         raise StreamError(
-            f"a stream of {rate_hz} Hz, the controller takes {limits.min_rate_hz} to {limits.max_rate_hz} Hz: "
+            f"a stream of {rate_hz} Hz, the controller takes {limits.min_rate_hz} to {limits.max_rate_hz} Hz; "
             "encode with another `stream_rate_hz`"
         )
 
@@ -48,7 +48,7 @@ def check_packet(controller: Controller, packet_samples: int) -> None:
     buffer_samples = controller.description.limits.buffer_samples
     if packet_samples > buffer_samples:
         raise ControllerError(
-            f"a packet has {packet_samples} samples, the controller's buffer {buffer_samples}: "
+            f"a packet has {packet_samples} samples, the controller's buffer {buffer_samples}; "
             "encode with shorter packets"
         )
 
@@ -97,7 +97,9 @@ class StreamSession:
 
     def _take(self, status: Status) -> None:
         if status.state == State.FAULT:
-            raise ControllerError("the controller reports a fault of its hardware and has stopped")
+            raise ControllerError(
+                "the controller reports a fault of its hardware and has stopped; switch it off and on"
+            )
         self.status = status
         self.credit_until = max(self.credit_until, status.credit_until)
 
@@ -164,7 +166,7 @@ class Capture:
             raise ControllerError(
                 f"the controller has no {self._tap.name.lower()} capture from sample {self.samples_read} of "
                 f"{self._channels} channels: it keeps the last {self._controller.description.limits.capture_samples} "
-                "samples. Play without the read-back."
+                "samples; play without the read-back"
             )
         piece = np.frombuffer(answer.data, "<i2").astype(np.int16).reshape(-1, self._channels)
         self._pieces.append(piece)

@@ -75,9 +75,7 @@ def flash(
             resumed_at = received
             controller.reconnect(reconnect_s)
     if verified.sha256 != identity or verified.state != SlotState.VERIFIED:
-        raise ControllerError(
-            f"slot {slot} reads back otherwise than it was written. Flash it again or use another slot."
-        )
+        raise ControllerError(f"verification failed for slot {slot}: data differs; upload it again")
     _start_test(controller, described(slot, SlotState.TESTING))
     return _confirm(controller, described(slot, SlotState.CONFIRMED))
 
@@ -104,7 +102,7 @@ def provide(controller: Controller, address: str, image: bytes) -> None:
     given = name if models.by_hash(sha256(image)) else "FOLDER"
     raise ControllerError(
         f"the stream needs the model {name} (image {sha256(image)[:IMAGE_HASH_BYTES].hex()}), the controller runs "
-        f"{found.name if found else 'none'}: flash it first, `vibrocast flash {given} --device {address}`"
+        f"{found.name if found else 'none'}; upload it first: `vibrocast flash {given} --device {address}`"
     )
 
 
@@ -113,7 +111,7 @@ def _free_slot(controller: Controller) -> int:
     free = [image for image in controller.description.images if image.state not in _RUNNING]
     if not free:
         raise ControllerError(
-            "the controller has no slot to flash: it takes no model images, or one is being tested (restart it)"
+            "the controller has no free slot: it takes no model images, or one is being tested; restart it"
         )
     return min(free, key=lambda image: (image.state != SlotState.WRITING, image.state)).slot
 
@@ -125,7 +123,7 @@ def _send_piece(controller: Controller, slot: int, image: bytes, offset: int) ->
     next_offset = controller.request(FlashData(slot, offset, piece), FlashStatus).next_offset
     if next_offset != offset + len(piece):
         raise ControllerError(
-            f"the controller wrote up to byte {next_offset} instead of {offset + len(piece)}. Flash again."
+            f"the controller wrote up to byte {next_offset} instead of {offset + len(piece)}; upload it again"
         )
     return next_offset
 
@@ -142,7 +140,8 @@ def _start_test(controller: Controller, wanted: ImageDescription) -> None:
             return
         if controller.clock() >= deadline_s:
             raise ControllerError(
-                f"the controller did not start the image in slot {wanted.slot}: it runs the one before. Flash it again."
+                f"the controller did not start the image in slot {wanted.slot}, and runs the previous one; "
+                "upload it again"
             )
         controller.sleep(_RESTART_PAUSE_S)
 
@@ -152,5 +151,5 @@ def _confirm(controller: Controller, wanted: ImageDescription) -> ImageDescripti
     controller.request(FlashConfirm(wanted.slot), FlashStatus)
     controller.open_session()
     if wanted not in controller.description.images:
-        raise ControllerError(f"the controller did not keep the image in slot {wanted.slot}. Flash it again.")
+        raise ControllerError(f"the controller did not keep the image in slot {wanted.slot}; upload it again")
     return wanted

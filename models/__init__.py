@@ -97,7 +97,9 @@ def load(path: Path) -> Model:
     if not path.is_dir():
         return _of_image(path, _read(path))
     if not (path / CARD).exists():
-        raise ModelError(f"{path}: no folder of a model, for it has no {CARD}; give one that `vibrocast export` wrote")
+        raise ModelError(
+            f"{path}: no folder of a model, because it has no {CARD}; give one that `vibrocast export` wrote"
+        )
     text = _read(path / CARD)
     try:
         card = json.loads(text)

@@ -139,7 +139,7 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
         if not chosen:
             raise DatasetError(f"the manifest's column split marks no recording as {part}; mark some, or take all")
         return chosen
-    if by == "trace" and stated:
+    if by == "recording" and stated:
         raise DatasetError(
             'the manifest states materials, and a split by "trace" puts one material into both parts; split by '
             '"material"'
@@ -149,7 +149,7 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
         kind = "subject" if by == "subject" else "material"
         test = _whole_groups({entry.name: _group(entry, kind) for entry in everything}, target, seed)
     else:
-        kind = "trace"
+        kind = "recording"
         test = set(sorted((entry.name for entry in everything), key=lambda name: _draw_rank(name, seed))[:target])
     if not 0 < len(test) < len(everything):
         raise DatasetError(f"there is only one {kind}, which cannot be split; add others, or take all")

@@ -71,7 +71,9 @@ def load(
     try:
         contents = read_contents(path, rate_hz, axis and axis.upper(), reduce, key)
     except OSError as error:
-        raise TextureError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise TextureError(
+            f"{path}: cannot be read: {error.strerror or error}; check the name and your permissions"
+        ) from error
     except MemoryError as error:
         raise TextureError(f"{path}: too large for the memory of this machine; cut it into parts") from error
     if isinstance(contents, Profile):
@@ -135,11 +137,13 @@ def load_profile(path: str | Path) -> Profile:
     """
     path = arguments.file_path("path", path)
     if path.suffix.lower() not in TEXT_SUFFIXES:
-        raise TextureError(f"{path}: a height profile is one of {', '.join(TEXT_SUFFIXES)}")
+        raise TextureError(f"{path}: a height profile is saved as {', '.join(TEXT_SUFFIXES)}")
     try:
         return _profile_of(read_table(path), path)
     except OSError as error:
-        raise TextureError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise TextureError(
+            f"{path}: cannot be read: {error.strerror or error}; check the name and your permissions"
+        ) from error
 
 
 def save_profile(path: str | Path, profile: Profile) -> None:
@@ -192,7 +196,7 @@ def read_contents(
         contents = p1918.read_folder(path, axis, rate_hz)
         return contents if axis else reduced(contents, None, reduce or DFT321, path)
     if not path.is_file():
-        raise TextureError(f"{path}: not a file")
+        raise TextureError(f"{path}: not a file; give a recording")
     suffix = path.suffix.lower()
     if suffix not in TEXT_SUFFIXES:
         return reduced(_read_binary(path, suffix, rate_hz, key), axis, reduce, path)
@@ -226,7 +230,7 @@ def _scale(contents: Contents, unit: str | None, full_scale: float | None, path:
     given = None if unit is None else known_unit(unit, "`unit`")
     relative = ("full scale", "drive")
     if full_scale is not None and not (np.isfinite(full_scale) and full_scale > 0):
-        raise TextureError(f"`full_scale`={full_scale}: it must be positive")
+        raise TextureError(f"`full_scale`={full_scale}: not positive; give a number above 0")
     if contents.unit not in (None, *relative) and (given not in (None, contents.unit) or full_scale is not None):
         raise TextureError(f"{path}: states its unit, {contents.unit}; leave out `unit` and `full_scale`")
     if contents.unit in relative and given not in (None, *relative) and full_scale is None:

@@ -30,7 +30,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         if self.heights_um.ndim != 1 or len(self.heights_um) < MIN_HEIGHTS:
-            raise TextureError(f"{self.name}: a height profile needs at least {MIN_HEIGHTS} heights")
+            raise TextureError(f"{self.name}: too short for a height profile; give at least {MIN_HEIGHTS} heights")
         if not np.isfinite(self.heights_um).all():
             raise TextureError(f"{self.name}: some heights are not numbers; remove or repair them")
         if not np.isfinite(self.spacing_um) or self.spacing_um <= 0:

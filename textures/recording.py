@@ -69,7 +69,7 @@ class Recording:
         if self.samples.ndim != 2 or self.samples.dtype != np.float64:
             raise TextureError(f"{self.name}: samples must be float64 (n, channels)")
         if not self.samples.size:
-            raise TextureError(f"{self.name}: holds no samples")
+            raise TextureError(f"{self.name}: holds no samples; give another file")
         if self.channels > MAX_CHANNELS:
             raise TextureError(
                 f"{self.name}: {self.channels} channels, and at most {MAX_CHANNELS} can be played; "

@@ -234,9 +234,9 @@ def _read(file: TextIO, path: Path) -> Table:
         start = file.tell()
         line = file.readline(MAX_LINE_CHARACTERS)
         if not line:
-            raise TextureError(f"{path}: holds no numbers")
+            raise TextureError(f"{path}: holds no numbers; give a file with one sample a line")
         if len(line) == MAX_LINE_CHARACTERS or "\0" in line:
-            raise TextureError(f"{path}: not a text file of numbers with one sample a line")
+            raise TextureError(f"{path}: not a text file of numbers; write one sample a line")
         if statement := _STATEMENT.fullmatch(line):
             statements[statement[1].lower()] = statement[2]
         elif line.strip() and not line.lstrip().startswith("#"):

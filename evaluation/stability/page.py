@@ -104,7 +104,9 @@ def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
     folder = folder_in(out)
     described = read_rows(folder / "description.csv", Description)
     if len(described) != 1:
-        raise PointsError(f"{folder / 'description.csv'}: {len(described)} rows; it must have one")
+        raise PointsError(
+            f"{folder / 'description.csv'}: {len(described)} rows in place of one; run `vibrocast stability` again"
+        )
     found = [(each, path) for each in maps if (path := folder / f"{each.name}.csv").exists()]
     cells = [cell for each, path in found for cell in read_cells(path, each)]
     return write(out, maps, cells, described[0].command)

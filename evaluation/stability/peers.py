@@ -28,10 +28,10 @@ def read_peers(path: Path) -> list[Verdict]:
         try:
             rows = list(csv.DictReader(file))
             if not rows or any(row.get(name) is None for row in rows for name in _COLUMNS):
-                raise PeersError(f"{path}: every row must have {', '.join(_COLUMNS)}; give such a file")
+                raise PeersError(f"{path}: a row lacks one of {', '.join(_COLUMNS)}; fill it")
             return _cells(rows)
         except (csv.Error, ValueError) as error:
-            raise PeersError(f"{path}: no table of hard signals: {error}") from error
+            raise PeersError(f"{path}: no table of hard signals ({error}); give a CSV file") from error
 
 
 def _cells(rows: list[dict[str, str]]) -> list[Verdict]:

@@ -48,7 +48,7 @@ def run_suite(
         probe.open()
     except (Unreachable, NotConforming) as reason:
         raise NotTestable(
-            f"no controller of protocol {PROTOCOL_MAJOR} can be tested here (check power and address): {reason}"
+            f"no controller of protocol {PROTOCOL_MAJOR} answers ({reason}); check power and address"
         ) from reason
     suite_run = _SuiteRun(link, progress)
     _run(suite_run, "-m", "not long" if quick else "")

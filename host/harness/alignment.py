@@ -41,7 +41,7 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
     from scipy import interpolate, signal
 
     if len(recorded) < len(reference):
-        raise AlignmentError("the recording is shorter than what was played: let the sensor's program record {seconds}")
+        raise AlignmentError("the recording is shorter than the texture; let the sensor's program record {seconds}")
     correlation = signal.correlate(recorded, reference, mode="full", method="fft")
     peak = int(np.argmax(np.abs(correlation)))
     sample = float(peak - (len(reference) - 1))
@@ -49,7 +49,7 @@ def align(reference: Samples, recorded: Samples, rate_hz: float) -> Alignment:
     part = recorded[first : first + len(reference)]
     power = float(np.sqrt(np.sum(np.square(reference)) * np.sum(np.square(part))))
     if not power or abs(correlation[peak]) < _MIN_CORRELATION * power:
-        raise AlignmentError("the recording holds nothing of what was played: check the sensor and its sensitivity")
+        raise AlignmentError("the recording does not contain the texture; check the sensor and its sensitivity")
     fine = signal.resample(recorded, _OVERSAMPLING * len(recorded))
     spline = interpolate.CubicSpline(np.arange(len(fine)) / _OVERSAMPLING, fine)
     slope = spline.derivative()

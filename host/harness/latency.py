@@ -140,7 +140,7 @@ def measure_latency(
     playing = [at for at, status in enumerate(statuses) if status.state == State.PLAYING and status.position]
     if not playing:
         raise ControllerError(
-            "the stream never played: no packet came in time. Check the link, or what else it carries"
+            "the stream never played: no packet came in time; check the link, and what else it carries"
         )
     began_s = min(arrived_s[at] - statuses[at].position / rate_hz for at in playing)
     needed_s = began_s + numbers * stream.packet_samples / rate_hz

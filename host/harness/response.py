@@ -149,7 +149,7 @@ def play_sweep(
         packet_samples = stream.decoder().packet_samples
         played = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
         if played.underruns or played.lost_packets or played.dac_codes is None or played.decoded is None:
-            raise ControllerError("the sweep was not played whole: use a machine that is less busy, or a shorter cable")
+            raise ControllerError("the sweep was interrupted; use a machine that is less busy, or a shorter cable")
         if finish is None:
             displacement_um = actuator.displacement_um(played.dac_codes[:, :1], _OVERSAMPLING)
             recording = Recording(displacement_um, _OVERSAMPLING * actuator.dac_rate_hz, "um", "model")
@@ -263,7 +263,7 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
     explained, gain, corner_hz, start_quality, delay_s = best
     recorded_power = float(np.sum(np.square(np.abs(spectra.recorded))))
     if explained < _MIN_EXPLAINED * recorded_power:
-        raise AlignmentError("the recording holds nothing of the sweep: check the sensor and its sensitivity")
+        raise AlignmentError("the recording does not contain the sweep; check the sensor and its sensitivity")
     scale = np.sqrt(recorded_power)
 
     def residual(parameters: Samples) -> Samples:

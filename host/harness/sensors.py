@@ -73,12 +73,16 @@ def _finish(
     try:
         process.wait(within_s)
     except subprocess.TimeoutExpired as error:
-        raise SensorError(f"sensor {sensor.name}: {sensor.command[0]} does not end by itself") from error
+        raise SensorError(
+            f"sensor {sensor.name}: {sensor.command[0]} does not end by itself; correct its command in the bench file"
+        ) from error
     if process.returncode or not file.exists():
         with complaints.open("rb") as said:
             said.seek(max(0, complaints.stat().st_size - _MAX_COMPLAINT_BYTES))
             lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
-        raise SensorError(f"sensor {sensor.name}: {sensor.command[0]} has recorded nothing: {lines[-1]}")
+        raise SensorError(
+            f"sensor {sensor.name}: {sensor.command[0]} has recorded nothing ({lines[-1]}); check the sensor"
+        )
     return read_recording(sensor, file)
 
 

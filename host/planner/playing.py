@@ -1,6 +1,7 @@
 """Plays what a plan says, live, on its controllers, and measures what the plan has forecast."""
 
 import contextlib
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -399,15 +400,14 @@ class _Player:
         if texture.codec not in codecs:
             raise PlanError(
                 f"{texture.name} is planned for the codec {texture.codec}, {self._planned.name} decodes "
-                f"{', '.join(codecs)}: plan for that controller, or update its firmware"
+                f"{', '.join(codecs)}; plan for that controller, or update its firmware"
             )
         # Of a profile it keeps all, and says so itself.
-        lying = 0 if texture.over_position else texture.packet_samples + texture.buffer_ms / 1e3 * texture.rate
-        if lying > hello.limits.buffer_samples:
+        needed = 0 if texture.over_position else texture.packet_samples + texture.buffer_ms / 1e3 * texture.rate
+        if needed > hello.limits.buffer_samples:
             raise PlanError(
-                f"{texture.name} is planned for packets of {texture.packet_samples} samples, the buffer of "
-                f"{self._planned.name} holds {hello.limits.buffer_samples}, which lie {texture.buffer_ms:g} ms: "
-                "plan for that controller"
+                f"{texture.name} needs a buffer of {math.ceil(needed)} samples, and {self._planned.name} holds "
+                f"{hello.limits.buffer_samples}; plan for that controller"
             )
 
     def _read_back(self, tap: Tap, computed: Codes) -> tuple[bool | None, Codes]:

@@ -309,7 +309,7 @@ def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, 
     coded_path = tmp_path / "image.vct"
     assert "model mdct-textures" in succeeds("encode", texture, coded_path, "--model", IMAGE)
     rejection = fails(1, "play", coded_path, "--device", watched.address)
-    assert "runs none: flash it first" in rejection
+    assert "runs none; upload it first" in rejection
     assert "drop --codec." in fails(2, "play", coded_path, "--codec", "mdct")
     command = re.search("`vibrocast (flash .*)`", rejection)
     assert command is not None
@@ -555,7 +555,7 @@ def test_rejects_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
 
 def test_fails_on_the_device(texture: Path, tmp_path: Path) -> None:
     assert "vibrocast devices" in fails(1, "play", texture, "--device", f"serial:{tmp_path}/none")
-    assert "Plug it in" in fails(1, "status", "--device", "usb:dead:beef")
+    assert "plug it in" in fails(1, "status", "--device", "usb:dead:beef")
 
 
 def test_a_good_file_outlives_a_failed_run(texture: Path, coded: Path) -> None:

@@ -131,7 +131,7 @@ def unreadable(kind: str, whole: bytes, path: Path) -> None:
         ("another version", "version 99"),
         ("arrays of another shape", "train the model again"),
         ("not finite", "train the model again"),
-        ("all zeros", "train it anew"),
+        ("all zeros", "train it again"),
         ("sparse", "train the model again"),
         ("another training", "missing"),
     ],

@@ -63,7 +63,7 @@ def test_the_unit_of_raw_samples_is_asked_for() -> None:
 def test_a_recording_that_is_piped_in_is_rejected() -> None:
     result = run("-", "--unit", "g", data=bytes(2 * 2800 * 120))
     assert result.exit_code == 2
-    assert "a live one keeps its rate" in result.output
+    assert "the source is not live" in result.output
 
 
 def test_samples_that_are_no_numbers_are_rejected() -> None:

@@ -94,7 +94,7 @@ def test_a_sensor_that_fails_leaves_the_other_measurements(tmp_path: Path) -> No
     result = run("--bench", bench, "--only", "throughput,fidelity", "--out", str(tmp_path / "out"))
     assert result.exit_code == 1
     assert "not measured: fidelity: sensor laser: " in result.output and "no microphone" in result.output
-    assert "bytes/s to the host" in result.output
+    assert "throughput to the host: " in result.output
 
 
 def test_a_sensor_that_complains_in_no_known_letters_is_told(tmp_path: Path) -> None:

@@ -521,7 +521,7 @@ def test_packets_that_do_not_fit_are_rejected() -> None:
         with pytest.raises(CodecError, match="shorter packets"):
             dct.DctEncoder(setting, signal_format, Framing(2**13, 0)).encode(noise)
     for samples in (0, 2**18 + 1):
-        with pytest.raises(CodecError, match="are allowed"):
+        with pytest.raises(CodecError, match="are not possible"):
             dct.DctEncoder(setting, signal_format, Framing(samples, 0))
 
 

@@ -52,7 +52,7 @@ def test_graphs_state_their_opset_and_producer() -> None:
 
 def test_graphs_that_differ_from_the_model_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(graphs, "PARITY", 0.0)
-    with pytest.raises(graphs.GraphError, match="train it anew"):
+    with pytest.raises(graphs.GraphError, match="train it again"):
         graphs.graphs_of(model())
 
 

@@ -44,9 +44,9 @@ def test_lag_gain_and_drift_are_found(lag: float, gain: float, drift_ppm: float)
 @pytest.mark.parametrize(
     ("recorded", "message"),
     [
-        (np.zeros(7200), "holds nothing"),
-        (RNG.standard_normal(7200), "holds nothing"),
-        (np.zeros(5000), "shorter than what was played"),
+        (np.zeros(7200), "does not contain the texture"),
+        (RNG.standard_normal(7200), "does not contain the texture"),
+        (np.zeros(5000), "shorter than the texture"),
     ],
 )
 def test_a_recording_of_something_else_is_told(recorded: NDArray[np.float64], message: str) -> None:

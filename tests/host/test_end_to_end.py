@@ -75,10 +75,10 @@ def test_known_actuator_is_modelled_with_the_dac_that_its_controller_has(actuato
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"stroke_um": 0.0}, "no actuator"),
-        ({"volts": math.nan}, "no actuator"),
-        ({"lower_hz": 300.0, "upper_hz": 300.0}, "no actuator"),
-        ({"slew_volts_per_second": math.inf}, "no actuator"),
+        ({"stroke_um": 0.0}, "an impossible actuator"),
+        ({"volts": math.nan}, "an impossible actuator"),
+        ({"lower_hz": 300.0, "upper_hz": 300.0}, "an impossible actuator"),
+        ({"slew_volts_per_second": math.inf}, "an impossible actuator"),
         ({"lower_hz": 200.0, "upper_hz": 200.001}, "compensation"),
         ({"dac_bits": 0}, "0 bits"),
         ({"dac_rate_hz": 3}, "resample"),

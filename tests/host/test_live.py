@@ -196,7 +196,7 @@ def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:
                 link.sleep(0.05)
             yield np.zeros((16, 1))
 
-    with pytest.raises(live.LiveError, match="a live one keeps its rate"):
+    with pytest.raises(live.LiveError, match="the source is not live"):
         live.play(stream, flood())
     assert controller.request_status().state == State.STOPPED
 

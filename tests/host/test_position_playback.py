@@ -135,7 +135,7 @@ def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: Strea
 
 
 def test_controllers_that_cannot_are_named(stream: Stream) -> None:
-    for samples, reason in ((0, "newer firmware"), (100, "room for 100")):
+    for samples, reason in ((0, "update its firmware"), (100, "controller holds 100")):
         link = MemoryLink(SimulatedController(Settings(profile_samples=samples)))
         with Controller(link, link.clock, link.sleep) as controller, pytest.raises(ControllerError, match=reason):
             position_playback.load(controller, stream)

@@ -122,7 +122,7 @@ def test_other_bytes_read_back_are_an_error_and_nothing_is_activated() -> None:
     scripted = ScriptedController()
     answer = FlashStatus(1, SlotState.VERIFIED, len(IMAGE), bytes(32))
     scripted.answer = lambda message: answer if isinstance(message, FlashVerify) else None
-    with pytest.raises(ControllerError, match="reads back"):
+    with pytest.raises(ControllerError, match="verification failed for slot 1: data differs"):
         flash(connect(scripted), IMAGE)
     assert not any(isinstance(message, FlashActivate) for message in scripted.handled)
 
@@ -147,7 +147,7 @@ def test_image_left_on_trial_is_confirmed() -> None:
 def test_controller_without_a_free_slot_is_an_error() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, images=())
-    with pytest.raises(ControllerError, match="no slot"):
+    with pytest.raises(ControllerError, match="no free slot"):
         flash(connect(scripted), IMAGE)
 
 

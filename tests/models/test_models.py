@@ -118,7 +118,7 @@ def test_what_is_no_model_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(models.ModelError, match=r"give one of .*mdct-textures"):
         models.find(str(tmp_path / "missing"))
     (tmp_path / "text.vcmi").write_text("no image")
-    with pytest.raises(ModelImageError, match=r"text.vcmi: this is no model image"):
+    with pytest.raises(ModelImageError, match=r"text.vcmi: not a model image"):
         models.find(str(tmp_path / "text.vcmi"))
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(models.ModelError, match="no file"):

@@ -118,7 +118,7 @@ def test_the_split_by_material_of_the_reference_set() -> None:
 def test_the_parts_share_nothing_and_make_the_whole(wanted: list[str], seed: int, by_material: bool) -> None:
     everything = named(wanted)
     materials = {entry.material for entry in everything}
-    by = "material" if by_material else "trace"
+    by = "material" if by_material else "recording"
     if by_material and len(materials) == 1:
         with pytest.raises(DatasetError, match="only one material"):
             split(everything, "test", seed, by)
@@ -134,7 +134,7 @@ def test_the_parts_share_nothing_and_make_the_whole(wanted: list[str], seed: int
 
 
 def test_what_cannot_be_split_is_rejected() -> None:
-    with pytest.raises(DatasetError, match="only one trace"):
+    with pytest.raises(DatasetError, match="only one recording"):
         split(named(["single"]), "test")
     with pytest.raises(DatasetError, match="first: its name does not state the material"):
         split(named(["first", "second"]), "train", by="material")

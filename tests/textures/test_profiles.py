@@ -104,7 +104,7 @@ def test_rejected_with_what_to_do(tmp_path: Path, text: str, message: str) -> No
 
 
 def test_only_text_holds_a_profile(tmp_path: Path) -> None:
-    with pytest.raises(TextureError, match="a height profile is one of"):
+    with pytest.raises(TextureError, match="a height profile is saved as"):
         load_profile(tmp_path / "profile.wav")
     with pytest.raises(TextureError, match="cannot be read"):
         load_profile(tmp_path / "missing.csv")

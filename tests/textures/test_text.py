@@ -101,7 +101,7 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("1\n2\n", {"rate_hz": 10, "unit": "volt"}, "unknown unit 'volt'; known are"),
         ("1\n2\n", {"rate_hz": 0, "unit": "um"}, "sample rate 0"),
         ("1\n2\n", {"rate_hz": float("nan"), "unit": "um"}, "sample rate nan"),
-        ("1\n2\n", {"rate_hz": 10, "unit": "um", "full_scale": -1}, "must be positive"),
+        ("1\n2\n", {"rate_hz": 10, "unit": "um", "full_scale": -1}, "not positive"),
         ("1\n2\n", {"rate_hz": 10, "unit": "full scale", "full_scale": 3}, "give its `unit` too"),
         ("1\nnan\n", {"rate_hz": 10, "unit": "um"}, "/file.csv: sample 1 of channel 0 is nan"),
         ("1\n-inf\n", {"rate_hz": 10, "unit": "um"}, "is -inf"),
