@@ -1,1 +1,1 @@
-"""Trains what controllers are flashed with: tables and models, and packs them as model images."""
+"""Trains tables and models for codecs, and packs them as model images for controllers."""

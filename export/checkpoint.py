@@ -1,4 +1,4 @@
-"""Checkpoints: a trained model with its prior, how it was trained, and what a cut training needs to go on."""
+"""Checkpoints: a trained model with its prior, its training, and the state from which a training resumes."""
 
 import io
 import math
@@ -24,7 +24,7 @@ _MEASURED = ("step", "seconds", "training_loss", "loss")
 
 
 class ModelError(ValueError):
-    """A model, or a file of one, that cannot be used; the message says why and what to do."""
+    """A model, or its file, that cannot be used; the message says why and what to do."""
 
 
 @dataclass
@@ -32,8 +32,8 @@ class Checkpoint:
     """A model with its prior and its history.
 
     `model`, `prior`: Eva and FactorisedPrior; or Lapped, and a ContextPrior for each hop. `training`: the
-    configuration, as plain tables. `progress`: `step` and `seconds` so far. `curves`: a record for each validation,
-    see export.training. `optimiser`: the state of Adam, from which a cut training goes on.
+    configuration, as plain tables. `progress`: `step` and `seconds` so far. `curves`: a record for each validation, see
+    export.training. `optimiser`: the state of Adam, from which a training resumes.
     """
 
     model: Eva | Lapped
@@ -45,11 +45,11 @@ class Checkpoint:
 
     @property
     def shape(self) -> EvaShape | None:
-        """The shape of an EVA; Lapped has one only."""
+        """The shape of an EVA; None for Lapped, which has only one."""
         return self.model.shape if isinstance(self.model, Eva) else None
 
     def save(self, path: Path) -> None:
-        """Write the checkpoint, whole or not at all. Raises OSError."""
+        """Write the checkpoint, completely or not at all. Raises OSError."""
         content = {
             "format": FORMAT,
             "version": VERSION,
@@ -64,14 +64,14 @@ class Checkpoint:
         stored = io.BytesIO()
         torch.save(content, stored)
         with atomic_write(path) as partial:
-            partial.write_bytes(stored.getbuffer())  # torch's own writing tells of no full disk
+            partial.write_bytes(stored.getbuffer())  # torch's own writing does not report a full disk
 
 
 def load(path: Path) -> Checkpoint:
     """Read a checkpoint onto the processor, in evaluation mode.
 
-    Raises ModelError for what is no checkpoint of this version, or holds arrays of other shapes than it states or
-    numbers that are not finite; OSError where the file cannot be read.
+    Raises ModelError for another file or version, for arrays of other shapes than stated, and for numbers that are not
+    finite; OSError if the file cannot be read.
     """
     if not path.is_file():
         raise ModelError(
@@ -82,9 +82,9 @@ def load(path: Path) -> Checkpoint:
     stored = io.BytesIO(path.read_bytes())
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of foreign files, which torch tells at length
+            warnings.simplefilter("ignore")  # torch's long warnings about foreign files
             content = torch.load(stored, map_location="cpu", weights_only=True)
-    except Exception as error:  # damaged files make torch raise errors of many kinds
+    except Exception as error:  # torch raises errors of many kinds for damaged files
         raise ModelError(
             f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote: OUT/checkpoint.pt"
         ) from error
@@ -99,8 +99,8 @@ def _parsed(content: Any) -> Checkpoint:
         raise ModelError("not a checkpoint of a model; give one that `vibrocast train` wrote")
     if content.get("version") != VERSION:
         raise ModelError(
-            f"a checkpoint of version {content.get('version')!r}, this program reads {VERSION}; train the model again, "
-            "or use the program that wrote it"
+            f"a checkpoint of version {content.get('version')!r}, and this program reads {VERSION}; train the "
+            "model again, or use the program that wrote it"
         )
     model, prior = _untrained(content.get("shape"))
     _fill(model, content.get("model"), "model")
@@ -112,12 +112,12 @@ def _parsed(content: Any) -> Checkpoint:
         raise ModelError("its state of the optimiser is damaged; train the model again")
     training, progress = _table(content, "training"), _table(content, "progress")
     if not _has_numbers(progress, *_REACHED):
-        raise ModelError("it does not say how far its training is; train the model again")
+        raise ModelError("it does not state the step of its training; train the model again")
     return Checkpoint(model.eval(), prior.eval(), training, progress, curves, optimiser)
 
 
 def _untrained(shape: Any) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
-    """Return a model, and its prior, of the stored shape; None is that of Lapped."""
+    """Return an untrained model of the stored shape, and its prior; None is the shape of Lapped."""
     if shape is None:
         return Lapped(), nn.ModuleList(map(ContextPrior, HOPS))
     eva = Eva(_shape(shape))
@@ -142,7 +142,7 @@ def _table(content: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _has_numbers(record: Any, *names: str) -> bool:
-    """Return whether a record holds a finite number of each name."""
+    """Return whether a record holds a finite number under each name."""
     return isinstance(record, dict) and all(
         type(record.get(name)) in (int, float) and math.isfinite(record[name]) for name in names
     )
@@ -151,7 +151,7 @@ def _has_numbers(record: Any, *names: str) -> bool:
 def _fill(module: nn.Module, state: Any, name: str) -> None:
     wanted = {key: tensor.shape for key, tensor in module.state_dict().items()}
     if not isinstance(state, dict) or state.keys() != wanted.keys():
-        raise ModelError(f"the arrays of its {name} are not those of its shape; train the model again")
+        raise ModelError(f"the arrays of its {name} do not fit its shape; train the model again")
     for key, shape in wanted.items():
         tensor = state[key]
         if (

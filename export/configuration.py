@@ -1,4 +1,4 @@
-"""What a training is: the configuration file (TOML), every key and value checked before any work is done."""
+"""The configuration of a training (TOML); every key and value is checked before any work is done."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,10 +28,10 @@ class ConfigurationError(ValueError):
 
 
 class ModelChoice(Table, frozen=True):
-    """[model]: what is trained.
+    """[model]: the model to train.
 
-    Of kind "eva" the filters of each layer, as many as latents; `lambda`, the weight of squared error against bits. Of
-    kind "lapped" the windows of every hop, for all rates.
+    Kind "eva" has the filters of each layer, as many as latents, and `lambda`, the weight of squared error against
+    bits. Kind "lapped" has the windows of every hop, for all rates.
     """
 
     kind: Literal["eva", "lapped"] = "eva"
@@ -40,7 +40,7 @@ class ModelChoice(Table, frozen=True):
 
     def __post_init__(self) -> None:
         if self.kind == "eva" and self.lambda_ is None:
-            raise ValueError("a model of kind eva needs lambda, the weight of squared error against bits")
+            raise ValueError("a model of kind eva needs lambda, the weight of squared error against bits; state it")
         if self.kind == "lapped" and (self.lambda_ is not None or self.width != 128):
             raise ValueError("a model of kind lapped has neither lambda nor width; leave them out")
 
@@ -55,7 +55,7 @@ class ArchiveSource(Table, frozen=True):
 
     @property
     def name(self) -> str:
-        """What the source is called in the names of materials."""
+        """Name of the source in the names of materials."""
         return Path(self.archive).stem
 
 
@@ -78,19 +78,19 @@ class FolderSource(Table, frozen=True):
 
     @property
     def name(self) -> str:
-        """What the source is called in the names of materials."""
+        """Name of the source in the names of materials."""
         path = Path(self.folder)
         return (path.stem if path.suffix.lower() == ".csv" else path.name) or self.folder
 
     @property
     def options(self) -> dict[str, Any]:
-        """What `textures.load` is told of every recording."""
+        """Options of `textures.load` for every recording."""
         names = ("rate_hz", "unit", "full_scale", "axis", "reduce", "hand_speed_mm_s")
         return {name: getattr(self, name) for name in names}
 
 
 class GeneratorSource(Table, frozen=True):
-    """[generator]: textures of this project's own generators, each kind a material, at many speeds of the hand."""
+    """[generator]: textures of this project's own generators, each kind a material, at many hand speeds."""
 
     kinds: tuple[Annotated[str, one_of(textures.GENERATORS)], ...] = tuple(sorted(textures.GENERATORS))
     recordings: Annotated[int, within(1, 10_000)] = 30
@@ -100,12 +100,12 @@ class GeneratorSource(Table, frozen=True):
 
     @property
     def name(self) -> str:
-        """What the source is called in the names of materials."""
+        """Name of the source in the names of materials."""
         return "generator"
 
     @property
     def about(self) -> str:
-        """What the card says of it."""
+        """Text about the source on the model's card."""
         return "this project's generated textures"
 
 
@@ -120,7 +120,7 @@ class HeldBack(Table, frozen=True):
 
 
 class Augmentation(Table, frozen=True):
-    """[augmentation]: how far excerpts are varied at random."""
+    """[augmentation]: how much excerpts vary at random."""
 
     gain_db: Annotated[float, within(0, 40)] = 12.0
     rate_octaves: Annotated[float, within(0, 2)] = 0.5
@@ -131,7 +131,7 @@ class Augmentation(Table, frozen=True):
 
 
 class Schedule(Table, frozen=True):
-    """[training]: the loop. `distortion`: of the signal, or after the perceptual transform g_p, see export.training."""
+    """[training]: the loop. `distortion`: of the signal, or after the perceptual transform g_p; see export.training."""
 
     steps: Annotated[int, within(1, 10**8)] = 40_000
     batch: Annotated[int, within(1, 4096)] = 16
@@ -152,7 +152,7 @@ class Schedule(Table, frozen=True):
 
 
 class Sweep(Table, frozen=True):
-    """[sweep]: a training for every width, and for every lambda."""
+    """[sweep]: one training for every width and every lambda."""
 
     widths: tuple[Width, ...] = ()
     lambdas: tuple[Lambda, ...] = ()
@@ -182,37 +182,37 @@ class Configuration(Table, frozen=True):
 
     def __post_init__(self) -> None:
         if not self.sources:
-            raise ValueError("nothing to train on; give [[archive]], [[folder]] or [generator]")
+            raise ValueError("there is nothing to train on; give [[archive]], [[folder]] or [generator]")
         names = [source.name for source in self.sources]
         if len(set(names)) < len(names):
-            raise ValueError(f"two sources are called {max(names, key=names.count)!r}; rename one")
+            raise ValueError(f"two sources have the name {max(names, key=names.count)!r}; rename one")
         samples = self.training.excerpt_samples
         if self.model.kind == "lapped" and (samples % _LONGEST_HOP_SAMPLES or samples < 10 * _LONGEST_HOP_SAMPLES):
             raise ValueError(
-                f"excerpt_samples must be a multiple of {_LONGEST_HOP_SAMPLES}, from {10 * _LONGEST_HOP_SAMPLES} on, "
-                f"for a model of kind lapped, not {samples}"
+                f"excerpt_samples is {samples}; for a model of kind lapped give a multiple of {_LONGEST_HOP_SAMPLES}, "
+                f"at least {10 * _LONGEST_HOP_SAMPLES}"
             )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain tables, as a checkpoint stores it and `parsed` takes it."""
+        """Return the configuration as plain tables, as a checkpoint stores it and `parsed` reads it."""
         tables: dict[str, Any] = msgspec.to_builtins(self)
         return tables
 
 
 def read(path: Path) -> Configuration:
-    """Read a configuration file. Raises ConfigurationError for what cannot be used, OSError where it cannot be read."""
+    """Read a configuration file. Raises ConfigurationError if it is invalid, OSError if it cannot be read."""
     if not path.exists():
-        raise ConfigurationError(f"{path}: no such file; examples/eva.toml is one to begin with")
+        raise ConfigurationError(f"{path}: no such file; begin with a copy of examples/eva.toml")
     with located(path, ConfigurationError):
         return parsed(read_toml(path, "configuration"))
 
 
 def parsed(values: Mapping[str, Any]) -> Configuration:
-    """Return the configuration of plain tables, such as those of a TOML file. Raises ConfigurationError."""
+    """Return the configuration in plain tables, such as those of a TOML file. Raises ConfigurationError."""
     try:
         configuration = convert(values, Configuration)
         for one in each_of(configuration):
-            convert(one.as_dict(), Configuration)  # the name of each
+            convert(one.as_dict(), Configuration)  # checks the name of each
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     return configuration

@@ -6,16 +6,16 @@ import torch
 from torch import Tensor, nn
 
 HOP_SAMPLES = 16
-"""Samples for each column of latents: the product of the down-samplings 4, 2 and 2."""
+"""Samples of each column of latents: the product of the down-sampling factors 4, 2 and 2."""
 REACH_SAMPLES = 28
-"""Samples on each side that one column of latents depends on, and acts on: 4 + 4 * 2 + 8 * 2."""
+"""Samples on each side that affect one column of latents, and that it affects: 4 + 4 * 2 + 8 * 2."""
 _MIN_BETA = 1e-6
 _PEDESTAL = 2.0**-36
 
 
 @dataclass(frozen=True)
 class EvaShape:
-    """What fixes a model's arrays: filters of the hidden layers, and latent channels; the paper has 128 of each."""
+    """The sizes of a model's arrays: filters of the hidden layers, and latent channels; the paper has 128 of each."""
 
     width: int = 128
     latents: int = 128
@@ -29,7 +29,7 @@ class Gdn(nn.Module):
     """Generalised divisive normalisation over channels, x_i / sqrt(beta_i + sum_j gamma_ij x_j^2), or its inverse.
 
     Takes and returns (batch, channels, time). Ballé, Laparra and Simoncelli, "Density modeling of images using a
-    generalized normalization transformation", 2016; the parameters are kept positive by squaring, as there.
+    generalized normalization transformation", 2016. As there, squaring keeps the parameters positive.
     """
 
     def __init__(self, channels: int, inverse: bool) -> None:
@@ -57,7 +57,7 @@ class Gdn(nn.Module):
 def analysis_transform(shape: EvaShape) -> nn.Sequential:
     """Return the analysis transform, (batch, 1, 16 n) to (batch, latents, n): kernels 9, 5, 5, down 4, 2, 2, GDN each.
 
-    No layer has a bias, so that silence is silence and an inverted signal gives inverted latents.
+    No layer has a bias, so silence gives silence, and an inverted signal gives inverted latents.
     """
     return nn.Sequential(
         nn.Conv1d(1, shape.width, 9, stride=4, padding=4, bias=False),

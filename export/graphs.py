@@ -1,4 +1,4 @@
-"""EVA's transforms as ONNX graphs, checked, and held against torch."""
+"""EVA's transforms as ONNX graphs, checked, and compared with torch."""
 
 import io
 import warnings
@@ -16,13 +16,13 @@ from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
 
 OPSET = 17
 PARITY = 1e-5
-"""Largest difference between torch and ONNX Runtime, relative to the full scale of what is compared."""
+"""Largest difference between torch and ONNX Runtime, relative to the full scale of the compared values."""
 PARITY_LENGTHS = (1, 7, 15, 16, 17, 31, 100, 333, 1000, 2801, 4096, 9999, 10_000)
-"""Samples of the signals that are compared."""
+"""Lengths of the compared signals, in samples."""
 
 
 class GraphError(ValueError):
-    """A model whose graphs do not do what it does; the message says by how much."""
+    """A model whose graphs give other values than the model; the message states the difference."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Graphs:
     """A model's two graphs, as bytes of ONNX.
 
     `analysis`: "signal" (batch, 1, 16 n) to "latents" (batch, latents, n); `synthesis` the reverse. Opset 17, float32.
-    `analysis_difference`, `synthesis_difference`: largest found between torch and ONNX Runtime, as in PARITY.
+    `analysis_difference`, `synthesis_difference`: the largest between torch and ONNX Runtime, as in PARITY.
     """
 
     analysis: bytes
@@ -40,9 +40,9 @@ class Graphs:
 
 
 def graphs_of(model: Eva, lengths: Sequence[int] = PARITY_LENGTHS) -> Graphs:
-    """Return a model's graphs, held against torch at signals of these lengths, in samples.
+    """Return a model's graphs, compared with torch for signals of these lengths, in samples.
 
-    The same model gives the same bytes. Raises GraphError where they differ by more than PARITY.
+    The same model gives the same bytes. Raises GraphError if they differ by more than PARITY.
     """
     analysis = _exported(model.analysis, torch.zeros(1, 1, HOP_SAMPLES), SIGNAL, LATENTS)
     synthesis = _exported(model.synthesis, torch.zeros(1, model.shape.latents, 1), LATENTS, SIGNAL)
@@ -70,7 +70,7 @@ def graphs_of(model: Eva, lengths: Sequence[int] = PARITY_LENGTHS) -> Graphs:
 
 
 def padded_noise(samples: int) -> NDArray[np.float32]:
-    """Return white noise of RMS value 1 as a signal (1, 1, 16 n): so many samples, then zeros."""
+    """Return white noise of RMS value 1 as a signal (1, 1, 16 n): `samples` of noise, then zeros."""
     noise = np.random.default_rng(samples).standard_normal(samples)
     return np.pad(noise, (0, -samples % HOP_SAMPLES)).astype(np.float32)[None, None]
 
@@ -79,12 +79,12 @@ def _exported(transform: nn.Sequential, example: Tensor, source: str, result: st
     """Return a transform as a checked graph from the input named `source` to the output named `result`."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
-        # The exporter that torch prefers needs onnxscript, and gives the same operators.
+        # The exporter that torch prefers needs onnxscript, and writes the same operators.
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
             nn.Sequential(*map(_fixed, transform)).eval(),
             (example,),
-            buffer,  # type: ignore[arg-type]  # it takes what can be written to as well
+            buffer,  # type: ignore[arg-type]  # it also takes a buffer
             dynamo=False,
             opset_version=OPSET,
             input_names=[source],
@@ -98,7 +98,7 @@ def _exported(transform: nn.Sequential, example: Tensor, source: str, result: st
 
 
 class _FixedGdn(nn.Module):
-    """A trained GDN whose norm is a plain convolution with bias: its parameters made positive beforehand."""
+    """A trained GDN whose norm is a plain convolution with bias; its parameters are made positive beforehand."""
 
     def __init__(self, trained: Gdn) -> None:
         super().__init__()
@@ -120,6 +120,6 @@ def _fixed(layer: nn.Module) -> nn.Module:
 
 
 def _difference(values: NDArray[np.float32], expected: NDArray[np.float32]) -> float:
-    """Return the largest difference relative to the peak of what is expected; infinity where that is silent."""
+    """Return the largest difference relative to the peak of the expected values; infinity if those are silent."""
     peak = np.max(np.abs(expected))
     return float(np.max(np.abs(values - expected)) / peak) if peak > 0 else np.inf

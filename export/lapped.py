@@ -1,4 +1,4 @@
-"""The transforms of `lapped` in torch: of each hop, the window of an extended lapped transform, and a prior."""
+"""The transforms of `lapped` in torch: for each hop, the window of an extended lapped transform, and a prior."""
 
 import math
 
@@ -10,18 +10,18 @@ from vibrocast.codec.interface import Signal
 from vibrocast.codec.mdct import HOPS, modulated
 
 REACH_SAMPLES = 3 * max(HOPS)
-"""At the ends of a signal, what lacks blocks that a stream has."""
+"""Samples at each end of a signal that lack blocks which a stream has."""
 TERMS = 6
-"""Of the cosine series that each angle is, over half a hop: windows are smooth, and alike at all hops."""
+"""Terms of the cosine series of each angle over half a hop: windows are smooth, and alike at all hops."""
 
 
 class Window(nn.Module):
-    """The transform of one hop N, orthogonal whatever is learned: (batch, 1, n) to (batch, N, blocks), and back.
+    """The transform of one hop N, always orthogonal: (batch, 1, n) to (batch, N, blocks), and back.
 
-    Two angles for each i < N/2 make the values a, b, c, d of the window at i, N - 1 - i, N + i and 2N - 1 - i, so that
-    a^2 + b^2 + c^2 + d^2 = 1 and a d + b c = 0, which is what perfect reconstruction takes with a symmetric window:
-    Malvar, "Extended lapped transforms: properties, applications, and fast algorithms", 1992, overlap 4. They start
-    from his window in closed form, 1/2 (1/sqrt(2) + cos(pi (n + 1/2 - 2N) / 2N)).
+    Two angles for each i < N/2 make the values a, b, c, d of the window at i, N - 1 - i, N + i and 2N - 1 - i. So a^2 +
+    b^2 + c^2 + d^2 = 1 and a d + b c = 0. With a symmetric window, this gives perfect reconstruction: Malvar, "Extended
+    lapped transforms: properties, applications, and fast algorithms", 1992, overlap 4. The angles start from his window
+    in closed form, 1/2 (1/sqrt(2) + cos(pi (n + 1/2 - 2N) / 2N)).
     """
 
     def __init__(self, hop: int) -> None:
@@ -57,7 +57,7 @@ def analysed(signals: Tensor, matrix: Tensor) -> Tensor:
 
 
 def synthesised(coefficients: Tensor, matrix: Tensor) -> Tensor:
-    """Return the signals (batch, 1, n) of coefficients: where all their blocks are there, `analysed` undone."""
+    """Return the signals (batch, 1, n) of coefficients: the inverse of `analysed` where all blocks exist."""
     return nn.functional.conv_transpose1d(coefficients, matrix, stride=len(matrix))
 
 

@@ -1,4 +1,4 @@
-"""The model image of a trained `lapped`: its windows, and tables and network trained on what they make of textures."""
+"""The model image of a trained `lapped`: its windows, and tables and a network trained on their coefficients."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -11,7 +11,7 @@ from vibrocast.export.mdct_network import trained
 
 
 def image(model: Lapped, name: str, version: str, signals: Sequence[Signal], seed: int) -> bytes:
-    """Return the packed image of a model. `signals`: float64 (n,), all that it was trained on.
+    """Return the packed image of a model. `signals`: float64 (n,), all those of its training.
 
     Raises ModelImageError for a name or version that an image cannot have.
     """

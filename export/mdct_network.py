@@ -1,4 +1,4 @@
-"""Trains the network of `mdct`, which predicts each decision beside the adaptive contexts, and the tables under it."""
+"""Trains the network of `mdct`, which predicts decisions together with the adaptive contexts, and its tables."""
 
 import math
 from collections.abc import Callable
@@ -22,22 +22,22 @@ HIDDEN = (32, 24)
 _EXCERPT_S = 4.0
 _EXCERPTS_AT_ONCE = 4
 _PACKET_S = 1.5
-_QUIET = 0.15  # bits per sample, so that excerpts of next to none do not outweigh all others
+_QUIET = 0.15  # bits per sample, so that excerpts of almost no bits do not outweigh all others
 _WEIGHT_BYTES, _SILENCE_BYTES = 480, 16
 _DECISIONS = 6
 _UNARY_LIMIT = 15
-_INPUT_UNIT, _WEIGHT_UNIT, _BIAS_UNIT = 16, 64, 256  # of the integers, see docs/reference/bitstream.md
+_INPUT_UNIT, _WEIGHT_UNIT, _BIAS_UNIT = 16, 64, 256  # units of the integers, see docs/reference/bitstream.md
 
 Analysis: TypeAlias = Callable[[int], Signal]
-"""The transform at a hop, (samples of a window, hop), whose coefficients are coded."""
+"""Returns the transform at a hop, (samples of a window, hop)."""
 
 
 def trained(textures: list[Signal], seed: int, tables: bytes, analysis: Analysis = analysis_matrix) -> bytes:
     """Return the payload of a model image, tables and network, trained on textures, (n, 1) each.
 
-    `tables`: to begin with. In the result no weight is given to the contexts at first: they are inputs of the network.
+    `tables`: to begin with. In the result the contexts have no weight at first, because they are inputs of the network.
     """
-    torch.set_num_threads(1)  # the same sums in the same order
+    torch.set_num_threads(1)  # gives the same sums in the same order
     tables = averaged_tables(textures, seed, tables, analysis)
     network = train(*examples(textures, seed + 1, tables, analysis), seed + 2)
     cells, _, silence = _parts(tables)
@@ -47,7 +47,7 @@ def trained(textures: list[Signal], seed: int, tables: bytes, analysis: Analysis
 def averaged_tables(textures: list[Signal], seed: int, tables: bytes, analysis: Analysis = analysis_matrix) -> bytes:
     """Return the mean of the states that `tables` pass through while excerpts of the textures are coded at every hop.
 
-    A cell holds what its last 32 decisions were, so the state at the end of training is a noisy one to begin with.
+    A cell depends on its last 32 decisions. So the state at the end of training would be a noisy beginning.
     """
     states = []
     encoder = None
@@ -68,7 +68,7 @@ def averaged_tables(textures: list[Signal], seed: int, tables: bytes, analysis: 
 
 
 def _parts(tables: bytes) -> tuple[bytes, bytes, bytes]:
-    """Return the cells, the weights and the probabilities of silence in tables, see docs/reference/bitstream.md."""
+    """Return the cells, the weights and the probabilities of silence in tables; see docs/reference/bitstream.md."""
     weights_at = len(tables) - _SILENCE_BYTES - _WEIGHT_BYTES
     return tables[:weights_at], tables[weights_at:-_SILENCE_BYTES], tables[-_SILENCE_BYTES:]
 
@@ -76,9 +76,9 @@ def _parts(tables: bytes) -> tuple[bytes, bytes, bytes]:
 def examples(
     textures: list[Signal], seed: int, tables: bytes, analysis: Analysis = analysis_matrix
 ) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
-    """Return up to EXAMPLES rows of MdctEncoder.examples, of excerpts each coded from a refresh on, and their weights.
+    """Return up to EXAMPLES rows of MdctEncoder.examples, from excerpts coded from a refresh on, and their weights.
 
-    The weights make every excerpt's bits count alike, relative to the sum of them.
+    The weights make every excerpt's bits count alike, relative to their sum.
     """
     rows, weights, left = [], [], EXAMPLES
     for excerpt, hop in zip(excerpts(textures, seed, _EXCERPT_S), cycle(HOPS), strict=False):
@@ -95,7 +95,7 @@ def examples(
 
 
 class Network(nn.Module):
-    """What vc_network_run computes, in floating point, with the weights and biases as the integers have them."""
+    """The function vc_network_run in floating point, with weights and biases as the integers have them."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
@@ -112,7 +112,7 @@ class Network(nn.Module):
         return values.view(-1, 2, _DECISIONS)
 
     def payload(self) -> bytes:
-        """Return the network as it stands in a model image, behind the tables."""
+        """Return the network's bytes in a model image, after the tables."""
         layers = [[part.detach() for part in _rounded(layer)] for layer in self.layers]
         weights, biases = layers.pop()
         layers += [[part.detach() for part in pair] for pair in zip(weights.chunk(2), biases.chunk(2), strict=True)]
@@ -124,7 +124,7 @@ class Network(nn.Module):
 
 
 def _rounded(layer: nn.Module) -> tuple[Tensor, Tensor]:
-    """Return weights and biases rounded to what the integers hold; gradients pass as if they were not."""
+    """Return weights and biases rounded as the integers are; gradients ignore the rounding."""
     assert isinstance(layer, nn.Linear)
     weights = layer.weight + (_on_grid(layer.weight, _WEIGHT_UNIT, 127) - layer.weight).detach()
     biases = layer.bias + (_on_grid(layer.bias, _BIAS_UNIT, 32767) - layer.bias).detach()
@@ -136,11 +136,11 @@ def _on_grid(values: Tensor, unit: int, limit: int) -> Tensor:
 
 
 def bits(logits: Tensor, quantisers: Tensor, indices: Tensor) -> Tensor:
-    """Return the bits that the decisions of each index (n,) cost at the predictions (n, 2, 6), without the sign."""
+    """Return the bits that the decisions of each index (n,) cost with the predictions (n, 2, 6), without the sign."""
     kinds = torch.arange(_DECISIONS)
     chosen = logits[torch.arange(len(logits)), quantisers]
     last = indices[:, None].clamp(max=_DECISIONS - 1)
-    # How often each kind of decision was answered with yes, and with no; the last kind repeats.
+    # How often each kind of decision was yes, and no; the last kind repeats.
     yes = (kinds < last).float()
     yes[:, -1] = (indices - _DECISIONS + 1).clamp(min=0).float()
     no = ((kinds == last) & (indices[:, None] < _UNARY_LIMIT)).float()
@@ -149,7 +149,7 @@ def bits(logits: Tensor, quantisers: Tensor, indices: Tensor) -> Tensor:
 
 
 def train(rows: NDArray[np.int16], weights: NDArray[np.float32], seed: int) -> Network:
-    """Return a network trained on rows and weights as `examples` returns them."""
+    """Return a network trained on rows and weights from `examples`."""
     torch.manual_seed(seed)
     generator = np.random.default_rng(seed)
     network = Network(rows.shape[1] - 2)

@@ -1,4 +1,4 @@
-"""Trains the initial tables of `mdct` on recordings: a refresh then starts from what textures have in common.
+"""Trains the initial tables of `mdct` on recordings: a refresh then starts from the statistics of textures.
 
 python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --image mine.vcmi                for a controller
 python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --network --image mine.vcmi      with a network, in fewer bits

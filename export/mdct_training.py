@@ -1,4 +1,4 @@
-"""Training of the initial tables of `mdct`: excerpts of textures at random steps, coded one after another."""
+"""Trains the initial tables of `mdct`: codes excerpts of textures at random steps, one after another."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ FINEST_STEP, COARSEST_STEP = -2.5, 2.3
 EXCERPT_S = 1.5
 PASSES = 2
 STEP = 2.0**-9
-"""Of every encoder that learns: an excerpt is scaled so that this step is the wanted one."""
+"""Step of every encoder that learns; an excerpt is scaled so that this is its step."""
 
 
 def excerpts(textures: list[Signal], seed: int, excerpt_s: float = EXCERPT_S) -> Iterator[Signal]:

@@ -1,4 +1,4 @@
-"""The files of a model for use, made of a checkpoint: ONNX graphs and model image."""
+"""Makes the files of a model for use from a checkpoint: ONNX graphs and model image."""
 
 import re
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from vibrocast.export.priors import FactorisedPrior
 from vibrocast.export.quantise import quantise
 
 Contents: TypeAlias = Literal["core", "onnx", "both"]
-"""What an image holds for the decoder: the integer network, the ONNX graph, or both, the network preferred."""
+"""The parts of an image for the decoder: the integer network, the ONNX graph, or both, with the network preferred."""
 
 
 @dataclass(frozen=True)
 class Package:
     """A model for use.
 
-    `image`: the packed model image. `full`: one that holds both integer network and graph, to compare them.
+    `image`: the packed model image. `full`: an image with both integer network and graph, to compare them.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Package:
 
     @property
     def files(self) -> dict[str, bytes]:
-        """What stands in the model's folder beside its card, by file name."""
+        """The files of the model's folder, except its card, by name."""
         return {
             f"{self.name}.vcmi": self.image,
             "analysis.onnx": self.graphs.analysis,
@@ -53,10 +53,10 @@ def make(
     signals: Sequence[Signal],
     prior: PriorKind = "adaptive",
 ) -> Package:
-    """Return the package of a checkpoint. `signals`: float64 (n,) of what it was trained on, as `quantise` takes them.
+    """Return the package of a checkpoint. `signals`: float64 (n,) of its training, as for `quantise`.
 
-    `prior`: whether its probabilities adapt to a stream. Raises GraphError, ModelError or ModelImageError for what
-    cannot be used.
+    `prior`: whether its probabilities adapt to a stream. Raises GraphError, ModelError or ModelImageError for a model
+    that cannot be used.
     """
     assert isinstance(checkpoint.model, Eva) and isinstance(checkpoint.prior, FactorisedPrior)
     graphs = graphs_of(checkpoint.model)
@@ -70,6 +70,6 @@ def make(
     def packed(payload: EvaImage) -> bytes:
         return ModelImage(eva.IDENTIFIER, name, version, "", payload.pack()).pack()
 
-    # NAME-1, NAME-2, ... are a family: one lambda each, they make a curve together.
+    # NAME-1, NAME-2, ... are a family: they have one lambda each, and make a curve together.
     family = re.sub(r"-\d+$", "", name)
     return Package(name, version, family, contents, prior, graphs, packed(payload), packed(full))

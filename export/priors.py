@@ -1,4 +1,4 @@
-"""Priors: what the entropy coder is expected to know of the latents, as bits that training can lower."""
+"""Priors: the statistics of latents that an entropy coder expects, as bits that training can lower."""
 
 import numpy as np
 import torch
@@ -49,14 +49,14 @@ class FactorisedPrior(nn.Module):
         channels_first = (values.shape[1], values.shape[0], values.shape[2])
         channels = values.transpose(0, 1).flatten(1)
         lower, upper = (self.logits(channels + offset) for offset in (-0.5, 0.5))
-        # Of two values near one the difference is lost: mirrored, they are near zero.
+        # The difference of two values near one loses precision; mirrored, they are near zero.
         mirror = -torch.sign(lower + upper).detach()
         probability = torch.abs(torch.sigmoid(mirror * upper) - torch.sigmoid(mirror * lower))
         return -torch.log2(probability.clamp(min=_MIN_PROBABILITY)).reshape(channels_first).transpose(0, 1)
 
 
 class ContextPrior(nn.Module):
-    """A Laplace density whose scale follows the magnitudes coded before: a differentiable stand-in for adaptive coding.
+    """A Laplace density whose scale follows earlier magnitudes: a differentiable stand-in for adaptive coding.
 
     Four weighted sums of neighbouring magnitudes - two lower channels of this column, five channels of the last three,
     and a running average - each plus a constant, are combined as powers, with weights for each channel. The sums start
@@ -99,9 +99,9 @@ class ContextPrior(nn.Module):
     def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
         """Return the bits of each of `values`, in steps, given the latents before it: all (batch, latents, columns).
 
-        `contexts` are the rounded latents, in steps, of which those before a latent are known when it is coded: its
-        column's lower channels and all earlier columns. `steps`: (batch, latents, 1). In training `values` hold noise
-        in place of rounding.
+        `contexts`: the rounded latents, in steps. When a latent is coded, those of its column's lower channels and of
+        all earlier columns are known. `steps`: (batch, latents, 1). In training `values` hold noise in place of
+        rounding.
         """
         scale = self.scales(contexts, steps)
         magnitude = torch.abs(values)
@@ -115,7 +115,7 @@ class ContextPrior(nn.Module):
 def probabilities(prior: FactorisedPrior, limit: int) -> NDArray[np.float64]:
     """Return the probability of each integer -limit .. limit of each channel: float64 (latents, 2 limit + 1).
 
-    What lies beyond the limits is left out, so a row may sum up to less than one.
+    Integers beyond the limits are left out, so the sum of a row may be less than one.
     """
     with torch.no_grad():
         latents = len(prior.biases[0])

@@ -1,4 +1,4 @@
-"""A trained EVA to the payload of a model image: integer network, and probabilities of its prior."""
+"""Converts a trained EVA into the payload of a model image: integer network, and probabilities of its prior."""
 
 from collections.abc import Sequence
 
@@ -22,14 +22,14 @@ from vibrocast.export.eva import Eva, Gdn
 from vibrocast.export.priors import FactorisedPrior, probabilities
 
 HOTTEST = 4.0
-"""How far above an RMS value of 1 the calibration takes the signals, so that louder passages have headroom."""
+"""Level of the calibration signals relative to an RMS value of 1, which leaves headroom for louder passages."""
 EXCERPT_SAMPLES = 4096
 CALIBRATION_EXCERPTS = 64
 TONES = 64
 
 _LARGEST = 32767.0
 _MAX_WORD = 2**32 - 1
-# As firmware/core/eva_kernels.h and eva_synthesis.c have them.
+# The values of firmware/core/eva_kernels.h and eva_synthesis.c.
 _ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
 
 Values = NDArray[np.float64]
@@ -40,9 +40,9 @@ def quantise(
 ) -> EvaImage:
     """Return the image of a model without a graph, for the integer core.
 
-    `signals`: float64 (n,) of what the model was trained on, of any level; they set the ranges of the integers. `kind`:
-    whether the prior's probabilities adapt to a stream. Raises ModelError where the signals are silent, or where the
-    model does not fit the integers.
+    `signals`: float64 (n,), those of the model's training, at any level; they set the ranges of the integers. `kind`:
+    whether the prior's probabilities adapt to a stream. Raises ModelError if the signals are silent, or if the model
+    does not fit the integers.
     """
     excerpts = _excerpts(signals)
     if len(excerpts) == 0:
@@ -66,7 +66,7 @@ def quantise(
 
 
 def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
-    """Return excerpts (count, EXCERPT_SAMPLES) of RMS value 1; short signals end in zeros, silent ones are left out."""
+    """Return excerpts (count, EXCERPT_SAMPLES) of RMS value 1; zeros pad short signals, silent ones are dropped."""
     parts = []
     for signal in signals:
         for start in range(0, max(1, len(signal) - EXCERPT_SAMPLES // 2), EXCERPT_SAMPLES):
@@ -78,16 +78,16 @@ def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
 
 
 def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
-    """Return the greatest magnitude of each channel of the latents and of what each layer of the synthesis gives, with
-    each inverse GDN's norm before its result; at HOTTEST times the level.
+    """Return the greatest magnitudes at HOTTEST times the level, for each channel.
 
-    Latents have room for tones of every frequency too, as all of a tone's power may lie in one of them.
+    First those of the latents, then of each layer of the synthesis; each inverse GDN's norm comes before its result.
+    Latents have room for tones of every frequency too, because all of a tone's power may lie in one of them.
     """
     ranges: list[Values] = []
 
     def record(values: torch.Tensor) -> None:
         greatest = torch.amax(torch.abs(values), dim=(0, 2)).double().numpy()
-        # A channel that calibration leaves silent is scaled as the one that sounds the least.
+        # A channel that is silent in calibration is scaled like the quietest other channel.
         ranges.append(np.maximum(greatest, np.min(greatest[greatest > 0], initial=1.0)))
 
     with torch.no_grad():
@@ -110,7 +110,7 @@ def _tones() -> NDArray[np.float32]:
 
 
 def _network(model: Eva, ranges: Sequence[Values], input_units: Values) -> IntegerNetwork:
-    """Return the synthesis in integers. A unit is how many of them stand for 1, in each channel."""
+    """Return the synthesis in integers. A channel's unit is the integer that stands for 1."""
     normalisations, convolutions = [], []
     for stage, (norms, normalised, convolved) in enumerate(zip(ranges[1::3], ranges[2::3], ranges[3::3], strict=True)):
         gdn, convolution = model.synthesis[2 * stage], model.synthesis[2 * stage + 1]
@@ -131,14 +131,15 @@ def _network(model: Eva, ranges: Sequence[Values], input_units: Values) -> Integ
 
 
 def _normalisation(gdn: Gdn, inputs: Values, norms: Values, normalised: Values) -> tuple[Normalisation, Values]:
-    """Return an inverse GDN in integers, and the units of its results, given those of its inputs and the greatest norm
-    and result of each channel.
+    """Return an inverse GDN in integers, and the units of its results.
+
+    Depends on the units of its inputs, and on the greatest norm and result of each channel.
     """
     with torch.no_grad():
         gamma, beta = gdn.gamma.double().numpy(), gdn.beta.double().numpy()
     weights = gamma / inputs[None, :] ** 2
     rows = np.max(weights, axis=1) / 127
-    # Finer roots than these have a multiplier that does not fit, which would bend the norm.
+    # Finer roots have a multiplier that does not fit, which would bend the norm.
     per_square = np.maximum(rows, np.finfo(np.float64).tiny) * 2.0 ** (_SQUARE_SHIFT + _ENERGY_SHIFT)
     finest = np.minimum(_LARGEST / norms, np.sqrt(_MAX_WORD / per_square))
 
@@ -149,7 +150,7 @@ def _normalisation(gdn: Gdn, inputs: Values, norms: Values, normalised: Values) 
         roots = roots_at(shift)
         return float(min(np.min(roots * norms), np.min(roots * inputs * normalised) / 2.0**shift))
 
-    # A shift for all channels: what it takes from the roots of some, it gives to the results of others.
+    # One shift for all channels: a loss in the roots of some is a gain in the results of others.
     shift = max(range(MAX_SHIFT + 1), key=fewest_integers)
     roots = roots_at(shift)
     part = Normalisation(
@@ -162,7 +163,7 @@ def _normalisation(gdn: Gdn, inputs: Values, norms: Values, normalised: Values) 
 
 
 def _convolution(weights: Values, inputs: Values, wanted: Values) -> tuple[Convolution, Values]:
-    """Return a transposed convolution (kernel, outputs, inputs) in integers and its results' units, up to `wanted`."""
+    """Return a transposed convolution (kernel, outputs, inputs) in integers, and its results' units, up to `wanted`."""
     per_integer = weights / inputs
     rows = np.max(np.abs(per_integer), axis=(0, 2)) / 127
     rows = np.where(rows > 0, rows, 1.0 / np.max(inputs))
@@ -187,6 +188,6 @@ def _decisions(prior: FactorisedPrior) -> NDArray[np.uint16]:
 
 
 def _odds(yes: Values, no: Values) -> Values:
-    """Return yes / (yes + no), even where both are nothing."""
+    """Return yes / (yes + no), even if both are zero."""
     floor = 1e-12
     return np.asarray((yes + floor) / (yes + no + 2 * floor))

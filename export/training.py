@@ -1,4 +1,4 @@
-"""Trains models: bits + lambda * distortion, from a seed to checkpoints, validated on materials that are held back."""
+"""Trains models: bits + lambda * distortion, from a seed to checkpoints, validated on held-back materials."""
 
 import math
 import time
@@ -23,33 +23,33 @@ from vibrocast.export.training_data import Excerpts
 
 CHECKPOINT = "checkpoint.pt"
 LOGGED = ("training_loss", "loss", "bits_per_sample", "snr_db")
-"""The curves: means over the steps since the last validation, then of the held-back materials."""
+"""The curves: means over the steps since the last validation, then over the held-back materials."""
 _EXPLODED = 100.0
-"""Times the mean loss: what no batch of a training that goes well reaches."""
+"""Multiple of the mean loss that no batch reaches in a training that goes well."""
 _LAST_LEARNING_RATE = 0.02
 _LOG2_STEPS = (-2.0, 2.0)
 """Quantiser steps of `lapped`, relative to the RMS value: about 24 dB down to 3 dB of SNR."""
 _QUIET = 0.15
-"""Bits per sample, so that excerpts of next to none do not outweigh all others."""
+"""Bits per sample, so that excerpts of almost no bits do not outweigh all others."""
 _INDIFFERENCE = 0.02
-"""Difference of the loss, 2 %, below which hops learn from an excerpt much alike."""
+"""Difference of the loss, 2 %, below which hops learn from an excerpt to a similar degree."""
 _UNVARIED = Augmentation(gain_db=0, rate_octaves=0, polarity=False, tilt_db_per_octave=0, filter_share=0, noise_share=0)
 
 
 class TrainingError(RuntimeError):
-    """A training that cannot begin, or go on; the message says why and what to do."""
+    """A training that cannot begin or resume; the message says why and what to do."""
 
 
 class Tell(Protocol):
-    """Takes the part of the training that is done, from 0 to 1, and how it goes."""
+    """Reports the finished part of the training, from 0 to 1, and its state."""
 
     def __call__(self, part: float, details: str = "", /) -> None:
-        """Report the part of the training that is done, and details such as the loss."""
+        """Report the finished part of the training, and details such as the loss."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Of each excerpt (batch,): the loss, bits per sample, and the mean squared error of the plain signal."""
+    """For each excerpt (batch,): the loss, bits per sample, and the mean squared error of the plain signal."""
 
     loss: Tensor
     bits: Tensor
@@ -74,10 +74,10 @@ class _Average:
 
 
 class Perception:
-    """The perceptual transform g_p: none, or a weight of each frequency by how little of it can be felt."""
+    """The perceptual transform g_p: none, or a weight of each frequency by the detection threshold."""
 
     MIN_HZ = 20.0
-    """Below, the threshold is taken as here: recordings hold little but drift."""
+    """Below it, the threshold counts as constant: recordings have little but drift there."""
 
     def __init__(self, kind: str, rate_hz: float, samples: int, device: torch.device) -> None:
         self._gain: Tensor | None = None
@@ -88,22 +88,23 @@ class Perception:
             self._gain = torch.from_numpy(gain / np.sqrt(np.mean(gain**2))).float().to(device)
 
     def mean_square(self, error: Tensor) -> Tensor:
-        """Return the mean square (batch,) of what the transform, which is linear, makes of errors (batch, 1, n)."""
+        """Return the mean square (batch,) of the transformed errors (batch, 1, n); the transform is linear."""
         if self._gain is not None:
             error = torch.fft.irfft(torch.fft.rfft(error) * self._gain, error.shape[-1])
         return torch.mean(error**2, dim=(1, 2))
 
 
 class Training:
-    """A training of EVA under way: model, prior, optimiser and data.
+    """A training of EVA in progress: model, prior, optimiser and data.
 
-    Those of other models have another `_begin`, `_measure` and `_reach_samples`, what lacks blocks at the ends.
+    Trainings of other models have another `_begin`, `_measure` and `_reach_samples`: the samples at the ends that lack
+    blocks.
     """
 
     _reach_samples = REACH_SAMPLES
 
     def __init__(self, configuration: Configuration, data_folder: Path, device: torch.device) -> None:
-        """Load the data and begin a model. Raises TextureError for data that cannot be used."""
+        """Load the data and make a model. Raises TextureError for data that cannot be used."""
         self.configuration, self._device = configuration, device
         self._schedule = schedule = configuration.training
         traces = training_data.load(configuration.sources, data_folder, schedule.rate_hz)
@@ -126,10 +127,10 @@ class Training:
         self._begin_optimiser()
 
     def resume(self, path: Path) -> None:
-        """Go on from a checkpoint. Raises ModelError for one that is damaged, or of another training; OSError."""
+        """Resume from a checkpoint. Raises ModelError if it is damaged, or of another training; OSError."""
         state = load(path)
         ours = self.configuration.as_dict()
-        # The schedule may be changed on the way: more steps, or a lower rate after an explosion.
+        # The schedule may change: more steps, or a lower rate after an explosion.
         names = sorted({*ours, *state.training} - {"training"})
         if other := [name for name in names if state.training.get(name) != ours.get(name)]:
             raise ModelError(f"{path}: was trained with another {other[0]}; choose another --out, or undo the change")
@@ -146,9 +147,9 @@ class Training:
             raise ModelError(f"{path}: its state of the optimiser is damaged; choose another --out") from error
 
     def run(self, out: Path, tell: Tell) -> None:
-        """Train to the end of the schedule, writing CHECKPOINT into a folder at every validation.
+        """Train to the end of the schedule; write CHECKPOINT into a folder at every validation.
 
-        Raises TrainingError where the loss is not a number or explodes, OSError where nothing can be written.
+        Raises TrainingError if the loss is not a number or explodes, OSError if nothing can be written.
         """
         schedule, progress = self._schedule, self.state.progress
         average, logs = _Average(), _tensorboard_logs(out, progress["step"])
@@ -176,7 +177,7 @@ class Training:
                 self.state.save(out / CHECKPOINT)
 
     def _begin(self) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
-        """Return a model and a prior to begin with."""
+        """Return an untrained model and its prior."""
         width = self.configuration.model.width
         return Eva(EvaShape(width, width)), FactorisedPrior(width)
 
@@ -188,7 +189,7 @@ class Training:
         return torch.from_numpy(excerpts)[:, None].to(self._device)
 
     def _learning_rate(self, step: int) -> float:
-        """Return a rate that warms up linearly and falls by half a cosine."""
+        """Return a rate that warms up linearly, then falls along half a cosine."""
         schedule = self._schedule
         falling = _LAST_LEARNING_RATE + (1 - _LAST_LEARNING_RATE) * 0.5 * (
             1 + math.cos(math.pi * step / schedule.steps)
@@ -196,7 +197,7 @@ class Training:
         return schedule.learning_rate * falling * min(1.0, (step + 1) / (schedule.warm_up_steps + 1))
 
     def _step(self, step: int, average: _Average) -> None:
-        """Take one step; all that is random in it depends on seed and step alone."""
+        """Take one step; its random numbers depend only on seed and step."""
         generator = torch.Generator().manual_seed(2**31 * self.configuration.seed + step)
         signals = self._signals(self._excerpts.batch(step, self._schedule.batch))
         measured = self._measure(signals, generator)
@@ -216,7 +217,7 @@ class Training:
         average.add(value, measured.bits.mean().item(), self._mean_snr_db(signals, measured))
 
     def _measure(self, signals: Tensor, generator: torch.Generator | None) -> Measured:
-        """Code signals (batch, 1, n): with rounding alone, or as in training with a generator."""
+        """Code signals (batch, 1, n): with plain rounding or, with a generator, as in training."""
         model, prior, weight = self.state.model, self.state.prior, self.configuration.model.lambda_
         assert isinstance(model, Eva) and isinstance(prior, FactorisedPrior) and weight is not None
         values, used, _ = self._quantised(model.analysis(signals), generator)
@@ -228,10 +229,10 @@ class Training:
     def _quantised(self, latents: Tensor, generator: torch.Generator | None) -> tuple[Tensor, Tensor, Tensor]:
         """Return latents, in quantiser steps, for the prior, for the synthesis, and rounded.
 
-        Without a generator they are the same; with it, as in training, the first and perhaps the second hold noise in
+        Without a generator they are the same. With one, as in training, the first and perhaps the second hold noise in
         place of rounding.
         """
-        # What is shrunk before it is rounded has a dead zone around zero.
+        # Shrinking before rounding makes a dead zone around zero.
         latents = torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
         rounded = torch.round(latents).detach()
         if generator is None:
@@ -241,7 +242,7 @@ class Training:
         return noisy, latents + (rounded - latents).detach() if straight_through else noisy, rounded
 
     def _validate(self, training_loss: float) -> None:
-        """Code the held-back materials, and note the outcome in the curves."""
+        """Code the held-back materials, and add the result to the curves."""
         progress = self.state.progress
         with torch.no_grad():
             measured = self._measure(self._validation, None)
@@ -263,7 +264,7 @@ class Training:
         )
 
     def _inner(self, signals: Tensor) -> Tensor:
-        """Return what lies between the ends of signals (batch, 1, n): there blocks are missing that a stream has."""
+        """Return signals (batch, 1, n) without their ends, which lack blocks that a stream has."""
         return signals[..., self._reach_samples : -self._reach_samples]
 
     def _mean_snr_db(self, signals: Tensor, measured: Measured) -> float:
@@ -273,7 +274,7 @@ class Training:
 
 
 class LappedTraining(Training):
-    """A training of `lapped`: every excerpt, at a random step, mostly by the hops that a file like it would take."""
+    """A training of `lapped`: every excerpt, at a random step, mostly with the hops that its file would take."""
 
     _reach_samples = lapped.REACH_SAMPLES
 
@@ -281,11 +282,11 @@ class LappedTraining(Training):
         return Lapped(), nn.ModuleList(map(ContextPrior, HOPS))
 
     def _measure(self, signals: Tensor, generator: torch.Generator | None) -> Measured:
-        """Of each excerpt, loss, bits and squared error are those of its best hop; the loss is a logarithm.
+        """Return each excerpt's loss, bits and squared error at its best hop; the loss is a logarithm.
 
         At a step s the slope of squared error over bits is 2 ln(2) s^2 / 12, which fixes lambda: Gish and Pierce,
-        "Asymptotically efficient quantizing", 1968. In training a hop learns from an excerpt the more, the nearer its
-        loss is to that of the best one.
+        "Asymptotically efficient quantizing", 1968. In training, a hop learns more from an excerpt if its loss is
+        nearer to that of the best hop.
         """
         count, (finest, coarsest) = len(signals), _LOG2_STEPS
         part = torch.linspace(0, 1, count) if generator is None else torch.rand(count, generator=generator)
@@ -320,10 +321,10 @@ _TRAININGS = {"eva": Training, "lapped": LappedTraining}
 def train(
     configuration: Configuration, data_folder: Path, out: Path, resume: bool, tell: Tell, threads: int | None = None
 ) -> str:
-    """Run one training, on a GPU where there is one; return a line on its outcome.
+    """Run one training, on a GPU if there is one; return a line about its result.
 
-    The folder `out` gets CHECKPOINT, the model to export, from which `resume` goes on where the schedule is not at its
-    end. `threads`: of torch; None for all cores. Raises TrainingError, ModelError, TextureError and OSError.
+    The folder `out` gets CHECKPOINT, which `vibrocast export` reads, and from which `resume` continues an unfinished
+    schedule. `threads`: of torch; None for all cores. Raises TrainingError, ModelError, TextureError and OSError.
     """
     checkpoint = out / CHECKPOINT
     if checkpoint.exists() and not resume:
@@ -344,7 +345,7 @@ def train(
 
 
 def _tensorboard_logs(out: Path, step: int) -> Any:
-    """Return a writer of the curves from a step on, into a folder beside the checkpoint; None without TensorBoard."""
+    """Return a writer of the curves from a step on, into a folder next to the checkpoint; None without TensorBoard."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:

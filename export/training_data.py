@@ -1,4 +1,4 @@
-"""What models are trained on: recordings of many sources, split by material, as excerpts that are varied at random."""
+"""Training data: recordings of many sources, split by material, as excerpts that vary at random."""
 
 import math
 import re
@@ -17,18 +17,18 @@ from vibrocast.textures import Recording, TextureError, dataset
 from vibrocast.textures.recording import Signal
 
 _MARGIN_SAMPLES = 128
-"""On each side of an excerpt, cut off again: its filters take it for periodic."""
+"""Added on each side of an excerpt and cut off later, because its filters treat it as periodic."""
 _TILT_REFERENCE_HZ = 250.0
 _HIGH_PASS_HZ = (10.0, 150.0)
 _LOW_PASS_HZ = (200.0, 1400.0)
 _NOISE_DB = (-40.0, 10.0)
 _DRAWS = 1000
-"""Of excerpts, before recordings count as silent."""
+"""Excerpts drawn before recordings count as silent."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One channel to train on: float32 (n,) at the rate of the training, and the material it was recorded on."""
+    """One channel to train on: float32 (n,) at the rate of the training, and its material."""
 
     source: str
     material: str
@@ -36,12 +36,12 @@ class Trace:
 
 
 def archive_recordings(archive: Path, drop_s: float, high_pass_hz: float, rate_hz: int) -> Iterator[tuple[str, Signal]]:
-    """Yield name and samples (n,) of each recording of an NPZ archive that states a `rate_hz`, at a rate in hertz.
+    """Yield name and samples (n,) of each recording of an NPZ archive that states a `rate_hz`, at a rate in Hz.
 
-    The start is dropped, the rest high-passed. Raises TextureError when it is no archive of arrays, or has no rate.
+    The start is dropped, the rest high-passed. Raises TextureError for another file, and for an archive without a rate.
     """
     if not archive.is_file():
-        raise TextureError(f"{archive}: no such file; give the folder at which its path starts by --data")
+        raise TextureError(f"{archive}: no such file; give the folder where its path starts as --data")
     try:
         loaded = np.load(archive, allow_pickle=False)
     except (ValueError, OSError, zipfile.BadZipFile) as error:
@@ -68,9 +68,9 @@ def archive_recordings(archive: Path, drop_s: float, high_pass_hz: float, rate_h
 
 
 def load(sources: Sequence[Source], folder: Path, rate_hz: int) -> list[Trace]:
-    """Return the traces of all sources, whose paths start at a folder; none is silent.
+    """Return the channels of all sources, whose paths start at a folder; none is silent.
 
-    Raises TextureError for what cannot be read or holds nothing to train on.
+    Raises TextureError for a source that cannot be read or holds nothing to train on.
     """
     traces: list[Trace] = []
     for source in sources:
@@ -80,15 +80,15 @@ def load(sources: Sequence[Source], folder: Path, rate_hz: int) -> list[Trace]:
             if np.any(single := samples.astype(np.float32))
         ]
         if not found:
-            raise TextureError(f"{source.name}: holds no recording to train on; leave it out, or drop less of each")
+            raise TextureError(f"{source.name}: holds no recording to train on; remove it, or lower drop_s")
         traces += found
     return traces
 
 
 def split(traces: Sequence[Trace], held_back: HeldBack, seed: int) -> tuple[list[Trace], list[Trace]]:
-    """Return the traces to train on and those held back: of the named materials, or of a seeded share of each source's.
+    """Return the channels to train on and those held back: named materials, or a seeded share of each source's.
 
-    Raises TextureError for a material that there is not, and where nothing would be left on one side.
+    Raises TextureError for an unknown material, and if nothing would be left on one side.
     """
     materials = sorted({trace.material for trace in traces})
     chosen = set(held_back.materials)
@@ -134,7 +134,7 @@ def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tup
         recording = dataset.load_highpassed(trace, textures.HIGHPASS_HZ, rate_hz, **options).recording
         try:
             material = trace.material
-        except dataset.DatasetError:  # then each recording counts as a material of its own
+        except dataset.DatasetError:  # then each recording is its own material
             material = trace.name
         steady = recording.samples[int(source.drop_s * rate_hz) :]
         for channel in _high_passed(steady.T, rate_hz, source.high_pass_hz):
@@ -155,22 +155,24 @@ def _generated(source: GeneratorSource, rate_hz: int) -> Iterator[tuple[str, Sig
 
 
 def _high_passed(samples: Signal, rate_hz: float, corner_hz: float) -> Signal:
-    """Filter along the last axis by a Butterworth high-pass of second order; a corner of 0 leaves all as it is."""
+    """Filter along the last axis by a Butterworth high-pass of second order; a corner of 0 changes nothing."""
     from scipy import signal
 
     if corner_hz == 0:
         return samples
     if not corner_hz < rate_hz / 2 < math.inf:
-        raise TextureError(f"a high-pass at {corner_hz:g} Hz is none at a rate of {rate_hz:g} Hz; correct one of them")
+        raise TextureError(
+            f"no high-pass at {corner_hz:g} Hz is possible at a rate of {rate_hz:g} Hz; correct one of them"
+        )
     high_pass = signal.butter(2, corner_hz, "highpass", fs=rate_hz, output="sos")
     filtered: Signal = signal.sosfilt(high_pass, samples)
     return filtered
 
 
 class Excerpts:
-    """Draws excerpts, of every source and within it every material alike, and varies them.
+    """Draws excerpts with equal chances for every source, and within it for every material, and varies them.
 
-    The excerpts of a step depend on seed and step alone, so a training that was cut goes on as if it had not been.
+    The excerpts of a step depend only on seed and step, so a resumed training continues exactly.
     """
 
     def __init__(
@@ -185,7 +187,7 @@ class Excerpts:
     def batch(self, step: int, size: int) -> NDArray[np.float32]:
         """Return excerpts, float32 (size, samples), each of RMS 1 up to the augmentation's gain.
 
-        Raises TextureError where all that is drawn is silent.
+        Raises TextureError if all draws are silent.
         """
         generator = np.random.default_rng([self._seed, step])
         return np.stack([self._excerpt(generator) for _ in range(size)])
@@ -204,10 +206,10 @@ class Excerpts:
                     varied /= np.sqrt(np.mean(np.square(varied)))
                 decibels = self._augmentation.gain_db * generator.uniform(-1, 1)
                 return (varied * 10 ** (decibels / 20)).astype(np.float32)
-        raise TextureError("the recordings are silent but for moments; cut them to where they sound")
+        raise TextureError("the recordings are almost silent; cut out the silent parts")
 
     def _varied(self, recording: NDArray[np.float32], generator: np.random.Generator) -> Signal:
-        """Return an excerpt at another speed, perhaps inverted, tilted and filtered; all in one discrete spectrum."""
+        """Return an excerpt at another speed, perhaps inverted, tilted and filtered, through one discrete spectrum."""
         chosen = self._augmentation
         wanted = self._samples + 2 * _MARGIN_SAMPLES
         taken = round(wanted * 2 ** (chosen.rate_octaves * generator.uniform(-1, 1)))

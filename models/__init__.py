@@ -1,4 +1,4 @@
-"""Trained models, those that ship and those in folders of one's own: by name, by the hash of an image, from a path."""
+"""Trained models, those that ship and those in your folders: by name, by the hash of an image, from a path."""
 
 import hashlib
 import json
@@ -24,9 +24,9 @@ class ModelError(ValueError):
 class Model:
     """A trained model.
 
-    `name`: of the image. `path`: of the image's file. `image`: the packed model image, what is flashed. `analysis`:
-    ONNX graph of the analysis transform, empty where the codec has no learned one or a lone image was given. `card`:
-    what card.json says, see models/README.md; empty for a lone image.
+    `name`: of the image. `path`: of the image's file. `image`: the packed model image, which a controller stores.
+    `analysis`: ONNX graph of the analysis transform, empty if the codec has no learned one or only an image was given.
+    `card`: content of card.json, see models/README.md; empty for a lone image.
     """
 
     name: str
@@ -37,17 +37,17 @@ class Model:
 
     @property
     def family(self) -> str:
-        """Models of one family have one rate each and make one curve; one that makes a curve alone is its own."""
+        """Name of its family: models with one rate each that make one curve. Alone, it is its own family."""
         return str(self.card.get("family", self.name))
 
     @property
     def tables(self) -> bytes:
-        """The payload of the image: all that a decoder needs."""
+        """The payload of the image; a decoder needs nothing else."""
         return ModelImage.unpack(self.image).payload
 
     @property
     def codec_identifier(self) -> int:
-        """The number of its codec in stream headers."""
+        """The codec's number in stream headers."""
         return ModelImage.unpack(self.image).codec_identifier
 
 
@@ -58,26 +58,26 @@ def names() -> list[str]:
 
 @cache
 def shipped() -> tuple[Model, ...]:
-    """Return the models that ship, the smallest image first. Raises as `load` where their files are damaged."""
+    """Return the models that ship, the smallest image first. Raises as `load` if their files are damaged."""
     return tuple(sorted((load(_FOLDER / name) for name in names()), key=lambda model: len(model.image)))
 
 
 def members(family: str) -> list[Model]:
     """Return the models of a family that ship, from the coarsest, which has the lowest number, to the finest.
 
-    A model that makes a curve alone is a family of one. Raises as `load`.
+    A model with its own curve is a family of one. Raises as `load`.
     """
     found = [model for model in shipped() if model.family == family]
     return sorted(found, key=lambda model: (len(model.name), model.name))
 
 
 def by_hash(beginning: bytes) -> Model | None:
-    """Return the model that ships whose image's SHA-256 begins so, None if there is none. Raises as `shipped`."""
+    """Return the shipped model whose image's SHA-256 begins with these bytes, or None. Raises as `shipped`."""
     return next((model for model in shipped() if sha256(model.image).startswith(beginning)), None)
 
 
 def find(text: str) -> Model:
-    """Return the model that ships by a name, or else that of a path. Raises as `load`."""
+    """Return the shipped model of this name, or else the model at this path. Raises as `load`."""
     if text in names():
         return load(_FOLDER / text)
     if not Path(text).exists():
@@ -89,10 +89,10 @@ def find(text: str) -> Model:
 
 
 def load(path: Path) -> Model:
-    """Return the model in a folder that `vibrocast export` wrote, or the lone one of an image file.
+    """Return the model in a folder that `vibrocast export` wrote, or that of a lone image file.
 
-    Raises ModelError for what is neither or damaged, ModelImageError for such an image, OSError for a file that cannot
-    be read.
+    Raises ModelError for any other or a damaged file, ModelImageError for a damaged image, OSError for a file that
+    cannot be read.
     """
     if not path.is_dir():
         return _of_image(path, _read(path))
@@ -124,7 +124,7 @@ def _checked(path: Path, expected: str) -> bytes:
     """Return the bytes of a file with this SHA-256."""
     data = _read(path)
     if hashlib.sha256(data).hexdigest() != expected:
-        raise ModelError(f"{path}: not the file that {CARD} beside it describes; export the model again, all of it")
+        raise ModelError(f"{path}: not the file that {CARD} next to it describes; export the whole model again")
     return data
 
 

@@ -306,8 +306,8 @@ def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
         ("model", {}, "arrays of its model"),
         ("curves", None, "curves"),
         ("curves", [{"step": 1}], "curves"),
-        ("progress", {}, "how far"),
-        ("progress", {"step": "1", "seconds": 0.0}, "how far"),
+        ("progress", {}, "the step of its training"),
+        ("progress", {"step": "1", "seconds": 0.0}, "the step of its training"),
         ("training", None, "lacks its table"),
     ],
 )

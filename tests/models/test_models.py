@@ -89,7 +89,7 @@ def test_a_folder_of_ones_own(tmp_path: Path) -> None:
         ({"name": 3}, "not the card"),
         ({"files": {}}, "not the card"),
         ({"files": ["own.vcmi"]}, "not the card"),
-        ({"files": {"own.vcmi": {"sha256": "00"}}}, "not the file that card.json beside it describes"),
+        ({"files": {"own.vcmi": {"sha256": "00"}}}, "not the file that card.json next to it describes"),
     ],
 )
 def test_cards_that_do_not_fit_are_rejected(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
