@@ -274,7 +274,6 @@ def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> sli
             f"{first * signal_format.rate_hz / (2 * block):.3g}"
         )
     if end >= MAX_COEFFICIENTS + 1:
-        highest_hz = (MAX_COEFFICIENTS - 1) * signal_format.rate_hz / (2 * block)
         raise CodecError(
             f"{int(end)} coefficients in one transform, more than {MAX_COEFFICIENTS}: choose a limit_hz of at "
             f"most {(MAX_COEFFICIENTS - 1) * signal_format.rate_hz / (2 * block):.0f}, or a shorter block"

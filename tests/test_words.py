@@ -16,6 +16,30 @@ UNFINISHED: frozenset[str] = frozenset(
         "docs/benchmarks/planning_results.md",
     ]
 )
+# How many findings docstrings, comments and names of tests of a top-level folder may still have, and help texts.
+ALLOWED = {
+    "evaluation": 6,
+    "host": 11,
+    "simulated_device": 21,
+    "tests": 71,
+    "vibrocast": 3,
+}
+FOLDERS = sorted({path.partition("/")[0] for path in words.sources()})
+
+
+def listing(found: list[words.Finding]) -> str:
+    """Return the first findings, a line each."""
+    more = [f"... and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
+    return "\n".join(["", *map(str, found[:SHOWN]), *more])
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.xfail(strict=True, reason="unfinished")) if page in UNFINISHED else page
+        for page in words.pages()
+    ],
+)
 def test_a_page_keeps_the_rules(page: str) -> None:
     found = words.findings(page)
     assert not found, listing(found)
