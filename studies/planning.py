@@ -1,5 +1,6 @@
 """Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs/benchmarks`."""
 
+import csv
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from statistics import fmean
 from typing import Any
 
 import click
+import msgspec
 import numpy as np
 
 from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
@@ -184,12 +186,12 @@ def _default_costs(default: Encoding) -> tuple[float, float, float]:
     )
 
 
-def page(rows: Sequence[Saving], left_out: Sequence[str], command: str) -> str:
-    """Return the page. `command`: the one that measured."""
+def page(rows: Sequence[Saving], left_out: Sequence[str], command: str, measured_at: str | None = None) -> str:
+    """Return the page. `command`: the one that measured. `measured_at`: the version, if it is not this one."""
     of: defaultdict[tuple[str, str, str], list[Saving]] = defaultdict(list)
     for row in rows:
         of[row.group, row.weights, row.delay].append(row)
-    groups: list[dict[str, Any]] = [
+    groups = [
         {
             "name": group,
             "number": len(of[group, _ALL_COSTS, FREE]),
@@ -214,7 +216,17 @@ def page(rows: Sequence[Saving], left_out: Sequence[str], command: str) -> str:
         ],
         left_out=left_out,
         command=command,
+        measured_at=measured_at,
     )
+
+
+def stored(path: Path) -> list[Saving]:
+    """Return the rows of planning.csv. Raises OSError, click.ClickException."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return msgspec.convert(list(csv.DictReader(file)), list[Saving], strict=False)
+    except (csv.Error, ValueError) as error:
+        raise click.ClickException(f"{path}: not a table of this script ({error}); measure again") from error
 
 
 def command(folders: Sequence[Path], unit: str | None) -> str:
@@ -245,11 +257,32 @@ def _compared(percents: Sequence[float]) -> str:
 
 
 @click.command()
-@click.argument("folders", nargs=-1, required=True, type=click.Path(file_okay=False, exists=True, path_type=Path))
+@click.argument("folders", nargs=-1, type=click.Path(file_okay=False, exists=True, path_type=Path))
 @OUT
 @click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Give the unit of files that state none.")
-def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
-    """Plan all recordings of FOLDERS, and write the savings into planning_results.md."""
+@click.option("--measured-at", metavar="VERSION", help="Write the page from the CSV that this version measured.")
+@click.option("--left-out", multiple=True, metavar="REASON", help="State why that version left out a recording.")
+def main(
+    folders: tuple[Path, ...], out: Path, unit: str | None, measured_at: str | None, left_out: tuple[str, ...]
+) -> None:
+    """Plan all recordings of FOLDERS, and write the savings into planning_results.md.
+
+    With --measured-at, plan nothing, and write the page from OUT/results/planning.csv.
+    """
+    if bool(folders) == (measured_at is not None):
+        raise click.UsageError("give either FOLDERS or --measured-at")
+    if measured_at is not None:
+        with errors_in_one_line():
+            rows = stored(results_folder(out) / ROWS)
+            groups = [Path(name) for name in dict.fromkeys(row.group for row in rows)]
+            write(out / PAGE, page(rows, left_out, command(groups, unit), measured_at))
+    else:
+        _measure(folders, out, unit)
+    click.echo(str(out / PAGE))
+
+
+def _measure(folders: Sequence[Path], out: Path, unit: str | None) -> None:
+    """Plan all recordings of folders, and write the page and its rows. Raises click.ClickException."""
     with errors_in_one_line():
         found = [(folder.name, trace) for folder in folders for trace in entries(folder)]
     rows: list[Saving] = []
@@ -266,7 +299,6 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
     with errors_in_one_line():
         write_rows(results_folder(out) / ROWS, rows, Saving)
         write(out / PAGE, page(rows, left_out, command(folders, unit)))
-    click.echo(str(out / PAGE))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""What planning saves: rows and page from generated recordings."""
+"""Savings by planning: rows and page from generated recordings."""
 
 import csv
+import shutil
 from itertools import product
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from studies.planning import (
     main,
 )
 from vibrocast import textures
+
+RESULTS = Path(__file__).parents[2] / "docs/benchmarks/results"
 
 
 @pytest.mark.slow
@@ -38,6 +41,23 @@ def test_the_page_and_its_rows(tmp_path: Path) -> None:
     assert float(bits["planned_wire_bps"]) <= float(instructions["planned_wire_bps"])
     assert float(instructions["planned_instructions"]) <= float(bits["planned_instructions"])
     assert float(bits["planned_wire_bps"]) < float(bits["default_wire_bps"])
+
+
+def test_the_page_is_written_again_from_its_rows(tmp_path: Path) -> None:
+    shutil.copytree(RESULTS, tmp_path / "results")
+    arguments = ["--out", str(tmp_path), "--measured-at", "abc1234", "--left-out", "one: too short"]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 0, done.output
+    page = (tmp_path / "planning_results.md").read_text()
+    assert "Version abc1234 measured all figures" in page and "- one: too short" in page
+    (tmp_path / "results" / ROWS).write_text("group\nrough\n")
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 1 and "measure again" in done.output
+
+
+def test_folders_or_stored_rows_are_needed(tmp_path: Path) -> None:
+    done = CliRunner().invoke(main, ["--out", str(tmp_path)])
+    assert done.exit_code == 2 and "give either FOLDERS or --measured-at" in done.output
 
 
 def test_a_folder_without_a_texture_is_one_line(tmp_path: Path) -> None:
