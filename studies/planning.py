@@ -191,7 +191,7 @@ def page(rows: Sequence[Saving], left_out: Sequence[str], command: str, measured
     of: defaultdict[tuple[str, str, str], list[Saving]] = defaultdict(list)
     for row in rows:
         of[row.group, row.weights, row.delay].append(row)
-    groups = [
+    groups: list[dict[str, Any]] = [
         {
             "name": group,
             "number": len(of[group, _ALL_COSTS, FREE]),

@@ -156,7 +156,7 @@ def _draw_panel(axes: "Axes", asked: Asked, choice: TextureChoice, codecs: Seque
         own = [each for each in near if each.measured.option.codec == name]
         colour = _COLOURS[place % len(_COLOURS)]
         axes.scatter(
-            [each.quality for each in own],
+            [each.quality or 0.0 for each in own],
             [each.cost for each in own],
             marker=_MARKERS[place % len(_MARKERS)],
             s=26,
@@ -200,7 +200,7 @@ def _label(axes: "Axes", marked: Sequence[tuple[str, Candidate]]) -> None:
         # Above the label before; low enough for those that follow, below the legend.
         level = (candidate.cost - low) / (high - low) - heights[place] / 2
         bottom = max(bottom, min(level, _LEGEND - sum(heights[place:])))
-        position = (candidate.quality, candidate.cost)
+        position = (candidate.quality or 0.0, candidate.cost)
         axes.scatter(
             *position,
             s=200 if is_choice else 100,
