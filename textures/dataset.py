@@ -20,9 +20,9 @@ from vibrocast.textures.text import known_unit
 
 SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
 PARTS = ("all", "train", "test")
-SPLITS = ("auto", "trace", "material", "subject")
+SPLITS = ("auto", "recording", "material", "subject")
 """The unit that a split keeps whole. "auto": the manifest's column `split`, else materials, else single entries
-("trace")."""
+("recording")."""
 TEST_PART = 0.2
 """Share of the entries in the test part: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
 NUMBERS = ("rate_hz", "full_scale", "hand_speed_mm_s")
@@ -68,7 +68,7 @@ class DatasetEntry:
         if match is None:
             raise DatasetError(
                 f"{self.name}: its name does not state the material; give a manifest with a column material, split "
-                'by "trace", or name all files INTERACTION_-_TOOL_-_MATERIAL_-_SPEED'
+                'by "recording", or name all files INTERACTION_-_TOOL_-_MATERIAL_-_SPEED'
             )
         return match[1].casefold()
 
@@ -129,7 +129,7 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
     `by`, one of SPLITS: the unit that is never in both parts. With "auto", a manifest's column `split` decides.
     Otherwise the test part is TEST_PART of the entries, or as near to that as whole materials or subjects allow. Equal
     names and seeds give equal parts on every machine. Raises DatasetError if one part would be empty, if an entry
-    states no material or subject, or if "trace" would divide a material that a manifest states.
+    states no material or subject, or if "recording" would divide a material that a manifest states.
     """
     if part == "all":
         return everything
@@ -141,7 +141,7 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
         return chosen
     if by == "recording" and stated:
         raise DatasetError(
-            'the manifest states materials, and a split by "trace" puts one material into both parts; split by '
+            'the manifest states materials, and a split by "recording" puts one material into both parts; split by '
             '"material"'
         )
     target = max(1, round(TEST_PART * len(everything)))

@@ -353,7 +353,7 @@ def test_foreign_graphs_are_rejected() -> None:
     def encoded(model: Model) -> codec.CodedSignal:
         return codec.encode(signal, RATE_HZ, {}, codec="eva", model=model)
 
-    with pytest.raises(CodecError, match="has no analysis network"):
+    with pytest.raises(CodecError, match="brings no analysis"):
         encoded(Model(TINY.tables))
     with pytest.raises(CodecError, match="ONNX graph"):
         encoded(Model(TINY.tables, b"not a graph"))

@@ -178,8 +178,8 @@ def test_a_registered_codec_is_as_any_other() -> None:
     ("changes", "message"),
     [
         ({"name": "mdct"}, "there is a codec mdct already"),
-        ({"name": 5}, "its name has to be"),
-        ({"name": "n" * 65}, "its name has to be"),
+        ({"name": 5}, "its name must be"),
+        ({"name": "n" * 65}, "its name must be"),
         ({"qualities": ()}, "finite numbers, at least one"),
         ({"qualities": 3}, "finite numbers, at least one"),
         ({"qualities": ["a"]}, "finite numbers, at least one"),

@@ -255,7 +255,7 @@ def test_materials_of_a_manifest_are_never_torn() -> None:
     everything = stated(*((f"{number:02}", "cork" if number % 4 else "felt", "", "") for number in range(20)))
     assert {entry.material for entry in split(everything, "test")} == {"felt"}
     with pytest.raises(DatasetError, match='split by "material"'):
-        split(everything, "test", by="trace")
+        split(everything, "test", by="recording")
     with pytest.raises(DatasetError, match="x: its name does not state the material"):
         split([*everything, DatasetEntry("x", Path("x"))], "test")
 
