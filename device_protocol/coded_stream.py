@@ -1,4 +1,4 @@
-"""Byte layout of .vct files and of played streams: the header, and the packets behind it."""
+"""Byte layout of .vct files and of played streams: the header, and the packets after it."""
 
 import struct
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ MAGIC = b"VCT"
 VERSION = 1
 UNITS = ("full scale", "m/s^2", "um")
 PROFILE_UNIT = "um over position"
-"""That of a height profile, whose rate is in samples per metre."""
+"""Unit of a height profile, whose rate is in samples per metre."""
 STREAM_UNITS = (*UNITS, PROFILE_UNIT)
 MAX_CHANNELS = 16
 MAX_CODEC_IDENTIFIER = 15
@@ -32,14 +32,15 @@ class StreamError(ValueError):
 
 @dataclass(frozen=True)
 class StreamHeader:
-    """All that a decoder needs to know before the first packet.
+    """The facts that a decoder needs before the first packet.
 
-    `rate_hz`: per metre where `unit` is PROFILE_UNIT. `samples`: samples per channel, None when the stream is live and
-    its length unknown. `unit`: one of STREAM_UNITS.
-    `gains`: physical value of full scale for each channel, positive, exact in 8 significant bits (a float32 whose
-    lower 16 bits are zero). `configuration`: the codec's own bytes. `image_hash`: empty when the stream needs only
-    the tables built into the codec, otherwise the first 4 bytes of the SHA-256 of the model image that it needs.
-    Raises StreamError on a value that the layout cannot hold.
+    `rate_hz`: per metre if `unit` is PROFILE_UNIT. `samples`: samples per channel, None if the stream is live and its
+    length unknown. `unit`: one of STREAM_UNITS. `gains`: physical value of full scale for each channel, positive, exact
+    in 8 significant bits (a float32 whose lower 16 bits are zero). `configuration`: the codec's own bytes.
+    `image_hash`: empty if the tables built into the codec suffice, otherwise the first 4 bytes of the SHA-256 of the
+    model image.
+
+    Raises StreamError for a value that the layout cannot hold.
     """
 
     codec_identifier: int
@@ -70,7 +71,7 @@ class StreamHeader:
 
     @property
     def spatial(self) -> bool:
-        """Whether it is of a height profile, to be rendered by position."""
+        """Whether the stream is a height profile, rendered by position."""
         return self.unit == PROFILE_UNIT
 
     @property
@@ -98,7 +99,7 @@ class StreamHeader:
 
     @staticmethod
     def unpack(data: bytes) -> tuple["StreamHeader", int]:
-        """Read the header at the start of `data`; return it and the number of bytes that it takes.
+        """Read the header at the start of `data`; return it and its length in bytes.
 
         Raises StreamError when the bytes are not a header of this version.
         """
@@ -129,17 +130,17 @@ def packet_sequence(packet: bytes) -> tuple[int, bool]:
 
 
 def renumbered(packet: bytes, packets_before: int) -> bytes:
-    """Return a packet with its sequence number moved by `packets_before`. Raises StreamError on a malformed packet."""
+    """Return a packet with its sequence number raised by `packets_before`. Raises StreamError on a malformed packet."""
     reader = Reader(packet, _damaged)
     head = reader.varint(SEQUENCE_BITS + 1)
     return pack_varint(head + 2 * packets_before) + packet[reader.position :]
 
 
 def pack_file(header: StreamHeader, packets: Iterable[bytes]) -> bytes:
-    """Return the bytes of a .vct file: the header, then each packet with its length before and a CRC-16 behind it.
+    """Return the bytes of a .vct file: the header, then each packet between its length and a CRC-16.
 
-    The CRC-16 (polynomial 0x1021, initial value 0xFFFF) of each packet runs over the header and that packet, so that
-    damage to either, or a packet of another stream, is found.
+    The CRC-16 (polynomial 0x1021, initial value 0xFFFF) of each packet covers the header and that packet. So it finds
+    damage to either, and a packet of another stream.
     """
     head = header.pack()
     parts = [head]
@@ -154,7 +155,7 @@ def pack_file(header: StreamHeader, packets: Iterable[bytes]) -> bytes:
 def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
     """Read the bytes of a .vct file. Raises StreamError when they are damaged or end in the middle of a packet.
 
-    Whether all packets are there, only the codec can tell, which knows how many samples a packet covers.
+    Only the codec can tell whether all packets are there, because it knows how many samples a packet covers.
     """
     header, position = StreamHeader.unpack(data)
     head_crc = crc16(data[:position])

@@ -27,7 +27,7 @@ def pack_varint(value: int) -> bytes:
 def unpack_varint(data: bytes, position: int, bits: int) -> tuple[int, int]:
     """Return the LEB128 number at `position` and the position after it.
 
-    Raises ValueError if it is cut, or longer than `bits`; zeros above them count as well where they take more bytes.
+    Raises ValueError if it is cut, or longer than `bits`; extra zeros above them count, if they take more bytes.
     """
     if bits >= 7 and position < len(data) and data[position] < 0x80:
         return data[position], position + 1
@@ -40,7 +40,7 @@ def unpack_varint(data: bytes, position: int, bits: int) -> tuple[int, int]:
 
 
 class Reader:
-    """Takes fields off the front of `data`. `error`: makes the exception that a flaw raises, from its text."""
+    """Takes fields from the front of `data`. `error`: makes the exception for a flaw from its text."""
 
     def __init__(self, data: bytes, error: Callable[[str], Exception], position: int = 0) -> None:
         self.position = position

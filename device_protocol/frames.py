@@ -1,4 +1,4 @@
-"""Frames on the wire: a payload and its CRC-16, COBS-encoded, closed by a zero byte."""
+"""Frames on a link: a payload and its CRC-16, COBS-encoded, closed by a zero byte."""
 
 import struct
 
@@ -24,15 +24,15 @@ def write_frame(payload: bytes) -> bytes:
     Raises FrameError for a payload that is empty or longer than MAX_PAYLOAD_BYTES.
     """
     if not 1 <= len(payload) <= MAX_PAYLOAD_BYTES:
-        raise FrameError(f"a frame carries 1 to {MAX_PAYLOAD_BYTES} bytes, not {len(payload)}: send less at a time")
+        raise FrameError(f"a frame carries 1 to {MAX_PAYLOAD_BYTES} bytes, not {len(payload)}; send less at a time")
     encoded: bytes = cobs.encode(payload + _CRC.pack(crc16(payload)))
     return encoded + DELIMITER
 
 
 class FrameReader:
-    """Finds frames in a byte stream; drops and counts bad ones, and is in step again at the next delimiter.
+    """Finds frames in a byte stream; drops and counts bad ones, and recovers at the next delimiter.
 
-    Holds at most one frame of the longest size, whatever it is fed.
+    Holds at most one frame of the longest size, whatever arrives.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class FrameReader:
             closed[0] = bytes(self._pending)
             self._pending.clear()
         for encoded in closed:
-            # Delimiters without anything between them are allowed: a sender may open with one to end earlier noise.
+            # Delimiters with nothing between them are allowed: a sender may begin with one, to end earlier noise.
             if not encoded:
                 continue
             payload = _payload(encoded)
@@ -61,7 +61,7 @@ class FrameReader:
         return payloads
 
     def _keep(self, piece: bytes) -> None:
-        # One byte more than the longest frame is kept, and marks the frame as too long.
+        # Keep one byte more than the longest frame, as a mark that the frame is too long.
         self._pending += piece[: _MAX_ENCODED_BYTES + 1 - len(self._pending)]
 
 
@@ -74,7 +74,7 @@ def _payload(encoded: bytes) -> bytes:
     except cobs.DecodeError:
         return b""
     payload = decoded[: -_CRC.size]
-    # An empty payload is no frame, nor is a long one that COBS has encoded in another way.
+    # An empty payload is no frame, nor is a long one in another COBS encoding.
     if len(payload) > MAX_PAYLOAD_BYTES or not decoded.endswith(_CRC.pack(crc16(payload))):
         return b""
     return payload

@@ -1,4 +1,4 @@
-"""Writes what follows from the messages, C sources and tables of docs/reference/protocol.md.
+"""Writes the files that depend on the messages: C sources and tables of docs/reference/protocol.md.
 
 Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
@@ -23,11 +23,11 @@ _NUMBERS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "uint64_t": 8, "int64_t"
 _TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i64": "int64_t", "f32": "uint32_t"}
 _NESTED = (messages.Limits, messages.ActuatorDescription, messages.CodecDescription, messages.ImageDescription)
 _STRUCTS = {messages.Status: "vc_status_report", messages.Limits: "vc_controller_limits"}
-"""Where the core has that name already."""
+"""Structs whose usual name the core already has."""
 
 
 def generated_files() -> dict[Path, str]:
-    """Return the contents that every generated file should have."""
+    """Return the required content of every generated file."""
     return {
         **{CONTROLLER / name: _in_c_file(name) for name in ("protocol.h", "messages.h", "messages.c")},
         PAGE: page(PAGE.read_text(encoding="utf-8")),
@@ -35,7 +35,7 @@ def generated_files() -> dict[Path, str]:
 
 
 def _in_c_file(name: str) -> str:
-    """Return a file of firmware/controller, from the template of its name next to this module."""
+    """Return a file of firmware/controller, from the template of the same name next to this module."""
     return pages.render(
         Path(__file__).with_name(f"{name}.jinja"),
         coded_stream=coded_stream,
@@ -81,7 +81,7 @@ class CField:
 
 
 def _in_c(field: WireField, struct: str) -> CField:
-    """Return a field in C. `struct`: its struct, with the operator behind it."""
+    """Return a field in C. `struct`: its struct, followed by the operator."""
     name = field.name
     place = struct + name
     piece, write_piece = [f"vc_piece {name};"], f"write_piece(writer, {place});"
@@ -126,7 +126,7 @@ def _in_c(field: WireField, struct: str) -> CField:
 
 
 def _fields(owner: type) -> list[WireField]:
-    """Return the fields of a class but for the samples of a CaptureData, which the caller writes."""
+    """Return the fields of a class, except the samples of a CaptureData, which the caller writes."""
     return [field for field in wire_fields(owner) if owner is not messages.CaptureData or field.name != "data"]
 
 
@@ -136,7 +136,7 @@ def _statements(owner: type, struct: str, direction: str) -> list[str]:
     for field in _fields(owner):
         found = getattr(_in_c(field, struct), direction)
         if not found:
-            raise NotImplementedError(f"{owner.__name__}.{field.name}: state in _in_c how C is to {direction} it")
+            raise NotImplementedError(f"{owner.__name__}.{field.name}: state in _in_c how C must {direction} it")
         statements += found
     return statements
 
@@ -148,7 +148,7 @@ def _structure(owner: type) -> str:
 
 
 def _checks(message: type[Message]) -> list[tuple[str, str]]:
-    """Return which values of a message are wrong, and what rejects them: expressions in C."""
+    """Return the wrong values of a message, and their rejections: expressions in C."""
     checks = []
     for field in wire_fields(message):
         place = f"message->body.{_snake(message)}.{field.name}"
@@ -172,7 +172,7 @@ def _writer(message: type[Message]) -> str:
 
 
 def _size(owner: type) -> str:
-    """Return the bytes of a tag's value, an expression in C."""
+    """Return the number of bytes of a tag's value, an expression in C."""
     return " + ".join(term for field in wire_fields(owner) for term in _in_c(field, "value->").size)
 
 

@@ -1,4 +1,4 @@
-"""Wire types that annotate the fields of a class, and the layout of bytes that follows from them."""
+"""Wire types that annotate the fields of a class, and the layout of bytes that they define."""
 
 import math
 import struct
@@ -16,16 +16,16 @@ _MAX_VARINT = (1 << VARINT_BITS) - 1
 MAX_VARINT_BYTES = -(-VARINT_BITS // 7)
 SHA256_BYTES = 32
 TLV_HEAD = struct.Struct("<BH")
-"""Tag, and the length of the value."""
+"""Tag, then the length of the value."""
 _U32 = struct.Struct("<I")
 
 
 class LayoutError(ValueError):
-    """Values that a layout cannot hold, or bytes that have another layout."""
+    """Values that a layout cannot hold, or bytes that do not fit it."""
 
 
 class BadValueError(LayoutError):
-    """A value of the right size that makes no sense."""
+    """A value of the right size without meaning."""
 
 
 def check_factor(factor: float) -> float:
@@ -52,7 +52,7 @@ class Fixed:
 
 @dataclass(frozen=True)
 class Flag:
-    """A u8 of flags in the fixed part, of which only 0x01 is known. Others are bad values."""
+    """A u8 of flags in the fixed part, in which only 0x01 is known. Others are bad values."""
 
     code: str = "B"
 
@@ -69,7 +69,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Rest(Part):
-    """A field that reaches up to the end."""
+    """A field that reaches to the end."""
 
     description: str
 
@@ -136,17 +136,17 @@ def _unpack_items(data: bytes, position: int) -> tuple[tuple[bytes, ...], int]:
 
 
 def rest(description: str) -> Rest:
-    """Return a field of bytes up to the end."""
+    """Return a field of bytes to the end."""
     return Rest("bytes", bytes, lambda data, position: (data[position:], len(data)), description)
 
 
 def rest_text(description: str) -> Rest:
-    """Return a field of text up to the end."""
+    """Return a field of text to the end."""
     return Rest("text", str.encode, lambda data, position: (_decode(str, data[position:]), len(data)), description)
 
 
 def rest_items(description: str) -> Rest:
-    """Return a field of bytes objects up to the end, each after its length as a varint."""
+    """Return a field of bytes objects to the end, each after its length as a varint."""
     return Rest("items", _pack_items, _unpack_items, description)
 
 
@@ -222,8 +222,8 @@ def _member_of(enumeration: type[IntEnum]) -> Callable[[int], IntEnum]:
 class Layout:
     """The bytes of a class's objects: the fixed part, then the other fields.
 
-    Unless a field reaches up to the end, TLVs follow; or, with `skipped`, what a later minor version adds. A method
-    `check` of the class raises LayoutError where fields contradict each other.
+    Unless a field reaches to the end, TLVs follow or, with `skipped`, additions of a later minor version. A method
+    `check` of the class raises LayoutError if fields contradict each other.
     """
 
     def __init__(self, owner: type, *, skipped: bool = False) -> None:
@@ -301,7 +301,7 @@ class Layout:
 
 @cache
 def _layout_of(owner: type) -> Layout:
-    """Return the layout of a class whose objects are values of TLVs: what a later version adds is skipped."""
+    """Return the layout of a class whose objects are values of TLVs; it skips additions of later versions."""
     return Layout(owner, skipped=True)
 
 
@@ -329,7 +329,7 @@ def _take(data: bytes, position: int, length: int) -> bytes:
 
 
 def _tlvs(data: bytes, position: int) -> Iterator[tuple[int, bytes]]:
-    """Yield (tag, value) of each TLV from `position` on. Raises LayoutError where a length does not fit."""
+    """Yield (tag, value) of each TLV from `position` on. Raises LayoutError if a length does not fit."""
     while position < len(data):
         tag, length = TLV_HEAD.unpack(_take(data, position, TLV_HEAD.size))
         yield tag, _take(data, position + TLV_HEAD.size, length)

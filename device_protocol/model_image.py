@@ -1,4 +1,4 @@
-"""Model image: the codec configuration that is flashed into a controller, with its identity and checks."""
+"""Model image: a codec's configuration for upload to a controller, with its identity and checks."""
 
 import hashlib
 import struct
@@ -24,8 +24,8 @@ class ModelImageError(ValueError):
 class ModelImage:
     """A model image.
 
-    `hardware`: the only hardware id that it may run on, empty = any. `payload`: what the codec's decoder takes as its
-    tables; for `mdct` these are the initial states of its contexts.
+    `hardware`: the only hardware id on which it may run, empty = any. `payload`: the tables of the codec's decoder; for
+    `mdct` these are the initial states of its contexts.
     """
 
     codec_identifier: int
@@ -38,7 +38,7 @@ class ModelImage:
         """Return the image's bytes, CRC-32 (as in zlib) last. Raises ModelImageError for a value out of range."""
         texts = [text.encode() for text in (self.name, self.version, self.hardware)]
         if max(map(len, texts)) > _MAX_TEXT_BYTES:
-            raise ModelImageError(f"name, version and hardware have at most {_MAX_TEXT_BYTES} bytes each")
+            raise ModelImageError(f"name, version and hardware have at most {_MAX_TEXT_BYTES} bytes each; shorten them")
         if not 0 <= self.codec_identifier <= 0xFF:
             raise ModelImageError(f"codec identifier {self.codec_identifier} is not in 0 to 255")
         fixed = _FIXED.pack(MAGIC, LAYOUT_VERSION, self.codec_identifier, *map(len, texts), len(self.payload))
@@ -59,9 +59,9 @@ class ModelImage:
             )
         expected = _FIXED.size + sum(text_bytes) + payload_bytes + _CRC_BYTES
         if len(data) != expected:
-            raise ModelImageError(f"the model image has {len(data)} bytes instead of {expected}: get the file again")
+            raise ModelImageError(f"the model image has {len(data)} bytes instead of {expected}; get the file again")
         if zlib.crc32(data[:-_CRC_BYTES]) != int.from_bytes(data[-_CRC_BYTES:], "little"):
-            raise ModelImageError("the model image is damaged (CRC-32 differs): get the file again")
+            raise ModelImageError("the model image is damaged (CRC-32 differs); get the file again")
         position = _FIXED.size
         texts = []
         for length in text_bytes:
@@ -70,10 +70,10 @@ class ModelImage:
         try:
             name, version, hardware = (text.decode() for text in texts)
         except UnicodeDecodeError as error:
-            raise ModelImageError("the model image's texts are not UTF-8: get the file again") from error
+            raise ModelImageError("the model image's texts are not UTF-8; get the file again") from error
         return cls(codec_identifier, name, version, hardware, data[position:-_CRC_BYTES])
 
 
 def sha256(image: bytes) -> bytes:
-    """Return the identity of a packed image: SHA-256 over all of its bytes; streams name it by its first bytes."""
+    """Return the identity of a packed image: SHA-256 over all of its bytes. Streams name it by its first bytes."""
     return hashlib.sha256(image).digest()

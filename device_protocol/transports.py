@@ -1,4 +1,4 @@
-"""Ways to a controller, behind one small interface: a serial port, or USB bulk endpoints of a vendor interface."""
+"""Transports to a controller, with one small interface: a serial port, or USB bulk endpoints of a vendor interface."""
 
 import contextlib
 import errno
@@ -24,32 +24,32 @@ _WRITE_TIMEOUT_S = 1.0
 # A multiple of every bulk packet size (64 and 512), so that no read can overflow.
 _USB_READ_BYTES = 4096
 _SERIAL_READ_BYTES = 65_536
-# Bytes that a serial port may leave to be written later: two of the longest frames, so that a sender seldom waits.
+# Bytes that a serial port may write later: two of the longest frames, so that a sender seldom waits.
 _MAX_UNSENT_BYTES = 8192
-# How soon the threads of a transport without a file notice that it is closed.
+# Time after which the threads of a transport without a file notice that it is closed.
 _THREAD_READ_S = 0.05
 
 
 class TransportError(OSError):
-    """The way to the controller cannot be opened, or broke; the message says what to do."""
+    """The transport cannot be opened, or failed; the message says what to do."""
 
 
 class Transport(Protocol):
     """Bytes to and from a controller. Not safe to share between threads.
 
-    A transport that one thread can wait for together with others also has `file` and `unsent`. `file`: readable when
-    bytes have come; another object after `reopen`; None where the system has none for this port. `unsent`: bytes that
-    were written and that the port has not taken; `read` hands them on when `file` is writable.
+    A transport for which one thread can wait together with others also has `file` and `unsent`. `file`: readable when
+    bytes have come; another object after `reopen`; None if the system has none for this port. `unsent`: bytes written
+    that the port has not taken; `read` sends them when `file` is writable.
     """
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`. Raises TransportError if the way is broken or takes nothing for a second."""
+        """Send all of `data`. Raises TransportError if the transport fails or takes nothing for a second."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that are there, as soon as there are any; none after `timeout_s`. Raises TransportError."""
+        """Return the available bytes, as soon as there are any; none after `timeout_s`. Raises TransportError."""
 
     def reopen(self) -> None:
-        """Close the port or device, and open it again. Raises TransportError while it is not there."""
+        """Close the port or device, and open it again. Raises TransportError while it is absent."""
 
     def close(self) -> None:
         """Release the port; may be called again."""
@@ -60,7 +60,7 @@ class Transport(Protocol):
 
 
 class Closing(ABC):
-    """Makes what can be closed a context manager that closes itself."""
+    """A context manager that calls `close` at its end."""
 
     @abstractmethod
     def close(self) -> None:
@@ -96,7 +96,7 @@ class SerialTransport(Closing):
                 f"cannot open serial port {self._port}: {error}; check the name (`vibrocast devices` lists the ports), "
                 "that no other program uses it, and that you may read and write it"
             ) from error
-        # Windows, and some URLs, have nothing that one can wait for together with others.
+        # Windows, and some URLs, have no file for which one can wait together with others.
         self.file: Any = None
         with contextlib.suppress(AttributeError, OSError):
             self._serial.fileno()
@@ -114,7 +114,7 @@ class SerialTransport(Closing):
         )
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; up to 8 KiB may be left to later calls."""
+        """Send all of `data`; up to 8 KiB may wait for later calls."""
         try:
             if self.file is None:
                 self._serial.write(data)
@@ -132,7 +132,7 @@ class SerialTransport(Closing):
             raise error if isinstance(error, TransportError) else self._broken(error) from error
 
     def _hand_on(self) -> None:
-        """Write what the port takes now. Raises TransportError if it has taken nothing for a second."""
+        """Write the bytes that the port takes now. Raises TransportError if it takes nothing for a second."""
         try:
             taken = os.write(self._serial.fileno(), self.unsent)
         except BlockingIOError:
@@ -164,7 +164,7 @@ class SerialTransport(Closing):
         raise self._broken("its other end was closed")
 
     def _waiting(self) -> bytes:
-        """Return the bytes that have come; none where there are none, and where the port is gone."""
+        """Return the bytes that have come; none if there are none, or if the port is gone."""
         try:
             return os.read(self._serial.fileno(), _SERIAL_READ_BYTES)
         except BlockingIOError:
@@ -178,7 +178,7 @@ class SerialTransport(Closing):
             return b""
         waiting: int = self._serial.in_waiting
         if self._is_socket:
-            # pyserial tells only that bytes wait, not how many; with this timeout it gives those that do.
+            # pyserial only says that bytes wait, not how many; with this timeout it returns those that do.
             self._serial.timeout, waiting = 0, _SERIAL_READ_BYTES
         rest: bytes = self._serial.read(waiting)
         return first + rest
@@ -196,7 +196,7 @@ class SerialTransport(Closing):
 class ThreadedTransport(Closing):
     """Another transport behind two threads, which makes it selectable: neither reading nor writing waits.
 
-    It owns the other one, which may be open already. Errors of the threads are raised by the next call.
+    It owns the other transport, which may be open already. The next call raises errors of the threads.
     """
 
     unsent = b""
@@ -219,7 +219,7 @@ class ThreadedTransport(Closing):
             thread.start()
 
     def _end(self) -> None:
-        """End the threads, once what was written before has been sent; may be called again."""
+        """End the threads after they have sent all written bytes; may be called again."""
         if self._threads:
             self._ending = True
             self._sent.put(None)
@@ -253,12 +253,12 @@ class ThreadedTransport(Closing):
         self._wake()
 
     def _wake(self) -> None:
-        # A full socket wakes as well as one byte more.
+        # A full socket wakes the reader, too.
         with contextlib.suppress(OSError):
             self._signal.send(b"\0")
 
     def write(self, data: bytes) -> None:
-        """Hand the bytes to the writing thread."""
+        """Pass the bytes to the writing thread."""
         if self._error is not None:
             raise self._error
         self._sent.put(data)
@@ -304,7 +304,7 @@ class UsbTransport(Closing):
         self._identifiers = {"idVendor": vendor_id, "idProduct": product_id}
         self._backend = backend or libusb_backend()
         if self._backend is None:
-            raise TransportError("no libusb was found: install the package libusb-package again")
+            raise TransportError("no libusb was found; install the package libusb-package again")
         self._open()
 
     def _open(self) -> None:
@@ -323,7 +323,7 @@ class UsbTransport(Closing):
                     "address"
                 )
             usb.util.claim_interface(device, interface)
-            # A stall, or the data toggle of a program that ended in the middle, must not outlive what left it there.
+            # A stall, or the data toggle of a program that ended in the middle, must not affect the next program.
             self._in.clear_halt()
             self._out.clear_halt()
         except usb.core.USBError as error:
@@ -348,7 +348,7 @@ class UsbTransport(Closing):
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes of one transfer from the bulk IN endpoint."""
         try:
-            # libusb takes 0 as "for ever".
+            # For libusb, 0 means "for ever".
             return bytes(self._in.read(_USB_READ_BYTES, max(1, round(timeout_s * 1000))))
         except usb.core.USBError as error:
             if not isinstance(error, usb.core.USBTimeoutError) and error.errno != errno.ETIMEDOUT:
@@ -356,7 +356,7 @@ class UsbTransport(Closing):
             return b""
 
     def _clear_stall(self, endpoint: Any, error: usb.core.USBError) -> None:
-        """Set a stalled endpoint going again; raise TransportError for any other error, or if that fails."""
+        """Clear a stall of an endpoint; raise TransportError for any other error, or if that fails."""
         if error.errno != errno.EPIPE:
             raise self._broken(error) from error
         try:
@@ -375,7 +375,7 @@ class UsbTransport(Closing):
 
 
 def libusb_backend() -> Any:
-    """Return the libusb that this environment brings, as a pyusb backend; None where there is none."""
+    """Return the libusb of this environment, as a pyusb backend; None if there is none."""
     import libusb_package
 
     return libusb_package.get_libusb1_backend()
@@ -388,11 +388,11 @@ def open_transport(address: str, usb_backend: Any = None) -> Transport:
         return SerialTransport(rest)
     if kind == "usb" and (match := re.fullmatch("([0-9a-fA-F]{1,4}):([0-9a-fA-F]{1,4})", rest)):
         return UsbTransport(int(match[1], 16), int(match[2], 16), usb_backend)
-    raise TransportError(f"{address!r} is no address of a controller: give serial:PORT or usb:VID:PID (hexadecimal)")
+    raise TransportError(f"{address!r} is no address of a controller; give serial:PORT or usb:VID:PID (hexadecimal)")
 
 
 def selectable(transport: Transport) -> Transport:
-    """Return a transport with a file, where this one lacks it and can be given one: over USB, or serial on Windows."""
+    """Return a transport with a file, if this one lacks it and can get one: over USB, or serial on Windows."""
     if isinstance(transport, UsbTransport) or (isinstance(transport, SerialTransport) and transport.file is None):
         return ThreadedTransport(transport)
     return transport

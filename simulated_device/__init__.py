@@ -1,1 +1,1 @@
-"""A tactor controller in software: same protocol, same decoder, DAC and actuator response."""
+"""A controller in software: the same protocol and decoders, a DAC, and the response of an actuator."""

@@ -1,18 +1,18 @@
-"""Python functions that C calls: what they raise waits until C has returned."""
+"""Python functions that C calls; their exceptions wait until C has returned."""
 
 from collections.abc import Callable
 from typing import Any
 
 
 class Callbacks:
-    """Makes callbacks for C. Once one has raised, all of them do nothing, and `pass_on` raises it again."""
+    """Makes callbacks for C. After one has raised, all of them do nothing, and `pass_on` raises it again."""
 
     def __init__(self, ffi: Any) -> None:
         self._ffi = ffi
         self._raised: list[BaseException] = []
 
     def make(self, kind: str, function: Callable[..., Any], failed: int | None = None) -> Any:
-        """Return a pointer to a function of a C type, valid as long as it is kept; it returns `failed` if it raises."""
+        """Return a pointer to a function of a C type, valid while you keep it; it returns `failed` if it raises."""
         raised = self._raised
 
         def call(*arguments: Any) -> Any:
@@ -27,6 +27,6 @@ class Callbacks:
         return self._ffi.callback(kind, call)
 
     def pass_on(self) -> None:
-        """Raise what a callback has raised."""
+        """Raise the exception of a callback, if there is one."""
         if self._raised:
             raise self._raised[0]

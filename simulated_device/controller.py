@@ -23,11 +23,11 @@ _MAX_READ_BYTES = 1 << 14
 class Settings:
     """The kind of controller.
 
-    `drift_ppm`: how much faster than true time its clock runs. `runtime`: one of codec.RUNTIMES, which decodes models
-    that leave the choice; None = as the image says. `position_sensor`: returns where the hand is, in nm, at the
-    controller's time, in us; None = the host says it. The other numbers are limits that hello tells: `channels` at most
-    16; `buffer_samples`, `capture_samples` and `profile_samples` (of a height profile, of all channels together) at
-    most these.
+    `drift_ppm`: how much faster than true time its clock runs. `runtime`: the one of codec.RUNTIMES that decodes models
+    which leave the choice; None = as the image says. `position_sensor`: returns the position of the hand, in nm, at the
+    controller's time, in us; None = the host sends it. The other numbers are the limits in the response to Hello:
+    `channels` at most 16; `buffer_samples`, `capture_samples` and `profile_samples` (of a height profile, of all
+    channels together) at most these.
     """
 
     actuator: Actuator = PIEZO_STACK
@@ -43,15 +43,17 @@ class Settings:
 
 
 class Controller:
-    """A controller.
+    """A simulated controller.
 
-    Call `receive` with what came from the host and `advance` every few milliseconds, both with a clock in microseconds
-    that never goes back; send what `transmit` returns. `on_dac` is called with each run of codes int16 (n, channels) as
-    they go to the DAC. What the host sends never raises anything; memory does not grow with time or with what comes.
-    `flash`: None = a blank one that lasts as long as this object. A PowerCut of the flash, and what `on_dac` and the
-    position sensor raise, pass through the method that was called; the controller is then without power.
-    `firmware`: declarations (FFI) and functions of a build with other sizes, None = the one that is installed.
-    Raises ValueError on an actuator that vc_actuator has no room for.
+    Call `receive` with bytes from the host, and `advance` every few milliseconds. Both take a clock in microseconds
+    that never goes back. Send the bytes that `transmit` returns. `on_dac` is called with each run of codes int16 (n,
+    channels) as they go to the DAC. No bytes from the host raise an exception; memory does not grow with time or with
+    their number.
+
+    `flash`: None = a blank one that lasts as long as this object. Exceptions of the flash (PowerCut), of `on_dac` and
+    of the position sensor pass through the method that was called; the controller is then without power. `firmware`:
+    declarations (FFI) and functions of a build with other sizes, None = the installed one. Raises ValueError for an
+    actuator whose numbers do not fit vc_actuator.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class Controller:
         self._callbacks = Callbacks(ffi)
         self._decoders = PythonDecoders(ffi, self._library, self.settings.runtime, self._callbacks)
         self.memory_bytes: int = self._library.vc_controller_size()
-        # Pages of it that nobody writes take no memory.
+        # Pages that nobody writes take no memory.
         self._memory = np.zeros(-(-self.memory_bytes // 8), np.int64)
         self._profile = np.zeros(-(-self._library.vc_controller_profile_size() // 8), np.int64)
         self._controller = ffi.cast("vc_controller *", self._memory.ctypes.data)
@@ -88,7 +90,7 @@ class Controller:
         self._callbacks.pass_on()
 
     def advance(self, now_us: int) -> None:
-        """Play what is due, and watch over the host."""
+        """Play the samples that are due, and run the watchdog."""
         self._library.vc_controller_advance(self._controller, self._clock(now_us))
         self._callbacks.pass_on()
 
@@ -125,7 +127,7 @@ class Controller:
 
 
 def _sink(ffi: Any, on_dac: Callable[[Codes], None] | None) -> Callable[..., None]:
-    """Return the vc_dac_sink that hands codes to `on_dac`."""
+    """Return the vc_dac_sink that passes codes to `on_dac`."""
 
     def hand_on(context: Any, codes: Any, samples: int, channels: int) -> None:
         if on_dac is not None:

@@ -1,4 +1,4 @@
-"""The controller's firmware on an emulated MPS2 board with a Cortex-M4, M7 or M33: the image that a board would run."""
+"""The controller's firmware on an emulated MPS2 board with a Cortex-M4, M7 or M33: the same image as for a board."""
 
 from collections import deque
 from collections.abc import Callable
@@ -17,7 +17,7 @@ FLASH_BYTES = 2056 * 1024
 """Flash for model images: two sectors of 4096 bytes for records, two slots of 1 MiB."""
 
 _MEMORY_BYTES = 4 << 20
-# What the host does not take fills the line; then the image keeps the rest, and bounds it.
+# Bytes that the host does not take fill the line. Then the image keeps the rest, within its limit.
 _LINE_BYTES = 65_536
 _TIMER_DIVIDER = 16
 
@@ -50,12 +50,12 @@ CORES = tuple(_BOARDS)
 class CortexM:
     """A controller (simulated_device.device.Device): the firmware built for `core`, one of CORES, on an emulated board.
 
-    `flash`: of FLASH_BYTES, in which images outlive this object; None = a blank one. A file behind it is not written.
-    `on_dac`: called with each run of codes int16 (n, channels) as they go to the DAC. `drift_ppm`: how much faster than
-    true time the board's clock runs. `count_instructions`: as in Processor, which `processor` is.
+    `flash`: FLASH_BYTES bytes, in which images outlive this object; None = a blank one. A file behind it is not
+    written. `on_dac`: called with each run of codes int16 (n, channels) as they go to the DAC. `drift_ppm`: how much
+    faster than true time the board's clock runs. `count_instructions`: as in Processor, which `processor` is.
 
-    The clock stands still while the image computes; each call runs its main loop until there is nothing left to do.
-    Raises BuildError, and EmulationError where the image does what a processor stops at.
+    The clock stands still while the image computes; each call runs its main loop until nothing is left to do. Raises
+    BuildError, and EmulationError if the image does something that stops a processor.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class CortexM:
         self._outgoing = bytearray()
         self._codes: list[Codes] = []
         self._output = [0, 0]
-        self._carried = True  # whether a byte has gone either way since the image last looked at the clock
+        self._carried = True  # whether a byte has crossed the line since the image last looked at the clock
         self._run()
 
     def receive(self, data: bytes, now_us: int) -> None:
@@ -92,7 +92,7 @@ class CortexM:
         self.advance(now_us)
 
     def advance(self, now_us: int) -> None:
-        """Play what is due, and watch over the host; to be called every few milliseconds."""
+        """Play the samples that are due, and run the watchdog; call it every few milliseconds."""
         if self._origin_us is None:
             self._origin_us = now_us
         true_us = now_us - self._origin_us
@@ -106,7 +106,7 @@ class CortexM:
         return data
 
     def _run(self) -> None:
-        """Run the image until its loop, which looks at the clock once a turn, has gone round with nothing to do."""
+        """Run the image until its loop, which reads the clock once a turn, has gone round without work."""
         self._carried = True
         self.processor.run()
         codes, self._codes = self._codes, []

@@ -11,9 +11,9 @@ from vibrocast.simulated_device.callbacks import Callbacks
 
 
 class PythonDecoders:
-    """Decodes what the controller has no decoder for in C: `pointer` is its vc_decoder_callbacks.
+    """Decodes codecs for which the controller has no decoder in C: `pointer` is its vc_decoder_callbacks.
 
-    `runtime`: one of codec.RUNTIMES, which decodes models that leave the choice; None = as the image says.
+    `runtime`: the one of codec.RUNTIMES that decodes models which leave the choice; None = as the image says.
     """
 
     def __init__(self, ffi: Any, library: Any, runtime: str | None, callbacks: Callbacks) -> None:

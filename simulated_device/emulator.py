@@ -1,4 +1,4 @@
-"""A firmware image on an emulated Cortex-M: processor and memory in Unicorn, to which a board adds its peripherals."""
+"""A firmware image on an emulated Cortex-M: processor and memory in Unicorn, to which boards add peripherals."""
 
 import ctypes
 from collections.abc import Callable
@@ -12,25 +12,25 @@ from vibrocast.simulated_device.flash import FlashMemory
 
 PAGE_BYTES = 4096
 SYSTEM_SPACE = 0xE000_E000
-"""Where the processor's own registers are: SysTick, interrupt controller, FPU (DDI 0403, B3.2.1)."""
+"""Address of the processor's own registers: SysTick, interrupt controller, FPU (DDI 0403, B3.2.1)."""
 
 _PAINT = b"\xa5"
-# Nothing is ever fetched from there.
+# The processor never fetches instructions from there.
 _NOWHERE = 0xFFFF_FFFE
 _FRAME_BYTES = 104
 
 
 class EmulationError(Exception):
-    """What an image did that a processor stops at."""
+    """The image did something that stops a processor."""
 
 
 class Processor:
     """A Cortex-M with an image in its memory, about to come out of reset.
 
-    `processor`: one of unicorn.arm_const.UC_CPU_ARM_CORTEX_M.... `memories`: address and size of each memory, but for
-    `flash`, which is mapped, not copied: what the image writes to it stays there. `on_flash_write`: called with offset,
-    size and value before each of these writes. `count_instructions`: whether `instructions` counts those carried out,
-    which takes several times as long.
+    `processor`: one of unicorn.arm_const.UC_CPU_ARM_CORTEX_M.... `memories`: address and size of each memory except
+    `flash`. That is mapped, not copied, so writes of the image stay there. `on_flash_write`: called with offset, size
+    and value before each of these writes. `count_instructions`: whether `instructions` counts the executed ones, which
+    makes emulation several times slower.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Processor:
     ) -> None:
         self.instructions = 0
         self._image = image
-        self._flash_address, self._flash = flash  # which keeps the mapped bytes alive
+        self._flash_address, self._flash = flash  # keeps the mapped bytes alive
         self._on_flash_write = on_flash_write
         self._failure = ""
         self._block_instructions: dict[int, int] = {}
@@ -67,7 +67,7 @@ class Processor:
         if count_instructions:
             self.unicorn.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
         vectors = image.segments[0].load_address
-        self._return_address = vectors  # no instruction is there
+        self._return_address = vectors  # there is no instruction
         stack_top, reset = (int.from_bytes(self.unicorn.mem_read(vectors + 4 * index, 4), "little") for index in (0, 1))
         self.unicorn.reg_write(arm_const.UC_ARM_REG_SP, stack_top)
         self.unicorn.reg_write(arm_const.UC_ARM_REG_PC, reset)
@@ -86,7 +86,7 @@ class Processor:
         )
 
     def run(self) -> None:
-        """Go on until `stop` or until the image waits for an interrupt. Raises EmulationError."""
+        """Run until `stop`, or until the image waits for an interrupt. Raises EmulationError."""
         self._go_on(self.unicorn.reg_read(arm_const.UC_ARM_REG_PC), _NOWHERE)
 
     def _go_on(self, where: int, until: int) -> None:
@@ -100,18 +100,18 @@ class Processor:
             raise EmulationError(f"the image stopped at 0x{where:08x} ({function}): {self._failure}")
 
     def stop(self) -> None:
-        """Have `run` return; to be called by a peripheral."""
+        """Make `run` return; peripherals call it."""
         self.unicorn.emu_stop()
 
     def stack_bytes(self) -> int:
-        """Return the bytes of stack that have been used so far at most."""
+        """Return the most bytes of stack used so far."""
         stack = bytes(self.unicorn.mem_read(self._stack.address, self._stack.size_bytes))
         return len(stack.lstrip(_PAINT))
 
     def interrupt(self, handler: int) -> None:
-        """Run an interrupt's handler to its end, as if it had come where the image has stopped. Raises EmulationError.
+        """Run an interrupt's handler to its end, as if it came where the image has stopped. Raises EmulationError.
 
-        A frame with the FPU's registers is left free on the stack (DDI 0403, B1.5.6), and all registers come back.
+        The stack keeps room for a frame with the FPU's registers (DDI 0403, B1.5.6), and all registers come back.
         """
         before = self.unicorn.context_save()
         self.unicorn.reg_write(arm_const.UC_ARM_REG_SP, self.unicorn.reg_read(arm_const.UC_ARM_REG_SP) - _FRAME_BYTES)
@@ -145,7 +145,7 @@ class Processor:
 
 
 def _instructions(code: bytes) -> int:
-    """Return the number of Thumb instructions; those of 32 bits are known by their first five (DDI 0403, A5.1)."""
+    """Return the number of Thumb instructions; the first five bits mark those of 32 bits (DDI 0403, A5.1)."""
     count = offset = 0
     while offset < len(code):
         offset += 4 if code[offset + 1] >> 3 in (0b11101, 0b11110, 0b11111) else 2

@@ -1,4 +1,4 @@
-"""A link in memory to a controller in simulated time; it loses, damages or delays frames where a test asks for it."""
+"""A link in memory to a controller in simulated time; on request it loses, damages or delays frames."""
 
 import random
 
@@ -10,7 +10,7 @@ STEP_US = 1000
 
 
 class FaultyDirection:
-    """One direction of a link, which loses, damages, doubles and reorders frames by chance.
+    """One direction of a link, which loses, damages, doubles and reorders frames at random.
 
     `lost`, `flipped` (one byte of the frame), `doubled`, `swapped` (with the next one): probability for each frame. The
     same seed gives the same faults.
@@ -25,7 +25,7 @@ class FaultyDirection:
         self._held = b""
 
     def carry(self, data: bytes) -> bytes:
-        """Take what is sent; return what arrives."""
+        """Take the bytes sent; return the bytes that arrive."""
         *frames, self._partial = (self._partial + data).split(DELIMITER)
         return b"".join(self._carry_frame(frame + DELIMITER) for frame in frames)
 
@@ -47,7 +47,7 @@ class FaultyDirection:
 
 
 class SimulatedTime:
-    """The time of one link, or of several at once; it passes in steps of at most `step_us`."""
+    """The time of one link, or of several; it passes in steps of at most `step_us`."""
 
     def __init__(self, step_us: int = STEP_US) -> None:
         self.now_us = 0
@@ -64,9 +64,9 @@ class SimulatedTime:
 
 
 class MemoryLink(Closing):
-    """A transport (device_protocol.transports.Transport) to a controller; reading from it is what makes time pass.
+    """A transport (device_protocol.transports.Transport) to a controller; time passes while you read from it.
 
-    `clock` and `sleep` are the host's, in simulated time. `time`: that of other links too, None = its own.
+    `clock` and `sleep` are the host's, in simulated time. `time`: shared with other links, None = its own.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class MemoryLink(Closing):
         self.controller.receive(self._to_controller.carry(data), self.now_us)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come from the controller, letting time pass until something has or `timeout_s` is over."""
+        """Return the bytes from the controller; time passes until some have come, or `timeout_s` is over."""
         end_us = self.now_us + round(timeout_s * 1e6)
         while True:
             self._need_cable()
@@ -113,11 +113,11 @@ class MemoryLink(Closing):
             self.sleep(min(self.time.step_us, end_us - self.now_us) / 1e6)
 
     def unplug(self, seconds: float) -> None:
-        """Pull the cable, to be plugged in again after so long; what is sent meanwhile is lost."""
+        """Pull the cable, and plug it in again after `seconds`; bytes sent meanwhile are lost."""
         self._cable_out_until_us = self.now_us + seconds * 1e6
 
     def reopen(self) -> None:
-        """Open the port anew. Raises TransportError while the cable is out."""
+        """Open the port again. Raises TransportError while the cable is out."""
         self._need_cable()
         self.controller.transmit()
 
@@ -126,4 +126,4 @@ class MemoryLink(Closing):
 
     def _need_cable(self) -> None:
         if self.now_us < self._cable_out_until_us:
-            raise TransportError("the cable to the simulated controller is out: plug it in")
+            raise TransportError("the cable to the simulated controller is out; plug it in")

@@ -1,4 +1,4 @@
-"""Flash memory in a file, and how the controller in C reaches it; the power may be cut at any byte."""
+"""Flash memory in a file, and its connection to the controller in C; the power may fail at any byte."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,15 +13,15 @@ ERASED = 0xFF
 
 
 class PowerCut(Exception):
-    """The power went while flash was being written; raised only where a test asks for it."""
+    """The power failed while flash was being written; raised only on a test's request."""
 
 
 class FlashMemory:
     """NOR flash: erasing a sector sets its bytes to 0xFF, programming only clears bits.
 
-    Kept in the file `path`, or in memory only if there is none. `cut_after_bytes`: raise PowerCut once so many more
-    bytes have been erased or programmed, the next one half done; None = never. Raises OSError if the file cannot be
-    used and ValueError if it has another size.
+    Kept in the file `path`, or only in memory without one. `cut_after_bytes`: raise PowerCut after this many bytes more
+    have been erased or programmed, with the next one half done; None = never. Raises OSError if the file cannot be
+    used, ValueError if it has another size.
     """
 
     def __init__(self, size_bytes: int, sector_bytes: int = 4096, path: Path | None = None) -> None:
@@ -32,7 +32,7 @@ class FlashMemory:
         if path is not None and path.exists():
             self._data = bytearray(path.read_bytes())
             if len(self._data) != size_bytes:
-                raise ValueError(f"{path} has {len(self._data)} bytes, not the {size_bytes} of this flash: delete it")
+                raise ValueError(f"{path} has {len(self._data)} bytes, not the {size_bytes} of this flash; delete it")
         elif path is not None:
             path.write_bytes(self._data)
 
@@ -41,7 +41,7 @@ class FlashMemory:
 
     @property
     def contents(self) -> memoryview:
-        """All bytes, in place; what is written here does not go to the file."""
+        """All bytes, in place; changes to them do not go to the file."""
         return memoryview(self._data)
 
     def read(self, address: int, count: int) -> bytes:
@@ -59,7 +59,7 @@ class FlashMemory:
         self._change(address, after, lambda byte, after: byte & (after | 0x0F))
 
     def _change(self, address: int, after: bytes, half_done: Callable[[int, int], int]) -> None:
-        """Change bytes, up to a cut; `half_done` gives what a byte is in the middle of it, from before and after."""
+        """Change bytes, up to a cut; `half_done` returns a byte's value half-way, from before and after."""
         done = len(after)
         if self.cut_after_bytes is not None:
             done = min(done, self.cut_after_bytes)
@@ -78,10 +78,10 @@ class FlashMemory:
 
 
 class FlashPort:
-    """A FlashMemory as the controller in C sees it: `pointer` is its vc_flash.
+    """A FlashMemory for the controller in C: `pointer` is its vc_flash.
 
-    The memory has a sector for each copy of the record, then two slots of the same size. An OSError says that the flash
-    did not take the data; `callbacks` keeps everything else that the memory raises.
+    The memory has a sector for each copy of the record, then two slots of the same size. An OSError means that the
+    flash did not take the data; `callbacks` keeps all other exceptions of the memory.
     """
 
     def __init__(self, ffi: Any, flash: FlashMemory, callbacks: Callbacks) -> None:

@@ -1,4 +1,4 @@
-"""The controller's firmware as a process of this machine, behind a pseudo-terminal of its own."""
+"""The controller's firmware as a process of this machine, behind its own pseudo-terminal."""
 
 import subprocess
 from pathlib import Path
@@ -8,14 +8,14 @@ from vibrocast.firmware.build import build
 
 
 class HostProcess(Closing):
-    """Runs the firmware built for `host`; a context manager. `name`: what a host program opens, as a serial port.
+    """Runs the firmware built for `host`; a context manager. `name`: the serial port that a host program opens.
 
-    `options`: of the program, firmware/ports/host/main.c. Raises BuildError, and TransportError where the program does
-    not start.
+    `options`: of the program firmware/ports/host/main.c. Raises BuildError, and TransportError if the program does not
+    start.
     """
 
     def __init__(self, *options: str | Path) -> None:
-        # It ends with its input: nothing outlives a host program that is killed.
+        # The process ends with its input, so nothing outlives a host program that is killed.
         self._process = subprocess.Popen(
             [build("host"), *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -26,7 +26,7 @@ class HostProcess(Closing):
             raise TransportError(f"the controller's process did not start: {errors.strip()}")
 
     def close(self) -> None:
-        """End the process; may be called again. Raises TransportError if it had failed."""
+        """End the process; may be called again. Raises TransportError if it failed."""
         try:
             _, errors = self._process.communicate()
         except ValueError:

@@ -19,8 +19,8 @@ _READ_BYTES = 65_536
 class PtyPort(RealTimePort):
     """Serves a controller on a pseudo-terminal.
 
-    `name`: what a host opens; a link that stays the same when the cable is pulled and plugged in again. A host may
-    close and open it as it likes. Raises OSError where the system has no pseudo-terminals.
+    `name`: the port that a host opens; the link stays the same when the cable is pulled and plugged in again. A host
+    may close and open it at any time. Raises OSError if the system has no pseudo-terminals.
     """
 
     def __init__(self, controller: Device) -> None:
@@ -32,7 +32,7 @@ class PtyPort(RealTimePort):
         self._connect()
 
     def unplug(self) -> None:
-        """Make the port go away, as a pulled cable does. The controller goes on."""
+        """Remove the port, as a pulled cable does. The controller runs on."""
         self._order(self._disconnect)
 
     def plug(self) -> None:
@@ -40,7 +40,7 @@ class PtyPort(RealTimePort):
         self._order(self._connect)
 
     def close(self) -> None:
-        """Stop serving and remove the port; may be called again. Raises TransportError if the controller had failed."""
+        """Stop serving and remove the port; may be called again. Raises TransportError if the controller failed."""
         try:
             super().close()
         finally:
@@ -52,9 +52,9 @@ class PtyPort(RealTimePort):
         self._disconnect()
 
     def _order(self, action: Callable[[], None]) -> None:
-        """Have the serving thread do something and wait for it: no one else may close what it is reading from.
+        """Let the serving thread do an action, and wait for it: no other thread may close the file that it reads.
 
-        Where it has ended there is nothing to plug or to unplug any more.
+        If the thread has ended, there is nothing to plug or unplug.
         """
         done = threading.Event()
         self._orders.put((action, done))
@@ -63,7 +63,7 @@ class PtyPort(RealTimePort):
 
     def _connect(self) -> None:
         if self._master < 0:
-            # The slave stays open here: so the port outlives every host that closes it.
+            # The slave stays open here, so the port outlives every host that closes it.
             self._master, self._slave = os.openpty()
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
@@ -85,7 +85,7 @@ class PtyPort(RealTimePort):
         if self._master < 0:
             self._closing.wait(PERIOD_S)
             return b""
-        # What nobody reads waits for the next time.
+        # Bytes that nobody reads wait for the next time.
         with contextlib.suppress(BlockingIOError):
             self._pending = self._pending[os.write(self._master, self._pending) :]
         readable, _, _ = select.select([self._master], [], [], PERIOD_S)

@@ -1,4 +1,4 @@
-"""Runs a controller in real time in a thread of its own; the ports build on it."""
+"""Runs a controller in real time in its own thread; the ports build on it."""
 
 import threading
 import time
@@ -8,18 +8,18 @@ from typing import Self
 from vibrocast.device_protocol.transports import Closing, TransportError
 from vibrocast.simulated_device.device import Device
 
-# What goes to the DAC in between is made at its end, so by this much a packet may come too late and still be played.
+# The samples of each period are made at its end. So a packet may come this much too late and still be played.
 PERIOD_S = 0.002
-# A computer under load may keep the thread waiting, which no controller's own processor does: of a longer wait, the
-# controller's clock counts only so much.
+# A computer under load may delay the thread, which no controller's own processor does. Of a longer delay, the
+# controller's clock counts only this much.
 MAX_STEP_US = 50_000
 
 
 class RealTimePort(Closing):
-    """A controller that runs against the clock. A port fills `_wait`, and hands bytes over with `_exchange`.
+    """A controller that runs against the clock. A port implements `_wait`, and passes bytes with `_exchange`.
 
-    A context manager: the thread runs inside it, and has ended when it is left. A controller that fails takes its port
-    with it; `close` then says why.
+    A context manager: the thread runs inside it, and ends at its end. A controller that fails takes its port with it;
+    `close` then raises the reason.
     """
 
     def __init__(self, controller: Device) -> None:
@@ -37,14 +37,14 @@ class RealTimePort(Closing):
         return self
 
     def close(self) -> None:
-        """Stop the controller's time; may be called again. Raises TransportError if the controller had failed."""
+        """Stop the controller's time; may be called again. Raises TransportError if the controller failed."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
         failure, self._failure = self._failure, None
         if failure is not None:
             raise TransportError(
-                f"the simulated controller failed ({failure!r}): this is a fault in it, please report it"
+                f"the simulated controller failed ({failure!r}), which is a fault in it; please report it"
             ) from failure
 
     def _run(self) -> None:
@@ -53,10 +53,10 @@ class RealTimePort(Closing):
 
     @abstractmethod
     def _wait(self) -> bytes:
-        """Return what the host sent, waiting for it PERIOD_S at most."""
+        """Return the bytes from the host; wait for them for PERIOD_S at most."""
 
     def _exchange(self, data: bytes) -> None:
-        """Give bytes to the controller, let its time pass, and put what it sends into `_pending`."""
+        """Give bytes to the controller, let its time pass, and put its bytes into `_pending`."""
         with self._lock:
             read_us = time.monotonic_ns() // 1000
             self._now_us += min(MAX_STEP_US, read_us - self._read_us)
@@ -66,9 +66,9 @@ class RealTimePort(Closing):
                     self._controller.receive(data, self._now_us)
                 else:
                     self._controller.advance(self._now_us)
-            except Exception as failure:  # whatever it is: the host must see that the device is gone
+            except Exception as failure:  # whatever the failure is, the host must see that the device is gone
                 self._failure = failure
                 self._closing.set()
-            # What the host does not take stays in the controller, which bounds it.
+            # Bytes that the host does not take stay in the controller, which limits them.
             if not self._pending:
                 self._pending = self._controller.transmit()

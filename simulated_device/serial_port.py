@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def has_pseudo_terminals() -> bool:
-    """Return whether this system has pseudo-terminals, as Linux and macOS have, and Windows has not."""
+    """Return whether this system has pseudo-terminals: Linux and macOS have, Windows has not."""
     return find_spec("termios") is not None
 
 

@@ -13,7 +13,7 @@ _READ_BYTES = 65_536
 class SocketPort(RealTimePort):
     """Serves a controller on a loopback socket, one host at a time.
 
-    `name`: what a host opens, a URL of pyserial. A host may close and open it as it likes. While it is open, the port
+    `name`: the URL of pyserial that a host opens. A host may close and open it at any time. While it is open, the port
     closes the connection of any other host at once. Raises OSError if the system gives no socket.
     """
 
@@ -47,7 +47,7 @@ class SocketPort(RealTimePort):
             self._send(self._host)
         host = self._host
         readable, _, _ = select.select([self._listener] if host is None else [self._listener, host], [], [], PERIOD_S)
-        # The end of a host comes first, so that the next one is not taken for a second one.
+        # First handle the end of a host, so that the next one does not count as a second one.
         if host is not None and host in readable:
             return self._receive(host)
         if readable:
@@ -78,14 +78,14 @@ class SocketPort(RealTimePort):
 
     def _send(self, host: socket.socket) -> None:
         try:
-            # What nobody reads waits for the next time.
+            # Bytes that nobody reads wait for the next time.
             with contextlib.suppress(BlockingIOError):
                 self._pending = self._pending[host.send(self._pending) :]
         except OSError:
             self._hang_up()
 
     def _hang_up(self) -> None:
-        """Close the connection to the host, and drop what it has not taken."""
+        """Close the connection to the host, and drop the bytes that it has not taken."""
         if self._host is not None:
             self._host.close()
             self._host = None

@@ -1,4 +1,4 @@
-"""The firmware of the Feather STM32F405 on an emulated board: the very image that would be flashed, with interrupts."""
+"""The firmware of the Feather STM32F405 on an emulated board: the same image as for the board, with interrupts."""
 
 from collections import defaultdict, deque
 from collections.abc import Callable
@@ -35,11 +35,11 @@ _KEYS = (0x4567_0123, 0xCDEF_89AB)
 _PG, _SER, _STRT, _LOCK = 1, 1 << 1, 1 << 16, 1 << 31
 _PGPERR, _PGSERR = 1 << 6, 1 << 7
 
-# Of the system space, and numbers of exceptions: an interrupt's line + 16.
+# Registers of the system space, and numbers of exceptions: an interrupt's line + 16.
 _SYSTICK_VALUE, _ENABLE, _VECTOR_TABLE = 0x18, 0x100, 0xD08
 _SYSTICK, _USART3, _TIM6 = 15, 16 + 39, 16 + 54
 
-# The line carries so many bytes at once: a handler's call each, and then the main loop goes round.
+# Bytes that the line carries at once: each calls a handler, then the main loop runs.
 _BURST_BYTES = 256
 _LINE_BYTES = 65_536
 
@@ -47,13 +47,13 @@ _LINE_BYTES = 65_536
 class Stm32F405:
     """A controller (simulated_device.device.Device): the firmware built for `stm32f405` on an emulated board.
 
-    `flash`: of FLASH_BYTES, in which images outlive this object; None = a blank one. A file behind it is not written.
-    `on_dac`: called with each run of what the DAC put out, int16 (n, 2), 0 = the middle of its range. `drift_ppm`,
+    `flash`: FLASH_BYTES bytes, in which images outlive this object; None = a blank one. A file behind it is not
+    written. `on_dac`: called with each run of the DAC's output, int16 (n, 2), 0 = the middle of its range. `drift_ppm`,
     `count_instructions`: as in simulated_device.cortex_m.CortexM.
 
-    Emulated are processor, memory, SysTick, interrupts, USART3, TIM6, the DAC's register, the flash interface, and
-    clocks that are ready at once; interrupts come only where the image waits for one. Everything else of the chip is
-    registers that keep what is written. Raises as CortexM does.
+    It emulates processor, memory, SysTick, interrupts, USART3, TIM6, the DAC's register, the flash interface, and
+    clocks that are ready at once. Interrupts come only where the image waits for one. All other registers of the chip
+    keep the values written to them. Raises as CortexM does.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Stm32F405:
         self._system: defaultdict[int, int] = defaultdict(int)
         self._enabled: set[int] = set()
         self._keys: tuple[int, ...] = ()
-        self._programmed: list[tuple[int, int]] = []  # offset and byte, of writes that are under way
+        self._programmed: list[tuple[int, int]] = []  # offset and byte of unfinished writes
         self._origin_us: int | None = None
         self._now = self._next_conversion = 0
         self._next_millisecond = _TICKS_PER_MS
@@ -96,7 +96,7 @@ class Stm32F405:
         self._serve()
 
     def advance(self, now_us: int) -> None:
-        """Let the board's time pass; to be called every few milliseconds."""
+        """Let the board's time pass; call it every few milliseconds."""
         if self._origin_us is None:
             self._origin_us = now_us
         true_us = now_us - self._origin_us
@@ -122,7 +122,7 @@ class Stm32F405:
         return data
 
     def _serve(self) -> None:
-        """Run the main loop until it waits with nothing on the line in either direction."""
+        """Run the main loop until it waits and the line is empty in both directions."""
         while True:
             self.processor.run()
             busy = False
@@ -154,9 +154,9 @@ class Stm32F405:
             self._finish_programming()
         value = self._registers[offset]
         if offset == _RCC_CR:
-            return value | value << 1  # what is on is ready
+            return value | value << 1  # a clock that is on is ready
         if offset == _RCC_CFGR:
-            return value | (value & 3) << 2  # what is chosen is used
+            return value | (value & 3) << 2  # a chosen clock is in use
         return value
 
     def _write(self, offset: int, value: int) -> None:
@@ -182,7 +182,7 @@ class Stm32F405:
                 self._codes.append(((value & 0xFFF) - _MIDDLE, (value >> 16 & 0xFFF) - _MIDDLE))
 
     def _write_flash(self, offset: int, size_bytes: int, value: int) -> None:
-        """Note what a write to flash comes to: the processor writes all of it, whatever flash makes of it."""
+        """Note the bytes of a write to flash: the processor writes all of it, whatever flash makes of it."""
         old = bytes(self._flash.contents[offset : offset + size_bytes])
         control = self._registers[_FLASH_CR]
         new = old

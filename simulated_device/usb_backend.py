@@ -13,7 +13,7 @@ import usb.core
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.real_time import PERIOD_S, RealTimePort
 
-# The identifiers that pid.codes keeps for tests: no real product has them.
+# The identifiers that pid.codes reserves for tests: no real product has them.
 VENDOR_ID = 0x1209
 PRODUCT_ID = 0x0001
 ENDPOINT_OUT = 0x01
@@ -26,7 +26,7 @@ _VENDOR_CLASS = 0xFF
 
 
 class _Descriptor(SimpleNamespace):
-    """The fields of a descriptor; those that are not given are 0."""
+    """The fields of a descriptor; missing ones are 0."""
 
     def __getattr__(self, name: str) -> int:
         return 0
@@ -36,7 +36,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
     """A bus with one device: a controller behind a vendor interface with one bulk IN and one bulk OUT endpoint.
 
     Pass it to `usb.core.find(backend=...)`. Its errors are libusb's: timeout 110, stall 32, no device 19; IndexError
-    for a descriptor that is not there. A handle counts how often the cable had been pulled when it was opened.
+    for a missing descriptor. A handle counts how often the cable had been pulled before it was opened.
     """
 
     def __init__(self, controller: Device) -> None:
@@ -52,7 +52,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
         self._plugged = True
 
     def unplug(self) -> None:
-        """Pull the cable. The controller goes on."""
+        """Pull the cable. The controller runs on."""
         with self._lock:
             self._plugged = False
             self._pulled += 1
@@ -65,7 +65,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
         self._halted = {ENDPOINT_IN, ENDPOINT_OUT}
 
     def keep_busy(self, seconds: float) -> None:
-        """Neither take nor give data for so long: transfers wait, and time out. The controller goes on."""
+        """Neither take nor give data for `seconds`: transfers wait, and time out. The controller runs on."""
         self._busy_until_s = time.monotonic() + seconds
 
     def _wait(self) -> bytes:
@@ -146,7 +146,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
         """Forget a handle."""
 
     def set_configuration(self, handle: int, value: int) -> None:
-        """Choose the configuration of that value."""
+        """Choose the configuration of this value."""
         self._need_device(handle)
         self._configuration = value
 
@@ -191,7 +191,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
         raise usb.core.USBError("Pipe error", None, errno.EPIPE)
 
     def bulk_write(self, handle: int, endpoint: int, interface: int, data: Any, timeout_ms: int) -> int:
-        """Send bytes to the controller; return how many."""
+        """Send bytes to the controller; return their number."""
         deadline_s = time.monotonic() + timeout_ms / 1000
         self._need_endpoint(handle, endpoint, ENDPOINT_OUT)
         while time.monotonic() < self._busy_until_s:
@@ -201,7 +201,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
         return len(data)
 
     def bulk_read(self, handle: int, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
-        """Fill `buffer` with what the controller has sent; return the bytes. A timeout of 0 waits for ever."""
+        """Fill `buffer` with bytes from the controller; return their number. A timeout of 0 waits for ever."""
         deadline_s = time.monotonic() + timeout_ms / 1000
         while True:
             self._need_endpoint(handle, endpoint, ENDPOINT_IN)
@@ -233,4 +233,4 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
 
 def _only_first(*indices: int) -> None:
     if any(indices):
-        raise IndexError("there is only one")
+        raise IndexError("there is only one descriptor of each kind")

@@ -31,19 +31,19 @@ class MissingExtraError(ImportError):
 
 
 def require(extra: str, *modules: str) -> None:
-    """Raise MissingExtraError if modules of an extra, all of them if none is named, are not installed."""
+    """Raise MissingExtraError if modules of an extra are not installed; without names, all its modules count."""
     if missing := _missing(extra, modules):
         raise MissingExtraError(_advice(missing, extra))
 
 
 def advice(extra: str) -> str | None:
-    """Return the line that says how to install an extra; None where all of its modules are installed."""
+    """Return the line that says how to install an extra; None if all of its modules are installed."""
     missing = _missing(extra)
     return _advice(missing, extra) if missing else None
 
 
 def explained(error: ModuleNotFoundError) -> MissingExtraError | None:
-    """Return the error that says how to install a module that was not found; None where no extra brings it."""
+    """Return the error that says how to install a missing module; None if no extra brings it."""
     module = (error.name or "").partition(".")[0]
     return MissingExtraError(_advice([module], EXTRAS[module][0])) if module in EXTRAS else None
 

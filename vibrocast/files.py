@@ -1,4 +1,4 @@
-"""Reads whole input files of a known kind, and writes files and folders whole or not at all."""
+"""Reads whole input files of a known kind, and writes files and folders completely or not at all."""
 
 import os
 import shutil
@@ -9,10 +9,10 @@ from pathlib import Path
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`, with the same suffix; it takes the place of `path` when the block succeeds.
+    """Yield a temporary path next to `path`, with the same suffix; it replaces `path` when the block succeeds.
 
-    What is no regular file (a terminal, /dev/stdout) is written directly. Raises OSError, which names `path`, when it
-    cannot be written.
+    Anything but a regular file (a terminal, /dev/stdout) is written directly. Raises OSError, which names `path`, when
+    it cannot be written.
     """
     target = Path(os.path.realpath(path))
     try:
@@ -32,7 +32,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield a new folder beside `path`; it takes the place of `path`, and of all in it, when the block succeeds.
+    """Yield a new folder next to `path`; it replaces `path`, and all in it, when the block succeeds.
 
     Raises OSError, which names `path`, when it cannot be written.
     """
@@ -54,13 +54,13 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 
 
 class InputFileError(ValueError):
-    """A file that is not of the wanted kind; the message says why and what to do."""
+    """A file of the wrong kind; the message says why and what to do."""
 
 
 def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
     """Return the bytes of a regular file that begins with `magic` and is at most `max_bytes` long.
 
-    `kind`: what a person calls such a file. Raises InputFileError for any other file, OSError when it cannot be read.
+    `kind`: name of such a file, for people. Raises InputFileError for any other file, OSError when it cannot be read.
     """
     # Opening a pipe would wait for its writer, and a device may never end.
     if path.exists() and not path.is_file():
@@ -69,5 +69,5 @@ def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
         if file.read(len(magic)) != magic:
             raise InputFileError(f"{path}: not a {kind}: it does not begin with {magic.decode()!r}; give another file")
         if path.stat().st_size > max_bytes:
-            raise InputFileError(f"{path}: longer than any {kind} of {max_bytes} bytes at most; give another file")
+            raise InputFileError(f"{path}: longer than {max_bytes} bytes, the most in a {kind}; give another file")
         return magic + file.read()

@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 def render(template: Path, **values: object) -> str:
     """Return the page of a Jinja2 template, `*.html.jinja`, `*.md.jinja` or another text, filled with values.
 
-    In all but HTML, blank lines that follow each other become one. Raises jinja2.TemplateError.
+    Except in HTML, consecutive blank lines become one. Raises jinja2.TemplateError.
     """
     is_html = template.name.endswith(".html.jinja")
     environment = Environment(
@@ -27,7 +27,7 @@ def render(template: Path, **values: object) -> str:
 
 
 def cell(value: object) -> str:
-    """Return text that a table of Markdown shows as it is, in one line."""
+    """Return text that shows unchanged in a table cell of Markdown, in one line."""
     return " ".join(str(value).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").split())
 
 
@@ -53,21 +53,21 @@ def listed(items: Iterable[str], last: str = " and ") -> str:
 
 
 def number(value: float | None, form: str = ".3g", unit: str = "") -> str:
-    """Return a number in a form of Python's format strings, with its unit behind it; empty where there is none."""
+    """Return a number in a form of Python's format strings, then its unit; empty for None."""
     return "" if value is None else f"{value:{form}}{unit}"
 
 
 def g(value: float) -> str:
-    """Return a number with the digits that it has, six at most."""
+    """Return a number with its digits, six at most."""
     return f"{value:g}"
 
 
 def size(count: int | None) -> str:
-    """Return a count of bytes in words; empty where it is None."""
+    """Return a count of bytes in words; empty for None."""
     if count is None:
         return ""
     return f"{count} B" if count < 1000 else f"{count / 1000:.3g} kB" if count < 1_000_000 else f"{count / 1e6:.3g} MB"
 
 
 FILTERS: dict[str, Any] = {each.__name__: each for each in (cell, code, codes, counted, g, listed, number, size)}
-"""What every template may use."""
+"""Filters of every template."""

@@ -10,10 +10,10 @@ LINE_INTERVAL_S = 1.0
 
 
 class Update(Protocol):
-    """Takes the part of the work that is done, from 0 to 1 or None if its end is unknown, and details."""
+    """Reports the finished part of the work, from 0 to 1, or None if its end is unknown, and details."""
 
     def __call__(self, part: float | None, details: str = "", /) -> None:
-        """Report the part of the work that is done, and details such as a rate."""
+        """Report the finished part of the work, and details such as a rate."""
 
 
 @contextmanager

@@ -20,22 +20,22 @@ Text = Annotated[str, Meta(pattern=r"\A(?=.*\S)[^\x00-\x1f\x7f-\x9f\u2028\u2029]
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A table of a TOML file; its `__post_init__` may check several keys together, and raises ValueError."""
+    """A table of a TOML file. Its `__post_init__` may check several keys together, and raises ValueError."""
 
 
 def one_of(words: Collection[str]) -> Meta:
-    """Return the constraint of a text that is one of some words."""
+    """Return the constraint of a text: one of some words."""
     return Meta(pattern=rf"\A({'|'.join(map(re.escape, words))})\Z", description=f"one of {', '.join(words)}")
 
 
 def within(low: float, high: float, meaning: str = "") -> Meta:
-    """Return the constraint of a number in a range. `meaning`: of the number, with its unit, for errors."""
+    """Return the constraint of a number: a range. `meaning`: of the number, with its unit, for errors."""
     return Meta(ge=low, le=high, description=meaning or None)
 
 
 @contextmanager
 def located(place: object, error: type[ValueError]) -> Iterator[None]:
-    """Raise `error` in place of a ValueError of the block, `place` before its message."""
+    """Replace a ValueError of the block by `error`, with `place` before its message."""
     try:
         yield
     except ValueError as reason:
@@ -45,7 +45,7 @@ def located(place: object, error: type[ValueError]) -> Iterator[None]:
 def read_toml(path: Path, name: str) -> dict[str, Any]:
     """Return the content of a TOML file. `name`: of such a file, for errors.
 
-    Raises ValueError for any other file, OSError where it cannot be read.
+    Raises ValueError for any other file, OSError if it cannot be read.
     """
     if path.exists() and not path.is_file():
         raise ValueError(f"no file; give a {name} in TOML")
@@ -66,7 +66,7 @@ def convert(values: object, kind: type[Kind]) -> Kind:
 
 
 def read_each(kind: str, tables: Sequence[Given], read: Callable[[Given], Kind]) -> tuple[Kind, ...]:
-    """Return `read` of each table [[kind]]; a ValueError of it names the table."""
+    """Return `read` of each table [[kind]]; its ValueError names the table."""
     results = []
     for number, table in enumerate(tables, 1):
         with located(f"[[{kind}]] {number}", ValueError):
@@ -75,13 +75,13 @@ def read_each(kind: str, tables: Sequence[Given], read: Callable[[Given], Kind])
 
 
 def check_names(kind: str, names: Sequence[str]) -> None:
-    """Raise ValueError where two tables [[kind]] have the same name."""
+    """Raise ValueError if two tables [[kind]] have the same name."""
     if twice := [name for name in names if names.count(name) > 1]:
         raise ValueError(f"two [[{kind}]] are named {twice[0]!r}; give each its own name")
 
 
 def _explained(reason: str, value: Any, node: inspect.Type) -> str:
-    """Return an error of msgspec, such as "Expected `int`, got `str` - at `$.a[0].b`", as a person can act on it."""
+    """Return an error of msgspec, such as "Expected `int`, got `str` - at `$.a[0].b`", in words, with an action."""
     found = re.fullmatch(r"(.*) - at `\$(.*)`", reason, re.DOTALL)
     problem, place = found.groups() if found else (reason, "")
     steps = re.findall(r"\.(\w+)((?:\[\d+\])*)", place)
@@ -104,7 +104,7 @@ def _explained(reason: str, value: Any, node: inspect.Type) -> str:
 
 
 def _misfit(key: str, node: inspect.Type, value: Any) -> str:
-    """Return the error of a value that its type rejects; where another prefix of the unit would be right, say so."""
+    """Return the error for a value that its type rejects; suggest another prefix of the unit if that would fit."""
     number = next((part for part in _parts(node) if isinstance(part, inspect.IntType | inspect.FloatType)), None)
     if number is None or number.ge is None or number.le is None or not _is_number(value):
         return f"{key} must be {_expected(key, node)}, not {_shown(value)}"
@@ -161,7 +161,7 @@ def _fields(node: inspect.Type) -> dict[str, inspect.Field]:
 
 
 def _parts(node: inspect.Type) -> Iterator[inspect.Type]:
-    """Yield a type and the types that it is made of, down to tables."""
+    """Yield a type and its parts, down to tables."""
     yield node
     if isinstance(node, inspect.UnionType):
         inner = node.types
