@@ -16,9 +16,7 @@ UNFINISHED: frozenset[str] = frozenset()
 ALLOWED = {
     "evaluation": 6,
     "host": 11,
-    "simulated_device": 21,
     "tests": 70,
-    "vibrocast": 3,
 }
 FOLDERS = sorted({path.partition("/")[0] for path in words.sources()})
 
