@@ -1,4 +1,4 @@
-"""What a map consists of: its trials, its rule, its picture's rows and columns, and its words."""
+"""The parts of a map: its trials, its rule, its picture's rows and columns, and its words."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -110,7 +110,7 @@ class Map:
     """One map.
 
     `name`: of its files. `tried`: one or two sentences about the trials. `message`: what the cells show, the picture's
-    title. `caption`: of the columns. `label`: the text within a cell. `value_name`: the CSV column of what is varied,
+    title. `caption`: of the columns. `label`: the text within a cell. `value_name`: the CSV column of the varied value,
     with its unit; `varied`: how a sentence says such a value, as in "{} dB". Both are empty where nothing is varied.
     `judged`: corrects outcomes that depend on other cells.
     """

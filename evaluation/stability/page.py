@@ -41,7 +41,7 @@ class Description:
 
 @dataclass(frozen=True)
 class Failure:
-    """What goes wrong on a map, with which methods, under which conditions, and the remedy: words."""
+    """A failure on a map in words: with which methods, under which conditions, and the remedy."""
 
     map: Map
     failure: str
@@ -233,7 +233,7 @@ def boundaries(each: Map, cells: Sequence[Verdict]) -> list[Boundary]:
 
 
 def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict]) -> str:
-    """Return in words where some of a method's cells lie: ranges of what is varied by case, or cases by settings."""
+    """Return in words where some of a method's cells lie: ranges of the varied value by case, or cases by settings."""
     if len(cells) == len(method_cells):
         return "everywhere"
     named: dict[str, list[str]] = {}

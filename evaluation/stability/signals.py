@@ -55,7 +55,7 @@ _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls an
 class Condition:
     """A hard signal. `judged_from`: the first of its samples that counts. `rejected`: that it must be rejected.
 
-    `tactile`: that it counts above HIGHPASS_HZ only, in what is coded and in what is decoded.
+    `tactile`: that it counts above HIGHPASS_HZ only, before coding and after decoding.
     """
 
     make: Callable[[], Signal]

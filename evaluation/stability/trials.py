@@ -121,7 +121,7 @@ def run(
     """Return the cells of all trials, in their order, tried on all cores.
 
     A process that a trial kills, or that is ended because the trial takes more than `limit_s` of a core, costs that
-    cell only. `progress` is called with the part that is done, from 0 to 1, and the condition that was tried last.
+    cell only. `progress` is called with the part that is done, from 0 to 1, and the last condition.
     """
     cells: dict[int, Verdict] = {}
     tasks = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))

@@ -31,7 +31,7 @@ from vibrocast.models import ModelError
 from vibrocast.textures import dataset
 from vibrocast.textures.dataset import DatasetEntry, DatasetError
 
-if TYPE_CHECKING:  # what measures takes a second to load, which other commands need not wait for
+if TYPE_CHECKING:  # modules that measure take a second to load; other commands need not wait for them
     from vibrocast.evaluation.bench import CellCounts
     from vibrocast.evaluation.comparison import Measurements
     from vibrocast.evaluation.points import Failure, Point, Timing

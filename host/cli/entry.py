@@ -17,7 +17,7 @@ STOPPING_SIGNALS: tuple[signal.Signals, ...] = tuple(
 
 def main() -> None:
     """Run the command line; Ctrl-C, a kill and a closed terminal end it in order, also while it is being loaded."""
-    # Others may have told this program to live on, as nohup does.
+    # Another program, such as nohup, may let this one ignore signals.
     heeded = [number for number in STOPPING_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     for number in heeded:
         signal.signal(number, _leave)

@@ -14,7 +14,7 @@ from vibrocast import models, progress
 from vibrocast.files import atomic_write
 from vibrocast.host.printable import plain
 
-if TYPE_CHECKING:  # what plans and measures takes a second to load, which other commands need not wait for
+if TYPE_CHECKING:  # modules that plan take a second to load; other commands need not wait for them
     from vibrocast.host.planner import Plan
 
 

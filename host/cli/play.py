@@ -203,7 +203,7 @@ def play(
     names = devices.unique_names(addresses)
     sessions = {name: devices.connect(address, runtime, actuator) for name, address in names.items()}
     with devices.open_all(sessions) as (controllers, failures):
-        # What the controller cannot play need not be encoded first.
+        # A stream that the controller cannot play need not be encoded first.
         for name, controller in list(controllers.items()):
             try:
                 if isinstance(source, Stream):

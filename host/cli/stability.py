@@ -89,7 +89,7 @@ def stability(
         if "recordings" in chosen_maps and recordings is None:
             raise BadInput("the map of recordings needs them; give a folder or manifest: --recordings")
         own = load_all(recordings, recording) if recordings else ()
-        page.folder_in(out)  # what cannot be written is better known before than after
+        page.folder_in(out)  # so that a folder that cannot be written is an error before the measurement
     except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
     with progress.bar("testing") as update:

@@ -70,7 +70,7 @@ Opener = Callable[[str, Actuator | None], AbstractContextManager[CountingControl
 
 @dataclass(frozen=True)
 class MeasuredPlayback:
-    """What was measured of the figures of a Forecast, by the same names; None where nothing measured them.
+    """Measured figures of a Forecast, by the same names; None where nothing measured them.
 
     Rates by the bytes that were sent, quality by the samples that the controller decoded, the error at the skin by the
     codes of its DAC.
@@ -149,7 +149,7 @@ def play(
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
 
     Controllers play at the same time, each its textures one after another; a simulated one is flashed with the models
-    that it lacks. Raises PlanError for what does not fit what is there, PartlyPlayedError where some of several
+    that it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some of several
     controllers failed, ControllerError, and as `PlannedTexture.encode`.
     """
     wanted = [plan.texture(name) for name in names] or list(plan.textures)
@@ -188,7 +188,7 @@ def play(
 
 
 class _Load:
-    """What a processor that is counted has to do from the first time that a stream is known to play until last noted.
+    """The instructions of a processor from the first note that a stream plays until the last one.
 
     `stream`: its number; None = the one that is known to play.
     """
@@ -226,7 +226,7 @@ def play_live(
 
     Whatever is raised, the controller is stopped first. Raises as `live.LiveStream`.
     """
-    # What probed the link is none of the stream's.
+    # Packets that probed the link do not belong to the stream.
     controller.packets.clear()
     controller.frame_bytes.clear()
     ask_s = 0.0
@@ -300,7 +300,7 @@ class _Player:
         )
         number = result.status.stream
         sent = controller.packets[number]
-        # Told as if swept at the greatest speed, as in the forecast.
+        # As if swept at the greatest speed, like the forecast.
         rate_hz = texture.rate * texture.hand_speed_mm_s / 1000
         seconds = len(stream.packets) * stream.decoder().packet_samples / rate_hz
         measured = self._measured(
@@ -411,7 +411,7 @@ class _Player:
             )
 
     def _read_back(self, tap: Tap, computed: Codes) -> tuple[bool | None, Codes]:
-        """Return whether what a tap has kept is what is computed here, and the latter with what was kept in its place.
+        """Return whether a tap holds the values computed here, and these with the tap's own in their place.
 
         None where it keeps nothing.
         """
