@@ -149,7 +149,7 @@ def play(
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
 
     Controllers play at the same time, each its textures one after another; a simulated one is flashed with the models
-    that it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some of several
+    that it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some
     controllers failed, ControllerError, and as `PlannedTexture.encode`.
     """
     wanted = [plan.texture(name) for name in names] or list(plan.textures)
