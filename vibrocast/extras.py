@@ -73,7 +73,7 @@ def install_command(extra: str) -> str:
 
 def _requirement(extra: str) -> list[str]:
     """Return the arguments of pip that name vibrocast's folder or archive with an extra; empty if pip noted neither."""
-    # Only an error needs these modules, which take as long to load as all of `vibrocast --help`.
+    # Only an error needs these modules, which load as slowly as all of `vibrocast --help`.
     import json
     from importlib.metadata import PackageNotFoundError, distribution
     from urllib.parse import urlsplit
