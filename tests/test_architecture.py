@@ -1,4 +1,4 @@
-"""The packages: which may import which, and that every file says what it is for."""
+"""The packages: which may import which; every file states its purpose."""
 
 import ast
 import re

@@ -30,7 +30,7 @@ def test_rejects_other_files(content: bytes, reason: str, tmp_path: Path) -> Non
         read(path)
 
 
-def test_rejects_what_is_no_file_without_waiting_for_it(tmp_path: Path) -> None:
+def test_rejects_a_pipe_or_device_without_waiting_for_it(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for path in (pipe, tmp_path, Path("/dev/zero")):

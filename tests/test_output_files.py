@@ -41,7 +41,7 @@ def test_writes_directly_to_what_is_no_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [pipe]
 
 
-def test_an_error_names_the_file_that_was_wanted(tmp_path: Path) -> None:
+def test_an_error_names_the_requested_file(tmp_path: Path) -> None:
     path = tmp_path / "out.txt"
     with pytest.raises(OSError, match="No space left") as caught, atomic_write(path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

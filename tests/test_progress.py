@@ -1,4 +1,4 @@
-"""Tests of what long work shows on stderr."""
+"""Tests of the progress of long work on stderr."""
 
 import io
 

@@ -93,7 +93,7 @@ def test_a_mistake_is_one_line_with_table_and_key(values: object, message: str) 
         ({"\n`": 2}, "there is no key \\n`; choose from rate_hz, gains, mode"),
     ],
 )  # fmt: skip
-def test_a_value_that_is_wrong_is_told_with_the_right_ones(drive: object, message: str) -> None:
+def test_a_wrong_value_is_reported_with_the_right_ones(drive: object, message: str) -> None:
     with pytest.raises(ValueError) as raised:
         convert({"boards": [BOARD, BOARD | {"drive": drive}]}, File)
     assert str(raised.value) == f"[[boards]] 2: [drive]: {message}"

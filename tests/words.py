@@ -33,7 +33,7 @@ LONGEST_HELP = 12  # words
 LONGEST_SUBJECT = 72  # characters of a commit subject
 COMMITS = 30
 
-# A clause with "what" or "that which" that a noun would replace. Indirect questions ("says what it needs") may stay.
+# A clause with "what" or a similar word, in place of a noun. Indirect questions ("says what it needs") may stay.
 WHAT_CLAUSE = re.compile(
     r"\b(?:of|for|from|by|to|with|on|as|in|at|than|about|over|beyond|against|without|between) what\b"
     r"(?! (?:to|extent|degree|order|kind|sort|rate|way)\b)"
@@ -88,7 +88,7 @@ RETIRED_TERMS = {
 
 DECIMAL = re.compile(r"(?<![\w.)\]}/…])\.\d+(?!\w)")
 
-# What a figure is not: a part of a name, a version, a date, a number of a section, of bits of a type.
+# These are no figures: parts of names, versions, dates, numbers of sections, bits of types.
 NOT_FIGURES = re.compile(
     r"\b[A-Za-z]+[-.]?\d[\w.,-]*"  # C99, SHA-256, int16, P1918.1.1, GPL-2.0
     r"|\b(?:IEEE|ISO|IEC|MPEG|ITU-T|RFC|ANSI)\b[ A-Z./]*\d[\w.-]*"

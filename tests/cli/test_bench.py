@@ -238,7 +238,7 @@ def test_a_manifest_in_place_of_a_folder(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_silent_trace_leaves_the_means_of_the_others(folder: Path, tmp_path: Path) -> None:
+def test_a_silent_recording_leaves_the_means_of_the_others(folder: Path, tmp_path: Path) -> None:
     textures.save(folder / "silent.wav", textures.Recording(np.zeros((900, 1)), 2800.0, "um", "silent"))
     textures.save(folder / "short.wav", textures.Recording(np.ones((1, 1)), 2800.0, "um", "short"))
     result = vibrocast_bench(folder, "--codecs", "mdct", "--out", tmp_path / "out", "--repeats", "0")
@@ -248,7 +248,7 @@ def test_a_silent_trace_leaves_the_means_of_the_others(folder: Path, tmp_path: P
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_part_of_the_traces(tmp_path: Path) -> None:
+def test_a_part_of_the_recordings(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
     for material in ("cork", "felt", "foam"):
         for pace in ("slow", "fast"):

@@ -645,7 +645,9 @@ def test_play_asks_how_one_actuator_plays_three_axes(tmp_path: Path) -> None:
         ("\0", "not a TOML file"),
     ],
 )
-def test_a_file_that_describes_no_actuator_is_one_line(content: str, cause: str, texture: Path, tmp_path: Path) -> None:
+def test_a_file_that_describes_no_actuator_is_an_error_of_one_line(
+    content: str, cause: str, texture: Path, tmp_path: Path
+) -> None:
     path = tmp_path / "actuator.toml"
     path.write_text(content)
     told = fails(2, "play", texture, "--actuator", path)
@@ -725,7 +727,7 @@ def test_help_prints_units_and_ranges_for_people(name: str) -> None:
         (["--loop", "1.5"], "1.5 cannot be used; give a whole number from 1 to 65535."),
     ],
 )
-def test_a_number_that_cannot_be_used_is_told_in_a_line(arguments: list[str], error: str, texture: Path) -> None:
+def test_an_unusable_number_is_reported_in_one_line(arguments: list[str], error: str, texture: Path) -> None:
     assert fails(2, "play", texture, *arguments) == (
         f"error: Invalid value for '{arguments[0]}': {error} See `main play --help`.\n"
     )

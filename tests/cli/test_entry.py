@@ -1,4 +1,4 @@
-"""Tests of the entry: interrupted while it loads, and what it need not load."""
+"""Tests of the entry: an interruption while it loads, and the modules that it need not load."""
 
 import os
 import signal
@@ -49,7 +49,7 @@ def test_a_hangup_that_is_to_be_ignored_is() -> None:
 
 # Each takes as long to load as numpy, or longer.
 SLOW = {"av", "distributed", "matplotlib", "onnxruntime", "pytest", "scipy", "torch", "vibromaf"}
-# What only encoding, playing, listing devices or an error needs.
+# Needed only for encoding, playing, listing devices or an error.
 LIBRARIES = SLOW | {"cffi", "urllib.request", "libusb_package", "numpy", "rich", "serial", "soundfile", "soxr", "usb"}
 COMMAND = """
 import sys

@@ -1,4 +1,4 @@
-"""Tests of `vibrocast export`: a checkpoint becomes a folder that codes and plays; what is none is rejected."""
+"""Tests of `vibrocast export`: a checkpoint becomes a folder that codes and plays; other files are rejected."""
 
 import subprocess
 import sys
@@ -81,7 +81,7 @@ def test_the_same_checkpoint_gives_the_same_files(trained: Path, exported: Path,
         assert (tmp_path / "again" / file).read_bytes() == (exported / file).read_bytes()
 
 
-def test_an_image_holds_what_was_asked_for(trained: Path, tmp_path: Path) -> None:
+def test_an_image_holds_the_requested_parts(trained: Path, tmp_path: Path) -> None:
     succeeds(
         *("export", trained, "--name", "other", "--version", "2", "--out", tmp_path / "new" / "out"),
         *("--runtime", "onnx", "--prior", "static"),
@@ -197,7 +197,7 @@ def test_a_training_that_was_cut_is_not_exported(tmp_path: Path) -> None:
     )
 
 
-def test_curves_stand_beside_the_card(exported: Path) -> None:
+def test_curves_stand_next_to_the_card(exported: Path) -> None:
     assert (exported / "curves.csv").read_text().splitlines()[0].startswith("step,seconds,training_loss,loss")
     assert (exported / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert "![Losses over steps; SNR over rate](curves.png)" in (exported / "card.md").read_text()

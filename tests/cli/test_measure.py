@@ -1,4 +1,4 @@
-"""`vibrocast measure`: what it writes, how it compares, and what it says where something is wrong."""
+"""`vibrocast measure`: the files that it writes, its comparison, and its errors."""
 
 import json
 import sys
@@ -97,7 +97,7 @@ def test_a_sensor_that_fails_leaves_the_other_measurements(tmp_path: Path) -> No
     assert "throughput to the host: " in result.output
 
 
-def test_a_sensor_that_complains_in_no_known_letters_is_told(tmp_path: Path) -> None:
+def test_an_undecodable_complaint_of_a_sensor_is_reported(tmp_path: Path) -> None:
     bench = str(bench_file(tmp_path, "import os; os.write(2, bytes([255])); raise SystemExit(1)"))
     result = run("--bench", bench, "--only", "fidelity", "--out", str(tmp_path / "out"))
     assert "not measured: fidelity: sensor laser: " in result.output
@@ -112,7 +112,7 @@ def test_a_sensor_that_complains_in_no_known_letters_is_told(tmp_path: Path) -> 
         (["--compare", "nowhere.json"], "nowhere.json: No such file or directory"),
     ],
 )
-def test_bad_input_is_told_in_a_line(arguments: list[str], message: str, tmp_path: Path) -> None:
+def test_bad_input_is_reported_in_one_line(arguments: list[str], message: str, tmp_path: Path) -> None:
     result = run(*arguments, "--out", str(tmp_path / "out"))
     assert result.exit_code == 2
     assert message in result.output

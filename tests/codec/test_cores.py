@@ -54,7 +54,7 @@ def test_the_processor_chooses_the_core_unless_one_is_named(core: str | None) ->
     assert f"vibrocast_core.{chosen}." in run_with(core, "-c", code).stdout
 
 
-def test_a_core_that_is_not_there_is_an_error_of_one_line() -> None:
+def test_a_missing_core_is_an_error_of_one_line() -> None:
     done = run_with(
         "sparc", "-c", "from vibrocast.host.cli.entry import main; main()", "info", "tests/codec/golden_mdct.vct"
     )

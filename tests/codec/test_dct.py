@@ -88,7 +88,7 @@ def test_a_file_is_one_transform_or_equal_ones_near_the_length_of_the_paper(
 
 
 def test_the_greatest_coefficient_of_the_longest_transform_fits() -> None:
-    """A cosine of full scale: its orthonormal coefficient would be beyond what the core holds."""
+    """A cosine of full scale: its orthonormal coefficient would exceed the core's range."""
     heights = np.cos(np.pi * (np.arange(20_000)[:, None] + 0.5) * 40 / 20_000)
     stream = codec.encode(heights, 100_000, {"block": "whole", "levels": 5}, codec="dct", unit="um")
     assert (codec.snr_db(heights, codec.decode(stream)) or 0) > 40
@@ -118,7 +118,7 @@ def test_damaged_whole_packets_are_rejected_and_concealed() -> None:
     assert not np.any(decoder.conceal()[64:])
 
 
-def test_a_least_magnitude_below_what_a_range_code_holds() -> None:
+def test_a_least_magnitude_below_the_smallest_range_code() -> None:
     stream = coded(np.abs(texture(1500)), {"quantiser": "log", "smallest": 1e-12, "block": "64"})
     assert stream.configuration[-2:] == bytes(2)
     exact = np.concatenate([ReferenceDecoder(stream.configuration, 1).samples(packet) for packet in stream.packets])
@@ -452,7 +452,7 @@ def test_damage_stays_within_the_loudness_that_the_packet_states(damage: list[tu
 
 
 def bits(*parts: tuple[int, int]) -> bytes:
-    """Numbers of so many bits, one behind the other."""
+    """Numbers of these lengths in bits, joined."""
     text = "".join(f"{value:0{count}b}" for value, count in parts)
     return bytes(int(text[start : start + 8].ljust(8, "0"), 2) for start in range(0, len(text), 8))
 

@@ -1,4 +1,4 @@
-"""Tests of the way from recordings to coded streams and back."""
+"""Tests of encoding recordings to streams, and decoding them again."""
 
 import math
 from contextlib import nullcontext
@@ -29,14 +29,14 @@ def noise(seconds: float = 0.5, channels: int = 1, rate_hz: float = 2800, unit: 
 
 
 @pytest.mark.parametrize("snr_db", [6.0, 20.0, 40.0])
-def test_meets_the_asked_quality(snr_db: float) -> None:
+def test_meets_the_target_quality(snr_db: float) -> None:
     encoding = encode_recording(noise(), snr_db=snr_db)
     assert encoding.quality.snr_db == pytest.approx(snr_db, abs=0.2)
     assert encoding.quality.note is None
 
 
 @pytest.mark.parametrize("rate_bps", [2000.0, 9000.0])
-def test_meets_the_asked_rate_in_bytes_of_the_file(rate_bps: float, tmp_path: Path) -> None:
+def test_meets_the_target_rate_in_bytes_of_the_file(rate_bps: float, tmp_path: Path) -> None:
     encoding = encode_recording(noise(seconds=2), rate_bps=rate_bps)
     encoding.stream.save(tmp_path / "noise.vct")
     assert 0.98 * rate_bps <= 8 * (tmp_path / "noise.vct").stat().st_size / 2 <= rate_bps
@@ -167,7 +167,7 @@ def test_float_wav_is_exact_and_16_bit_wav_is_near(tmp_path: Path) -> None:
     assert exact.unit == near.unit == "m/s^2"
 
 
-def test_a_wav_that_cannot_be_written_is_named_as_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_names_the_wav_that_was_requested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(path: Path, *_: object) -> NoReturn:
         raise textures.TextureError(f"{path}: cannot be written (System error); make room")
 
@@ -187,7 +187,7 @@ def test_says_how_far_encoding_and_decoding_are() -> None:
     assert len(encoding) > 1
 
 
-def test_names_the_channel_furthest_from_the_asked_quality() -> None:
+def test_names_the_channel_furthest_from_the_target_quality() -> None:
     samples = np.hstack([noise().samples, np.full((1400, 1), 0.5)])
     encoding = encode_recording(textures.Recording(samples, 2800, "um", "one constant channel"), snr_db=15)
     misses_db = [abs(ratio - 15) for ratio in encoding.quality.snr_db_per_channel if ratio is not None]

@@ -55,7 +55,7 @@ def random_levels(seed: int, shape: tuple[int, ...], scale: float) -> NDArray[np
 def random_packets(
     image: EvaImage, seed: int, channels: int, columns: int, scale: float, quantiser_offsets: Sequence[int] = ()
 ) -> tuple[bytes, list[bytes]]:
-    """Return a configuration and packets of random levels of this magnitude; rate-controlled if so asked."""
+    """Return a configuration and packets of random levels of this magnitude; rate-controlled on request."""
     level_codes = [int(code) for code in np.random.default_rng(seed).integers(0, STEP_CODES, channels)]
     configuration = eva.configuration(columns, level_codes, rate_controlled=bool(quantiser_offsets))
     encoder = eva.LatentEncoder(configuration, channels, image.pack(), 2)
@@ -215,7 +215,7 @@ def test_probabilities_adapt_to_a_stream_and_start_again_at_a_refresh() -> None:
 
 
 def test_each_channel_has_probabilities_of_its_own() -> None:
-    """What one channel of a stream is like costs another nothing."""
+    """The statistics of one channel cost another channel no bits."""
     image = random_image(1, latents=8).pack()
     quiet, loud = random_levels(1, (40, 1, 8, 16), 0.1), random_levels(2, (40, 1, 8, 16), 8.0)
 
@@ -260,7 +260,7 @@ def test_onnx_runtime_gives_packets_what_it_gives_all_at_once() -> None:
 @given(st.sets(st.integers(0, 39), max_size=39), st.sampled_from(codec.RUNTIMES))
 @settings(max_examples=25, deadline=None)
 def test_a_lost_packet_costs_at_most_one_interval_and_fades(lost: set[int], runtime: str) -> None:
-    """What comes after a gap is that of the clean stream as soon as the synthesis has forgotten the gap."""
+    """After a gap, the samples are those of the clean stream, as soon as the synthesis has forgotten the gap."""
     configuration, packets = coded(texture(40 * 128 - 41))
     clean = decoded(configuration, packets, 1, runtime).astype(int)
     decoder = eva.make_decoder(configuration, 1, with_runtime(TINY.tables, runtime))

@@ -1,4 +1,4 @@
-"""What every codec must do: take any signal, state its packets, survive damage and loss, and play on a controller."""
+"""Duties of every codec: take any signal, state its packets, survive damage and loss, and play on a controller."""
 
 import math
 

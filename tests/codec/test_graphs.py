@@ -1,4 +1,4 @@
-"""Tests of graphs from elsewhere: what is no graph of a transform is rejected, in words."""
+"""Tests of graphs from elsewhere: others than graphs of a transform are rejected, in words."""
 
 from pathlib import Path
 

@@ -54,7 +54,7 @@ def test_core_agrees_with_the_documented_decoder(hop: int, channels: int, noise_
 
 @pytest.mark.parametrize("hop", mdct.HOPS)
 def test_the_transform_of_the_model_that_ships_is_orthogonal(hop: int) -> None:
-    """Its blocks' basis functions, those of the three blocks beside them included: so the transpose reconstructs."""
+    """Basis functions of a block and of the three next ones are orthonormal: so the transpose reconstructs."""
     matrix = lapped.analysis_matrix(MODEL[: lapped.WINDOWS_BYTES], hop)
     for later in range(4):
         product = matrix[later * hop :].T @ matrix[: (4 - later) * hop]

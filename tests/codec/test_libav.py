@@ -180,7 +180,7 @@ def test_damaged_configurations_are_rejected(configuration: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_damage_is_not_reported_beside_the_errors(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_damage_is_not_reported_in_addition_to_the_errors(name: str, capfd: pytest.CaptureFixture[str]) -> None:
     """FFmpeg would write its own complaints to standard error."""
     stream = encode(name, texture(3000), live=True)
     generator = np.random.default_rng(4)

@@ -20,7 +20,7 @@ def test_snr_is_the_mean_over_channels() -> None:
     assert SnrMeter(RATE_HZ).quality_db(samples, decoded) == pytest.approx(30)
 
 
-def test_a_pause_behind_a_loud_texture_is_held_to_little_and_soon_to_its_own_level() -> None:
+def test_a_pause_after_a_loud_texture_needs_little_quality_and_soon_its_own() -> None:
     meter = SnrMeter(RATE_HZ)
     for _ in range(40):
         meter.update(noise(0.1), noise(0.1))

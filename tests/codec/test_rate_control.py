@@ -116,7 +116,7 @@ def test_over_any_run_a_capped_rate_is_not_exceeded(
 
 
 @given(packets, rates, rates)
-def test_a_rate_that_changes_counts_anew_when_the_rate_buffer_has_drained(
+def test_a_rate_that_changes_counts_again_when_the_rate_buffer_has_drained(
     trials: list[FakeTrial], before: float, after: float
 ) -> None:
     policy = ConstantRate(before, FRAME_BYTES)
@@ -292,7 +292,7 @@ def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
     assert spreads[1] < spreads[0] - 1
 
 
-def test_a_codec_whose_decoder_cannot_be_tried_holds_no_quality() -> None:
+def test_a_codec_whose_decoder_cannot_be_copied_holds_no_quality() -> None:
     with pytest.raises(CodecError, match="cannot hold a quality"):
         codec.Source(texture(1), RATE_HZ, codec="wavpack", live=True).encode_rate_controlled(
             {}, ConstantQuality(15, SnrMeter(RATE_HZ)), Framing(140, 0)
@@ -348,14 +348,14 @@ def test_a_group_has_packets_of_one_duration() -> None:
         group.members[1].begin(FakeDecoder(), 0, SECONDS / 2)
 
 
-def test_a_rate_whose_packets_outlast_what_it_is_held_over_is_rejected_by_name() -> None:
+def test_a_rate_whose_packets_last_over_two_seconds_is_rejected() -> None:
     with pytest.raises(TargetUnreachable, match=r"20 bit/s cannot be held over 2 s.*choose 272 bit/s"):
         rate_controlled_framing(20, RATE_HZ, lambda packet: FRAME_BYTES)
 
 
 @pytest.mark.parametrize("name", ["mdct", "slp"])
 def test_packets_that_no_frame_carries_are_not_chosen(name: str) -> None:
-    """What is coded by the finest steps, as the search may try them, has more bytes than a frame."""
+    """Packets of the finest steps, which the search may test, have more bytes than a frame."""
 
     def frame_bytes(packet: bytes) -> int:
         if len(packet) > 300:

@@ -56,7 +56,7 @@ def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> No
         (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "choose another codec"),
     ],
 )
-def test_what_cannot_be_held_is_told(tmp_path: Path, options: list[str], told: str) -> None:
+def test_an_impossible_target_is_reported(tmp_path: Path, options: list[str], told: str) -> None:
     printed = encode(tmp_path / "oak.vct", *options)
     assert told in printed
     assert printed.count("\n") == 1

@@ -24,7 +24,7 @@ def size_bytes(coded: CodedSignal) -> int:
 
 @pytest.mark.parametrize("live", [False, True])
 @pytest.mark.parametrize("name", edge_signals())
-def test_edge_inputs_are_decoded_to_the_asked_quality(name: str, live: bool) -> None:
+def test_edge_inputs_are_decoded_to_the_target_quality(name: str, live: bool) -> None:
     signal = edge_signals()[name]
     coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ, live=live), 15.0)
     reached = codec.snr_db(signal, codec.decode(coded))
@@ -118,7 +118,7 @@ def test_gain_is_the_next_number_of_eight_bits(peak: float) -> None:
     assert mantissa == int(mantissa)
 
 
-def test_silent_channel_beside_a_loud_one() -> None:
+def test_a_silent_channel_next_to_a_loud_one() -> None:
     signal = texture(2000, 2)
     signal[:, 1] = 0
     coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ), 15.0)

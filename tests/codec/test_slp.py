@@ -165,7 +165,7 @@ def test_reflection_and_line_spectral_quantisers_keep_the_filter_stable(order: i
 
 
 def test_a_direct_form_quantiser_makes_filters_unstable_and_their_output_grow() -> None:
-    """What `slp` must not do: the same texture and bits, the coefficients themselves quantised."""
+    """The reason for reflection coefficients: same texture and bits, with the coefficients themselves quantised."""
     predictors = frames_of_texture(8)
     radii = linear_prediction.quantised_pole_radii(predictors, "direct form", 5)
     assert np.max(linear_prediction.pole_radii(predictors)) < 1

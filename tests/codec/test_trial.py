@@ -1,4 +1,4 @@
-"""What every codec with rate control must do: trials from one state, packets as chosen, padding, same samples."""
+"""Duties of every codec with rate control: trials from one state, packets as chosen, padding, same samples."""
 
 from collections.abc import Callable
 
@@ -51,7 +51,7 @@ def in_turn(places: list[int], min_bytes: int = 0) -> RateControl:
 
 
 @every_rate_controlled_codec
-def test_trials_leave_no_trace_and_are_what_is_coded(name: str) -> None:
+def test_trials_change_no_state_and_equal_the_coded_packet(name: str) -> None:
     signal = texture(2000, 2)
     choose = in_turn([20, 25, 40, 22])
     packets: list[bytes] = []

@@ -221,7 +221,7 @@ def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Altered], reaso
         ({}, {"dac_bits": 0, "dac_rate_hz": 0}, "test_actuator_is_described"),
     ],
 )
-def test_nothing_else_is_tried_where_hello_makes_no_sense(
+def test_nothing_else_is_tested_where_hello_makes_no_sense(
     limits: dict[str, int], actuator: dict[str, float], test: str, tmp_path: Path
 ) -> None:
     class Absurd(Altered):
@@ -245,7 +245,7 @@ def test_nothing_else_is_tried_where_hello_makes_no_sense(
 
 
 @pytest.mark.slow
-def test_controller_of_another_plain_codec_is_judged() -> None:
+def test_a_controller_with_another_simple_codec_is_tested() -> None:
     class DctOnly(Altered):
         def alter(self, message: Message) -> Message:
             if not isinstance(message, HelloResponse):
@@ -305,7 +305,7 @@ def test_hello_that_cannot_be_read_is_reported() -> None:
 
 
 class Dying(Controller):
-    """Falls silent for good at the first request of a type that it does not know."""
+    """Falls silent for good at the first request of an unknown type."""
 
     dead = False
 
@@ -316,7 +316,7 @@ class Dying(Controller):
             super().receive(data, now_us)
 
 
-def test_controller_that_dies_does_not_conform_and_is_not_tried_any_more() -> None:
+def test_a_controller_that_dies_does_not_conform_and_is_not_tested_further() -> None:
     findings = run_suite(link_to(Dying()), quick=True).findings
     outcomes = {finding.requirement.test: finding.outcome for finding in findings}
     assert outcomes["test_unknown_requests_are_answered_so"] == Outcome.FAILED
@@ -335,7 +335,7 @@ def test_controller_that_dies_does_not_conform_and_is_not_tried_any_more() -> No
     ],
     ids=["tiny", "short-capture", "another-actuator"],
 )
-def test_what_a_controller_lacks_is_not_held_against_it(settings: Settings) -> None:
+def test_missing_parts_of_a_controller_are_no_failures(settings: Settings) -> None:
     findings = run_suite(link_to(Controller(settings))).findings
     assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.NOT_APPLICABLE}
     assert all(finding.reason for finding in findings if finding.outcome == Outcome.NOT_APPLICABLE)
@@ -378,7 +378,7 @@ def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path:
 
 
 @pytest.mark.slow
-def test_command_tells_what_failed(reached: list[Device]) -> None:
+def test_command_names_each_failure(reached: list[Device]) -> None:
     reached.append(Faulty())
     ran = CliRunner().invoke(main, ["conformance", "--quick", "--no-flash"])
     assert ran.exit_code == 1
@@ -386,7 +386,7 @@ def test_command_tells_what_failed(reached: list[Device]) -> None:
     assert "not conforming" in ran.output.splitlines()[-1]
 
 
-def test_command_cannot_try_what_is_not_there(tmp_path: Path) -> None:
+def test_command_reports_a_missing_device(tmp_path: Path) -> None:
     ran = CliRunner().invoke(main, ["conformance", "--device", f"serial:{tmp_path / 'port'}"])
     assert ran.exit_code == 2
     (line,) = ran.output.splitlines()

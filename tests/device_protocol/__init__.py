@@ -1,1 +1,1 @@
-"""Tests of the room `device_protocol`."""
+"""Tests of the package `device_protocol`."""

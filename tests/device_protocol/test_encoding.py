@@ -1,4 +1,4 @@
-"""CRC-16 against its published check value, and numbers of variable length there and back."""
+"""CRC-16 against its published check value, and variable-length numbers, written and read."""
 
 import pytest
 from hypothesis import given

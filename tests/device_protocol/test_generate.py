@@ -1,4 +1,4 @@
-"""What is generated from the messages is as it would be generated now, and says when the page lacks a place."""
+"""The files generated from the messages are up to date; a page without a place for a table is an error."""
 
 from pathlib import Path
 

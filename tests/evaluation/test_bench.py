@@ -53,7 +53,7 @@ def cut_after(count: int, tasks: Iterator[bench.Task]) -> bench.Outcomes:
 
 
 def ignore(counts: CellCounts) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 def run(
@@ -118,7 +118,7 @@ def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path,
 
 
 @pytest.mark.parametrize("finished", [0, 1, 4])
-def test_a_run_that_is_cut_goes_on_to_the_same_figures(
+def test_an_interrupted_run_resumes_to_the_same_figures(
     folder: Path, results: Path, whole: dict[str, bytes], finished: int
 ) -> None:
     with suppress(KeyboardInterrupt):
@@ -176,7 +176,7 @@ def test_a_crash_costs_only_its_cells(folder: Path, results: Path) -> None:
         (MemoryError(), "MemoryError"),
     ],
 )
-def test_a_codec_that_raises_costs_only_its_cells_and_is_tried_again(
+def test_a_codec_that_raises_loses_only_its_cells_and_runs_again(
     folder: Path, results: Path, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch, error: Exception, reason: str
 ) -> None:
     def reject(*_: object) -> Any:

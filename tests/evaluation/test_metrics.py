@@ -91,7 +91,7 @@ def test_third_octave_distance_heeds_bands_and_not_where_in_them() -> None:
     assert other_tone.third_octave_distance_db < 0.6 * other_band.third_octave_distance_db
 
 
-def test_third_octave_distance_heeds_what_can_be_felt() -> None:
+def test_third_octave_distance_counts_only_what_can_be_felt() -> None:
     """A lost tone counts by its level above the threshold, and below it not at all."""
     t = np.arange(2800)[:, None] / RATE_HZ
     felt, faint = np.sin(2 * np.pi * 250 * t), 0.003 * np.sin(2 * np.pi * 60 * t)
@@ -167,7 +167,7 @@ def test_channels_count_alike_and_silent_ones_not() -> None:
 
 
 @given(exponent=st.integers(-3, 60), seed=st.integers(0, 100))
-def test_level_changes_only_what_is_held_against_thresholds(exponent: int, seed: int) -> None:
+def test_level_changes_only_what_is_compared_with_thresholds(exponent: int, seed: int) -> None:
     x, y = noise(seed=seed), noise(seed=seed) + 0.3 * noise(seed=seed + 1)
     here, there = measure(x, y, RATE_HZ), measure(2.0**exponent * x, 2.0**exponent * y, RATE_HZ)
     for name in ("snr_db", "psnr_db", "spqi", "log_spectral_distance_db", "third_octave_distance_db"):

@@ -252,7 +252,7 @@ def copied(written: Path, tmp_path: Path) -> Path:
     return shutil.copytree(written, tmp_path / "copied")
 
 
-def test_every_chart_has_its_data_beside_it(written: Path) -> None:
+def test_every_chart_has_its_data_next_to_it(written: Path) -> None:
     page = (written / "results.md").read_text()
     images = sorted((written / "results").glob("*.svg"))
     assert len(images) == 11
@@ -540,7 +540,7 @@ def test_a_decibel_has_a_price_in_bytes_in_time_and_in_flash() -> None:
     assert slower.gained_db is not None and slower.gained_db < 0 and slower.decode_s_per_megasample is None
 
 
-def test_the_papers_speeds_stand_beside_with_their_processor(written: Path) -> None:
+def test_the_papers_speeds_stand_next_to_ours_with_their_processor(written: Path) -> None:
     page = (written / "results.md").read_text()
     assert "| EVA (paper), Intel Core i7-8700 | 1.6 | 24.99 | 21.42 |" in page
     assert "not like for like" in page

@@ -240,7 +240,7 @@ def test_pre_echo_falls_with_a_finer_setting() -> None:
     assert (coarse.outcome, fine.outcome) == (Outcome.DEGRADED, Outcome.HOLDS)
 
 
-def test_an_hour_is_judged_by_its_last_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_hour_is_measured_by_its_last_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signals, "HOUR_S", 120)
     assert signals.measure_hour(RatePoint("flac", {})).outcome is Outcome.HOLDS
 
@@ -315,7 +315,7 @@ def test_a_source_with_its_own_pace_runs_dry_by_the_drift(monkeypatch: pytest.Mo
     assert late.figures["first_underrun_s"] == pytest.approx(2, abs=1)
 
 
-def test_a_trained_model_is_tried_as_codecs_are() -> None:
+def test_a_trained_model_is_tested_like_a_codec() -> None:
     assert [method.name for method in QUICK.learned] == ["tiny"]
     assert signals.measure(LEARNED, "texture").outcome is Outcome.HOLDS
     assert RatePoint("eva", {"level": 2.0}, tiny_model()) == LEARNED != RatePoint("eva", {"level": 2.5}, TINY)
@@ -352,7 +352,7 @@ def test_what_a_model_needs_beyond_mdct_is_measured_in_bits() -> None:
     assert (coarse.outcome, coarse.effect) == (Outcome.FAILS, "10 dB are not reached")
 
 
-def test_a_quiet_passage_is_judged_alone() -> None:
+def test_a_quiet_passage_is_measured_alone() -> None:
     alike, quieter = (learned_signals.measure_quiet(LEARNED, quieter_db) for quieter_db in (0.0, 60.0))
     assert alike.outcome is Outcome.HOLDS
     assert quieter.outcome is not Outcome.HOLDS
@@ -405,7 +405,7 @@ len2,two,a,RuntimeError: rc=1 /some/where: no samples,,,
 """
 
 
-def test_peers_are_judged_and_no_paths_of_theirs_are_kept(tmp_path: Path) -> None:
+def test_peers_are_measured_and_no_paths_of_theirs_are_kept(tmp_path: Path) -> None:
     file = tmp_path / "edge.csv"
     file.write_text(PEERS_CSV)
     cells = peers.read_peers(file)

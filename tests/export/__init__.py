@@ -1,1 +1,1 @@
-"""Tests of the room `export`."""
+"""Tests of the package `export`."""

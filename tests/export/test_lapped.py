@@ -84,7 +84,7 @@ def test_the_codec_has_the_transform_that_was_trained() -> None:
         np.testing.assert_allclose(lapped.analysis_matrix(windows, window.hop), matrix, atol=2e-5)
 
 
-def test_the_loss_falls_and_a_cut_training_goes_on_as_if_uncut(tmp_path: Path) -> None:
+def test_the_loss_falls_and_a_resumed_training_equals_an_uncut_one(tmp_path: Path) -> None:
     (tmp_path / "whole").mkdir()
     whole = trained(tmp_path / "whole")
     losses = [record["loss"] for record in whole.curves]

@@ -1,4 +1,4 @@
-"""What is made of a checkpoint: the files, what an image holds, families."""
+"""The package of a checkpoint: its files, the parts of an image, families."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_files_are_named_by_the_model() -> None:
 
 
 @pytest.mark.parametrize("contents", ["core", "onnx", "both"])
-def test_an_image_holds_what_was_asked_for(contents: Contents) -> None:
+def test_an_image_holds_the_requested_parts(contents: Contents) -> None:
     package, both = tiny.package(contents), EvaImage.unpack(tiny.model("both").tables)
     image = EvaImage.unpack(ModelImage.unpack(package.image).payload)
     assert (image.network is not None, bool(image.graph)) == (contents != "onnx", contents != "core")
@@ -46,7 +46,7 @@ def test_numbered_models_are_a_family() -> None:
 
 
 @pytest.mark.parametrize("prior", PRIOR_KINDS)
-def test_the_prior_of_an_image_is_the_one_asked_for(prior: PriorKind) -> None:
+def test_the_prior_of_an_image_is_the_requested_one(prior: PriorKind) -> None:
     assert EvaImage.unpack(tiny.model("core", prior=prior).tables).prior == prior
 
 

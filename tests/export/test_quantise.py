@@ -16,7 +16,7 @@ SIGNALS: list[Signal] = [texture(6000, seed=seed)[:, 0] for seed in range(3)]
 
 
 def random_model(shape: EvaShape, steps: float = 16.0) -> Eva:
-    """Return a model whose GDN mixes channels, and whose latents are of unequal loudness, of about so many steps."""
+    """Return a model whose GDN mixes channels, and whose latents are of unequal loudness, around `steps` steps."""
     torch.manual_seed(sum(shape.as_dict().values()))
     model = Eva(shape)
     with torch.no_grad():
@@ -42,7 +42,7 @@ def analysed(model: Eva) -> torch.Tensor:
 
 @pytest.mark.parametrize("shape", [EvaShape(8, 5), EvaShape(16, 16), EvaShape(3, 20)])
 def test_the_integers_do_what_torch_does(shape: EvaShape) -> None:
-    """At 30 dB below the signal and less: int8 weights, of which the error of each is 1/254 of the greatest at most."""
+    """At 30 dB below the signal and less: each int8 weight is off by 1/254 of the greatest at most."""
     model = random_model(shape)
     image = quantise(model, FactorisedPrior(shape.latents), SIGNALS)
     assert image.network is not None and image.latents == shape.latents
@@ -57,7 +57,7 @@ def test_the_integers_do_what_torch_does(shape: EvaShape) -> None:
 
 
 def test_norms_of_latents_of_few_steps_are_exact() -> None:
-    """As the paper's models have them at low rates: then norms weigh squares the most beside the constants."""
+    """As in the paper's models at low rates: squares then weigh most in norms, relative to the constants."""
     model = random_model(EvaShape(8, 8), steps=4.0)
     with torch.no_grad():
         gdn = model.synthesis[0]

@@ -44,7 +44,7 @@ seconds = 0.5
 
 
 def untold(part: float, details: str = "", /) -> None:
-    """Tell nothing."""
+    """Report nothing."""
 
 
 def configured(path: Path, text: str = TINY) -> configuration.Configuration:
@@ -92,7 +92,7 @@ def test_curves_are_logged_where_tensorboard_is_installed(tmp_path: Path, monkey
 
 
 @pytest.mark.slow
-def test_a_cut_training_goes_on_as_if_uncut(trained: Path, tmp_path: Path) -> None:
+def test_a_resumed_training_equals_an_uncut_one(trained: Path, tmp_path: Path) -> None:
     class Cut(Exception):
         pass
 
@@ -245,7 +245,7 @@ def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:
     assert {len(trace.samples) for trace in traces} == {1400}
 
 
-def test_what_a_data_set_leaves_out_is_told_and_a_wrong_manifest_rejected(tmp_path: Path) -> None:
+def test_files_left_out_of_a_data_set_are_reported_and_a_wrong_manifest_rejected(tmp_path: Path) -> None:
     (tmp_path / "own").mkdir()
     textures.save(tmp_path / "own" / "a.wav", textures.GENERATORS["rough"](seed=1, seconds=0.5))
     (tmp_path / "own" / "notes.md").touch()

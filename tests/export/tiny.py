@@ -1,4 +1,4 @@
-"""A small model that codes passably without training, for tests of what is made of checkpoints, and of what uses it."""
+"""A small model that codes passably without training, to test checkpoints, their packages and users."""
 
 from functools import cache
 from pathlib import Path
@@ -42,7 +42,7 @@ def checkpoint(lambda_: float = LAMBDA) -> Checkpoint:
 def package(
     contents: Contents = "both", name: str = "tiny", lambda_: float = LAMBDA, prior: PriorKind = "adaptive"
 ) -> Package:
-    """Return what is made of the checkpoint, its integers prepared on generated textures."""
+    """Return the checkpoint's package, with integers calibrated on generated textures."""
     signals = [textures.GENERATORS["rough"](seed, 1.0).samples[:, 0].astype(np.float64) for seed in range(4)]
     return make(checkpoint(lambda_), name, "1", contents, signals, prior)
 

@@ -16,7 +16,7 @@ CORPUS = FIRMWARE / "fuzz" / "corpus.zip"
 TARGETS = ("frames", "messages", "images", "streams", "flash", "controller")
 
 _FOLDERS = [FIRMWARE / "core", FIRMWARE / "controller", FIRMWARE / "fuzz"]
-# A small controller, which is quickly made anew for each input.
+# A small controller, which is quick to reset for each input.
 _SIZES = {
     "VC_CHANNELS": 2,
     "VC_MAX_CHANNELS": 4,
@@ -46,7 +46,7 @@ def corpus(target: str) -> dict[str, bytes]:
 
 
 def replay(program: Path, target: str, inputs: list[bytes], copies: int) -> subprocess.CompletedProcess[bytes]:
-    """Run a target over inputs and over so many changed copies of each."""
+    """Run a target over inputs and over changed copies of each."""
     piped = b"".join(len(data).to_bytes(4, "little") + data for data in inputs)
     environment = os.environ | {"FUZZ_TARGET": target}
     return subprocess.run([str(program), str(copies)], input=piped, capture_output=True, env=environment, timeout=300)

@@ -1,4 +1,4 @@
-"""The firmware on emulated boards: every codec played as computed, the stack it takes, images kept, faults told."""
+"""The firmware on emulated boards: it plays every codec as computed, keeps images, reports faults; its stack."""
 
 import itertools
 from collections.abc import Callable
@@ -121,7 +121,7 @@ def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: 
     expected, _ = render(stream.header, decoded, decoder.delay_samples, actuator)
     np.testing.assert_array_equal(result.dac_codes, expected)
     np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
-    # Three quarters of the smaller stack: the rest is for what other streams may need.
+    # Three quarters of the smaller stack: other streams may need the rest.
     assert 500 < device.processor.stack_bytes() < 6144
 
 
@@ -155,7 +155,7 @@ def test_the_board_comes_up_slowly_and_rests_in_the_middle() -> None:
 
 
 def slow_down(device: Stm32F405, function: str, milliseconds: list[int]) -> None:
-    """Have each call of a function take so long, the last one's time all that follow: interrupts come in its midst."""
+    """Make each call of a function take its time, and all further ones the last time: interrupts come in its midst."""
     address = Elf(build("stm32f405")).symbols[function] & ~1
     left: list[int] = []
 

@@ -75,7 +75,7 @@ def test_reads_any_bytes_as_the_reader_in_python(pieces: list[bytes], cuts: list
 
 @pytest.mark.parametrize("length", [*range(MAX_PAYLOAD_BYTES + 15, MAX_PAYLOAD_BYTES + 25)])
 @pytest.mark.parametrize("code", [1, 2])
-def test_longest_frames_are_told_from_too_long_ones_as_in_python(length: int, code: int) -> None:
+def test_longest_frames_and_too_long_ones_differ_as_in_python(length: int, code: int) -> None:
     expected, reader = FrameReader(), CFrameReader()
     wire = bytes([code] * length) + b"\0" + write_frame(b"next")
     assert reader.feed(wire) == expected.feed(wire) == [b"next"]

@@ -44,7 +44,7 @@ def test_images_are_kept_in_the_flash_file(tmp_path: Path) -> None:
     assert running is not None and running.sha256 == kept.sha256
 
 
-def test_link_and_hardware_are_as_asked_and_the_link_goes_with_the_process(tmp_path: Path) -> None:
+def test_name_and_hardware_are_as_requested_and_the_name_goes_with_the_process(tmp_path: Path) -> None:
     link = tmp_path / "controller"
     with HostProcess("--link", link, "--hardware", "bench 3"), Host(SerialTransport(str(link))) as host:
         assert host.description.hardware == "bench 3"

@@ -1,4 +1,4 @@
-"""The interrupt-driven images on QEMU, where it is installed: a short stream played over the serial line."""
+"""The interrupt-driven images on QEMU, where it is installed: a short stream played over the serial link."""
 
 import shutil
 import subprocess

@@ -23,7 +23,7 @@ IMAGES = [
     for name, target in TARGETS.items()
     if target.suffix == ".elf"
 ]
-# What compilers call where the processor has no instruction: Run-time ABI for the Arm Architecture.
+# Functions that compilers call if the processor has no instruction: Run-time ABI for the Arm Architecture.
 COMPILERS_OWN = re.compile(r"__aeabi_(u?ldivmod|mem(cpy|clr|set|move)[48]?)|__u?divmoddi4|compiler_rt.*")
 # Of firmware/README.md, in bytes: flash, RAM, stack, deepest calls.
 PAGE = {
@@ -58,7 +58,7 @@ def test_image_needs_nothing_but_its_sources_and_division(name: str) -> None:
 
 @dataclass
 class Function:
-    """What a function's instructions show: stack that it takes at most, what it calls, whether also by pointer."""
+    """Facts from a function's instructions: its most stack, its calls, whether it also calls by pointer."""
 
     frame_bytes: int = 0
     callees: set[int] = field(default_factory=set)

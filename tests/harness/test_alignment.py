@@ -1,4 +1,4 @@
-"""A recording laid over what was sent: lag, gain and drift, to fractions of a sample."""
+"""Alignment of a recording with the sent signal: lag, gain and drift, to fractions of a sample."""
 
 import numpy as np
 import pytest
@@ -49,6 +49,6 @@ def test_lag_gain_and_drift_are_found(lag: float, gain: float, drift_ppm: float)
         (np.zeros(5000), "shorter than the texture"),
     ],
 )
-def test_a_recording_of_something_else_is_told(recorded: NDArray[np.float64], message: str) -> None:
+def test_a_recording_of_something_else_is_reported(recorded: NDArray[np.float64], message: str) -> None:
     with pytest.raises(AlignmentError, match=message):
         align(REFERENCE, recorded, RATE_HZ)

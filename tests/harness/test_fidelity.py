@@ -1,4 +1,4 @@
-"""Fidelity: the skin held against what was sent, by the model and by a sensor of its own clock and gain."""
+"""Fidelity: the skin compared with the sent signal, by the model and by a sensor with its own clock and gain."""
 
 from dataclasses import replace
 from functools import partial

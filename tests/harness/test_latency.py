@@ -1,4 +1,4 @@
-"""Latency in simulated time: the figures are held against when the codes really went to the DAC."""
+"""Latency in simulated time: the figures are compared with the times at which the codes went to the DAC."""
 
 from dataclasses import dataclass, field
 
@@ -50,7 +50,9 @@ def noise(seconds: float = 1.0) -> Recording:
 @pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [0, 200])
 @pytest.mark.parametrize("playout_delay_s", [0.004, 0.02])
-def test_the_whole_is_the_sum_of_its_parts_and_the_margin_is_kept(playout_delay_s: float, drift_ppm: int) -> None:
+def test_the_whole_is_the_sum_of_its_parts_and_the_playout_delay_is_kept(
+    playout_delay_s: float, drift_ppm: int
+) -> None:
     measured = latency.measure_latency(
         Bench(drift_ppm).session, PIEZO_STACK, noise(), seconds=2.0, playout_delay_s=playout_delay_s
     )

@@ -13,7 +13,7 @@ from vibrocast.textures import Recording
 
 
 class WaitingLink(MemoryLink):
-    """A line of so many bytes a second, which takes its time for each write and read."""
+    """A link of limited bytes per second, whose writes and reads take time."""
 
     def __init__(self, controller: SimulatedController, bytes_per_s: float) -> None:
         super().__init__(controller)
@@ -37,14 +37,14 @@ def noise() -> Recording:
     return Recording(np.random.default_rng(2).standard_normal((2800, 1)), 2800.0, "um", "noise")
 
 
-def test_throughput_is_that_of_the_line() -> None:
+def test_throughput_is_that_of_the_link() -> None:
     measured = load.throughput(session(WaitingLink(SimulatedController(), 90_000)), noise())
     assert measured.to_controller_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.to_host_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.bad_frames == 0
 
 
-def test_load_beyond_the_line_is_seen_as_underruns() -> None:
+def test_load_beyond_the_link_is_seen_as_underruns() -> None:
     line = SlowLink(SimulatedController(Settings(channels=2)), there=Wire(bits_per_second=40_000))
     loads = load.underruns(session(MemoryLink(line)), noise())
     assert [(each.channels, each.rate_hz) for each in loads] == [(1, 2800), (2, 2800), (1, 8000), (2, 8000)]

@@ -75,7 +75,9 @@ def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments
         (["--vibrocast-bench", "bench.toml"], "*bench.toml: controllers is missing*"),
     ],
 )
-def test_what_names_no_device_is_told_in_a_line(pytester: pytest.Pytester, arguments: list[str], message: str) -> None:
+def test_a_name_of_no_device_is_reported_in_one_line(
+    pytester: pytest.Pytester, arguments: list[str], message: str
+) -> None:
     pytester.makepyfile(USERS_TEST)
     pytester.path.joinpath("bench.toml").write_text("")
     result = pytester.runpytest_subprocess(*LOADED, *arguments)

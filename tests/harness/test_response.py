@@ -26,7 +26,7 @@ from vibrocast.textures import Recording
 OVERSAMPLING = 4
 SWEEP_S = 4.0
 DRIFT_PPM = 40.0  # of the sensor's clock, whose file does not know it
-NOISE_DB = -20.0  # of the sensor, relative to what it records of the sweep
+NOISE_DB = -20.0  # of the sensor, relative to its recording of the sweep
 
 
 def bench(
@@ -94,7 +94,7 @@ def test_compensation_with_the_fitted_actuator_flattens_the_response() -> None:
     assert flatness_db[1] < 0.5
 
 
-def test_a_sensor_that_is_not_there_is_told() -> None:
+def test_a_missing_sensor_is_reported() -> None:
     controller, _ = bench(PIEZO_STACK, PIEZO_STACK, "um")
 
     @contextmanager

@@ -1,1 +1,1 @@
-"""Tests of the room `host`."""
+"""Tests of the package `host`."""

@@ -1,4 +1,4 @@
-"""The bench file: what it may say, and that every mistake in it is named with its place."""
+"""The bench file: its content, and every mistake reported with its place."""
 
 import json
 from pathlib import Path
@@ -38,7 +38,7 @@ def test_an_actuator_written_is_the_one_read(actuator: Actuator, tmp_path: Path)
     assert read_bench(path).actuator("left") == actuator
 
 
-def test_a_texture_that_cannot_be_made_is_told_with_its_place(tmp_path: Path) -> None:
+def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(CONTROLLER + '[[textures]]\ngenerate = "rough"\nseconds = 600\nrate_hz = 1e7\n')
     with pytest.raises(BenchFileError, match=r"\[\[textures\]\] 1: 600.0 s at"):
@@ -94,7 +94,7 @@ def test_a_texture_that_cannot_be_made_is_told_with_its_place(tmp_path: Path) ->
         (CONTROLLER + '[[textures]]\ngenerate = "silk"\n', "generate must be one of grating, "),
     ],
 )
-def test_a_mistake_is_told_with_its_place(text: str, message: str, tmp_path: Path) -> None:
+def test_a_mistake_is_reported_with_its_place(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(text)
     with pytest.raises(BenchFileError) as raised:

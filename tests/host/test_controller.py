@@ -98,7 +98,7 @@ def test_lost_requests_are_sent_again_and_carried_out_once() -> None:
     assert scripted.handled.count(Gain(0.5)) == 1
 
 
-def test_lost_answers_are_asked_for_again_and_requests_carried_out_once() -> None:
+def test_lost_answers_are_requested_again_and_requests_carried_out_once() -> None:
     scripted = ScriptedController()
     controller = connect(scripted)
     lost: list[bytes] = []
@@ -231,7 +231,7 @@ def test_capture_that_is_gone_is_an_error() -> None:
 
 
 @given(st.lists(st.binary(max_size=300), max_size=20))
-def test_garbage_on_the_line_changes_nothing(noise: list[bytes]) -> None:
+def test_garbage_on_the_link_changes_nothing(noise: list[bytes]) -> None:
     scripted = ScriptedController()
     controller = connect(scripted)
 

@@ -1,4 +1,4 @@
-"""Controllers by their address: what those made of the firmware need, and what they cannot do."""
+"""Controllers by their address: the needs of those made of the firmware, and their limits."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Playing with the comparison of what was read back: over loops, where it differs, and where it would be too long."""
+"""Playing, with the samples read back and compared: over loops, with differences, and for signals that are too long."""
 
 import math
 from dataclasses import replace

@@ -98,7 +98,7 @@ def test_of_usb_and_serial_ports_those_play_on_whose_controllers_are_there() -> 
             if name == "4" and now.position_s > 0.3:
                 ports[4].keep_busy(60.0)
 
-        # So much is buffered for a computer that is busy with other tests.
+        # A large buffer, for a computer that is busy with other tests.
         results = play_on(controllers, stream, fail, buffer_s=1.0)
         for controller in controllers.values():
             controller.close()

@@ -77,7 +77,7 @@ def test_nothing_is_lost_at_the_start_of_a_stream_over_long_round_trips(delay_ms
     assert (result.underruns, result.lost_packets, result.streams) == (0, 0, 1)
 
 
-def test_the_margin_counts_from_when_the_first_packet_has_come_over_a_slow_link() -> None:
+def test_the_playout_delay_counts_from_the_arrival_of_the_first_packet_over_a_slow_link() -> None:
     link = MemoryLink(SlowLink(SimulatedController(), Wire(bits_per_second=80_000), Wire(bits_per_second=80_000)))
     stream = LiveStream(Controller(link, link.clock, link.sleep), FORMAT, playout_delay_s=0.04)
     ahead: list[float] = []
@@ -120,7 +120,7 @@ def test_a_lost_packet_costs_itself_alone() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-3000, 3000])
-def test_a_clock_that_drifts_begins_the_stream_anew_and_the_delay_stays_bounded(drift_ppm: int) -> None:
+def test_a_clock_that_drifts_restarts_the_stream_and_the_delay_stays_bounded(drift_ppm: int) -> None:
     _, controller = bench(Settings(drift_ppm=drift_ppm))
     stream = LiveStream(controller, FORMAT)
     longest_s = 0.0
@@ -143,7 +143,7 @@ def test_a_source_that_pauses_goes_on_with_little_delay() -> None:
     assert stream.finish().streams == 3
 
 
-def test_a_pulled_cable_is_opened_anew() -> None:
+def test_a_pulled_cable_is_opened_again() -> None:
     link, controller = bench()
     stream = LiveStream(controller, FORMAT)
 

@@ -71,7 +71,7 @@ class Run:
         return self.stream.finish()
 
     def mean_bps(self, from_s: float, to_s: float) -> float:
-        """Return the mean rate that was asked of the policy in a time."""
+        """Return the mean rate of the policy in a time."""
         return float(
             np.mean([rate for at, rate in zip(self.times_s, self.rates_bps, strict=True) if from_s <= at < to_s])
         )
@@ -81,7 +81,7 @@ class Run:
 def test_four_channels_at_1_kbit_per_second_each_cost_at_most_15_percent_on_the_wire(seconds: float) -> None:
     run = Run(4000, Wire(), channels=4)
     result = run.play(seconds)
-    # What begins and ends the stream, and the last packet, which silence fills, come on top.
+    # The beginning and end of the stream, and the last packet, which silence fills, come on top.
     assert 4000 < result.wire_bps < 4000 * 1.01 + 8 * (80 + 40) / seconds
     assert result.wire_adds <= 0.15
     assert result.lost_packets == 0
@@ -114,14 +114,14 @@ def test_what_a_link_that_stands_still_would_bring_too_late_is_not_sent() -> Non
     run = Run(4000, Wire(5000))
     result = run.play(8.0, {3.0: 0.0, 4.5: 5000.0})
     assert result.dropped_packets > 5
-    # What was under way when it stopped is late; all that came behind was never sent.
+    # Packets on the link when it stopped are late; later ones were never sent.
     assert result.lost_packets <= result.dropped_packets + 5
     assert result.streams == 1
     assert run.mean_bps(7.0, 8.0) > 3600
     assert run.early_s[-1] > 0.1
 
 
-def test_a_slow_serial_line_keeps_its_queue_short() -> None:
+def test_a_slow_serial_link_keeps_its_queue_short() -> None:
     baud = 9600
     run = Run(20_000, Wire(0.8 * baud))  # far more than it carries
     result = run.play(6.0)

@@ -43,7 +43,7 @@ def test_the_smallest_family_that_meets_the_snr_and_a_member_near_it(snr_db: flo
     assert chosen(snr_db=snr_db) in names
 
 
-def test_of_the_members_beside_the_snr_the_one_of_the_fewest_bits(shipped: tuple[models.Model, ...]) -> None:
+def test_of_the_members_around_the_snr_the_one_of_the_fewest_bits(shipped: tuple[models.Model, ...]) -> None:
     best = encode_recording(texture(), codec_name="eva", snr_db=12).stream
     for model in shipped[1:3]:
         assert best.size_bytes <= encode_recording(texture(), model=model, snr_db=12).stream.size_bytes
@@ -54,7 +54,7 @@ def test_the_smallest_family_that_meets_the_rate_and_a_member_near_it(rate_bps: 
     assert chosen(rate_bps=rate_bps) in names
 
 
-def test_where_nothing_is_asked_the_middle_of_the_smallest_family() -> None:
+def test_without_a_target_the_middle_of_the_smallest_family() -> None:
     assert encode_recording(texture(), codec_name="eva", setting={"level": 1}).stream.model_name == "low-2"
     assert default_model(CODECS["eva"]).name == "low-2"
 
@@ -68,12 +68,12 @@ def test_where_nothing_is_asked_the_middle_of_the_smallest_family() -> None:
         (RateTarget(error_db=0), {"low-2"}),
     ],
 )
-def test_rate_controlled_streams_take_a_member_near_what_is_asked(target: RateTarget, names: set[str]) -> None:
+def test_rate_controlled_streams_take_a_member_near_the_target(target: RateTarget, names: set[str]) -> None:
     stream, _ = encode_rate_controlled(texture(), target, codec_name="eva")
     assert stream.model_name in names
 
 
-def test_what_none_can_do_is_rejected_with_what_the_largest_reaches() -> None:
+def test_an_impossible_target_is_rejected_with_the_best_of_the_largest_family() -> None:
     with pytest.raises(TargetUnreachable, match="an SNR of 60 dB cannot be met; this signal reaches"):
         chosen(snr_db=60)
     with pytest.raises(TargetUnreachable, match="a rate of 10 bit/s cannot be met"):

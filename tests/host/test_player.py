@@ -73,7 +73,7 @@ def test_plays_to_the_end_without_underrun() -> None:
 
 
 @pytest.mark.parametrize("buffer_s", [0.05, 0.1])
-def test_holds_no_more_than_asked_without_underrun(buffer_s: float) -> None:
+def test_buffers_no_more_than_required_without_underrun(buffer_s: float) -> None:
     scripted = ScriptedController()
     scripted.largest_read_s = 0.002
     result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, buffer_s=buffer_s)
@@ -225,7 +225,7 @@ def unplug_between(scripted: ScriptedController, start_s: float, end_s: float) -
     scripted.at_read = unplug
 
 
-def test_short_cut_goes_on_where_the_controller_is() -> None:
+def test_after_a_short_cut_playing_resumes_where_the_controller_is() -> None:
     scripted = ScriptedController()
     unplug_between(scripted, 0.43, 0.53)
     result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES)
@@ -235,7 +235,7 @@ def test_short_cut_goes_on_where_the_controller_is() -> None:
     assert scripted.received == set(range(len(PACKETS)))
 
 
-def test_long_cut_goes_on_at_the_next_refresh_packet() -> None:
+def test_after_a_long_cut_playing_resumes_at_the_next_refresh() -> None:
     scripted = ScriptedController()
     unplug_between(scripted, 0.5, 3.0)
     result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
@@ -266,7 +266,7 @@ def test_restarted_controller_goes_on_within_the_loops() -> None:
     assert (second.first_packet, second.loops) in [(0, 2), (10, 2), (0, 1)]
 
 
-def test_long_cut_of_a_stream_with_one_refresh_packet_says_so() -> None:
+def test_a_long_cut_of_a_stream_with_one_refresh_is_reported() -> None:
     scripted = ScriptedController()
     unplug_between(scripted, 0.5, 3.0)
     with pytest.raises(ControllerError, match="no later packet can be decoded alone"):
@@ -341,7 +341,7 @@ def status(scripted: ScriptedController, state: State) -> Status:
     return replace(scripted.status(), state=state)
 
 
-def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh_packet() -> None:
+def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh() -> None:
     scripted = ScriptedController()
 
     def jump() -> None:

@@ -1,4 +1,4 @@
-"""Profiles under a hand from the command line: coding, what is said of the stream, movements, playing, rejections."""
+"""Profiles under a hand from the command line: coding, properties, movements, playing, rejections."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +40,7 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
 
 @pytest.mark.parametrize("setting", [{}, {"smallest": 0.05, "levels": 14}])
 def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
-    """Its limit at 400 Hz is one over time, as its threshold is, which is rejected."""
+    """Its limit at 400 Hz and its threshold need a signal over time; the threshold is rejected."""
     recording = profiles.recording_of(PROFILE)
     snr_db = profiles.encode(recording, codec_name="dct", setting=setting).quality.snr_db
     assert snr_db is not None and snr_db > 13
@@ -103,7 +103,7 @@ def test_movement_is_read_and_made(tmp_path: Path) -> None:
     assert strokes.positions_mm[-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_what_is_played_is_what_is_computed_also_over_a_line_that_loses_frames(stream: Stream) -> None:
+def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_frames(stream: Stream) -> None:
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
     movement = position_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):

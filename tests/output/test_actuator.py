@@ -32,7 +32,7 @@ def test_full_drive_moves_the_piezo_stack_by_half_its_stroke() -> None:
     assert PIEZO_STACK.displacement_um(codes)[-1, 0] == pytest.approx(40.0, rel=1e-4)
 
 
-def test_resonant_tactor_peaks_at_its_resonance_by_its_stroke() -> None:
+def test_a_resonant_actuator_peaks_at_its_resonance_by_its_stroke() -> None:
     rate_hz = 800_000.0
     frequencies_hz = np.linspace(50.0, 400.0, 351)
     _, response = signal.freqz(*LRA.response(rate_hz), worN=frequencies_hz, fs=rate_hz)

@@ -75,7 +75,7 @@ def test_section_has_room_to_ring(actuator: Actuator) -> None:
         (replace(LRA, maximum_boost=100.0), "maximum_boost"),
     ],
 )
-def test_what_has_no_room_is_rejected(actuator: Actuator, reason: str) -> None:
+def test_values_that_do_not_fit_are_rejected(actuator: Actuator, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         constants(actuator)
 

@@ -244,7 +244,7 @@ def recorded(name: str) -> Decoded:
     seed=st.integers(0, 99),
     volts_part=st.sampled_from([0.5, 1.0]),
 )
-def test_limits_hold_whatever_is_asked_for(actuator: str, gain: float, kind: str, seed: int, volts_part: float) -> None:
+def test_limits_hold_for_any_request(actuator: str, gain: float, kind: str, seed: int, volts_part: float) -> None:
     described = ACTUATORS[actuator]
     limited = replace(described, volts_limit=described.volts / 2 * volts_part)
     signals: dict[str, Callable[[], Samples]] = {

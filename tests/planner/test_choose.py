@@ -22,7 +22,7 @@ def choice(tmp_path_factory: pytest.TempPathFactory) -> TextureChoice:
     return choose(Evaluator(read, read.textures[0]), read)
 
 
-def test_the_choice_is_the_cheapest_that_meets_what_is_asked(choice: TextureChoice) -> None:
+def test_the_choice_is_the_cheapest_that_meets_the_requirements(choice: TextureChoice) -> None:
     assert choice.chosen.meets and choice.chosen.measured.snr_db is not None
     assert choice.chosen.measured.snr_db >= 10
     assert all(each.cost >= choice.chosen.cost for each in choice.candidates if each.meets)

@@ -134,7 +134,7 @@ def test_a_mistake_in_a_plan_is_an_error_of_one_line(before: str, after: str, me
     assert str(raised.value).startswith(f"{path}: ") and message in str(raised.value)
 
 
-def test_files_that_changed_after_planning_are_told(tmp_path: Path) -> None:
+def test_files_that_changed_after_planning_are_reported(tmp_path: Path) -> None:
     file = tmp_path / "oak.csv"
     file.write_text("1\n2\n")
     source = Source((file,), None, {})

@@ -1,4 +1,4 @@
-"""What the commands do with a plan: example scenes are planned and played by one command; plans are played, coded."""
+"""Use of plans by the commands: one command plans and plays example scenes; plans are played and coded."""
 
 import json
 import re
@@ -77,7 +77,7 @@ def test_what_contradicts_a_plan_is_rejected(
     assert message in result.stderr and len(result.stderr.splitlines()) == 1
 
 
-def test_without_a_plan_what_it_makes_up_for_is_asked() -> None:
+def test_without_a_plan_its_options_are_required() -> None:
     assert "missing FILE; pass it, or --plan" in run("play").stderr
     assert "missing MODEL; pass it, or --plan" in run("flash").stderr
 

@@ -1,4 +1,4 @@
-"""A plan that is played gives what it forecast; what does not fit what is there, and what is off, is told."""
+"""A played plan gives its forecast; misfits and deviations from the forecast are reported."""
 
 import math
 from collections.abc import Callable
@@ -105,7 +105,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
     assert len(sizes) > run and np.max(bits_per_second) <= 2000
 
 
-def test_what_is_off_its_forecast_is_told_and_written(tmp_path: Path) -> None:
+def test_deviations_from_the_forecast_are_reported_and_written(tmp_path: Path) -> None:
     plan = planned(tmp_path, controller=SIMULATED)
     (wood,) = plan.textures
     wrong = structs.replace(

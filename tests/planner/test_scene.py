@@ -1,4 +1,4 @@
-"""The scene file: what is read, and that every mistake is told with its table and key."""
+"""The scene file: its content, and every mistake reported with its table and key."""
 
 import json
 from pathlib import Path
@@ -100,7 +100,7 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
         ({"texture": TEXTURE + 'name = "a\\u001b[31m"\n'}, "name must be a text in one line"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_with_its_place(changed: dict[str, str], message: str, tmp_path: Path) -> None:
+def test_a_mistake_is_reported_with_its_place(changed: dict[str, str], message: str, tmp_path: Path) -> None:
     path = written(tmp_path, **changed)
     with pytest.raises(SceneError) as raised:
         read_scene(path)

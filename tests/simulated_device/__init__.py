@@ -1,1 +1,1 @@
-"""Tests of the room `simulated_device`."""
+"""Tests of the package `simulated_device`."""

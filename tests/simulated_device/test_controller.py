@@ -1,4 +1,4 @@
-"""The controller, message by message in simulated time: session, playing, limits of what it keeps, hostile bytes."""
+"""The controller, message by message in simulated time: session, playing, memory limits, hostile bytes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +54,7 @@ FADE_CODES = round(FADE_SECONDS * PIEZO_STACK.dac_rate_hz)
 
 
 def configuration(blocks: int, hop: int, channels: int = 1) -> bytes:
-    """A stream's codec configuration with packets of so many blocks, of `hop` samples each."""
+    """A stream's codec configuration with packets of `blocks` blocks of `hop` samples."""
     return mdct.configuration(hop, blocks, [600] * channels)
 
 
@@ -477,7 +477,7 @@ def test_power_limit_holds_across_streams_and_restarts(played_ms: int) -> None:
         bench.start_all(played, gain=1000.0, compensation=False)
         for _ in range(played_ms):
             bench.run(1)
-            # What the DAC is not given it holds, which is at rest.
+            # Without new codes the DAC holds the last one, which is at rest.
             taken = sum(map(len, timeline))
             timeline += bench.codes
             bench.codes.clear()

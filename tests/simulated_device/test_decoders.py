@@ -80,7 +80,7 @@ def test_stream_of_a_codec_that_is_not_installed_is_rejected_by_its_name(
     assert "coarse" in answer.text
 
 
-def test_what_takes_the_codes_may_raise() -> None:
+def test_the_receiver_of_codes_may_raise() -> None:
     def fail(codes: Codes) -> None:
         raise ZeroDivisionError
 

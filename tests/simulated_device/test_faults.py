@@ -83,7 +83,7 @@ def assert_within_limits(codes: Codes) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("fault", ["lost", "flipped", "doubled", "swapped", "all"])
-def test_line_with_faults_in_both_directions(fault: str, seed: int) -> None:
+def test_a_link_with_faults_in_both_directions(fault: str, seed: int) -> None:
     played = stream(3.0)
     chances = dict.fromkeys(("lost", "flipped", "doubled", "swapped") if fault == "all" else (fault,), 0.01)
     if fault in ("doubled", "swapped"):
@@ -110,7 +110,7 @@ def max_hold(codes: Codes) -> int:
 
 
 def output_of(decoded: Decoded, played: Stream, loops: int) -> Codes:
-    """Return the codes that the output makes of what was decoded, whatever that was."""
+    """Return the codes that the output makes of any decoded samples."""
     drive = Drive(played.header, PIEZO_STACK, True, played.delay_samples)
     dac = Dac(played.header, PIEZO_STACK, 1.0, True, drive.drive_samples(played.delay_samples))
     end = recording_end(played.header, played.delay_samples)

@@ -102,7 +102,7 @@ def test_what_credit_has_granted_always_has_room(lengths: list[int], seed: int) 
     answer = bench.configure(played)
     assert isinstance(answer, Status)
     status = answer
-    # Of the longest packets, so many as the pool holds.
+    # As many of the longest packets as the pool holds.
     assert status.credit_until == BOARD["VC_BUFFER_BYTES"] // PACKET_BYTES * played.packet_samples
     unsent = list(range(len(played.packets)))
 

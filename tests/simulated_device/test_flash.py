@@ -164,7 +164,7 @@ def test_first_image_whose_trial_was_not_confirmed_does_not_run() -> None:
 
 
 class FailingFlash(FlashMemory):
-    """Flash that takes nothing more after so many erasures and writes."""
+    """Flash that takes nothing more after `changes` erasures and writes."""
 
     def __init__(self, contents: bytes, changes: int) -> None:
         super().__init__(len(contents), sector_bytes=128)
@@ -216,7 +216,7 @@ def test_flash_that_fails_at_a_boot_runs_what_is_confirmed(changes: int) -> None
     assert running_name(boot(failing)) == "new"
 
 
-def test_cut_session_goes_on_where_it_was() -> None:
+def test_an_interrupted_session_resumes_where_it_was() -> None:
     flash = blank_flash()
     store = boot(flash)
     store.begin(0, len(NEW), sha256(NEW), "")

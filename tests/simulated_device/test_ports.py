@@ -95,7 +95,7 @@ def test_pty_that_is_closed_or_not_yet_open_does_not_wait_for_ever() -> None:
 
 
 class FailingController(Controller):
-    """A controller with a fault that strikes when it is told to."""
+    """A controller with a fault that strikes on request."""
 
     faulty = False
 
@@ -314,7 +314,7 @@ def test_usb_handle_from_before_the_pull_stays_dead_and_a_new_one_works(usb_port
         assert isinstance(host.request_status(), Status)
 
 
-def test_faulty_line_gives_the_same_faults_for_the_same_seed() -> None:
+def test_a_faulty_link_gives_the_same_faults_for_the_same_seed() -> None:
     data = b"".join(bytes([number, 1, 2, 3]) + b"\0" for number in range(1, 200))
     results = {FaultyDirection(seed, lost=0.1, flipped=0.1, doubled=0.1, swapped=0.1).carry(data) for seed in (1, 1, 2)}
     assert len(results) == 2

@@ -39,7 +39,7 @@ SAMPLES_PER_METRE = 100_000
 SAMPLES = 2000
 RATE_HZ = 3000
 DELAY_S = (HAND_DELAY_US + 2 * HAND_SMOOTHING_US) / 1e6
-# What is promised: exact up to this part of the DAC's rate and of the profile's own.
+# The promise: exact up to this part of the DAC's rate and of the profile's own.
 EXACT, EXACT_OF_PROFILE = 0.15, 0.34
 BETWEEN_POSITIONS_S = 0.01
 Way = Callable[[float], float]
@@ -63,7 +63,7 @@ def loaded(profile: NDArray[np.int16], dac_rate_hz: int = RATE_HZ) -> Profile:
 
 
 def periodic(profile: NDArray[np.int16], dac_rate_hz: int) -> NDArray[np.float64]:
-    """Return one period of what the profile repeats: as firmware/core/profile.h says."""
+    """Return one period of the repeated profile, as firmware/core/profile.h defines it."""
     step = octaves_step(SAMPLES_PER_METRE, dac_rate_hz)
     period = (len(profile) - len(profile) // 16) // step * step
     faded = min(len(profile) - period, period)
@@ -107,7 +107,7 @@ def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: in
     profile, per_sample = periodic(heights(), dac_rate_hz), abs(speed_mm_s) / 1000 * SAMPLES_PER_METRE / dac_rate_hz
     expected = exact(profile, places_mm, EXACT / per_sample)
     window = np.blackman(len(expected))
-    # What lies above the band is not exact, and leaks a little way into it.
+    # Components above the band are not exact, and leak a little into it.
     inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
     error, signal = (np.fft.rfft(values * window)[inside] for values in (made[first:] - expected, expected))
     assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 50
@@ -115,7 +115,7 @@ def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: in
 
 @pytest.mark.parametrize("samples", [34, 60, 66, 100, 575])
 def test_short_profile_repeats(samples: int) -> None:
-    """One from the shortest on, shorter than what the interpolator reaches in the coarser octaves."""
+    """From the shortest one on, shorter than the reach of the interpolator in the coarser octaves."""
     assert samples >= min_samples(SAMPLES_PER_METRE, RATE_HZ) > 33
     profile, speed_mm_s = heights()[:samples], 50
     made = rendered_along(loaded(profile), lambda t: speed_mm_s * t, 0.5)[600:]
@@ -128,7 +128,7 @@ def test_short_profile_repeats(samples: int) -> None:
     assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 50
 
 
-def test_positions_that_come_too_late_are_told() -> None:
+def test_positions_that_come_too_late_are_reported() -> None:
     profile = loaded(heights())
     assert not profile.position(1000, 0)
     profile.render([1000])

@@ -1,4 +1,4 @@
-"""What int8 costs: the page of the study, and the limit that every model that ships keeps."""
+"""The cost of int8: the page of the study, and the limit that every model that ships keeps."""
 
 import csv
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The page of what a description keeps: rates alike, measures beside each other, nothing left out."""
+"""The page on parametric coding: similar rates, measures next to each other, nothing left out."""
 
 import csv
 from pathlib import Path
@@ -50,7 +50,7 @@ def test_means_are_of_curves_that_every_recording_has() -> None:
     assert mean == parametric.Row("mean", "coarsest", "parametric", 30.0, 5.0, None, 0.01, -3.0)
 
 
-def test_a_folder_without_recordings_is_told(tmp_path: Path) -> None:
+def test_a_folder_without_recordings_is_reported(tmp_path: Path) -> None:
     done = CliRunner().invoke(parametric.main, [str(tmp_path), "--out", str(tmp_path / "out")])
     assert done.exit_code == 1
     assert "no recordings" in done.output

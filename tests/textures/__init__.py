@@ -1,1 +1,1 @@
-"""Tests of the room `textures`."""
+"""Tests of the package `textures`."""

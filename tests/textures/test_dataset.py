@@ -34,7 +34,7 @@ def write_axes(folder: Path, entry: str, axes: str) -> None:
         np.savetxt(folder / f"{entry}_{axis}.txt", samples * (number + 1))
 
 
-def test_every_kind_of_file_is_a_trace_and_three_axes_are_one(tmp_path: Path) -> None:
+def test_every_kind_of_file_is_a_recording_and_three_axes_are_one(tmp_path: Path) -> None:
     textures.save(tmp_path / "wood.wav", wood(0, 0.1))
     np.save(tmp_path / "wood.npy", np.zeros(10))
     write_axes(tmp_path, REFERENCE[0], "XYZ")
@@ -267,7 +267,7 @@ def test_a_split_by_subject() -> None:
         split([*everything, DatasetEntry("x", Path("x"))], "test", by="subject")
 
 
-def test_a_material_in_both_parts_is_told(tmp_path: Path) -> None:
+def test_a_material_in_both_parts_is_reported(tmp_path: Path) -> None:
     for name in "ab":
         textures.save(tmp_path / f"{name}.wav", wood(0, 0.1))
     found = read(manifest(tmp_path, "file,material,split\na.wav,cork,train\nb.wav,Cork,test\n"))

@@ -71,7 +71,7 @@ def test_live_blocks_begin_at_rest_and_are_filtered_as_one() -> None:
 
 
 @pytest.mark.parametrize("drift", [0.0, 5.0])
-def test_where_a_recording_was_cut_leaves_no_trace(drift: float) -> None:
+def test_the_place_where_a_recording_was_cut_has_no_effect(drift: float) -> None:
     long = np.random.default_rng(5).standard_normal((8 * 2800, 1))
     long += drift * np.sin(2 * np.pi * np.arange(len(long)) / 2800)[:, None]  # 1 Hz
     whole = highpass(acceleration(long)).recording.samples

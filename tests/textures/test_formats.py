@@ -22,7 +22,7 @@ NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
 
 
 def write_v73(path: Path, variables: dict[str, np.ndarray | str]) -> None:
-    """Write variables as MATLAB's `save -v7.3` does: axes in the other order, a text as numbers, the class beside."""
+    """Write variables as MATLAB's `save -v7.3` does: axes reversed, a text as numbers, the class as an attribute."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in variables.items():
             array = np.array([[ord(letter) for letter in value]], np.uint16) if isinstance(value, str) else value

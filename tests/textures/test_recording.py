@@ -1,4 +1,4 @@
-"""Tests of what a recording may hold."""
+"""Tests of the values that a recording may hold."""
 
 import numpy as np
 import pytest
