@@ -321,13 +321,26 @@ class Controller(Closing):
         return answer
 
 
+_UPDATE = "update the older of vibrocast and the firmware"
+# The controller's own texts say the rest.
+_REMEDIES: dict[int, str] = {
+    ErrorCode.UNKNOWN_MESSAGE: _UPDATE,
+    ErrorCode.MALFORMED: _UPDATE,
+    ErrorCode.UNKNOWN_CODEC: "`vibrocast status` lists its codecs",
+    ErrorCode.BEYOND_LIMITS: "`vibrocast status` lists its limits",
+    ErrorCode.WRONG_HARDWARE: "give an image for this controller",
+}
+
+
 def _no_answer() -> ConnectionLost:
     return ConnectionLost(
-        "the controller does not answer. Check that it has power and that the address is the right one."
+        "the controller does not answer; check that it has power, and that the address is the right one"
     )
 
 
 def _rejection(error: Error) -> ControllerError:
     if error.code == ErrorCode.HELLO_FIRST:
-        return ConnectionLost("the controller has restarted and knows nothing of this session", error.code)
-    return ControllerError(f"the controller rejects the request: {error.text or 'no reason given'}", error.code)
+        return ConnectionLost("the controller has restarted, which ends the session; run the command again", error.code)
+    reason = error.text or f"no reason given (error {error.code})"
+    remedy = _REMEDIES.get(error.code)
+    return ControllerError(f"the controller rejects the request: {reason}{f'; {remedy}' if remedy else ''}", error.code)

@@ -187,7 +187,7 @@ def available() -> dict[str, str]:
 
     found = dict(SIMULATED)
     for port in list_ports.comports():
-        found[f"serial:{port.device}"] = port.description
+        found[f"serial:{port.device}"] = "serial port" if port.description == "n/a" else port.description
     # Without libusb there are no USB devices to list; `connect` says what to do then.
     backend = libusb_backend()
     for device in usb.core.find(find_all=True, backend=backend) if backend else ():

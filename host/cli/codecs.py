@@ -22,7 +22,7 @@ def codecs(as_json: bool) -> None:
             "summary": known.summary,
             "rate control": "yes" if known.controls_rate else "no, all packets are of one quality",
             **{
-                name: f"{parameter.meaning}: {parameter.range}; {parameter.default} if not given"
+                name: f"{parameter.meaning} ({parameter.range}; default {parameter.default})"
                 for name, parameter in known.parameters.items()
             },
         }

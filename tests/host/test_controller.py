@@ -131,7 +131,7 @@ def test_silent_controller_is_given_up() -> None:
 
 def test_rejection_carries_code_and_text() -> None:
     controller = connect(ScriptedController())
-    with pytest.raises(ControllerError, match="what is that") as caught:
+    with pytest.raises(ControllerError, match=r"what is that\?; update the older of vibrocast") as caught:
         controller.request(Loop(3), Status)
     assert caught.value.code == ErrorCode.UNKNOWN_MESSAGE
 

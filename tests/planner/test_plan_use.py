@@ -82,6 +82,14 @@ def test_without_a_plan_its_options_are_required() -> None:
     assert "missing MODEL; pass it, or --plan" in run("flash").stderr
 
 
+def test_a_plan_that_needs_no_model_says_so(plan: Path, tmp_path: Path) -> None:
+    text = re.sub(r'^model = ".*"\n', "", plan.read_text(), flags=re.MULTILINE)
+    none = tmp_path / "none.toml"
+    none.write_text(text.replace("../scene.toml", str(plan.parent.parent / "scene.toml")))
+    result = run("flash", "--plan", none)
+    assert (result.exit_code, result.stdout) == (0, f"{none}: no texture needs a model; nothing to upload\n")
+
+
 def test_a_plan_says_what_to_flash_and_no_more_than_a_controller_runs(plan: Path, tmp_path: Path) -> None:
     text = re.sub(r'^model = ".*"\n', "", plan.read_text(), flags=re.MULTILINE)
     text = text.replace('codec = "', 'model = "eva-16-4"\ncodec = "')
