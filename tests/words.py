@@ -495,7 +495,7 @@ def subject_findings(subjects: Iterable[str]) -> list[Finding]:
 
 def pages() -> list[str]:
     """Return the paths of all pages, relative to the checkout."""
-    patterns = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**/*.md", "*/README.md", "models/*/*.md")
+    patterns = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**/*.md", "[!.]*/README.md", "models/*/*.md")
     found = {path for pattern in patterns for path in ROOT.glob(pattern)}
     return sorted(
         path.relative_to(ROOT).as_posix() for path in found if "vibrocast" not in path.relative_to(ROOT).parts
