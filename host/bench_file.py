@@ -1,4 +1,4 @@
-"""The bench file: controllers, actuators, sensors and textures of a bench, in TOML (docs/how-to/measure_a_bench.md)."""
+"""The bench file: controllers, actuators, sensors and textures of a bench, in TOML (docs/reference/toml_files.md)."""
 
 import contextlib
 import json

@@ -47,7 +47,7 @@ class ActuatorTable(Table, frozen=True, kw_only=True):
 
 
 def find(name_or_path: str | Path) -> Actuator:
-    """Return the actuator of a name in ACTUATORS, or of a TOML file (docs/how-to/measure_a_bench.md).
+    """Return the actuator of a name in ACTUATORS, or of a TOML file (docs/reference/toml_files.md).
 
     The file has the keys of an entry of `[[actuators]]` at its top, or one such entry, as `vibrocast measure` writes
     it. Raises ActuatorFileError, and OSError if the file cannot be read.
